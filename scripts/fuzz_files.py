@@ -41,8 +41,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from adis_gonio.faces.cli import COMMANDS as HOMES
-from adis_gonio.faces.cli import main as adis_gonio
+from adis_gonio.faces.cli import COMMANDS as HOMES, main as adis_gonio
 from adis_gonio.faces.cli.terminal import replace_missing_letters
 from record.strange_files import KINDS, SoundFiles
 

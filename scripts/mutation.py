@@ -88,6 +88,9 @@ ROOMS = {
             "tests/device/sensor/test_frames_and_decoding.py",
             "tests/device/sensor/test_driver.py",
             "tests/device/sensor/test_data_ready.py",
+            "tests/device/sensor/test_frame_log.py",
+            "tests/device/sensor/test_dead_lines.py",
+            "tests/bench/bringup/test_bringup_undo.py",
         ),
     ),
     "estimation": Room(

@@ -33,9 +33,11 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.fit_result import FitResult
 from adis_gonio.fitting.methods import fit_readings
+from adis_gonio.fitting.uncertainty import ShownAngle
 from adis_gonio.plan.optimal_plan import best_plan, even_plan
-from adis_gonio.plan.prediction import Bench, expected_readings, fitted_variance, predict_uncertainty
+from adis_gonio.plan.prediction import Bench, expected_readings, predict_uncertainty
 from adis_gonio.record.plans import Plan, plan
 
 FIXTURES_DEG = (0.01, 0.05)
@@ -171,6 +173,12 @@ class Line:
     def missed(self) -> bool:
         """Off by more than 5 %, beyond doubt."""
         return abs(self.ratio - 1) > CLOSE + 3 * self.standard_error
+
+
+def fitted_variance(result: FitResult) -> Floats:
+    """Variance (m,) in degrees² of the shown angle around the turn, without a reading's own noise."""
+    shown = ShownAngle.around(result.origin.fit)
+    return (result.origin.sources.roots(shown.gradient, shown.reading) ** 2).sum(axis=1)
 
 
 def predicted_for(case: Case) -> tuple[dict[str, float], int]:

@@ -47,8 +47,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from adis_gonio.base.uncertainty import NORMAL_95, wilson
 from blind_residual import generator
 from trace_statistics import figures
-from tracing import blind as planar
-from tracing import space
+from tracing import blind as planar, space
 from tracing.blind import KINDS, Blind
 from tracing.lens import Lens
 from tracing.named_truth import Term

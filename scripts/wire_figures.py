@@ -106,16 +106,9 @@ def host_cpu(packets: list[tuple[float, bytes]]) -> tuple[float, int, int]:
             [sys.executable, "-c", PLAYER, str(master), file.name], pass_fds=(master,)
         )
         bus = _listener(os.ttyname(slave))
-        stream = SerialStream(
-            bus,
-            stream_id=int.from_bytes(_unstuffed(packets[0][1])[1:3], "little"),
-            width=len(FRAMES),
-            packet_scans=16,
-            block_scans=82,
-            clock=ClockMap(0, time.monotonic()),
-            byte_s=20e-6,
-            stop=lambda: None,
-        )
+        bus.byte_s = 20e-6
+        stream_id = int.from_bytes(_unstuffed(packets[0][1])[1:3], "little")
+        stream = SerialStream(bus, stream_id, len(FRAMES), 16, 82, ClockMap(0, time.monotonic()))
         scans = StreamedScans(stream, ScanLayout(TABLE, "adis16354", 300, 1 / RATE_HZ))
         lost = 0
         total = sum((len(data) - AROUND) // 14 for _, data in packets)

@@ -31,14 +31,12 @@ class Point:
     y: tuple[float, ...] = ()
 
 
-@dataclass(frozen=True)
 class Part(JsonRecord):
     name: str = field(metadata=HIDDEN)
     size: float = field(metadata=NAMED_BY_UNIT)
     unit: str = field(default="mm", metadata=HIDDEN)
 
 
-@dataclass(frozen=True)
 class Whole(JsonRecord):
     kind: str = field(metadata=key("type"))
     first: Part = field(metadata=INLINE)
@@ -48,7 +46,6 @@ class Whole(JsonRecord):
     dof: float = field(default=1.0, metadata=OPTIONAL)
 
 
-@dataclass(frozen=True)
 class Chosen(JsonRecord):
     document_keys = ("twice", "value", "hue")
 

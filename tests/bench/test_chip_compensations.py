@@ -5,7 +5,7 @@ import pytest
 from adis_gonio.bench.events import Configured
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
-from adis_gonio.faces.cli.line_prompts import configuration_lines
+from adis_gonio.faces.bench_words import configuration_lines
 from adis_gonio.handover.calibration_report import facts
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan

@@ -225,7 +225,7 @@ def test_a_part_that_lies_flat_is_told_by_the_sign_of_z(sensor, path):
             raised = event
             runner.stop()
     assert raised.kind == "wrong_axis"
-    assert raised.message.startswith("z reads -")
+    assert raised.message.startswith("z reads −")
     assert "the Z arrow points up" in raised.message
     assert raised.values["tilt_deg"] > 80
 

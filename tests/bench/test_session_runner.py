@@ -20,6 +20,7 @@ from adis_gonio.bench.events import (
     NoiseMeasured,
     PositionAsked,
     Problem,
+    Running,
     StageMoved,
     Started,
     Watching,
@@ -454,6 +455,19 @@ def test_stop_within_a_dwell_keeps_it_as_interrupted_and_the_session_resumes(sen
         last = list(SessionRunner.resume(again, path, auto=True).run())[-1]
     assert isinstance(last, Finished)
     assert last.complete
+
+
+def test_a_resumed_session_tells_the_result_so_far_before_it_asks(sensor, path):
+    runner = SessionRunner.begin(sensor, path, plan("four-position"), SHORT, auto=True)
+    for event in runner.run():
+        if isinstance(event, DwellDone) and event.place == 2:
+            runner.stop()
+    with open_sensor(URL) as again:
+        for event in SessionRunner.resume(again, path, auto=True).run():
+            if isinstance(event, Running):
+                assert event.dwells == 3
+                return
+            assert not isinstance(event, PositionAsked)
 
 
 # -- extension ------------------------------------------------------------------------------------------

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from blind_residual import __main__ as program
-from blind_residual import answers, harness, leaderboard, oracle, scoring
+from blind_residual import __main__ as program, answers, harness, leaderboard, oracle, scoring
 from blind_residual.generator import Truth, draw
 from blind_residual.likelihood import Whitened
 from blind_residual.runners import adis_gonio, runner

@@ -48,7 +48,13 @@ def known(effects: dict[str, tuple[float, ...]] | None = None, **base: float) ->
         ]
     where = Provenance("adis16354", "xy", 9.80665, temperature_c=Covered(30.0, 29.0, 31.0))
     p = len(parameters)
-    return Calibration("ml", where, tuple(parameters), np.zeros((p, p)), effects=tuple(terms))
+    return Calibration(
+        method="ml",
+        provenance=where,
+        parameters=tuple(parameters),
+        covariance=np.zeros((p, p)),
+        effects=tuple(terms),
+    )
 
 
 def test_gravity_comes_back_from_the_readings_of_a_skewed_sensor():

@@ -19,6 +19,32 @@ from fakes.spidev_kernel import FakeSpidevKernel
 SPIDEV_PATH = "/dev/spidev0.0"
 
 
+def _hang(board: Any, clock: VirtualClock, seconds: float) -> None:
+    board.faults = Faults(hang=1.0, hang_s=seconds)
+    board.faults.hangs(clock.now_s())
+    board.faults.hang = 0.0
+
+
+def open_bridge(kind: str, options: str = "", seed: int = 4) -> tuple[SpiBus, SimulatedChip]:
+    """Open a bus of a kind in virtual time; return it with its chip, which is not watched."""
+    clock = VirtualClock()
+    chip = SimulatedChip(World(seed=seed), start_s=-0.5)
+    pins = ChipPins(chip, clock)
+    url = BusUrl.parse(f"{kind}:{options}")
+    if kind == "mcp2210":
+        return mcp2210.open_from_url(url, hid=FakeHid(HidBoard(Mcp2210Device(pins))), clock=clock), chip
+    if kind == "cp2130":
+        from fakes.cp2130_usb import FakeUsbBackend, UsbBoard  # needs pyusb
+
+        backend = FakeUsbBackend(UsbBoard(Cp2130Device(pins)))
+        return cp2130.open_from_url(url, backend=backend, clock=clock), chip
+    if kind == "spidev":
+        url = BusUrl.parse(f"spidev:{SPIDEV_PATH}")
+        return spidev.open_from_url(url, system=FakeSpidevKernel({SPIDEV_PATH: pins}), clock=clock), chip
+    url = BusUrl.parse(f"serial:x{options}")
+    return serial.open_from_url(url, port=FakePort(SimulatedFirmware(pins)), clock=clock), chip
+
+
 class UsbBench:
     """USB boards at ports; `open` takes the URL of one of them."""
 
@@ -49,6 +75,14 @@ class UsbBench:
         """Let the first board's cable go wrong from now on."""
         self.board.faults = faults
 
+    def silence(self, seconds: float = 0.4) -> None:
+        """Let the first board hang from now on."""
+        _hang(self.board, self.clock, seconds)
+
+    def reader(self, bus: Any) -> tuple[Any, str]:
+        """Return the object and the name of its method by which the bus reads."""
+        raise NotImplementedError
+
     def unplug(self) -> None:
         """Pull the first board out."""
         self.board.plugged = False
@@ -72,6 +106,9 @@ class Cp2130Bench(UsbBench):
             self.boards.append(UsbBoard(device, address=5 + k, faults=faults, latency_s=latency_s))
         self.backend = FakeUsbBackend(*self.boards)
 
+    def reader(self, bus: Any) -> tuple[Any, str]:
+        return self.board, "bulk_in"
+
     def open(self, url: str = "cp2130:") -> SpiBus:
         return cp2130.open_from_url(BusUrl.parse(url), backend=self.backend, clock=self.clock)
 
@@ -91,6 +128,9 @@ class Mcp2210Bench(UsbBench):
             device = Mcp2210Device(self.pins(), serial_number)
             self.boards.append(HidBoard(device, path=f"1-{k + 1}:1.0", faults=faults, latency_s=latency_s))
         self.hid = FakeHid(*self.boards)
+
+    def reader(self, bus: Any) -> tuple[Any, str]:
+        return bus._device, "read"
 
     def open(self, url: str = "mcp2210:") -> SpiBus:
         return mcp2210.open_from_url(BusUrl.parse(url), hid=self.hid, clock=self.clock)
@@ -118,6 +158,10 @@ class SerialBench:
     def set_faults(self, faults: Faults) -> None:
         """Let the line go wrong from now on."""
         self.port.faults = faults
+
+    def silence(self, seconds: float = 2.0) -> None:
+        """Let the board hang from now on."""
+        _hang(self.port, self.clock, seconds)
 
     def unplug(self) -> None:
         """Pull the board out."""

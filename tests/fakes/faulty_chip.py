@@ -24,8 +24,7 @@ import numpy as np
 
 from adis_gonio.device.bus.opening import BusUrl
 from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME
-from adis_gonio.sim.bus import SimBus, SimStage, SimStream
-from adis_gonio.sim.bus import open_from_url as open_simulated
+from adis_gonio.sim.bus import SimBus, SimStage, SimStream, open_from_url as open_simulated
 from adis_gonio.sim.memory import START_UP_S
 
 SETTLED_S = 2e-4

@@ -16,9 +16,18 @@ from collections import Counter
 from collections.abc import Callable
 
 from adis_gonio.base.errors import BusError, ProtocolError
-from adis_gonio.device.bus import BusUrl, Capability, SpiBus, SpiTiming, cp2130, mcp2210, serial, spidev
-from adis_gonio.device.bus import cp2130 as cp2130_requests
-from adis_gonio.device.bus import mcp2210 as mcp2210_reports
+from adis_gonio.device.bus import (
+    BusUrl,
+    Capability,
+    SpiBus,
+    SpiTiming,
+    cp2130,
+    cp2130 as cp2130_requests,
+    mcp2210,
+    mcp2210 as mcp2210_reports,
+    serial,
+    spidev,
+)
 from adis_gonio.device.bus.wire import protocol as wire
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
 from adis_gonio.sim.testing.pins import ChipPins, VirtualClock
@@ -286,8 +295,7 @@ PARSERS: dict[str, Callable[[bytes], object]] = {
     "MCP2210 SPI settings": mcp2210_reports.SpiSettings.parse,
     "MCP2210 transfer": mcp2210_reports.Progress.parse,
     "MCP2210 poll": mcp2210_reports.Progress.of_poll,
-    "MCP2210 events": mcp2210_reports.parse_events,
-    "MCP2210 pins": lambda data: mcp2210_reports.parse_pins(data, mcp2210_reports.Command.GET_GPIO_VALUES),
+    "MCP2210 events": lambda data: mcp2210_reports.word_of(data, mcp2210_reports.Command.EVENTS),
     "MCP2210 mark": lambda data: mcp2210_reports.is_mark(data, 7),
     "CP2130 frame": cp2130_requests.parse_frame,
     "CP2130 SPI words": cp2130_requests.parse_spi_words,

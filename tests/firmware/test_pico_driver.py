@@ -7,12 +7,10 @@ from types import SimpleNamespace
 import pytest
 
 from adis_gonio.base.errors import BusError, CannotOpenError, VariantError
-from adis_gonio.device.bus import BusUrl, find_devices
-from adis_gonio.device.bus import serial as ports
+from adis_gonio.device.bus import BusUrl, find_devices, serial as ports
 from adis_gonio.device.bus.serial import SerialBus, open_from_url
 from adis_gonio.device.sensor import Adis16354
-from adis_gonio.sim.testing.bus_contract import BusContract, WireFrame
-from adis_gonio.sim.testing.bus_contract import Rig as ContractRig
+from adis_gonio.sim.testing.bus_contract import BusContract, Rig as ContractRig, WireFrame
 from firmware.board_tests import SEVEN, DriverTests, open_serial
 from firmware.pico_rig import PicoRig, PtyCable
 from firmware.soak import soak

@@ -58,7 +58,7 @@ def test_four_positions_name_the_bias_and_what_it_does_to_two_of_them() -> None:
     moved = (57.3, -20.6) - np.array([dwell.accel for dwell in biased.dwells]).mean(axis=(0, 1))
     biased = replace(biased, dwells=tuple(replace(d, accel=d.accel + moved) for d in biased.dwells))
     (line,) = [one for one in fit(biased, "two-position").warnings if "a bias cannot be seen" in one]
-    assert "finds a bias of +57.3 mg on X and -20.6 mg on Y" in line
+    assert "finds a bias of +57.3 mg on X and −20.6 mg on Y" in line
     assert line.endswith("use method four-position or ml")
 
     def skew(bias: tuple[float, float]) -> float:
@@ -66,7 +66,7 @@ def test_four_positions_name_the_bias_and_what_it_does_to_two_of_them() -> None:
         (a_x, a_y), (b_x, b_y) = np.array([dwell.accel[0] for dwell in biased.dwells[:2]]) - bias
         return math.degrees(math.atan2(a_y, -b_y) - math.atan2(b_x, a_x))
 
-    stated = float(line.rsplit("moves delta_phi by ", 1)[1].split("°")[0])
+    stated = float(line.replace("−", "-").rsplit("moves Δφ by ", 1)[1].split("°")[0])
     assert stated == pytest.approx(skew((0.0, 0.0)) - skew((57.3, -20.6)), abs=0.05)
 
 

@@ -245,7 +245,7 @@ def test_results_are_readable_in_a_shell_a_notebook_and_pandas(bent, capsys, tmp
 
 def test_without_pandas_the_extra_is_named(bent, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pandas", None)
-    with pytest.raises(NotInstalledError, match=r"adis-gonio\[pandas\]"):
+    with pytest.raises(NotInstalledError, match=r"\[pandas\]"):
         bent[1].to_pandas()
 
 

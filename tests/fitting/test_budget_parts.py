@@ -163,7 +163,7 @@ def test_an_angle_between_axes_that_the_stage_alone_knows_is_remarked_on(
     lines = stage_warnings(found, sigma_rad)
     assert len(lines) == told
     if told:
-        assert lines[0].startswith(f"u of delta_phi is {math.degrees(u_rad):.2g}°: only the stage")
+        assert lines[0].startswith(f"u of Δφ is {math.degrees(u_rad):.2g}°: only the stage")
         assert "(11.5°)" in lines[0]
     assert stage_warnings(found[:1], sigma_rad) == []
 

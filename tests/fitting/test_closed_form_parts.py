@@ -219,12 +219,12 @@ def test_paper_holds_where_the_angle_and_its_doubt_are_a_fifth_of_the_way_to_its
 ) -> None:
     data = turned((0.0, 90.0), alpha=math.radians(alpha), phi=math.radians(0.3), fixture_rad=0.0)
     if refused:
-        with pytest.raises(SingularError, match=f"singular here: alpha = {alpha:.2f}° brings a"):
+        with pytest.raises(SingularError, match=f"singular here: α = {alpha:.2f}° brings a"):
             fit_paper(data)
     else:
         found = fit_paper(data)
         assert {one.name for one in found.parameters} == {"delta_k", "delta_phi", "alpha"}
-        assert any("equation 5 is exact at alpha = 0° only" in line for line in found.warnings)
+        assert any("equation 5 is exact at α = 0° only" in line for line in found.warnings)
 
 
 @pytest.mark.parametrize(("degrees", "refused"), [(11.0, False), (12.0, True)])
@@ -232,7 +232,7 @@ def test_paper_is_for_small_angles(degrees: float, refused: bool) -> None:
     # A fifth of cos Δφ, in radians: 11.2°.
     data = turned((0.0, 90.0), alpha=0.0, phi=math.radians(degrees), fixture_rad=0.0)
     if refused:
-        with pytest.raises(SingularError, match=f"delta_phi would be {degrees:.1f} ±"):
+        with pytest.raises(SingularError, match=rf"Δφ would be \({degrees:.1f}"):
             fit_paper(data)
     else:
         assert fit_paper(data)["delta_phi"].value == pytest.approx(degrees, abs=0.3)
@@ -247,8 +247,8 @@ def test_what_a_bias_does_to_two_positions_is_its_slope() -> None:
     phi = [one["delta_phi"].value - found["delta_phi"].value for one in moved]
     k = [one["delta_k"].value - found["delta_k"].value for one in moved]
     assert (
-        f"on X moves delta_phi by {phi[0]:+.2g}° and delta_k by {k[0]:+.2g}, "
-        f"on Y by {phi[1]:+.2g}° and {k[1]:+.2g}," in told
+        f"on X moves Δφ by {phi[0]:+.2g}° and ΔK by {k[0]:+.2g}, "
+        f"on Y Δφ by {phi[1]:+.2g}° and ΔK by {k[1]:+.2g}," in told.replace("−", "-")
     )
     assert "the uncertainty does not include it" in told
     assert told.endswith("measure 180° and 270° too and use method four-position")

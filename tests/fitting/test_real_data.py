@@ -32,8 +32,8 @@ def test_xy_turn_by_the_closed_methods(xy_turn, method, delta_k, delta_phi):
     blind = [w for w in result.warnings if "bias cannot be seen in two positions" in w]
     assert bool(blind) == (method != "four-position")
     # The reason for -4.3° instead of 0.07° is part of the answer.
-    assert all("a bias of +57.3 mg on X and -20.6 mg on Y" in w for w in blind)
-    assert all("moves delta_phi by -4.3°" in w for w in blind)
+    assert all("a bias of +57.3 mg on X and −20.6 mg on Y" in w for w in blind)
+    assert all("moves Δφ by −4.3°" in w for w in blind)
 
 
 def test_xy_turn_bias_of_four_positions(xy_turn):

@@ -12,9 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.device.sensor.variants import VARIANTS
-from adis_gonio.fitting import determination as seen
-from adis_gonio.fitting import linked
-from adis_gonio.fitting import uncertainty as module
+from adis_gonio.fitting import determination as seen, linked, uncertainty as module
 from adis_gonio.fitting.estimation.links import Links
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.linked import LinkReport

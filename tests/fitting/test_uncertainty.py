@@ -156,8 +156,8 @@ def test_a_bias_that_two_positions_cannot_see_is_in_the_budget_where_the_part_ha
     assert row.share > 0.99
     # 10 mg on each axis, moved by the slopes that the warning states.
     warning = next(w for w in held.warnings if "bias cannot be seen" in w)
-    x = float(warning.split("moves delta_phi by ")[1].split("°")[0])
-    y = float(warning.split("on Y by ")[1].split("°")[0])
+    x = float(warning.replace("−", "-").split("moves Δφ by ")[1].split("°")[0])
+    y = float(warning.replace("−", "-").split("on Y Δφ by ")[1].split("°")[0])
     assert row.contribution == pytest.approx(10 * math.hypot(x, y), rel=0.05)
 
 

@@ -39,6 +39,7 @@ def recorded(
             operator=operator,
             stage=stage,
             fixture_sigma_deg=world.fixture_sigma_deg,
+            created_utc=when,
         )
         run_through(runner)
     return path

@@ -11,8 +11,7 @@ import pytest
 from adis_gonio import __version__
 from adis_gonio.base.errors import DataError, OutputError
 from adis_gonio.fleet.fleet_pages import FleetResult
-from adis_gonio.fleet.fleet_run import run_fleet as run_in
-from adis_gonio.fleet.fleet_run import survey
+from adis_gonio.fleet.fleet_run import run_fleet as run_in, survey
 from adis_gonio.fleet.population_trace import trace_population
 from adis_gonio.fleet.session_evidence import SessionEvidence, evidence_of
 from adis_gonio.fleet.session_record import Options, work

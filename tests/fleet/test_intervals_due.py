@@ -1,12 +1,14 @@
 """Dates by hand, and what is said where there are too few sessions."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from adis_gonio.base.conformity import Tolerance
 from adis_gonio.base.errors import UsageError
 from adis_gonio.fleet.calibration_due import Rules, curve_of, due_of, slopes_deg
-from adis_gonio.fleet.sensor_history import history_of
+from adis_gonio.fleet.sensor_history import history_of, own_u
 from fleet.made_up import made_up
 
 LIMIT = Rules(Tolerance(0.1), assumed=False, first_days=365.0)
@@ -126,3 +128,24 @@ def test_no_session_at_all_has_no_date():
 def test_rules_that_make_no_sense_are_refused(bad):
     with pytest.raises(UsageError, match="above 0"):
         Rules(**bad)
+
+
+def test_sessions_on_one_stage_share_the_influence_of_its_certificate():
+    """u 0.05° of which 0.049° is the stage's: what is left of a difference is √2·√(0.05² − 0.049²)."""
+    share = {"delta_phi": (0.049,), "delta_k": (4.9e-5,), "bias_x": (0.049,), "bias_y": (0.049,)}
+    days = [f"{2015 + n}-01-01" for n in range(4)]
+    made = [made_up(day, u=0.05, delta_phi=0.001 * (-1) ** n) for n, day in enumerate(days)]
+    other = [replace(one, stage_curve="ab", stage_influence=share) for one in made]
+    alone, shared = own_u(made[:2], "delta_phi"), own_u(other[:2], "delta_phi")
+    assert alone == pytest.approx([0.05, 0.05])
+    assert shared == pytest.approx(np.full(2, np.sqrt(0.05**2 - 0.049**2)))
+    # Another stage, or an influence that differs, is not shared.
+    apart = [other[0], replace(other[1], stage_curve="cd")]
+    assert own_u(apart, "delta_phi") == pytest.approx([0.05, 0.05])
+    uneven = [other[0], replace(other[1], stage_influence={"delta_phi": (-0.049,)})]
+    assert own_u(uneven, "delta_phi") == pytest.approx([0.05, 0.05])
+    tracks = [history_of("A7", records).tracks["delta_phi"] for records in (made, other)]
+    assert tracks[1].drift.slope.u < tracks[0].drift.slope.u / 3
+    assert tracks[1].chart.high[-1] < tracks[0].chart.high[-1] / 3
+    verdicts = [due_of(of(*records), LIMIT).stairs[0].verdict for records in (made, other)]
+    assert verdicts == ["undecided", "pass"]

@@ -74,7 +74,12 @@ def calibration(
     )
     matrix = np.diag([one.u**2 for one in parameters])
     return Calibration(
-        "trace", source, tuple(parameters), matrix, tuple(terms), counts_per_mg=counts_per_mg
+        method="trace",
+        provenance=source,
+        parameters=tuple(parameters),
+        covariance=matrix,
+        effects=tuple(terms),
+        counts_per_mg=counts_per_mg,
     )
 
 

@@ -19,9 +19,9 @@ from adis_gonio.handover.paper_map import (
     crossing_deg,
     errors,
     estimates,
+    readings as by_readings,
     truth_of,
 )
-from adis_gonio.handover.paper_map import readings as by_readings
 from adis_gonio.handover.paper_study import (
     MethodValues,
     Part,

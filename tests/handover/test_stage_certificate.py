@@ -12,7 +12,7 @@ from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.faces.cli import main
 from adis_gonio.handover.certificate import certificate_text, read_stage_curve
 from adis_gonio.model.records import Dwell, Session, StageCurve
-from adis_gonio.record.loading import Overrides
+from adis_gonio.record.loading import Overrides, load_session
 from adis_gonio.record.samples_writer import write_samples_csv
 from handover.calibrations import PLANE, calibration
 
@@ -181,3 +181,20 @@ def test_fit_takes_the_certificate_and_records_it(tmp_path, capsys):
     assert phi["value"] == pytest.approx(0.2, abs=4 * phi["u"])
     assert main(["fit", str(session), "--fixture", "dcc:none.xml"]) == 2
     assert "none.xml" in capsys.readouterr().err
+
+
+def test_calibrate_keeps_the_certificate_and_every_later_fit_uses_it(tmp_path):
+    """Two sessions on one stage: what its certificate does not know moves both results alike."""
+    stage = certificate(tmp_path / "stage.xml", 0 * ANGLE, of_covariance(COVARIANCE))
+    path = tmp_path / "s.session"
+    command = ["calibrate", "sim:?seed=3", "--plan", "mmpm", "--dwell", "1", "--auto", "--fixture"]
+    assert main([*command, f"dcc:{stage}", "-o", str(path)]) == 0
+    session = load_session(path)
+    assert session.stage_curve.digest == read_stage_curve(stage).digest
+    assert session.fixture_sigma_deg is None
+    result = fit(session, "mmpm")
+    influence = result.stage_influence["delta_phi"]
+    row = next(row for row in result.budget["delta_phi"] if row.source == "fixture")
+    assert 0 < np.linalg.norm(influence) <= row.contribution * (1 + 1e-9)
+    assert result.stage_influence["delta_phi"].shape == (4,)
+    assert main([*command, f"dcc:{stage}", "--plan", "poses", "-o", str(tmp_path / "p.session")]) == 2

@@ -203,5 +203,5 @@ def test_figures_are_drawn_without_a_window_system_and_only_when_asked_for():
 
 def test_without_matplotlib_one_line_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(NotInstalledError, match=r"pip install 'adis-gonio\[report\]'"):
+    with pytest.raises(NotInstalledError, match=r"pip install '\.\[report\]'"):
         plot([Series([0], [0])], "x", "y", title="t")

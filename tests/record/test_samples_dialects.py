@@ -8,8 +8,7 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, settings, strategies as st
 
 from adis_gonio.base.errors import DataError
 from adis_gonio.record.loading import Overrides, load_session
@@ -233,6 +232,13 @@ def test_a_header_that_does_not_say_it_is_refused_with_what_to_write(tmp_path, h
     cells = header.count(",") + 1
     rows = "".join(",".join([str(k)] * cells) + "\n" for k in range(3))
     assert words in refusal(saved(tmp_path, f"{header}\n{rows}"))
+
+
+def test_prose_gets_no_proposal_of_columns(tmp_path):
+    prose = (
+        "Driver and tool for the sensor in a goniometer, a\ndevice that measures, by gravity, its tilt\n"
+    )
+    assert "--columns" not in refusal(saved(tmp_path, prose))
 
 
 def test_header_and_key_that_disagree_are_refused_until_the_user_tells(tmp_path):

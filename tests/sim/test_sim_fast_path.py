@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from adis_gonio.sim import SimulatedChip, World, WorldSettings
 from sim.chip_rig import rd, wr

@@ -18,8 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tracing import blind as planar
-from tracing import space
+from tracing import blind as planar, space
 from tracing.blind import Blind
 from tracing.verdict import Verdict, failed, judge
 

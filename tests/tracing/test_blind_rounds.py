@@ -13,8 +13,7 @@ import pytest
 from tracing.blind import KINDS
 from tracing.named_truth import NAMES
 from tracing.rounds import crew, rounds
-from tracing.space import NAMES as SPACE_NAMES
-from tracing.space import SPACE
+from tracing.space import NAMES as SPACE_NAMES, SPACE
 from tracing.verdict import Verdict
 
 Pools = tuple[ProcessPoolExecutor, ProcessPoolExecutor]

@@ -91,11 +91,12 @@ class TestPrior:
         assert sum(math.exp(-process.price) for process in processes(self.data)) == pytest.approx(0.3)
 
     @pytest.mark.number("bias_share")
-    def test_nine_parts_in_ten_have_a_bias_on_all_axes(self) -> None:
-        named, _ = named_terms(self.data)
-        whole = [term for term in named if term.label == "bias[xy]"]
-        assert prior(whole) == pytest.approx(0.9)
-        assert self.share("bias") == pytest.approx(0.9, abs=0.02)
+    @pytest.mark.number("bias_weight")
+    def test_nine_parts_in_ten_have_a_bias_on_all_axes_and_few_on_one_alone(self) -> None:
+        biases = {term.label: term for term in named_terms(self.data)[0] if term.name == "bias"}
+        assert prior([biases["bias[xy]"]]) == pytest.approx(0.9)
+        # Six effects' share in three variants, of which two are a single axis.
+        assert prior([biases["bias[x]"]]) == pytest.approx(self.share("cubic") * 6 / 3)
 
     @pytest.mark.number("quadratic_weight")
     def test_a_curvature_is_half_again_as_likely_as_a_cubic(self) -> None:

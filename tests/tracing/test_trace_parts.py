@@ -25,8 +25,7 @@ from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import NamelessTerm
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import MeanRate
-from adis_gonio.tracing import averaging
-from adis_gonio.tracing import selection as choice
+from adis_gonio.tracing import averaging, selection as choice
 from adis_gonio.tracing.averaging import AveragedTerm, average
 from adis_gonio.tracing.credible_sets import CredibleSet, Names
 from adis_gonio.tracing.grammar import nameless_terms

@@ -14,19 +14,23 @@ __version__ = "0.1.0"
 def lazily(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
     """Return a `__getattr__` for a package that imports its names when they are first used (PEP 562).
 
+    It also sets `__all__` of the package.
+
     Parameters
     ----------
     package : str
         `__name__` of the package.
-    homes : mapping
-        Module within the package by public name.
+    homes : mapping of str to str
+        Public names, separated by blanks, by their module within the package.
     """
+    modules = {name: module for module, names in homes.items() for name in names.split()}
+    namespace = vars(sys.modules[package])
+    namespace["__all__"] = [*sorted(modules), *namespace.get("__all__", ())]
 
     def get(name: str) -> Any:
-        if name not in homes:
+        if name not in modules:
             raise AttributeError(f"module '{package}' has no attribute '{name}'")
-        value = getattr(importlib.import_module(f"{package}.{homes[name]}"), name)
-        vars(sys.modules[package])[name] = value
+        namespace[name] = value = getattr(importlib.import_module(f"{package}.{modules[name]}"), name)
         return value
 
     return get

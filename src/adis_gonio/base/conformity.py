@@ -69,10 +69,14 @@ class ErrorCurve:
     dof: float = math.inf
 
     @property
+    def u_deg(self) -> Floats:
+        """Standard uncertainty (m,) of the error at each angle."""
+        return np.asarray(np.sqrt((self.root_deg**2).sum(axis=1)))
+
+    @property
     def U_deg(self) -> Floats:  # noqa: N802 (GUM)
         """Expanded uncertainty (m,) of the error at each angle, for 95 %."""
-        u = np.sqrt((self.root_deg**2).sum(axis=1))
-        return np.asarray(coverage_factor(self.dof) * u)
+        return coverage_factor(self.dof) * self.u_deg
 
     @cached_property
     def _independent(self) -> Floats:
@@ -125,7 +129,6 @@ class ErrorCurve:
         return float(brentq(lambda t: self.exceeds(t) - risk, 0.0, high, xtol=1e-6 * most))
 
 
-@dataclass(frozen=True)
 class Tolerance(JsonRecord):
     """Tolerance of the angle error, with the decision rule that was agreed.
 
@@ -186,7 +189,6 @@ class Tolerance(JsonRecord):
         return Conformity(verdict, risk, 1 - risk, largest, float(curve.angle_deg[at]), bound)
 
 
-@dataclass(frozen=True)
 class Conformity(JsonRecord):
     """Conformity of the angle with a tolerance.
 
@@ -220,7 +222,6 @@ class Conformity(JsonRecord):
         return f"{risks}; ±{error} would just pass"
 
 
-@dataclass(frozen=True)
 class Statement(JsonRecord):
     """Conformity of a sensor's angle, without and with its calibration.
 

@@ -24,6 +24,9 @@ error                  who acts
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
+
 
 def one_line(text: str) -> str:
     """Convert a text to one printable line: single spaces, and `?` for each unprintable letter.
@@ -40,7 +43,8 @@ class AdisGonioError(Exception):
     exit_code = 1
 
     def __str__(self) -> str:
-        return one_line(super().__str__())
+        # A message about a device begins with its URL and a colon, and a bare URL (`serial:`) ends in one.
+        return re.sub(r"^([\w-]+:): ", r"\1 ", one_line(super().__str__()))
 
 
 class UsageError(AdisGonioError, ValueError):
@@ -59,6 +63,11 @@ class NotInstalledError(AdisGonioError):
 
 class BusError(AdisGonioError):
     """Base class of errors in the communication between the host and the chip."""
+
+
+def install_extra(extra: str) -> str:
+    """Command that installs an extra of this package, which comes as a clone."""
+    return f"run pip install '.[{extra}]' in the folder of adis-gonio"
 
 
 class CannotOpenError(BusError):
@@ -119,3 +128,12 @@ class OutputError(AdisGonioError):
 
 class FleetError(AdisGonioError):
     """A fleet has no worker: no process can be started, or no scheduler answers."""
+
+
+def suggest(word: str, known: Iterable[str]) -> str:
+    """Clause for a message about an unknown word: the most similar known word, or all known words."""
+    import difflib
+
+    words = list(known)
+    near = difflib.get_close_matches(word, words, n=1)
+    return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(words) or 'none'}"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import fields, is_dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Any, ClassVar, dataclass_transform
 
 import numpy as np
 
@@ -32,8 +32,12 @@ def key(name: str) -> dict[str, str]:
     return {"key": name}
 
 
+@dataclass_transform(frozen_default=True, field_specifiers=(field,))
 class JsonRecord:
-    """Base class of dataclasses that convert to a JSON object by their fields and metadata.
+    """Base class of records that convert to a JSON object by their fields and metadata.
+
+    Each subclass becomes a frozen dataclass without a decorator; it gives other options of `dataclass` as
+    arguments of the class (`class Name(JsonRecord, eq=False)`).
 
     Attributes
     ----------
@@ -43,6 +47,9 @@ class JsonRecord:
     """
 
     document_keys: ClassVar[tuple[str, ...]] = ()
+
+    def __init_subclass__(cls, **options: bool) -> None:
+        dataclass(**{"frozen": True, **options})(cls)
 
     def as_dict(self) -> dict[str, Any]:
         """The JSON object of this record."""

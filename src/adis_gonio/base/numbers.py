@@ -47,15 +47,37 @@ def format_number(value: float | None, digits: int = 3) -> str:
     return use_minus(f"{value / 10.0**exponent:.{digits - 1}f}") + _power(exponent)
 
 
-def format_fixed(value: float | None, decimals: int, *, sign: bool = False) -> str:
-    """Format a value with a number of decimals, and with a plus sign if `sign`; None becomes a dash.
+def format_fixed(value: float | None, decimals: int) -> str:
+    """Format a value with a number of decimals; None becomes a dash.
 
     More than nine decimals are shown as a power of ten, such as `1.2e−11`.
     """
     if value is None or not math.isfinite(value):
         return DASH
-    kind = f".{decimals}f" if decimals <= 9 else ".1e"
-    return use_minus(f"{value:{'+' if sign else ''}{kind}}")
+    return use_minus(f"{value:.{decimals}f}" if decimals <= 9 else f"{value:.1e}")
+
+
+def signed(value: float | None, decimals: int | None = None, *, digits: int = 0) -> str:
+    """Format a value with its sign, `+1.50` or `−1.50`; None becomes a dash.
+
+    Parameters
+    ----------
+    decimals : int or None
+        Number of decimals; None for as many as needed, at most six digits.
+    digits : int
+        Number of significant digits instead of decimals.
+    """
+    if value is None or not math.isfinite(value):
+        return DASH
+    text = f"{value:.{digits or 6}g}"
+    text = text if decimals is None else format_fixed(value, decimals)
+    return use_minus(text) if math.copysign(1.0, value) < 0 else f"+{text}"
+
+
+def format_span(low: float, high: float, decimals: int, unit: str) -> str:
+    """Format a range such as `24.4 to 24.9 °C`; a single value if both ends are alike."""
+    ends = dict.fromkeys(format_fixed(end, decimals) for end in (low, high))
+    return f"{' to '.join(ends)}{NO_BREAK}{unit}"
 
 
 def use_minus(text: str) -> str:
@@ -68,23 +90,23 @@ def count_decimals(u: float) -> int:
     return max(0, 1 - math.floor(math.log10(u))) if u > 0 else 6
 
 
-def format_uncertain(value: float, u: float | None, unit: str = "") -> str:
-    """Format value ± uncertainty with two digits of the uncertainty, such as `1.08 ± 0.13 mg`.
+def format_uncertain(value: float, expanded: float | None, unit: str = "", *, sign: bool = False) -> str:
+    """Format value ± expanded uncertainty U with two digits of U, such as `1.08 ± 0.13 mg`.
 
-    Without an uncertainty (None, NaN) the text ends in `u unknown`. An uncertainty of zero is omitted.
-
+    With `sign`, a positive value has a plus sign.
     Without an uncertainty (None, NaN) the text ends in `u unknown`; one of zero is left out.
     """
-    if u is None or not math.isfinite(u):
+    if expanded is None or not math.isfinite(expanded):
         return f"{with_unit(format_number(value, 4), unit)}, {UNKNOWN}"
-    if u <= 0 or u < 1e-12 * abs(value):
+    if expanded <= 0 or expanded < 1e-12 * abs(value):
         return with_unit(format_number(value, 4), unit)
     power = 0
-    if u < 1e-5:
-        power = math.floor(math.log10(max(abs(value), u)))
-        value, u = value / 10.0**power, u / 10.0**power
-    decimals = count_decimals(u)
-    text = use_minus(f"{value:.{decimals}f}{NO_BREAK}±{NO_BREAK}{u:.{decimals}f}")
+    if expanded < 1e-5:
+        power = math.floor(math.log10(max(abs(value), expanded)))
+        value, expanded = value / 10.0**power, expanded / 10.0**power
+    decimals = count_decimals(expanded)
+    plus = "+" if sign else ""
+    text = use_minus(f"{value:{plus}.{decimals}f}{NO_BREAK}±{NO_BREAK}{expanded:.{decimals}f}")
     return with_unit(f"({text}){_power(power)}" if power else text, unit)
 
 

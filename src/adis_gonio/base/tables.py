@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from adis_gonio.base.errors import NotInstalledError
+from adis_gonio.base.errors import NotInstalledError, install_extra
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import format_uncertain
 
@@ -42,8 +42,8 @@ def fold_text(text: str, width: int, indent: int = 0) -> list[str]:
 
 
 def lines_of(entries: Entries) -> list[str]:
-    """Format the parameters of a JSON document as indented lines: name, value, u and unit."""
-    return [f"  {name}: {format_uncertain(one['value'], one['u'], one['unit'])}" for name, one in entries]
+    """Format the parameters of a JSON document as indented lines: name, value ± U and unit."""
+    return [f"  {name}: {format_uncertain(one['value'], one['U'], one['unit'])}" for name, one in entries]
 
 
 def html_table(title: str, entries: Entries) -> str:
@@ -105,7 +105,7 @@ def frame(columns: Mapping[str, Any] | Sequence[Row]) -> pd.DataFrame:
     try:
         import pandas
     except ImportError:
-        raise NotInstalledError("data frames need pandas: pip install 'adis-gonio[pandas]'") from None
+        raise NotInstalledError(f"data frames need pandas: {install_extra('pandas')}") from None
     return pandas.DataFrame(columns)
 
 

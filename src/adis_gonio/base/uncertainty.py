@@ -124,8 +124,8 @@ class Value:
     """Coverage factor, if the distribution is not Student's with `dof`."""
 
     def __str__(self) -> str:
-        """Format the value with its standard uncertainty and unit, such as `1.08 ± 0.13 mg`."""
-        return format_uncertain(self.value, self.u, self.unit)
+        """Format the value with its expanded uncertainty U and unit, such as `1.08 ± 0.26 mg`."""
+        return format_uncertain(self.value, self.U, self.unit)
 
     @property
     def k(self) -> float | None:
@@ -155,7 +155,6 @@ def finite_or_none(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
 
 
-@dataclass(frozen=True)
 class Detectable(JsonRecord):
     """Smallest amplitude of an effect that the session can detect; None if it can detect none.
 

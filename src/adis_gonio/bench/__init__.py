@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 from adis_gonio.base import lazily
 
-_HOMES = {"SessionRunner": "runner"}
+_HOMES = {
+    "runner": "SessionRunner",
+}
 
-__all__ = ["SessionRunner"]
 
 if TYPE_CHECKING:
     from adis_gonio.bench.runner import SessionRunner as SessionRunner

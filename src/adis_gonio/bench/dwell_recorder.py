@@ -559,21 +559,14 @@ def problems(place: int, scans: Block, status: Status | None) -> list[Problem]:
         supply = scans.supply_v
         low, high = SUPPLY_LIMITS_V
         if supply.min() < low or supply.max() > high:
-            found.append(
-                Problem(
-                    "supply",
-                    f"the supply was between {supply.min():.3f} and {supply.max():.3f} V;"
-                    f" the part needs {low} to {high} V",
-                    place,
-                )
-            )
-    if scans.lost:
-        share = 100.0 * scans.lost / (len(scans) + scans.lost)
-        found.append(
-            Problem("lost", f"{counted(scans.lost, 'scan')} ({share:.2g} %) lost on the bus", place)
-        )
-    if scans.dropped:
-        share = 100.0 * scans.dropped / (len(scans) + scans.dropped)
-        text = f"{counted(scans.dropped, 'scan')} ({share:.2g} %) left out: {WITHOUT_NEWS}"
-        found.append(Problem("dropped", text, place))
+            text = f"the supply was between {supply.min():.3f} and {supply.max():.3f} V; the part needs"
+            found.append(Problem("supply", f"{text} {low} to {high} V", place))
+    gaps: tuple[tuple[Literal["lost", "dropped"], int, str], ...] = (
+        ("lost", scans.lost, "lost on the bus"),
+        ("dropped", scans.dropped, f"left out: {WITHOUT_NEWS}"),
+    )
+    for kind, count, what in gaps:
+        if count:
+            share = 100.0 * count / (len(scans) + count)
+            found.append(Problem(kind, f"{counted(count, 'scan')} ({share:.2g} %) {what}", place))
     return found

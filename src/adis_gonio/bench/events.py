@@ -6,38 +6,32 @@ Places are positions of the plan, counted from 0; accelerations are in mg, x, y,
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any, Literal, dataclass_transform
 
 from adis_gonio.record.plans import Blindness, Plan, Position
 
 Vector = tuple[float, float, float]
 
 GuardKind = Literal[
-    "not_moved",
-    "reversed",
-    "wrong_axis",
-    "wrong_angle",
-    "upside_down",
-    "shock",
-    "drift",
-    "stuck",
-    "supply",
-    "temperature",
-    "over_range",
-]
+    "not_moved", "reversed", "wrong_axis", "wrong_angle", "upside_down", "shock",
+    "drift", "stuck", "supply", "temperature", "over_range",
+]  # fmt: skip
 """Reasons for which a guard stops a session."""
 
 
+@dataclass_transform(frozen_default=True)
 @dataclass(frozen=True)
 class Event:
-    """Base class of all events, by which a session informs its front end."""
+    """Base class of all events, by which a session informs its front end; each is a frozen dataclass."""
+
+    def __init_subclass__(cls) -> None:
+        dataclass(frozen=True)(cls)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form, with the name of the event as `event`."""
         return {"event": type(self).__name__} | asdict(self)
 
 
-@dataclass(frozen=True)
 class Started(Event):
     """The session has begun: the archive is open.
 
@@ -55,7 +49,6 @@ class Started(Event):
     done: int
 
 
-@dataclass(frozen=True)
 class Configured(Event):
     """The sensor is configured by the session's settings.
 
@@ -74,7 +67,6 @@ class Configured(Event):
     why_polled: str
 
 
-@dataclass(frozen=True)
 class NoiseMeasured(Event):
     """The noise of the sensor was measured, which sets the limits of stillness.
 
@@ -94,7 +86,6 @@ class NoiseMeasured(Event):
     window_s: float
 
 
-@dataclass(frozen=True)
 class PositionAsked(Event):
     """The sensor is to be put into a position. Answers: confirm, skip, repeat, undo, stop.
 
@@ -119,14 +110,12 @@ class PositionAsked(Event):
     can_undo: bool = False
 
 
-@dataclass(frozen=True)
 class StageMoved(Event):
     """The program has moved the stage to a position."""
 
     position: Position
 
 
-@dataclass(frozen=True)
 class Watching(Event):
     """Newest readings of the sensor outside a dwell.
 
@@ -164,7 +153,6 @@ class Watching(Event):
     tolerance_deg: float | None = None
 
 
-@dataclass(frozen=True)
 class DwellProgress(Event):
     """A dwell is being recorded.
 
@@ -192,7 +180,6 @@ class DwellProgress(Event):
     temperature_c: float | None = None
 
 
-@dataclass(frozen=True)
 class DwellDone(Event):
     """A dwell is complete and on the disk.
 
@@ -215,7 +202,6 @@ class DwellDone(Event):
     alarms: int
 
 
-@dataclass(frozen=True)
 class DwellInterrupted(Event):
     """A dwell was interrupted; its samples are in the archive, marked as interrupted."""
 
@@ -226,7 +212,6 @@ class DwellInterrupted(Event):
     reason: str
 
 
-@dataclass(frozen=True)
 class Problem(Event):
     """A problem that the operator should know; the session continues.
 
@@ -241,7 +226,6 @@ class Problem(Event):
     place: int
 
 
-@dataclass(frozen=True)
 class GuardRaised(Event):
     """A guard has found a probable error. Answers: one of `answers`, or stop.
 
@@ -267,7 +251,6 @@ class GuardRaised(Event):
     default: str
 
 
-@dataclass(frozen=True)
 class TurnMeasured(Event):
     """Turn of the sensor since the position before, measured by gyro and gravity.
 
@@ -289,7 +272,6 @@ class TurnMeasured(Event):
     gravity_deg: float | None
 
 
-@dataclass(frozen=True)
 class TurnProgress(Event):
     """A free turn is being recorded.
 
@@ -320,7 +302,6 @@ class TurnProgress(Event):
     peak_dps: float = 0.0
 
 
-@dataclass(frozen=True)
 class TurnDone(Event):
     """A free turn is complete and on the disk.
 
@@ -343,7 +324,6 @@ class TurnDone(Event):
     travelled_deg: float
 
 
-@dataclass(frozen=True)
 class Running(Event):
     """Parameters fitted to the dwells so far.
 
@@ -358,28 +338,24 @@ class Running(Event):
     dwells: int
 
 
-@dataclass(frozen=True)
 class Paused(Event):
     """The session is paused: the stream is closed until the operator continues."""
 
     place: int | None
 
 
-@dataclass(frozen=True)
 class Unpaused(Event):
     """The session continues after a pause: the open question is asked again."""
 
     place: int | None
 
 
-@dataclass(frozen=True)
 class Noted(Event):
     """A remark of the operator was written to the archive."""
 
     text: str
 
 
-@dataclass(frozen=True)
 class Withdrawn(Event):
     """A dwell was withdrawn from the session; it stays in the archive, marked as withdrawn."""
 
@@ -388,7 +364,6 @@ class Withdrawn(Event):
     attempt: int
 
 
-@dataclass(frozen=True)
 class RepetitionOffered(Event):
     """The plan is done, but some dwells have a fault or alarm. Answers: accept, decline, repeat, stop.
 
@@ -405,7 +380,6 @@ class RepetitionOffered(Event):
     positions: tuple[Position, ...]
 
 
-@dataclass(frozen=True)
 class ExtensionOffered(Event):
     """The plan is done and an extension is offered. Answers: accept, decline, repeat, stop.
 
@@ -424,7 +398,6 @@ class ExtensionOffered(Event):
     reasons: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
 class Advising(Event):
     """The advisor analyses the dwells so far, which may take seconds; `Advised` follows.
 
@@ -437,7 +410,6 @@ class Advising(Event):
     dwells: int
 
 
-@dataclass(frozen=True)
 class Advised(Event):
     """Result of asking the advisor; if it proposes positions, `ExtensionOffered` follows.
 
@@ -459,7 +431,6 @@ class Advised(Event):
     summary: dict[str, Any]
 
 
-@dataclass(frozen=True)
 class Waiting(Event):
     """Progress of a wait before a dwell that the plan requires."""
 
@@ -468,7 +439,6 @@ class Waiting(Event):
     length_s: float
 
 
-@dataclass(frozen=True)
 class Finished(Event):
     """The session ends, complete or not; the file is closed.
 

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees
-from adis_gonio.base.numbers import counted
+from adis_gonio.base.numbers import counted, format_uncertain, signed
+from adis_gonio.base.uncertainty import NORMAL_95
 from adis_gonio.bench.events import GuardKind, TurnMeasured
 from adis_gonio.fitting.slips import Angles, Diagnosis, Increments, PositionFinding, diagnose
 from adis_gonio.fitting.slips.position_diagnosis import LARGEST, MEANINGS
@@ -134,31 +135,32 @@ def judge_turn(reading: Reading) -> Guard | None:
     if reading.turn is not None:
         along = reading.sense * float(reading.turn.angle_deg[2])
         values |= {"gyro_deg": along, "gyro_u_deg": reading.turn.u_deg}
-        gyro = f", {along:+.1f}° ± {reading.turn.u_deg:.1f}° by the gyro"
+        gyro = f", {format_uncertain(along, NORMAL_95 * reading.turn.u_deg, 'deg', sign=True)} by the gyro"
         about = _other_axis(reading.turn)
     if about is not None and reading.turn is not None:
         x, y, z = (float(angle) for angle in reading.turn.angle_deg)
         values |= {"gyro_x_deg": x, "gyro_y_deg": y, "gyro_z_deg": z}
         message = (
-            f"turned about {about} (x {x:+.1f}°, y {y:+.1f}°, z {z:+.1f}° by the gyros);"
-            f" {reading.asked_deg:+g}° about z was requested"
+            f"turned about {about} (x {signed(x, 1)}°, y {signed(y, 1)}°,"
+            f" z {signed(z, 1)}° by the gyros); {signed(reading.asked_deg)}° about z was requested"
         )
         return Guard("wrong_axis", message, values, spoils=True)
-    seen = f"{reading.gravity_deg:+.2f}° by gravity{gyro}"
+    seen = f"{signed(reading.gravity_deg, 2)}° by gravity{gyro}"
     if abs(reading.gravity_deg) <= math.degrees(SHIFT_MG / 1000.0):
-        message = f"the part has not moved: {seen}; {reading.asked_deg:+g}° was requested"
+        message = f"the part has not moved: {seen}; {signed(reading.asked_deg)}° was requested"
         return Guard("not_moved", message, values, spoils=True)
     if abs(wrap_degrees(reading.gravity_deg + reading.asked_deg)) <= reading.off.limit_deg:
         return _reversed(reading, values, seen)
     message = (
-        f"{reading.off.off_deg:+.2f}° off {reading.here_deg:g}° ({seen}, {reading.asked_deg:+g}°"
-        f" requested); part and fixture explain {reading.off.limit_deg:.2f}° at most"
+        f"{signed(reading.off.off_deg, 2)}° off {reading.here_deg:g}° ({seen},"
+        f" {signed(reading.asked_deg)}° requested); part and fixture explain"
+        f" {reading.off.limit_deg:.2f}° at most"
     )
     return Guard("wrong_angle", message, values, spoils=True)
 
 
 def _reversed(reading: Reading, values: dict[str, float], seen: str) -> Guard:
-    message = f"turned the wrong way: {seen}; {reading.asked_deg:+g}° was requested"
+    message = f"turned the wrong way: {seen}; {signed(reading.asked_deg)}° was requested"
     answers = RETAKE
     if reading.off_reversed is not None and reading.off_reversed.allowed:
         message += "; if the stage counts the other way, reverse the whole session"
@@ -184,7 +186,7 @@ def judge_level(accel_mg: Floats, gravity_mg: float, bias_mg: float) -> Guard | 
     tilt = math.degrees(math.asin(min(1.0, abs(z) / gravity_mg)))
     way = "up" if z < 0 else "down"
     message = (
-        f"z reads {z:+.0f} mg: the Z arrow points {way}, {tilt:.0f}° out of the horizontal;"
+        f"z reads {signed(z, 0)} mg: the Z arrow points {way}, {tilt:.0f}° out of the horizontal;"
         f" it is the axis of rotation and has to be horizontal (at most {limit:.0f} mg)"
     )
     values = {"z_mg": z, "limit_mg": limit, "tilt_deg": tilt}
@@ -199,8 +201,9 @@ def judge_start(accel_mg: Floats, asked_deg: float, sense: int) -> Guard | None:
     if abs(off) <= 90.0:
         return None
     message = (
-        f"the part is upside down: {off:+.0f}° from the drawing by gravity (x {x:+.0f}, y {y:+.0f} mg);"
-        " any start angle is allowed, so it may stay if the stage shows the requested angle"
+        f"the part is upside down: {signed(off, 0)}° from the drawing by gravity"
+        f" (x {signed(x, 0)}, y {signed(y, 0)} mg); any start angle is allowed,"
+        " so it may stay if the stage shows the requested angle"
     )
     return Guard("upside_down", message, {"off_deg": off, "x_mg": x, "y_mg": y}, default="keep")
 
@@ -229,8 +232,9 @@ def judge_pose(
         return None
     x, y, z = (float(value) for value in accel_mg)
     message = (
-        f"the part is upside down: {off:.0f}° from the requested attitude (x {x:+.0f}, y {y:+.0f},"
-        f" z {z:+.0f} mg; an axis reads + if its arrow points down); any new attitude is allowed"
+        f"the part is upside down: {off:.0f}° from the requested attitude"
+        f" (x {signed(x, 0)}, y {signed(y, 0)}, z {signed(z, 0)} mg;"
+        " an axis reads + if its arrow points down); any new attitude is allowed"
     )
     values = {"off_deg": off, "x_mg": x, "y_mg": y, "z_mg": z}
     return Guard("upside_down", message, values, default="keep")
@@ -508,7 +512,8 @@ def _diagnosis_text(
     found: PositionFinding, here: int, angles_deg: Sequence[float | None], sense: int
 ) -> str:
     by = "gravity" if found.gyro_deg is None else "gravity and gyro"
-    off = f"{sense * found.error_deg[0]:+.2f}° ± {found.error_deg[1]:.2f}°"
+    error, u = found.error_deg
+    off = format_uncertain(sense * error, NORMAL_95 * u, "deg", sign=True)
     names = " or ".join(dict.fromkeys(MEANINGS[named.name] for named in found.names))
     if found.finding == "gravity_wrong":
         return f"the gyro turned as requested, but gravity does not agree: {names}"

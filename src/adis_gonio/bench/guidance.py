@@ -6,6 +6,7 @@ arrows: an axis reads +1 g if its drawn arrow points down (lying level with Z up
 
 from __future__ import annotations
 
+from adis_gonio.base.numbers import signed
 from adis_gonio.bench.guards import angle_between_deg
 from adis_gonio.record.plans import Plan, Position
 
@@ -119,7 +120,7 @@ def _turn(position: Position, before: Position | None, *, reverse: bool) -> str:
             return f"turn the part past it and back to {position}"
         return f"leave the part at {position}"
     way = "counter-clockwise" if (by > 0) is not reverse else "clockwise"
-    return f"turn the part {by:+g}° ({way}) to {position}"
+    return f"turn the part {signed(by)}° ({way}) to {position}"
 
 
 def _hold(position: Position, *, table: bool) -> str:

@@ -17,6 +17,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.numbers import signed
 from adis_gonio.bench.dialogue import Reply
 from adis_gonio.bench.dwell_recorder import DwellRecorder
 from adis_gonio.bench.events import DwellInterrupted, Event, GuardKind, Problem
@@ -289,14 +290,14 @@ def judge_whole_turn(turn: GyroTurn, found: Integral | str) -> Guard | None:
     values |= {"off_deg": off, "limit_deg": limit}
     if abs(off) > limit or abs(turned) < 180.0:
         message = (
-            f"the gyro turned {turned:+.0f}°, {off:+.0f}° off a whole number of turns (its gain explains"
-            f" {limit:.0f}° at most): bring the part back to the mark and turn again"
+            f"the gyro turned {signed(turned, 0)}°, {signed(off, 0)}° off a whole number of turns"
+            f" (its gain explains {limit:.0f}° at most): bring the part back to the mark and turn again"
         )
         return Guard("wrong_angle", message, values, spoils=True)
     if turned * wanted_deg < 0:
         message = (
-            f"turned {turned:+.0f}°, {way(turned)}; {way(wanted_deg)} was requested: this is allowed if the"
-            " next turn goes the other way"
+            f"turned {signed(turned, 0)}°, {way(turned)}; {way(wanted_deg)} was requested:"
+            " this is allowed if the next turn goes the other way"
         )
         return Guard("reversed", message, values, ("retake", "reverse", "keep", "skip"), "reverse")
     return None

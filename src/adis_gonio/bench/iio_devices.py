@@ -23,7 +23,6 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -239,36 +238,6 @@ class DeviceFacts:
     name: str
     channels: tuple[IioChannel, ...]
     rate_hz: float | None
-
-
-class IioDevice(Protocol):
-    """Interface of a device that can be read; every method raises `BusError` on failure.
-
-    Attributes
-    ----------
-    where : str
-        Its name in messages.
-    """
-
-    where: str
-
-    def facts(self) -> DeviceFacts:
-        """Read the name, the channels and the rate of the device."""
-
-    def read_raw(self, channel: str) -> float:
-        """Read the present raw number of a channel."""
-
-    def open_buffer(self, channels: tuple[IioChannel, ...], samples: int) -> None:
-        """Start to buffer scans of these channels."""
-
-    def read_buffer(self, size: int, timeout_s: float) -> bytes:
-        """Read at most `size` bytes of whole scans, and at least one scan."""
-
-    def close_buffer(self) -> None:
-        """End buffering and undo its changes; may be called twice."""
-
-    def close(self) -> None:
-        """Close the device; may be called twice."""
 
 
 SYSFS = Path("sys/bus/iio/devices")
@@ -700,3 +669,7 @@ def _accelerometer(element: ET.Element) -> bool:
 
 def _words(answer: int) -> str:
     return f"error {-answer} ({_ERRNO.get(-answer, 'see errno.h')})" if answer < 0 else "nothing"
+
+
+IioDevice = LocalDevice | NetworkDevice
+"""A device that can be read; every method raises `BusError` on failure."""

@@ -6,13 +6,12 @@ as gaps in the times. `?poll=HZ` reads single values instead, by the host's cloc
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 import time
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +31,7 @@ from adis_gonio.bench.iio_devices import (
     choose_channels,
     local_accelerometers,
 )
+from adis_gonio.device.bus.host import UrlOptions
 from adis_gonio.device.bus.opening import BusUrl, Device
 from adis_gonio.record.blocks import GENERIC, ValueBlock
 from adis_gonio.record.settings import Settings
@@ -59,7 +59,6 @@ _OPTIONS = ("poll", "rate", "root")
 _NETWORK = re.compile(r"ip:(?P<host>\[[^]]+\]|[^:/]+)(?::(?P<port>\d{1,5}))?(?:/(?P<device>.*))?")
 
 
-@dataclass(frozen=True)
 class IioMeasuring(JsonRecord):
     """Configuration of an IIO device.
 
@@ -313,11 +312,7 @@ def open_from_url(url: BusUrl) -> IioSource:
     CannotOpenError
         See `LocalDevice`, `NetworkDevice`, `IioSource`.
     """
-    for name in url.options:
-        if name not in _OPTIONS:
-            near = difflib.get_close_matches(name, _OPTIONS, n=1)
-            hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(_OPTIONS)}"
-            raise UsageError(f"'{url.text}': no option is called '{name}'; {hint}")
+    UrlOptions(url, _OPTIONS)  # refuses other options
     poll_hz, rate_hz = (_hertz(url, name) for name in ("poll", "rate"))
     device: IioDevice
     if url.place.startswith("ip:"):

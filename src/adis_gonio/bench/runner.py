@@ -48,7 +48,7 @@ from adis_gonio.bench.recorder import FreeTurnRecorder, Recorder
 from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.bench.session_state import Knowledge, Ledger
 from adis_gonio.device.sensor.driver import Adis16354
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, checked_gravity_mps2
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, StageCurve, checked_gravity_mps2
 from adis_gonio.record.archive import Archive
 from adis_gonio.record.archive_tables import Header
 from adis_gonio.record.plans import GYRO_TURNS, Plan, Position, blindness, extended, extension
@@ -274,8 +274,7 @@ class SessionRunner(Operator):
         extend: bool = False,
         gravity_mps2: float = STANDARD_GRAVITY_MPS2,
         fixture_sigma_deg: float | None = None,
-        title: str = "",
-        note: str = "",
+        stage_curve: StageCurve | None = None,
         advisor: Advisor | None = None,
         **metadata: str,
     ) -> SessionRunner:
@@ -295,23 +294,27 @@ class SessionRunner(Operator):
             Local gravity in m/s².
         fixture_sigma_deg : float or None
             Standard uncertainty of a declared angle in degrees; None if it is not stated.
-        title, note : str
-            Notes to keep.
+        stage_curve : StageCurve or None
+            Errors of the stage by its certificate, which correct the declared angles.
         advisor : Advisor or None
             Source of further positions when the plan is done.
         metadata : str
-            Further notes by the names in `adis_gonio.model.records.METADATA`, such as the operator's name.
+            Notes to keep: `title`, `note` and the names in `adis_gonio.model.records.METADATA`; or
+            `created_utc`, the time of its begin in ISO 8601 (default: now).
 
         Raises
         ------
         UsageError
-            `auto` is set without a stage, or gravity or fixture is out of range.
+            `auto` is set without a stage, gravity or fixture is out of range, or the certificate of the
+            stage does not cover the plan.
         SessionError
             The file exists, or cannot be created.
         """
         checked_gravity_mps2(gravity_mps2, anywhere=True)
         if fixture_sigma_deg is not None and not fixture_sigma_deg >= 0:
             raise UsageError(f"fixture_sigma_deg is {fixture_sigma_deg}: take 0° or more")
+        if stage_curve is not None:
+            stage_curve.check(position.angle_deg for position in plan.positions)
         settings = settings or Settings()
         bench = SessionBench(sensor, settings)
         source = bench.source
@@ -325,11 +328,9 @@ class SessionRunner(Operator):
             settings={k: v for k, v in settings.as_dict().items() if k in source.kept},
             gravity_mps2=gravity_mps2,
             fixture_sigma_deg=fixture_sigma_deg if plan.name == GYRO_TURNS else stated,
-            title=title,
-            note=note,
+            stage_curve=None if stage_curve is None else stage_curve.as_dict(),
             simulated=bench.simulated,
-            created_utc=bench.utc(),
-            **{name: text.strip() for name, text in metadata.items()},
+            **{"created_utc": bench.utc()} | {name: t.strip() for name, t in metadata.items() if t.strip()},
         )
         archive = Archive.create(path, header)
         return cls(bench, archive, auto=auto, extend=extend, resumed=False, advisor=advisor)
@@ -461,8 +462,12 @@ class SessionRunner(Operator):
             bench.bring_world_to(archive, last)
         elif bench.simulated:
             bench.take_up(archive, last)
-        if noise is not None:
-            yield self._knowledge.take_noise(noise)
+        if noise is None:
+            return
+        yield self._knowledge.take_noise(noise)
+        running = self._knowledge.running() if self._resumed else None
+        if running is not None:
+            yield running
 
     def _finish(self) -> Finished:
         bench, ledger = self._bench, self._ledger

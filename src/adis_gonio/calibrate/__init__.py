@@ -5,11 +5,6 @@ from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration, Rates
 
 __all__ = [
-    "AngleReading",
-    "Calibration",
-    "Coefficient",
-    "EffectTerm",
-    "GyroCalibration",
-    "NotCorrected",
+    "AngleReading", "Calibration", "Coefficient", "EffectTerm", "GyroCalibration", "NotCorrected",
     "Rates",
-]
+]  # fmt: skip

@@ -25,7 +25,6 @@ from adis_gonio.calibrate.coefficients import (
     VERSION,
     Coefficient,
     Coefficients,
-    NotCorrected,
     checked_condition,
     checked_numbers,
     checked_offsets,
@@ -93,40 +92,26 @@ class AngleReading:
         return f"AngleReading({counted(n, 'angle')}, u up to {u})"
 
 
-@dataclass(frozen=True, eq=False)
-class Calibration(Coefficients):
+class Calibration(Coefficients, eq=False, kw_only=True):
     """Calibration of accelerometers, which converts readings to gravity and angle.
 
     Attributes
     ----------
-    method : str
-        A method of `fit`, or `trace`.
     provenance : Provenance
         Sensor, plane, gravity and the known facts about the session.
     parameters : tuple of Coefficient
         Base parameters (gains, misalignment or skews, biases; in the plane also the start angle `alpha` if
         it is known), then the values of the effects.
-    covariance : (p, p) float or None
-        In the order and units of `parameters`; None if the noise is unknown.
     effects : tuple of EffectTerm
         Effects of a trace that depend on the reading, the temperature or the supply.
-    not_corrected : tuple of NotCorrected
-        Effects that belong to the bench and not to the sensor, or that need more than one reading.
-    assumed : tuple of str
-        Parameters that the session did not determine; they keep their nominal values.
     counts_per_mg : tuple of float or None
         Rough scale of each axis for readings in counts; None for readings in mg.
     gyro : GyroCalibration or None
         Calibration of the gyros; None if the session gives none.
     """
 
-    method: str
     provenance: Provenance
-    parameters: tuple[Coefficient, ...]
-    covariance: Floats | None
     effects: tuple[EffectTerm, ...] = ()
-    not_corrected: tuple[NotCorrected, ...] = ()
-    assumed: tuple[str, ...] = ()
     counts_per_mg: tuple[float, ...] | None = None
     gyro: GyroCalibration | None = None
     schema: ClassVar[str] = "adis-gonio/calibration"

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.jsonable import HIDDEN, OPTIONAL, JsonRecord
-from adis_gonio.base.numbers import format_uncertain
 from adis_gonio.base.output import check_output, replacing, write_utf8
 from adis_gonio.base.tables import ParameterTable
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
 from adis_gonio.record.provenance import Provenance
 
@@ -36,7 +36,6 @@ def json_text(document: Mapping[str, Any]) -> str:
     return json.dumps(document, ensure_ascii=False, indent=2, allow_nan=False) + "\n"
 
 
-@dataclass(frozen=True)
 class Coefficient(JsonRecord):
     """A parameter of a calibration: value, standard uncertainty (None if unknown) and unit.
 
@@ -59,7 +58,8 @@ class Coefficient(JsonRecord):
         return cls(name, float(estimate.value), None if u is None else float(u), estimate.unit, dof)
 
     def __str__(self) -> str:
-        return f"{self.name} {format_uncertain(self.value, self.u, self.unit)}"
+        dof = {} if self.dof is None else {"dof": self.dof}
+        return f"{self.name} {Value(self.value, self.u, self.unit, **dof)}"
 
 
 @dataclass(frozen=True)
@@ -70,22 +70,28 @@ class NotCorrected:
     reason: str
 
 
-class Coefficients(ParameterTable):
+class Coefficients(ParameterTable, eq=False, kw_only=True):
     """Base class of the calibrations, with parameters by name and propagation of their covariance.
 
     Attributes
     ----------
+    method : str
+        Method that determined the parameters, such as `ml`, `trace` or `gyro`.
     parameters : tuple of Coefficient
     covariance : (p, p) float or None
         In the order and units of `parameters`; None if the noise is unknown.
+    not_corrected : tuple of NotCorrected
+        Effects that a calibration cannot correct, such as errors of the bench or a drift in time.
+    assumed : tuple of str
+        Parameters that were not determined; they keep their nominal values.
     """
 
     schema: ClassVar[str]
     method: str
     parameters: tuple[Coefficient, ...]
-    covariance: Floats | None
-    not_corrected: tuple[NotCorrected, ...]
-    assumed: tuple[str, ...]
+    covariance: Floats | None = None
+    not_corrected: tuple[NotCorrected, ...] = ()
+    assumed: tuple[str, ...] = ()
     of_session: ClassVar[Callable[[str | Path], Any] | None] = None
     """Function that loads a calibration file or fits a session; set by
     `adis_gonio.tracing.trace_calibrations`."""

@@ -27,7 +27,6 @@ from adis_gonio.calibrate.coefficients import (
     VERSION,
     Coefficient,
     Coefficients,
-    NotCorrected,
     checked_condition,
     checked_offsets,
     finite_numbers,
@@ -81,25 +80,16 @@ class _Values:
     per_v: Floats
 
 
-@dataclass(frozen=True, eq=False)
-class GyroCalibration(Coefficients):
+class GyroCalibration(Coefficients, eq=False, kw_only=True):
     """Calibration of the gyros, which converts readings to rates of turn in the accelerometers' frame.
 
     Attributes
     ----------
-    method : str
-        Method that determined it: `gyro` (the fit), `trace`, or another name.
     parameters : tuple of Coefficient
         `gyro_bias_x …` (dps), and if determined `gyro_scale_x …` (1), `gyro_misalignment_xy …` (deg; the
         gyro, and the axis towards which it is misaligned), `g_sensitivity_xy …` (dps/g; the
         gyro, and the axis of force), `g2_sensitivity_xy …` (dps/g²), `gyro_bias_temperature_x …` (dps/°C;
         …2, …3 of its square and cube), `gyro_scale_temperature_x …` (ppm/°C), `gyro_supply_x …` (dps/V).
-    covariance : (p, p) float or None
-        In the order and units of `parameters`; None if the noise is unknown.
-    assumed : tuple of str
-        Parameters that were not determined; they keep their nominal values.
-    not_corrected : tuple of NotCorrected
-        Effects that a calibration cannot correct, such as a drift in time.
     temperature_c, supply_v : Covered or None
         Range of the temperature and of the supply voltage in the session.
     offsets_lsb : tuple of int or None
@@ -108,11 +98,6 @@ class GyroCalibration(Coefficients):
         Name of the session's file without its folder; empty without a file.
     """
 
-    method: str
-    parameters: tuple[Coefficient, ...]
-    covariance: Floats | None = None
-    assumed: tuple[str, ...] = ()
-    not_corrected: tuple[NotCorrected, ...] = ()
     temperature_c: Covered | None = None
     supply_v: Covered | None = None
     offsets_lsb: tuple[int, int, int] | None = None
@@ -154,7 +139,8 @@ class GyroCalibration(Coefficients):
         known.sort(key=_order)
         parameters = tuple(Coefficient.of(name, estimates[name]) for name in known)
         matrix = _taken(known, parameters, covariance)
-        made = cls(method, parameters, matrix, assumed=_assumed(known), **about)
+        assumed = _assumed(known)
+        made = cls(method=method, parameters=parameters, covariance=matrix, assumed=assumed, **about)
         made.check()
         return made
 
@@ -341,8 +327,7 @@ class GyroCalibration(Coefficients):
         added = {f"gyro_bias_{axis}": float(by) for axis, by in zip(AXES, by_dps, strict=True)}
         return replace(self, parameters=self._moved(added))
 
-    # -- computation
-    # ----------------------------------------------------------------------------------------
+    # -- computation ------------------------------------------------------------------------------
 
     def _stated(self) -> dict[str, float]:
         return {one.name: one.value for one in self.parameters}

@@ -7,11 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.fitting import FitResult
-from adis_gonio.fitting import fit as _fit
+from adis_gonio.fitting import FitResult, fit as _fit
 from adis_gonio.fitting.estimation.readings import ACCELEROMETER, GYRO, known_part
-from adis_gonio.fitting.gyros.gyro_fit import METHOD as GYRO_METHOD
-from adis_gonio.fitting.gyros.gyro_fit import GyroFit, fit_gyro
+from adis_gonio.fitting.gyros.gyro_fit import METHOD as GYRO_METHOD, GyroFit, fit_gyro
 from adis_gonio.model import Session
 from adis_gonio.record.loading import load_session
 from adis_gonio.tracing.trace import trace as _trace

@@ -10,20 +10,17 @@ from typing import TYPE_CHECKING
 from adis_gonio.base import lazily
 
 _HOMES = {
-    "METHODS": "methods",
-    "Estimate": "fit_result",
-    "FitResult": "fit_result",
-    "applicable_methods": "methods",
-    "fit": "methods",
-    "fit_readings": "methods",
+    "fit_result": "Estimate FitResult",
+    "methods": "METHODS applicable_methods fit fit_readings",
 }
 
 if TYPE_CHECKING:
-    from adis_gonio.fitting.fit_result import Estimate as Estimate
-    from adis_gonio.fitting.fit_result import FitResult as FitResult
-    from adis_gonio.fitting.methods import METHODS as METHODS
-    from adis_gonio.fitting.methods import applicable_methods as applicable_methods
-    from adis_gonio.fitting.methods import fit as fit
-    from adis_gonio.fitting.methods import fit_readings as fit_readings
+    from adis_gonio.fitting.fit_result import Estimate as Estimate, FitResult as FitResult
+    from adis_gonio.fitting.methods import (
+        METHODS as METHODS,
+        applicable_methods as applicable_methods,
+        fit as fit,
+        fit_readings as fit_readings,
+    )
 
 __getattr__ = lazily(__name__, _HOMES)

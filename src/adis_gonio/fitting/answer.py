@@ -24,6 +24,7 @@ from adis_gonio.base.numbers import (
     format_number,
     format_percent,
     format_uncertain,
+    format_unit,
     with_unit,
 )
 from adis_gonio.base.tables import align_columns, fold_text
@@ -285,8 +286,7 @@ _METHOD_WIDTH = 24
 
 def parameter_row(name: str, value: Value) -> list[str]:
     """Cells of a table row for one parameter: name, unit, value, u, U, k, ν."""
-    line = QuantityRow.of(name, value)
-    return [name, *line.cells[1:], format_dof(value.dof) if value.u is not None else "–"]
+    return [*QuantityRow.of(name, value).cells, format_dof(value.dof) if value.u is not None else "–"]
 
 
 def format_dof(dof: float) -> str:
@@ -297,7 +297,7 @@ def format_dof(dof: float) -> str:
 
 
 def method_tables(results: Sequence[FitResult], width: int) -> Iterator[tuple[list[str], Rows]]:
-    """Yield tables that compare the parameters of all methods, as value ± u.
+    """Yield tables that compare the parameters of all methods, as value ± U.
 
     Each table has as many methods as columns as `width` allows.
     """
@@ -306,14 +306,17 @@ def method_tables(results: Sequence[FitResult], width: int) -> Iterator[tuple[li
     columns = max(1, (width - 26) // _METHOD_WIDTH)
     for start in range(0, len(results), columns):
         part = results[start : start + columns]
-        rows = [[name, units[name], *(_cell(result, name) for result in part)] for name in names]
-        rows.append(["residual, rms", "mg", *(f"{r.residual_rms_mg:.3f}" for r in part)])
+        rows = [
+            [NAMES.get(name, name), format_unit(units[name]), *(_cell(result, name) for result in part)]
+            for name in names
+        ]
+        rows.append(["residual, rms", "mg", *(f"{r.residual_rms_mg:.3f}" if r.dof else DASH for r in part)])
         rows.append(["χ² / dof", "", *(f"{r.chi2:.1f} / {r.dof}" if r.dof else "none left" for r in part)])
-        yield ["", "unit", *(f"{result.method}, ± u" for result in part)], rows
+        yield ["", "unit", *(f"{result.method}, ± U" for result in part)], rows
 
 
 def _cell(result: FitResult, name: str) -> str:
-    return format_uncertain(result[name].value, result[name].u) if name in result else ""
+    return format_uncertain(result[name].value, result[name].U) if name in result else ""
 
 
 def format_share(fraction: float) -> str:

@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats, wrap_degrees, wrap_radians
 from adis_gonio.base.errors import FitError, SingularError
+from adis_gonio.base.numbers import format_fixed, signed
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
@@ -35,7 +37,6 @@ from adis_gonio.fitting.fit_result import (
 )
 from adis_gonio.fitting.noise_estimation import NoiseAssumptions, settle
 from adis_gonio.fitting.uncertainty import Sources, Unseen, sources_of
-from adis_gonio.model.effects import effect
 
 ALPHA, SCALE_X, SCALE_Y, DELTA_PHI, BIAS_X, BIAS_Y = range(6)
 """Parameters in the order of `determination.names_of`, in natural units: a bias in local gravity."""
@@ -179,24 +180,25 @@ def fit_paper(readings: Readings) -> FitResult:
     distance = abs(math.cos(at))
     if math.hypot(phi, u_at) > _NEAR_POLE * distance or min(abs(first[0]), abs(second[1])) < _LEAST_READING:
         if distance > _FAR_FROM_POLE:
+            found = Value(math.degrees(phi), math.degrees(u_at), "deg")
             raise SingularError(
-                f"method paper is not valid here: delta_phi would be {math.degrees(phi):.1f} ± "
-                f"{math.degrees(u_at):.1g}°, and its equations are for small angles; use two-position"
+                f"method paper is not valid here: Δφ would be {found}, and its"
+                " equations are for small angles; use two-position"
             )
         times = f"{1 / distance:.0f} times" if distance > 1e-6 else "more than a million times"
         raise SingularError(
-            f"method paper is singular here: alpha = {math.degrees(alpha):.2f}° brings a + b of equation "
-            f"12 to {_a_plus_b(first, second):.2g}, so that noise and delta_phi itself appear {times} "
-            "enlarged against alpha = 0°; use method two-position, or start at another angle"
+            f"method paper is singular here: α = {format_fixed(math.degrees(alpha), 2)}° brings a + b of"
+            f" equation 12 to {_a_plus_b(first, second):.2g}, so that noise and Δφ itself appear {times} "
+            "enlarged against α = 0°; use method two-position, or start at another angle"
         )
     linear, values = _by_paper(chosen, weights, exact)
     warnings = _blind_to_bias(readings, chosen, linear)
     exact_k = float(exact.beta[SCALE_X] / exact.beta[SCALE_Y]) - 1
     off_k, off_phi = values[0] - exact_k, math.degrees(values[1] - phi)
     warnings.append(
-        f"equation 5 is exact at alpha = 0° only: at {math.degrees(alpha):.2f}° this result is off by "
-        f"{off_k:+.2g} in delta_k and {off_phi:+.2g}° in delta_phi from method two-position on the same "
-        "readings, and its uncertainty does not include this"
+        f"equation 5 is exact at α = 0° only: at {format_fixed(math.degrees(alpha), 2)}° this result is off"
+        f" by {signed(off_k, digits=2)} in ΔK and {signed(off_phi, digits=2)}° in Δφ from method"
+        " two-position on the same readings, and its uncertainty does not include this"
     )
     return _finish(chosen, "paper", linear, noise, warnings, ("delta_k", "delta_phi", "alpha"))
 
@@ -357,7 +359,7 @@ def _noise(readings: Readings, chosen: Readings) -> NoiseAssumptions:
 
 def _fit(data: Readings, beta: Floats, *, bias: bool) -> Fit:
     """Base model, with or without a bias, evaluated at the given natural parameters and declared angles."""
-    term = NamedTerm("bias", (), 0.0, effect("bias", ("x", "y")))
+    term = NamedTerm.offset("xy")
     fit = Fit.begin(data, with_prior=False)
     values = replace(fit.values, base=beta[:BIAS_X].copy())
     terms, own = ((term,), (beta[BIAS_X:] * data.gravity_mg,)) if bias else ((), ())
@@ -397,9 +399,8 @@ def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> lis
             else "measure 180° and 270° too and use method four-position"
         )
     return [
-        "a bias cannot be seen in two positions: 1 mg of it on X moves delta_phi by "
-        f"{phi[0]:+.2g}° and delta_k by {k[0]:+.2g}, on Y by {phi[1]:+.2g}° and {k[1]:+.2g}, and {stated}; "
-        f"{remedy}"
+        "a bias cannot be seen in two positions: 1 mg of it on X moves"
+        f" {_pair(k[0], phi[0])}, on Y {_pair(k[1], phi[1])}, and {stated}; {remedy}"
     ]
 
 
@@ -428,9 +429,14 @@ def _bias_of_four(readings: Readings, chosen: Readings) -> str | None:
     k = with_bias[SCALE_X] / with_bias[SCALE_Y] - without[SCALE_X] / without[SCALE_Y]
     x, y = bias * chosen.gravity_mg
     return (
-        f"method four-position finds a bias of {x:+.1f} mg on X and {y:+.1f} mg on Y in this session, "
-        f"which moves delta_phi by {phi:+.2g}° and delta_k by {k:+.2g} here: use method four-position or ml"
+        f"method four-position finds a bias of {signed(x, 1)} mg on X and {signed(y, 1)} mg on Y in this"
+        f" session, which moves {_pair(k, phi)} here: use method four-position or ml"
     )
+
+
+def _pair(delta_k: float, delta_phi_deg: float) -> str:
+    """Format changes of both results, such as `Δφ by −0.058° and ΔK by +0.00097`."""
+    return f"Δφ by {signed(delta_phi_deg, digits=2)}° and ΔK by {signed(delta_k, digits=2)}"
 
 
 def _finish(

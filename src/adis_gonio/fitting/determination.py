@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.numbers import signed
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm
-from adis_gonio.model.effects import AXES, effect
+from adis_gonio.model.effects import AXES
 from adis_gonio.model.measurement import SENSOR_SPREAD
 
 LIMIT = 0.1
@@ -163,8 +164,7 @@ def _may_hold(data: Readings) -> list[int]:
 
 
 def _bias(data: Readings, spread: float | None = None) -> NamedTerm:
-    axes = tuple(AXES[: data.axes])
-    return NamedTerm("bias", (), 0.0, effect("bias", axes), spread=spread)
+    return NamedTerm.offset(AXES[: data.axes], spread)
 
 
 def _start(data: Readings) -> Fit:
@@ -239,6 +239,6 @@ def format_directions(null: Floats, names: Sequence[str]) -> list[str]:
         if len(parts) == 1:
             words.append(names[parts[0]])
             continue
-        terms = [f"{lead * direction[k]:+.2f}·{names[k]}" for k in parts]
+        terms = [f"{signed(lead * direction[k], 2)}·{names[k]}" for k in parts]
         words.append(" ".join(terms).removeprefix("+"))
     return words

@@ -14,7 +14,7 @@ from adis_gonio.base.arrays import Floats, mean_direction, unsolvable, wrap_radi
 from adis_gonio.base.conformity import ErrorCurve
 from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.jsonable import json_object
-from adis_gonio.base.numbers import counted, format_uncertain
+from adis_gonio.base.numbers import counted
 from adis_gonio.base.tables import Entries, ParameterTable
 from adis_gonio.base.uncertainty import Value, factor_over
 from adis_gonio.calibrate.calibration import Calibration
@@ -26,7 +26,7 @@ from adis_gonio.fitting.linked import LinkReport
 from adis_gonio.fitting.noise_estimation import NoiseAssumptions
 from adis_gonio.fitting.slips import PositionFinding
 from adis_gonio.fitting.slips.position_diagnosis import listed
-from adis_gonio.fitting.uncertainty import BudgetRow, ShownAngle, Sources, budget_of
+from adis_gonio.fitting.uncertainty import FIXTURE, BudgetRow, ShownAngle, Sources, budget_of
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn
 from adis_gonio.model.records import MG_PER_MPS2
@@ -99,7 +99,6 @@ MISFIT = (
 )
 
 
-@dataclass(frozen=True)
 class FitResult(ParameterTable):
     """Fitted parameters of a session, with their covariance, warnings and residuals.
 
@@ -186,7 +185,7 @@ class FitResult(ParameterTable):
         lead = [one for one in self.parameters if one.name in ("delta_k", "delta_phi")] or self.parameters[
             :2
         ]
-        values = ", ".join(f"{one.name} {format_uncertain(one.value, one.u, one.unit)}" for one in lead)
+        values = ", ".join(f"{one.name} {one.stated}" for one in lead)
         return f"FitResult({self.method}, {counted(len(self.positions), 'dwell')}, {values})"
 
     def calibration(self) -> Calibration:
@@ -276,6 +275,19 @@ class FitResult(ParameterTable):
         if made is None or made.sources is None or not made.readings.planar or self._around is None:
             return None
         return made.sources.roots(self._around.gradient, self._around.reading)
+
+    @property
+    def stage_influence(self) -> dict[str, Floats]:
+        """Change (k,) of each parameter by one u of each independent error of the stage's certificate.
+
+        Empty without such a certificate.
+        """
+        made = self.origin
+        if made is None or made.sources is None or not made.readings.stage_modes:
+            return {}
+        fixture = next(source for source in made.sources.each if source.name == FIXTURE)
+        moves = fixture.moves[:, -made.readings.stage_modes :]
+        return {output.name: output.gradient @ moves for output in made.outputs}
 
     def error_curves(self) -> tuple[ErrorCurve | None, ErrorCurve]:
         """Error of the angle without and with this calibration; see `Calibration.error_curves`.
@@ -402,7 +414,7 @@ def stage_warnings(found: Sequence[Estimate], sigma_rad: float) -> list[str]:
     if u_deg is None or math.radians(u_deg) <= LIMIT or not math.radians(u_deg) <= 2 * sigma_rad < math.inf:
         return []
     return [
-        f"u of delta_phi is {u_deg:.2g}°: only the stage determines it in these positions "
+        f"u of Δφ is {u_deg:.2g}°: only the stage determines it in these positions "
         f"({math.degrees(sigma_rad):.3g}°), and the uncertainties of gains and biases, "
         "which are linear in it, are rough; five or more positions all around the turn need no stage for it"
     ]
@@ -473,7 +485,14 @@ def calibration_as_recorded(result: FitResult) -> Calibration:
     assumed = assumed_parameters(model, names)
     scales = [estimates[f"scale_{axis}"].value for axis in AXES[: model.axes]] if where.counts else []
     counts = tuple(scale / MG_PER_MPS2 for scale in scales) or None
-    return Calibration(result.method, where, parameters, matrix, assumed=assumed, counts_per_mg=counts)
+    return Calibration(
+        method=result.method,
+        provenance=where,
+        parameters=parameters,
+        covariance=matrix,
+        assumed=assumed,
+        counts_per_mg=counts,
+    )
 
 
 def as_written(calibration: Calibration) -> Calibration:

@@ -7,7 +7,7 @@ message says what to do if the turn does not meet them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -190,7 +190,6 @@ SOURCES = ("noise of the accelerometers", "noise of the gyro", "drift of the bia
 """Causes of the uncertainty, in the order of `Solution.parts`."""
 
 
-@dataclass(frozen=True)
 class FreeTurnResult(FitResult):
     """Calibration and angle from one continuous turn without declared angles.
 

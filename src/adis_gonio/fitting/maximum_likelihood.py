@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from adis_gonio.base.errors import SingularError
-from adis_gonio.base.numbers import counted, use_minus, with_unit
+from adis_gonio.base.numbers import counted, signed, with_unit
 from adis_gonio.fitting.determination import (
     Determination,
     covariance,
@@ -109,7 +109,7 @@ def _warnings(
         # Effect of 1 mg of bias, or of a tenth of a degree of skew.
         one = 1 / determination.fit.data.gravity_mg if name.startswith("bias") else math.radians(0.1)
         moves = [
-            f"{o.name} by {with_unit(use_minus(f'{float(o.gradient @ shift) * one:+.2g}'), o.unit)}"
+            f"{o.name} by {with_unit(signed(float(o.gradient @ shift) * one, digits=2), o.unit)}"
             for o in reported
             if o.name in ("delta_k", "delta_phi") or o.name.startswith("bias")
         ]

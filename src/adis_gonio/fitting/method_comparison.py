@@ -30,7 +30,6 @@ ALIKE = 0.01
 """Relative difference below which two uncertainties count as equal."""
 
 
-@dataclass(frozen=True)
 class Recommendation(JsonRecord):
     """The recommended method, and the reason in one sentence.
 
@@ -213,7 +212,6 @@ class DwellPrediction:
     residual_mg: Floats
 
 
-@dataclass(frozen=True)
 class Score(JsonRecord):
     """Prediction errors of a method, on the dwells that all compared methods predict.
 

@@ -70,7 +70,6 @@ class Propagated:
         }
 
 
-@dataclass(frozen=True)
 class MonteCarlo(JsonRecord):
     """Result of a Monte Carlo propagation: number of successful trials, and each parameter.
 

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord, key
+from adis_gonio.base.numbers import format_span
 from adis_gonio.base.uncertainty import effective_dof
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit
@@ -497,7 +498,7 @@ def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
         acts = columns * spread
         moves = np.einsum("pna,nab->pb", response, acts)
         u = float(np.sqrt((spread**2).mean()))
-        note = f"dwells from {temperature.min():.1f} to {temperature.max():.1f} °C"
+        note = f"dwells at {format_span(temperature.min(), temperature.max(), 1, '°C')}"
     return Source(
         TEMPERATURE,
         "B",
@@ -579,7 +580,6 @@ ROUNDING = 1e-10
 """Relative contribution to u below which it counts as rounding error."""
 
 
-@dataclass(frozen=True)
 class BudgetRow(JsonRecord):
     """Contribution of one source to the uncertainty of one quantity.
 

@@ -6,25 +6,15 @@ Public names are imported when they are first used.
 from adis_gonio.base import lazily
 
 _HOMES = {
-    "Cluster": "workers",
-    "LocalPool": "workers",
-    "Options": "session_record",
-    "Rules": "calibration_due",
-    "SessionEvidence": "session_evidence",
-    "SessionRecord": "session_record",
-    "Store": "store",
-    "due_of": "calibration_due",
-    "evidence_of": "session_evidence",
-    "files_of": "fleet_run",
-    "history_of": "sensor_history",
-    "read_parquet": "session_table",
-    "record_of": "session_record",
-    "run_fleet": "fleet_run",
-    "scan": "fleet_run",
-    "summarise": "fleet_summary",
-    "survey": "fleet_run",
-    "trace_population": "population_trace",
-    "write_parquet": "session_table",
+    "calibration_due": "Rules due_of",
+    "fleet_run": "files_of run_fleet scan survey",
+    "fleet_summary": "summarise",
+    "population_trace": "trace_population",
+    "sensor_history": "history_of",
+    "session_evidence": "SessionEvidence evidence_of",
+    "session_record": "Options SessionRecord record_of",
+    "session_table": "read_parquet write_parquet",
+    "store": "Store",
+    "workers": "Cluster LocalPool",
 }
-__all__ = list(_HOMES)
 __getattr__ = lazily(__name__, _HOMES)

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -28,9 +28,9 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.conformity import ErrorCurve, Tolerance, Verdict
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import INLINE, JsonRecord, key
-from adis_gonio.base.numbers import counted
+from adis_gonio.base.numbers import counted, signed
 from adis_gonio.fleet.control_charts import LEAST, YEAR_DAYS
-from adis_gonio.fleet.sensor_history import History, date_of
+from adis_gonio.fleet.sensor_history import History, date_of, own_u
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 PARAMETERS = ("delta_k", "delta_phi", "bias_x", "bias_y")
@@ -79,7 +79,6 @@ ROUTINE = 0.8
 SHORTEST_DAYS, LONGEST_DAYS = 30.0, 5 * YEAR_DAYS
 
 
-@dataclass(frozen=True)
 class Rules(JsonRecord):
     """Limits and factors of the rules for the calibration interval, as the user chose them.
 
@@ -108,7 +107,6 @@ class Rules(JsonRecord):
             raise UsageError("the first interval must be above 0, longer ≥ 1 and 0 < shorter ≤ 1")
 
 
-@dataclass(frozen=True)
 class Stair(JsonRecord):
     """One change of the calibration interval by the staircase rule.
 
@@ -134,7 +132,6 @@ class Stair(JsonRecord):
     verdict: Verdict
 
 
-@dataclass(frozen=True)
 class Rule(JsonRecord):
     """Date of the next calibration by one method, or the reason why the method gives no date."""
 
@@ -144,7 +141,6 @@ class Rule(JsonRecord):
     assumes: str
 
 
-@dataclass(frozen=True)
 class Due(JsonRecord):
     """Date of the next calibration of a sensor, with the dates by each method.
 
@@ -219,10 +215,11 @@ def staircase_of(history: History, limits: Rules) -> list[Stair]:
 
 def _difference(history: History, before: int, after: int) -> tuple[dict[str, float], dict[str, float]]:
     """Change of each parameter that both sessions determine, and the standard uncertainty of the change."""
-    one, other = history.sessions[before].values, history.sessions[after].values
+    pair = [history.sessions[before], history.sessions[after]]
+    one, other = (record.values for record in pair)
     names = [name for name in PARAMETERS if name in one and name in other]
     change = {name: other[name].value - one[name].value for name in names}
-    u = {name: float(np.hypot(one[name].u or 0.0, other[name].u or 0.0)) for name in names}
+    u = {name: float(np.linalg.norm(own_u(pair, name))) for name in names}
     return change, u
 
 
@@ -297,7 +294,7 @@ def _control_chart(history: History, limits: Rules) -> Rule:
         why = f"the error conforms to {limit} for {years}"
         return Rule(method, date_of(last + LONGEST_DAYS), why, assumes)
     drifts_text = ", ".join(
-        f"{name} {drift.slope.value:+.2g} ± {drift.slope.U:.2g} {drift.slope.unit}"
+        f"{name} {signed(drift.slope.value, digits=2)} ± {drift.slope.U:.2g} {drift.slope.unit}"
         for name, drift in drifts.items()
     )
     why = f"the error conforms to {limit} until {good} d after the last calibration, by {drifts_text}"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import logsumexp
@@ -162,7 +161,6 @@ _SIZES = np.geomspace(0.1, 30.0, 26)
 """Amplitudes to try, in typical standard uncertainties."""
 
 
-@dataclass(frozen=True)
 class Reach(JsonRecord):
     """Smallest amplitude of an effect that a population of sessions would have shown.
 

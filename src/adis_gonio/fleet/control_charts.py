@@ -15,7 +15,7 @@ the textbooks apply. Shewhart's chart detects a session that is far off; the CUS
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -34,7 +34,6 @@ _MOVING_RANGE = 2 / math.sqrt(math.pi)
 _NODES = 80
 
 
-@dataclass(frozen=True)
 class ControlChart(JsonRecord):
     """Control charts of a quantity: each session is compared with the sessions before it.
 
@@ -98,17 +97,9 @@ def control_chart(value: Floats, u: Floats, k: float = CUSUM_K, h: float = CUSUM
     sigma = np.sqrt(np.concatenate([[np.nan], variance[1:] + 1 / total]))
     z = (value - expected) / sigma
     up, down = cusum(z[1:], k)
-    chart = ControlChart(
-        expected,
-        expected - SHEWHART * sigma,
-        expected + SHEWHART * sigma,
-        z,
-        np.concatenate([[0.0], up]),
-        np.concatenate([[0.0], down]),
-        between,
-        k=k,
-        h=h,
-    )
+    low, high = expected - SHEWHART * sigma, expected + SHEWHART * sigma
+    up, down = np.concatenate([[0.0], up]), np.concatenate([[0.0], down])
+    chart = ControlChart(expected, low, high, z, up, down, between, k=k, h=h)
     return chart if chart.signal is None else replace(chart, since=_split(value, weight, chart.signal))
 
 
@@ -190,7 +181,6 @@ LEAST = 3
 """Fewest sessions for a straight line with an estimate of the scatter about it."""
 
 
-@dataclass(frozen=True)
 class Drift(JsonRecord):
     """A straight line through the values of a quantity over time.
 

@@ -16,7 +16,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import AdisGonioError, UsageError
 from adis_gonio.base.jsonable import finite, json_object
 from adis_gonio.base.numbers import NAMES, counted, format_percent, label_quantity
-from adis_gonio.base.output import check_output, replacing, write_utf8
+from adis_gonio.base.output import replacing, write_utf8
 from adis_gonio.fleet import fleet_summary, sensor_history
 from adis_gonio.fleet.fleet_run import Fleet, Repeated
 from adis_gonio.fleet.fleet_summary import GROUPS, Outlying, QuantitySummary, Summary, summarise
@@ -387,7 +387,6 @@ def check_outputs(paths: Sequence[Path], files: Sequence[str]) -> None:
             raise UsageError(f"{path}: unknown ending; use {', '.join(ENDINGS)}")
         if str(path) in files:
             raise UsageError(f"{path}: is one of the sessions; name another file")
-        check_output(path, force=True)
         if path.suffix.lower() == ".parquet":
             from adis_gonio.fleet.session_table import require_pyarrow
 

@@ -29,9 +29,12 @@ def files_of(given: Iterable[str | Path]) -> list[str]:
     Raises
     ------
     UsageError
-        There is no file.
+        There is no file, or a given folder does not exist. A missing file becomes a row of the result.
     """
     places = list(map(Path, given))
+    for place in places:
+        if not place.exists() and not place.suffix:
+            raise UsageError(f"{place}: there is no such folder")
     found = {str(path) for place in places for path in _below(place)}
     if not found:
         folders = ", ".join(str(place) for place in places)
@@ -94,7 +97,6 @@ class ThisProcess:
             yield job, record_of(job.path, **options.as_dict())
 
 
-@dataclass(frozen=True)
 class Repeated(JsonRecord):
     """A file that has the data of another file; only the other file is counted."""
 

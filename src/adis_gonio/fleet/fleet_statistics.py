@@ -29,7 +29,6 @@ LEAST = 3
 """Fewest values from which scatter is estimated."""
 
 
-@dataclass(frozen=True)
 class Distribution(JsonRecord):
     """Statistics of the values of one quantity over the fleet.
 
@@ -62,7 +61,6 @@ class Distribution(JsonRecord):
         return cls(len(values), float(values.mean()), sd, robust_sd(values), quantiles, *ends)
 
 
-@dataclass(frozen=True)
 class Beyond(JsonRecord):
     """Scatter of a quantity between sessions, compared with the uncertainties that the sessions state.
 
@@ -153,7 +151,6 @@ def tau_of(q_at: Callable[[float], float], goal: float, values: Floats) -> float
     return float(brentq(lambda tau: q_at(tau) - goal, 0.0, high, xtol=1e-7 * high, rtol=1e-6))
 
 
-@dataclass(frozen=True)
 class Repeats(JsonRecord):
     """Scatter of the sessions of each sensor about their mean, compared with their stated u.
 

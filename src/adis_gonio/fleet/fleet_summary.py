@@ -59,7 +59,6 @@ _RMS = "angle"
 Its logarithm is compared between groups. It has no u: the stated u is for a displayed angle."""
 
 
-@dataclass(frozen=True)
 class QuantitySummary(JsonRecord):
     """Statistics of one quantity over all sessions that determine it.
 
@@ -82,7 +81,6 @@ class QuantitySummary(JsonRecord):
     repeats: Repeats | None
 
 
-@dataclass(frozen=True)
 class Frequency(JsonRecord):
     """Number of sessions in which an effect was found, among the traced sessions."""
 
@@ -103,7 +101,6 @@ class Frequency(JsonRecord):
         return wilson(self.found, self.traced)
 
 
-@dataclass(frozen=True)
 class Outlying(JsonRecord):
     """A sensor, stage or operator with sessions that differ significantly from the others.
 

@@ -32,6 +32,7 @@ from adis_gonio.fleet.population_likelihood import (
 )
 from adis_gonio.fleet.session_evidence import Column
 from adis_gonio.model.effects import catalogue
+from adis_gonio.tracing.named_candidates import prior_weight
 from adis_gonio.tracing.thresholds import limits
 
 
@@ -77,7 +78,7 @@ def candidates_of(columns: Sequence[Column]) -> list[Candidate]:
     for k, column in enumerate(columns):
         by_kind[column.cause, column.named].append(k)
     named = [kind for kind in by_kind if kind[1]]
-    weight = {kind: limits.quadratic_weight if kind[0] == "quadratic" else 1.0 for kind in named}
+    weight = {kind: prior_weight(catalogue()[kind[0]]) for kind in named}
     out = []
     for kind, index in by_kind.items():
         if kind[1]:

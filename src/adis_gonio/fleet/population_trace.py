@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -30,7 +30,6 @@ from adis_gonio.fleet.session_evidence import SessionEvidence
 from adis_gonio.tracing.thresholds import limits
 
 
-@dataclass(frozen=True)
 class Affected(JsonRecord):
     """A session that is probably affected by a cause, with this probability."""
 
@@ -40,7 +39,6 @@ class Affected(JsonRecord):
     probability: float
 
 
-@dataclass(frozen=True)
 class Common(JsonRecord):
     """A cause that several sessions of a population have in common.
 
@@ -131,7 +129,6 @@ def _p(value: float) -> str:
     return f"{max(value, 1e-99):.1g}"
 
 
-@dataclass(frozen=True)
 class PopulationResult(JsonRecord):
     """Result of a population trace: the causes that many sessions have in common.
 

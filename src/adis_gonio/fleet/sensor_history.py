@@ -37,7 +37,6 @@ LISTED = (
 """Fields of a session's record that the document of `history` includes."""
 
 
-@dataclass(frozen=True)
 class Track(JsonRecord):
     """Course of one quantity over the sessions of a sensor that determine it.
 
@@ -218,11 +217,32 @@ def _track(name: str, records: Sequence[SessionRecord], k: float, h: float) -> T
     track = Track(name, unit, tuple(n for n, _, _ in stated), day, values)
     if name == ANGLE or len(values) < 2:
         return track
+    u = own_u([record for _, record, _ in stated], name)
     return replace(
         track,
-        drift=drift_of(day, track.value, track.u, unit),
-        chart=control_chart(track.value, track.u, k, h),
+        drift=drift_of(day, track.value, u, unit),
+        chart=control_chart(track.value, u, k, h),
     )
+
+
+_LEAST_SHARE = 1e-6
+"""Least share of the variance of a value that sessions on one stage do not share."""
+
+
+def own_u(records: Sequence[SessionRecord], name: str) -> Floats:
+    """Standard uncertainties (n,) of a value, without the part that all sessions share by their stage.
+
+    They belong to differences between the sessions. A part is shared if the sessions have the certificate
+    of one stage.
+    """
+    u = np.array([record.values[name].u or 0.0 for record in records])
+    influence = [record.stage_influence.get(name) for record in records]
+    if len({record.stage_curve for record in records}) > 1 or not all(influence):
+        return u
+    moves = np.array(influence, dtype=float)  # (n, k)
+    common = moves.mean(axis=0)
+    variance = u**2 - (moves**2).sum(axis=1) + ((moves - common) ** 2).sum(axis=1)
+    return np.asarray(np.sqrt(np.maximum(variance, _LEAST_SHARE * u**2)))
 
 
 def _stated(value: Value | None) -> bool:

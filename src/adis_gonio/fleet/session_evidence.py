@@ -30,7 +30,7 @@ from adis_gonio.base.errors import DataError
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.estimation.terms import Basis, NamedTerm, NamelessTerm, Term
-from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, catalogue, effect
+from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, catalogue
 from adis_gonio.model.measurement import PlanarTurn
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
@@ -49,7 +49,6 @@ HARMONICS = (2, 3, 4, 5, 6)
 """Harmonics of the direction of gravity in the sensor that describe an unnamed error."""
 COURSES = 4
 """Number of cosines over the length of a session that describe an unnamed course in time."""
-NUISANCE = ("bias", "position_slip", "outlier_dwell")
 
 
 @dataclass(frozen=True)
@@ -126,7 +125,7 @@ def columns_of(data: Readings) -> tuple[list[tuple[Term, list[Column]]], dict[st
 
 
 def _why_not(kind: type[Effect], data: Readings) -> str:
-    if kind.name in NUISANCE:
+    if kind.prior == "constant":
         return "every session has its own"
     if kind.enters is Enters.SAMPLES or kind.within_dwell:
         return "it acts among the samples of a dwell"
@@ -389,7 +388,7 @@ def _begun(data: Readings) -> Fit:
 
 
 def _bias(data: Readings) -> NamedTerm:
-    return NamedTerm("bias", (), 0.0, effect("bias", AXES[: data.axes]))
+    return NamedTerm.offset(AXES[: data.axes])
 
 
 def _of_fit(fit: Fit, **origin: Any) -> SessionEvidence:
@@ -400,7 +399,7 @@ def _of_fit(fit: Fit, **origin: Any) -> SessionEvidence:
     own: list[Term] = [_bias(data)]
     for k, term in enumerate(fit.terms):
         residual = residual + fit.added(k)
-        if term.name in NUISANCE[1:]:
+        if isinstance(term, NamedTerm) and "dwell" in term.effect.choices():
             own.append(term)
     beside = [fit.white(fit.base_columns), *(fit.white(fit.candidate(term)) for term in own)]
     base = orthonormal(np.concatenate(beside, axis=1))

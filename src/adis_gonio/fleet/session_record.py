@@ -43,7 +43,6 @@ PARTS = {"": "value", "_u": "u", "_u95": "U", "_k": "k", "_dof": "dof"}
 Status = Literal["ok", "failed"]
 
 
-@dataclass(frozen=True)
 class FoundEffect(JsonRecord):
     """An effect that the trace of a session found, as in the field `found` of the `trace` document."""
 
@@ -59,7 +58,10 @@ class FoundEffect(JsonRecord):
         return cls(data["effect"], tuple(data["axes"]), data["p_value"], values)
 
 
-@dataclass(frozen=True)
+_APART = ("values", "evidence", "stage_curve", "stage_influence")
+"""Fields of a record that are no columns of its row."""
+
+
 class SessionRecord(JsonRecord):
     """Facts and results of one session file; unknown values are None.
 
@@ -99,6 +101,11 @@ class SessionRecord(JsonRecord):
     effects : tuple of FoundEffect
     adequate : bool or None
         True if the traced model explains the readings; None without a trace.
+    stage_curve : str
+        Digest of the certificate of the stage that corrected the declared angles; empty without it.
+    stage_influence : dict of str to tuple of float
+        Change of each value by one standard uncertainty of each independent error of that certificate,
+        which sessions on one stage share.
     doubts : tuple of str
         Reasons to doubt the result: dwells that the operator kept although a guard objected.
     status : {"ok", "failed"}
@@ -131,6 +138,8 @@ class SessionRecord(JsonRecord):
     traced: bool = False
     effects: tuple[FoundEffect, ...] = ()
     adequate: bool | None = None
+    stage_curve: str = ""
+    stage_influence: dict[str, tuple[float, ...]] = field(default_factory=dict)
     doubts: tuple[str, ...] = ()
     status: Status = "ok"
     reason: str = ""
@@ -147,6 +156,7 @@ class SessionRecord(JsonRecord):
                 "values": {name: value_from(entry) for name, entry in data["values"].items()},
                 "effects": tuple(FoundEffect.from_dict(entry) for entry in data["effects"]),
                 "doubts": tuple(data["doubts"]),
+                "stage_influence": {n: tuple(v) for n, v in data.get("stage_influence", {}).items()},
             }
         )
 
@@ -158,7 +168,7 @@ class SessionRecord(JsonRecord):
         column (counts of unknown scale) is left out. `effects` and `model_effects` are
         lists of names.
         """
-        row = {name: value for name, value in vars(self).items() if name not in ("values", "evidence")}
+        row = {name: value for name, value in vars(self).items() if name not in _APART}
         row["model_effects"] = list(self.model_effects)
         row["effects"] = list(dict.fromkeys(found.effect for found in self.effects))
         row["doubts"] = "; ".join(self.doubts)
@@ -206,7 +216,6 @@ def value_from(entry: Mapping[str, Any]) -> Value:
     )
 
 
-@dataclass(frozen=True)
 class Options(JsonRecord):
     """Computations that are made for every session.
 
@@ -340,6 +349,8 @@ def _results(session: Session, *, trace: bool) -> dict[str, Any]:
         "method": answer.recommended.method,
         "model_effects": answer.recommended.effects,
         "values": _values(answer),
+        "stage_curve": "" if session.stage_curve is None else session.stage_curve.digest,
+        "stage_influence": {n: tuple(c.tolist()) for n, c in answer.result.stage_influence.items()},
         "angle_max_deg": None if score is None else finite_or_none(score.angle_max_deg),
         **_of_trace(found),
     }

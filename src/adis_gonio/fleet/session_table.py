@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.errors import DataError, NotInstalledError
+from adis_gonio.base.errors import DataError, NotInstalledError, install_extra
 from adis_gonio.fleet.session_record import QUANTITIES
 
 Kind = Literal["text", "number", "integer", "flag", "names"]
@@ -111,7 +111,7 @@ def require_pyarrow() -> Any:
     try:
         import pyarrow.parquet
     except ImportError:
-        raise NotInstalledError("Parquet needs pyarrow: pip install 'adis-gonio[fleet]'") from None
+        raise NotInstalledError(f"Parquet needs pyarrow: {install_extra('fleet')}") from None
     return pyarrow
 
 

@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from adis_gonio.base import __version__
-from adis_gonio.base.errors import FleetError, NotInstalledError, UsageError
+from adis_gonio.base.errors import FleetError, NotInstalledError, UsageError, install_extra
 from adis_gonio.fleet.session_record import Job, Options, SessionRecord, lost, work
 
 if TYPE_CHECKING:
@@ -321,7 +321,7 @@ class Cluster:
         try:
             import distributed  # noqa: F401
         except ImportError:
-            raise NotInstalledError("a cluster needs dask: pip install 'adis-gonio[fleet]'") from None
+            raise NotInstalledError(f"a cluster needs dask: {install_extra('fleet')}") from None
         self.address = address
         self._alone_s = alone_s
         self._count, self._looked, self._peopled = 0, 0.0, time.monotonic()

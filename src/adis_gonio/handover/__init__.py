@@ -6,14 +6,11 @@ Public names are imported when they are first used.
 from adis_gonio.base import lazily
 
 _HOMES = {
-    "ExportSource": "session_export",
-    "TwinComparison": "twin_comparison",
-    "certificate_text": "certificate",
-    "compare": "twin_comparison",
-    "offset_words": "register_offsets",
-    "registers_text": "register_offsets",
-    "reproduce": "paper_study",
-    "simulate_like": "digital_twin",
+    "certificate": "certificate_text",
+    "digital_twin": "simulate_like",
+    "paper_study": "reproduce",
+    "register_offsets": "offset_words registers_text",
+    "session_export": "ExportSource",
+    "twin_comparison": "TwinComparison compare",
 }
-__all__ = list(_HOMES)
 __getattr__ = lazily(__name__, _HOMES)

@@ -36,7 +36,7 @@ from adis_gonio.handover.fixed_point import (
     cordic_table,
     rate_polynomial_of,
 )
-from adis_gonio.handover.polynomial import PARTS, RANGE_G, Monomial, Polynomial, angle_u_deg, polynomial_of
+from adis_gonio.handover.polynomial import PARTS, RANGE_G, Monomial, Polynomial, polynomial_of
 from adis_gonio.model.effects import AXES
 
 DEFAULT_NAME = "adis_gonio"
@@ -46,20 +46,8 @@ CHECKS = 8
 RATE_CHECKS = 4
 _FIELDS = {"t": "temperature", "v": "supply"}
 """Field of each condition in the header's scan and in the polynomials."""
-_ASCII = str.maketrans(
-    {
-        "²": "2",
-        "³": "3",
-        "°": "deg",
-        "Δ": "d",
-        "φ": "phi",
-        "µ": "u",
-        "±": "+-",
-        "−": "-",
-        "·": "*",
-        "θ": "theta",
-    }
-)
+_ASCII = str.maketrans({"²": "2", "³": "3", "°": "deg", "Δ": "d", "φ": "phi", "µ": "u"})
+_ASCII |= str.maketrans({"±": "+-", "−": "-", "·": "*", "θ": "theta"})
 
 
 def c_header(calibration: Calibration, name: str = DEFAULT_NAME) -> str:
@@ -99,8 +87,9 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
     planes = _planes(calibration)
     needs = polynomial.needs
     where = calibration.provenance
-    u_deg = angle_u_deg(calibration, range(0, 360, 5))
-    u_udeg = int(np.ceil(u_deg.max() * 1e6)) if np.isfinite(u_deg).all() else None
+    u_udeg = None
+    if calibration.covariance is not None:
+        u_udeg = int(np.ceil(calibration.error_curves(stage=False)[1].u_deg.max() * 1e6))
     gyro = calibration.gyro
     return {
         "c": _whole,

@@ -22,13 +22,14 @@ from adis_gonio.base.numbers import (
     format_number,
     format_p,
     format_percent,
+    format_span,
     format_uncertain,
     format_unit,
     label_quantity,
     use_minus,
     with_unit,
 )
-from adis_gonio.base.uncertainty import Value
+from adis_gonio.base.uncertainty import NORMAL_95, Value
 from adis_gonio.device.sensor.settings import compensations
 from adis_gonio.fitting import FitResult
 from adis_gonio.fitting.answer import Answer, format_dof, format_share
@@ -72,7 +73,7 @@ def summary_section(traced: TraceResult | str, fits: Sequence[FitResult]) -> Sec
         pair = {e.name: Value(e.value, e.u, e.unit) for e in best.parameters if e.name in _ORDER}
         by_method = _pair(pair)
     if isinstance(traced, str):
-        lines = [f"By method {best.method} (± u): {by_method}."] if best is not None and by_method else []
+        lines = [f"By method {best.method} (± U): {by_method}."] if best is not None and by_method else []
         return Section("Summary", words=[*lines, f"The session could not be traced: {traced}"])
     lines = [words.headline(traced), words.gains(traced)]
     final = {name: value for name, value in traced.base.items() if name in _ORDER}
@@ -81,7 +82,7 @@ def summary_section(traced: TraceResult | str, fits: Sequence[FitResult]) -> Sec
             f" (method {best.method}, before the trace: {by_method})" if best and by_method else ""
         )
         names = "With the effects found" if traced.steps else "By the base model"
-        lines.append(f"{names} (± u): {_pair(final)}{alternative if traced.steps else ''}.")
+        lines.append(f"{names} (± U): {_pair(final)}{alternative if traced.steps else ''}.")
     if traced.confounded:
         lines.append(f"This session cannot distinguish: {'; '.join(words.confounded(traced))}.")
     return Section("Summary", words=lines)
@@ -141,8 +142,8 @@ def certificate_section(
             *(Table(["", ""], rows) for rows in (instrument, conditions, signature[:1], signature[1:])),
         ],
         notes=[
-            f"Method {answer.title}. U = k·u covers 95 %. The stated errors are those of the mean of many "
-            "readings; traceable to the declared angles of the stage only. The annex follows."
+            f"Method {answer.title}. U = k·u covers 95 %. The errors apply to the mean of many readings; "
+            "they are traceable to the declared angles of the stage only. The annex follows."
         ],
         sheet=True,
     )
@@ -212,12 +213,12 @@ def positions_section(findings: Sequence[PositionFinding]) -> list[Section]:
         for found in findings
     ]
     sentences = list(dict.fromkeys(found.sentence for found in findings))
-    table = Table(_ANGLES, rows, numeric=(1, 2, 3, 5), caption="Angles with their standard uncertainties.")
+    table = Table(_ANGLES, rows, numeric=(1, 2, 3, 5), caption="Angles ± U (95 %).")
     return [Section("Wrong positions", words=sentences, tables=[table])]
 
 
 def _angle(angle: Angle | None) -> str:
-    return DASH if angle is None else format_uncertain(*angle, "deg")
+    return DASH if angle is None else str(Value(*angle, "deg"))
 
 
 def budget_section(answer: Answer) -> Section:
@@ -284,9 +285,11 @@ def _by_method(fits: Sequence[FitResult]) -> Table:
     for name in names:
         entries = [next((e for e in fit.parameters if e.name == name), None) for fit in fits]
         unit = next(e.unit for e in entries if e is not None)
-        cells = ["" if e is None else format_uncertain(e.value, e.u) for e in entries]
+        cells = ["" if e is None else format_uncertain(e.value, e.U) for e in entries]
         rows.append([NAMES.get(name, name), format_unit(unit), *cells])
-    rows.append(["residual, rms", "mg", *(format_number(fit.residual_rms_mg) for fit in fits)])
+    rows.append(
+        ["residual, rms", "mg", *(format_number(fit.residual_rms_mg) if fit.dof else DASH for fit in fits)]
+    )
     rows.append(
         [
             "χ² / degrees of freedom",
@@ -299,7 +302,7 @@ def _by_method(fits: Sequence[FitResult]) -> Table:
         rows,
         numeric=tuple(range(2, 2 + len(fits))),
         strong=tuple(k for k, name in enumerate(names) if name in _ORDER),
-        caption="± one standard uncertainty; ± k times that covers 95 % (k in the answer's table).",
+        caption="Value ± U (95 %).",
     )
 
 
@@ -593,7 +596,7 @@ def _span(series: Sequence[Any], unit: str) -> str:
     if not known:
         return "not recorded"
     low, high = min(float(np.nanmin(s)) for s in known), max(float(np.nanmax(s)) for s in known)
-    return f"{format_fixed(low, 2)} to {format_fixed(high, 2)} {unit}"
+    return format_span(low, high, 2, unit)
 
 
 def _readings(session: Session, observed: Readings) -> Table:
@@ -610,7 +613,7 @@ def _readings(session: Session, observed: Readings) -> Table:
                 {1: "below", -1: "above"}.get(dwell.approach, "–"),
                 str(len(dwell)),
                 *(
-                    format_fixed(m, 3) if np.isnan(s) else format_uncertain(m, s)
+                    format_fixed(m, 3) if np.isnan(s) else format_uncertain(m, NORMAL_95 * s)
                     for m, s in zip(mean, u, strict=True)
                 ),
                 "–" if dwell.temperature_c is None else f"{float(np.mean(dwell.temperature_c)):.2f}",

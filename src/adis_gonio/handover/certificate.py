@@ -19,11 +19,10 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.conformity import Tolerance, Verdict, state_conformity
 from adis_gonio.base.errors import DataError, FitError, one_line
 from adis_gonio.base.uncertainty import coverage_factor
-from adis_gonio.calibrate.calibration import Calibration
+from adis_gonio.calibrate.calibration import CURVE_PLACES, Calibration
 from adis_gonio.calibrate.coefficients import Coefficient
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration, kind_of
 from adis_gonio.device.sensor.variants import VARIANTS
-from adis_gonio.handover.polynomial import angle_u_deg
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, StageCurve
 
 VERSION = "3.2.1"
@@ -88,7 +87,7 @@ def certificate_text(
     issued : date, optional
         Date of the calibration if the session does not state it; by default today.
     tolerance : Tolerance, optional
-        Tolerance of the angle, whose conformity is stated.
+        Tolerance of the angle, for the statement of conformity.
 
     Raises
     ------
@@ -301,7 +300,7 @@ def _statements(calibration: Calibration) -> list[str]:
 def _gyro_statements(gyro: GyroCalibration) -> list[str]:
     texts = [
         "Gyros read K D ω + b + G f: zero rates b without acceleration, sensitivities relative to the "
-        "nominal one, f the readings of the accelerometers.",
+        "nominal one, f the readings of the accelerometers."
     ]
     if gyro.assumed:
         texts.append(f"Not determined and taken as nominal: {', '.join(gyro.assumed)}.")
@@ -377,9 +376,9 @@ def _real(parent: ET.Element, one: Coefficient) -> None:
 
 def _turn(parent: ET.Element, calibration: Calibration) -> None:
     """Add the uncertainty that the calibration adds to angles in the plane of x and y."""
-    u_deg = angle_u_deg(calibration, _TURN_DEG)
-    if not np.isfinite(u_deg).all():
+    if calibration.covariance is None:
         return
+    u_deg = calibration.error_curves(stage=False)[1].u_deg[:: CURVE_PLACES // len(_TURN_DEG)]
     data = _add(
         _named(parent, "result", "Angle of gravity in the plane of X and Y by the calibrated sensor"),
         "data",

@@ -290,7 +290,7 @@ def _accel_bias_mg(fit: Fit) -> Floats:
     """Biases (3,) of the accelerometers in mg, by the traced model."""
     found = np.zeros(3)
     for term, values in zip(fit.terms, fit.values.terms, strict=True):
-        if isinstance(term, NamedTerm) and term.name == "bias":
+        if isinstance(term, NamedTerm) and term.constant:
             for one, value in zip(term.effect.parameters, values, strict=True):
                 found[AXES.index(one.name[-1])] += value
     return found

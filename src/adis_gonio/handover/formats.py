@@ -30,6 +30,8 @@ class Format:
         takes a `Session` and a path and writes the file.
     named : bool
         True if the function also takes a prefix of all names in the file.
+    meaning : str
+        Content in a few words, for the help.
     """
 
     name: str
@@ -37,6 +39,7 @@ class Format:
     holds: Literal["coefficients", "samples", "document"]
     writer: str = ""
     named: bool = False
+    meaning: str = ""
 
     def function(self) -> Callable[..., Any]:
         """Import the function that writes this format."""
@@ -45,12 +48,43 @@ class Format:
 
 
 FORMATS = (
-    Format("c-header", (".h", ".hpp"), "coefficients", "handover.c_header:c_header", named=True),
-    Format("json", (".json",), "document"),
-    Format("csv", (".csv", ".csv.gz"), "samples", "record.samples_writer:write_csv"),
-    Format("parquet", (".parquet",), "samples", "handover.session_export:write_parquet"),
-    Format("dcc", (".xml",), "coefficients", "handover.certificate:certificate_text"),
-    Format("registers", (".txt",), "coefficients", "handover.register_offsets:registers_text"),
+    Format(
+        "c-header",
+        (".h", ".hpp"),
+        "coefficients",
+        "handover.c_header:c_header",
+        named=True,
+        meaning="gravity and angle in C, fixed point and float",
+    ),
+    Format("json", (".json",), "document", meaning="calibration, fit or trace, facts of the session"),
+    Format(
+        "csv",
+        (".csv", ".csv.gz"),
+        "samples",
+        "record.samples_writer:write_csv",
+        meaning="samples, which adis-gonio fit reads back",
+    ),
+    Format(
+        "parquet",
+        (".parquet",),
+        "samples",
+        "handover.session_export:write_parquet",
+        meaning="samples (extra: parquet)",
+    ),
+    Format(
+        "dcc",
+        (".xml",),
+        "coefficients",
+        "handover.certificate:certificate_text",
+        meaning="digital calibration certificate",
+    ),
+    Format(
+        "registers",
+        (".txt",),
+        "coefficients",
+        "handover.register_offsets:registers_text",
+        meaning="offsets, which adis-gonio registers takes",
+    ),
 )
 BY_NAME = {one.name: one for one in FORMATS}
 ENDINGS = {ending: one.name for one in FORMATS for ending in one.endings}

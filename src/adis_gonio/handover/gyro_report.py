@@ -15,6 +15,7 @@ from adis_gonio.base.numbers import (
     format_uncertain,
     format_unit,
     join_words,
+    signed,
 )
 from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.allan import AllanResult, AxisNoise, allan_result, fit_allan
@@ -90,9 +91,7 @@ def gyro_table(result: GyroFit) -> Table:
         names = [pattern.format(axis) for axis in "xyz"]
         if any(name in result for name in names):
             rows.append([title, *(_cell(result, name) for name in names)])
-    caption = (
-        "Value ± standard uncertainty. A dash: not determined, taken as ideal (see the remarks above)."
-    )
+    caption = "Value ± U (95 %). A dash: not determined, taken as ideal (see the remarks above)."
     return Table(["quantity", "gyro X", "gyro Y", "gyro Z"], rows, caption=caption, numeric=(1, 2, 3))
 
 
@@ -100,7 +99,7 @@ def _cell(result: GyroFit, name: str) -> str:
     if name not in result:
         towards_itself = name.startswith("gyro_misalignment") and name[-1] == name[-2]
         return "" if towards_itself else "–"
-    return format_uncertain(result[name].value, result[name].u)
+    return format_uncertain(result[name].value, result[name].U)
 
 
 def _every(result: GyroFit) -> list[Table]:
@@ -146,7 +145,7 @@ def _offsets(session: Session) -> list[Table]:
             word.name,
             format_fixed(word.before, 0),
             format_fixed(word.number, 0),
-            format_fixed(word.remainder, 4, sign=True),
+            signed(word.remainder, 4),
         ]
         for word in words
     ]

@@ -73,14 +73,14 @@ TABLE: tuple[TableRow, ...] = (
     TableRow("scale_error", "SF", "1", "x", 0.0214, 0.0116, 0.0128, 0.0),
     TableRow("scale_error", "SF", "1", "y", 0.021, 0.0121, 0.0129, 0.0),
     TableRow("offset", "Δφ", "g", "x", -0.003, -0.0025, -0.003, -0.001),
-    TableRow("offset", "Δφ", "g", "y", -0.0029, -0.0023, -0.003, 0.001),
+    TableRow("offset", "Δφ", "g", "y", -0.0029, -0.0023, -0.003, -0.001),
     TableRow("non_orthogonality", "N", "deg", "x", 0.0612, 0.051, -0.057, 0.05),
     TableRow("non_orthogonality", "N", "deg", "y", 0.0673, 0.0514, -0.055, 0.05),
 )
 """Mean values in table 1 of the paper."""
 
-RMSD = 0.0033
-"""Root mean square deviation that the paper prints with the specification of SF (scale factor)."""
+RMSD = {"SF": 0.0033, "Δφ": 0.001}
+"""Root mean square deviations that the paper prints with the specifications, which are averages."""
 
 
 def row_of(key: str, axis: Axis) -> TableRow:
@@ -88,7 +88,6 @@ def row_of(key: str, axis: Axis) -> TableRow:
     return next(row for row in TABLE if (row.key, row.axis) == (key, axis))
 
 
-@dataclass(frozen=True)
 class Truth(JsonRecord):
     """True parameters of the sensor in simulated sessions.
 

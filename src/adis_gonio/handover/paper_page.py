@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from adis_gonio.base.numbers import (
-    NO_BREAK,
-    counted,
-    format_fixed,
-    format_number,
-)
+from adis_gonio.base.numbers import NO_BREAK, counted, format_fixed, format_number
 from adis_gonio.handover.paper_map import BIASES_MG, FIXTURES_DEG, NOISES_MG, RMSD, TABLE, Point
 from adis_gonio.handover.paper_study import (
     COLUMNS,
@@ -113,7 +108,7 @@ def _summary(done: Study) -> Section:
 def _cell(spread: MethodSpread) -> str:
     if spread.mean is None:
         return "not determined"
-    return f"{format_fixed(spread.mean, 4)} ±{NO_BREAK}{format_fixed(spread.spread or 0.0, 4)}"
+    return f"{format_fixed(spread.mean, 4)}{NO_BREAK}({format_fixed(spread.spread or 0.0, 4)})"
 
 
 def _table(done: Study) -> Section:
@@ -133,7 +128,7 @@ def _table(done: Study) -> Section:
         "Table 1",
         words=(
             "Measured is the truth of the simulated parts. Next to each printed value is the result of our"
-            " sessions: mean ± standard deviation over the sessions, and u, the standard uncertainty"
+            " sessions: mean (standard deviation) over the sessions, and u, the standard uncertainty"
             " that the method states for one session. SF is a relative error, Δφ an offset in g, N an angle"
             " in degrees.",
             "Two positions do not determine an offset, the paper's Δφ, so that the printed offset cannot"
@@ -142,7 +137,7 @@ def _table(done: Study) -> Section:
         ),
         tables=(Table(head, rows, numeric=tuple(range(1, len(head)))),),
         notes=(
-            f"The specification of SF is printed with RMSD {RMSD}.",
+            f"Specifications are averages; RMSDs are printed for SF, {RMSD['SF']}, and Δφ, {RMSD['Δφ']}.",
             f"Command: {done.command} --json (table_1)",
         ),
     )
@@ -255,10 +250,7 @@ def _map(done: Study) -> Section:
             " crossing in ΔK either.",
         ),
         figures=[Figure(svg, caption) for svg, caption in map_figures(done).values()],
-        tables=(
-            _ratios(done, "delta_k", "ΔK"),
-            _ratios(done, "non_orthogonality", "Δφ"),
-        ),
+        tables=(_ratios(done, "delta_k", "ΔK"), _ratios(done, "non_orthogonality", "Δφ")),
         notes=(f"Command: {done.command} --json (map)",),
     )
 

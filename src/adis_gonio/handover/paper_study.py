@@ -270,7 +270,6 @@ class Cell:
         return json_object(name=self.row.name, **asdict(self.row), sessions=self.ours)
 
 
-@dataclass(frozen=True)
 class Comparison(JsonRecord):
     """The paper's table 1 with the statistics of simulated sessions.
 
@@ -328,7 +327,6 @@ def parts_with_bias(rng: np.random.Generator, count: int) -> list[Part]:
     return [Part(seed=int(rng.integers(2**31)), truth=truth) for truth in hidden]
 
 
-@dataclass(frozen=True)
 class BiasError(JsonRecord):
     """Errors of Δφ, by method, on sessions of sensors that have a bias.
 
@@ -499,12 +497,7 @@ def reproduce(
     )
     columns: dict[Axis, Sequence[Results]] = {axis: results[axis] for axis in AXES}
     return Study(
-        seed,
-        sessions,
-        table_of(columns),
-        mapped,
-        errors_with_bias(results["bias"], again),
-        results,
+        seed, sessions, table_of(columns), mapped, errors_with_bias(results["bias"], again), results
     )
 
 

@@ -12,8 +12,9 @@ Factors are readings a (|a| ≤ 2), their moduli, t = (T − 25 °C)/128 and v =
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,8 +24,7 @@ from adis_gonio.base.errors import FitError
 from adis_gonio.calibrate.calibration import Calibration, EffectTerm
 from adis_gonio.device.sensor.registers import Kind
 from adis_gonio.device.sensor.variants import VARIANTS
-from adis_gonio.model.effects import AXES
-from adis_gonio.model.effects.base import CrossEffect
+from adis_gonio.model.effects import AXES, Conditions
 from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.records import MG_PER_G
 
@@ -41,14 +41,6 @@ GENERIC_V = 1e-3
 MOST_PASSES = 16
 SETTLED_G = 2.0**-30
 """Tolerance of the solution: half of the last place of the fixed point."""
-
-
-def angle_u_deg(calibration: Calibration, angles_deg: Sequence[float]) -> Floats:
-    """Standard uncertainty (n,) that the calibration adds to angles in the x-y plane; NaN if unknown."""
-    psi = np.radians(angles_deg)
-    gravity = np.zeros((len(psi), calibration.axes))
-    gravity[:, 0], gravity[:, 1] = np.cos(psi), np.sin(psi)
-    return calibration.angle(calibration.readings_of(gravity), plane="xy").u_deg
 
 
 @dataclass(frozen=True)
@@ -162,43 +154,50 @@ def polynomial_of(calibration: Calibration) -> Polynomial:
     return made
 
 
-_Form = Callable[[str, str], tuple[float, tuple[str, ...]]]
-_MG = 1 / MG_PER_G
-_RAD = math.pi / 180
-
-# Factors of each effect (i: own axis, p: the axis across), and the conversion of its parameter to g.
-_FORMS: dict[str, tuple[_Form, ...]] = {
-    "scale": (lambda i, p: (1.0, (i,)),),
-    "misalignment": (lambda i, p: (_RAD, (p,)),),
-    "cross_axis": (lambda i, p: (_MG, (i, p)),),
-    "quadratic": (lambda i, p: (_MG, (i, i)),),
-    "cubic": (lambda i, p: (_MG, (i, i, i)),),
-    "asymmetry": (lambda i, p: (_MG, (f"|{i}|",)),),
-    "cross_quadratic": (lambda i, p: (_MG, (p, p)),),
-    "bias_temperature": (
-        lambda i, p: (_MG * SPAN_C, ("t",)),
-        lambda i, p: (_MG * SPAN_C**2, ("t", "t")),
-        lambda i, p: (_MG * SPAN_C**3, ("t", "t", "t")),
-    ),
-    "scale_temperature": (lambda i, p: (1e-6 * SPAN_C, ("t", i)),),
-    "misalignment_temperature": (lambda i, p: (_RAD * SPAN_C, ("t", p)),),
-    "supply_bias": (lambda i, p: (_MG * SPAN_V, ("v",)),),
-    "supply_scale": (lambda i, p: (1e-6 * SPAN_V, ("v", i)),),
-}
+_TRIALS = 8
+"""Readings at which an effect is compared with products of factors."""
 
 
 def _monomials(calibration: Calibration, term: EffectTerm) -> list[Monomial]:
-    kind = term.effect
-    if kind.name not in _FORMS:
-        raise FitError(f"effect {kind.name} has no form for a firmware")
-    pairs = kind.pairs() if isinstance(kind, CrossEffect) else [(axis, "") for axis in kind.axes]
-    each = len(term.parameters) // len(pairs)
+    """Find the product of factors to which each parameter of an effect is proportional.
+
+    Raises
+    ------
+    FitError
+        The effect is no sum of such products.
+    """
+    rng, effect = np.random.default_rng(1), term.effect
+    ideal = rng.uniform(-1.0, 1.0, (_TRIALS, calibration.axes))
+    t, v = rng.uniform(-1.0, 1.0, (2, _TRIALS))
+    conditions = Conditions(
+        np.zeros(_TRIALS), temperature_c=REFERENCE_C + SPAN_C * t, supply_v=REFERENCE_V + SPAN_V * v
+    )
     made = []
-    for k, name in enumerate(term.parameters):
-        own, across = pairs[k // each]
-        factor, factors = _FORMS[kind.name][k % each](own, across)
-        made.append(Monomial(AXES.index(own), factor * calibration[name].value, factors))
+    for name, unit in zip(term.parameters, np.eye(len(term.parameters)), strict=True):
+        change = effect.reading(unit, ideal * MG_PER_G, conditions) / MG_PER_G
+        axis = int(np.abs(change).max(axis=0).argmax())
+        own = np.eye(calibration.axes)[axis]
+        # The own axis comes first in a product of readings.
+        axes = [axis, *(k for k in range(calibration.axes) if k != axis)]
+        factors = {"t": t, "v": v} | {AXES[k]: ideal[:, k] for k in axes}
+        factors |= {f"|{AXES[k]}|": np.abs(ideal[:, k]) for k in axes}
+        for names in _products(factors):
+            product = np.prod([factors[one] for one in names], axis=0)
+            coefficient = float(change[0, axis] / product[0])
+            if coefficient and np.allclose(
+                change, np.outer(coefficient * product, own), rtol=1e-9, atol=0.0
+            ):
+                made.append(Monomial(axis, coefficient * calibration[name].value, names))
+                break
+        else:
+            raise FitError(f"effect {effect.name} has no form for a firmware")
     return made
+
+
+def _products(factors: Iterable[str]) -> Iterator[tuple[str, ...]]:
+    """Names of all products of one to three factors."""
+    for count in (1, 2, 3):
+        yield from itertools.combinations_with_replacement(factors, count)
 
 
 def _passes(monomials: tuple[Monomial, ...]) -> int:

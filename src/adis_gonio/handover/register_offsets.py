@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from adis_gonio.base.errors import AdisGonioError, DataError, FitError
 from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.base.numbers import signed
 from adis_gonio.calibrate.calibration import Calibration
 from adis_gonio.calibrate.coefficients import Coefficient
 from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, GyroCalibration
@@ -17,7 +17,6 @@ from adis_gonio.model.effects import AXES
 from adis_gonio.tracing.trace_calibrations import load_calibration, load_gyro_calibration
 
 
-@dataclass(frozen=True)
 class OffsetWord(JsonRecord):
     """The number for one offset register, which the sensor adds to its output.
 
@@ -82,7 +81,7 @@ class OffsetWord(JsonRecord):
 
     def __str__(self) -> str:
         u = "" if self.u is None else f" (u {self.u:.2g})"
-        return f"{self.number} = {self.value:+.4g} {self.unit}{u}"
+        return f"{self.number} = {signed(self.value, digits=4)} {self.unit}{u}"
 
 
 def offset_words(calibration: Calibration) -> tuple[OffsetWord, ...]:
@@ -190,6 +189,6 @@ def _lines(words: Sequence[OffsetWord], label: str, digits: int) -> list[str]:
     for word in words:
         u = "unknown" if word.u is None else f"{word.u:.2g} {word.unit}"
         held = "" if word.before is None else f", {word.before} before"
-        bias, left = (f"{value:+.{digits}f} {word.unit}" for value in (word.bias, word.remainder))
+        bias, left = (f"{signed(value, digits)} {word.unit}" for value in (word.bias, word.remainder))
         lines += [f"# {label} {bias} (u {u}), {left} left{held}", f"{word.name}={word.number}"]
     return lines

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from adis_gonio.base.conformity import Tolerance
-from adis_gonio.base.errors import DataError, FitError, NotInstalledError, UsageError
+from adis_gonio.base.errors import DataError, FitError, NotInstalledError, UsageError, install_extra
 from adis_gonio.base.jsonable import finite
 from adis_gonio.base.output import write_utf8
 from adis_gonio.calibrate.calibration import Calibration
@@ -57,7 +57,7 @@ def write_parquet(session: Session, path: str | Path) -> None:
         import pyarrow as pa
         import pyarrow.parquet as pq
     except ImportError:
-        raise NotInstalledError("Parquet needs pyarrow: pip install 'adis-gonio[parquet]'") from None
+        raise NotInstalledError(f"Parquet needs pyarrow: {install_extra('parquet')}") from None
     dwells = session.sampled
     if not dwells:
         raise DataError(f"{session.source or 'session'}: the session has no dwell to write")
@@ -137,7 +137,7 @@ class ExportSource:
     overrides : Overrides or None
         Corrections of the session's metadata.
     tolerance : Tolerance or None
-        Tolerance of the angle, whose conformity a certificate states.
+        Tolerance of the angle, for the statement of conformity in a certificate.
     gyros : Path or None
         Session or calibration of the sensor's gyros, used instead of the gyros of this session.
     """

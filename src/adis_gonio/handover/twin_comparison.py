@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,7 +19,6 @@ from adis_gonio.page.svg import Role, Series, plot
 from adis_gonio.tracing.trace_result import TraceResult
 
 
-@dataclass(frozen=True)
 class TwinComparison(JsonRecord):
     """Comparison of a measured session with its digital twin: residuals, Allan deviation, spectrum.
 
@@ -231,21 +229,11 @@ def twin_section(session: Session, traced: TraceResult, *, seed: int = 0) -> Sec
 
 
 def _figures(found: TwinComparison) -> list[Figure]:
+    allan = found.allan_measured_mg, found.allan_twin_mg
+    density = found.density_measured, found.density_twin
     pairs = (
-        (
-            found.tau_s,
-            found.allan_measured_mg,
-            found.allan_twin_mg,
-            "averaging time / s",
-            "Allan deviation / mg",
-        ),
-        (
-            found.frequency_hz,
-            found.density_measured,
-            found.density_twin,
-            "frequency / Hz",
-            "density / mg/√Hz",
-        ),
+        (found.tau_s, *allan, "averaging time / s", "Allan deviation / mg"),
+        (found.frequency_hz, *density, "frequency / Hz", "spectral density / mg/√Hz"),
     )
     figures = []
     for x, ours, theirs, x_label, y_label in pairs:
@@ -254,7 +242,7 @@ def _figures(found: TwinComparison) -> list[Figure]:
                 Series(x, ours[:, k], "measured", role="before"),
                 Series(x, theirs[:, k], "twin", role="after", style="line"),
             ]
-            title = f"{y_label.split(' /')[0]} of {_AXES[k]}"
+            title = f"{y_label.split(' /')[0].capitalize()} of {_AXES[k]}"
             svg = plot(series, x_label, y_label, title=title, x_log=True, y_log=True)
             figures.append(Figure(svg, f"{title}, within the dwells."))
     series = [

@@ -8,8 +8,10 @@ in `adis_gonio.record`; fits read them in `adis_gonio.fitting`.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -21,6 +23,7 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.computed_once import ComputedOnce
 from adis_gonio.base.errors import UsageError, one_line
+from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted
 
 if TYPE_CHECKING:
@@ -242,18 +245,36 @@ class StageCurve:
     error_deg: Floats
     covariance_deg2: Floats
 
-    def check(self, session: Session) -> None:
-        """Check that the certificate covers the declared angles of a session.
+    @classmethod
+    def of(cls, document: Mapping[str, Any]) -> StageCurve:
+        """Restore the curve from the JSON object of its fields."""
+        numbers = {name: np.array(value) for name, value in document.items() if name != "name"}
+        return cls(document["name"], **numbers)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the JSON object of the curve."""
+        return json_object(**vars(self))
+
+    @property
+    def digest(self) -> str:
+        """Hash of the curve, by which sessions on one stage are recognised."""
+        return hashlib.sha256(json.dumps(self.as_dict()).encode()).hexdigest()
+
+    def check(self, angles_deg: Iterable[float | None]) -> None:
+        """Check that the certificate covers the declared angles of a session or a plan.
 
         Raises
         ------
         UsageError
             There are none, or one is between angles of the certificate that are too far apart.
         """
-        session.require_angles("there is nothing that a stage's certificate corrects")
+        declared = [angle % 360 for angle in angles_deg if angle is not None]
+        if not declared:
+            raise UsageError(
+                f"{self.name}: no angle is declared that the stage's certificate could correct"
+            )
         steps = np.diff(self.angle_deg, prepend=self.angle_deg[-1] - 360)
-        for dwell in session.dwells:
-            angle = (dwell.angle_deg or 0.0) % 360
+        for angle in declared:
             after = int(np.searchsorted(self.angle_deg, angle)) % len(steps)
             if steps[after] > WIDEST_STEP_DEG and angle not in self.angle_deg:
                 raise UsageError(f"{self.name}: the certificate has no errors of the stage near {angle:g}°")
@@ -454,11 +475,6 @@ class Session(ComputedOnce):
     def gravity_mg(self) -> float:
         """Local gravity in mg (thousandths of the standard 9.80665 m/s²)."""
         return 1000.0 * self.gravity_mps2 / STANDARD_GRAVITY_MPS2
-
-    def require_angles(self, otherwise: str) -> None:
-        """Raise a `UsageError` if no angle is declared."""
-        if all(dwell.angle_deg is None for dwell in self.dwells):
-            raise UsageError(f"{self.source}: no angle is declared, {otherwise}")
 
     def used_for(self, use: Use) -> Session:
         """Copy of the session that contains only the dwells for one use, such as fit or check."""

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adis_gonio.base.errors import NotInstalledError
+from adis_gonio.base.errors import NotInstalledError, install_extra
 from adis_gonio.base.numbers import format_number
 
 if TYPE_CHECKING:
@@ -217,7 +217,7 @@ def require_matplotlib() -> None:
         importlib.import_module("matplotlib.figure")
     except ImportError as error:
         raise NotInstalledError(
-            f"the figures of a report need {error.name or error}: pip install 'adis-gonio[report]'"
+            f"the figures of a report need {error.name or error}: {install_extra('report')}"
         ) from error
 
 

@@ -16,16 +16,17 @@ from adis_gonio.base import lazily
 from adis_gonio.record.plans import find_plan, read_plan, write_plan
 
 if TYPE_CHECKING:
-    from adis_gonio.plan.optimal_plan import BestPlan, best_plan, fewest_positions, positions_in
-    from adis_gonio.plan.prediction import Bench, Prediction, predict
+    from adis_gonio.plan.optimal_plan import (
+        BestPlan as BestPlan,
+        best_plan as best_plan,
+        fewest_positions as fewest_positions,
+        positions_in as positions_in,
+    )
+    from adis_gonio.plan.prediction import Bench as Bench, Prediction as Prediction, predict as predict
 
-__all__ = [
-    "Bench", "BestPlan", "Prediction", "best_plan", "fewest_positions", "find_plan", "positions_in",
-    "predict", "read_plan", "write_plan",
-]  # fmt: skip
-
-_MODULES = {
-    "optimal_plan": ("BestPlan", "best_plan", "fewest_positions", "positions_in"),
-    "prediction": ("Bench", "Prediction", "predict"),
+__all__ = ["find_plan", "read_plan", "write_plan"]
+_HOMES = {
+    "optimal_plan": "BestPlan best_plan fewest_positions positions_in",
+    "prediction": "Bench Prediction predict",
 }
-__getattr__ = lazily(__name__, {name: module for module, names in _MODULES.items() for name in names})
+__getattr__ = lazily(__name__, _HOMES)

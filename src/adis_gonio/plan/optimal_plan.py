@@ -19,8 +19,10 @@ from adis_gonio.base.numbers import (
     count_decimals,
     counted,
     format_fixed,
+    format_number,
     format_percent,
     format_unit,
+    with_unit,
 )
 from adis_gonio.base.tables import align_columns, fold_text
 from adis_gonio.base.uncertainty import Value
@@ -46,7 +48,6 @@ _GOLDEN = (3 - math.sqrt(5)) / 2
 LEAST_GRID_DEG, WIDEST_GRID_DEG = 1.0, 60.0
 
 
-@dataclass(frozen=True)
 class Gain(JsonRecord):
     """Comparison of the best plan with another plan of as many positions; one value of `gain` in JSON.
 
@@ -384,7 +385,7 @@ def headline(prediction: Prediction) -> str:
     if u is None or expanded is None:
         return f"{count}, {minutes}: they do not determine an angle at this fixture"
     digits = count_decimals(min(u, expanded))
-    angle = f"± {format_fixed(u, digits)}° rms, U {format_fixed(expanded, digits)}° at the worst place"
+    angle = f"u {format_fixed(u, digits)}° rms, U {format_fixed(expanded, digits)}° at the worst place"
     return f"{count}, {minutes}: angle {angle}"
 
 
@@ -428,7 +429,7 @@ def _sight_lines(sight: Sight) -> Iterator[str]:
         if one.amplitude is None:
             blind[one.reason].append(name)
         else:
-            cells.append(f"{name} {one.amplitude:.2g} {one.unit}")
+            cells.append(f"{name} {with_unit(format_number(one.amplitude, 2), one.unit)}")
     if cells:
         yield "Sees from this size on (found in 90 of 100 sessions)"
         yield from _columns(cells)

@@ -40,7 +40,7 @@ from adis_gonio.fitting.estimation.fit import Fit, Values
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.fitting.uncertainty import ShownAngle
-from adis_gonio.model.effects import AXES, Conditions, effect
+from adis_gonio.model.effects import AXES, Conditions
 from adis_gonio.plan.prediction import Bench, expected_readings, ideal_mg, planned_terms
 from adis_gonio.record.plans import Approach, Plan, Position
 from adis_gonio.tracing.proposals import TYPICALS
@@ -318,7 +318,7 @@ def _fit_everywhere(bench: Bench, readings: Readings, place: Floats, side: Float
         fixture_rad=readings.fixture_rad,
         fitted=np.ones(len(readings.model.parameters), dtype=bool),
     )
-    bias = NamedTerm("bias", (), 0.0, effect("bias", AXES[:2]))
+    bias = NamedTerm.offset(AXES[:2])
     base = data.model.nominal
     base[data.model.index("alpha")] = np.radians(bench.start_deg)
     return Fit(data, (bias,), Values(base, np.zeros(n * m), (np.zeros(2),)), with_prior=False)

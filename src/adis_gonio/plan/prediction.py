@@ -67,7 +67,6 @@ _SURROUNDINGS = {
     "variance_mg2": "vibration",
 }
 """Conditions that no plan of positions sets."""
-_OF_BASE = frozenset({"bias", "scale", "misalignment", "gravity"})
 
 
 @dataclass(frozen=True)
@@ -302,7 +301,7 @@ class PlanUncertainty:
 
         None if the plan does not determine the angle.
         """
-        if self.roots_deg is None or math.isnan(self.fitted_deg):
+        if self.roots_deg is None:
             return None
         m = len(self.roots_deg)
         angle_deg = np.arange(m) * 360.0 / m
@@ -345,7 +344,6 @@ class ConfoundedPair:
         return {"effects": [self.one, self.other], "separation": self.separation}
 
 
-@dataclass(frozen=True)
 class Sight(JsonRecord):
     """Effects that a session with a plan detects and distinguishes.
 
@@ -446,7 +444,9 @@ def _median(exact: PlanUncertainty, sessions: Sequence[PlanUncertainty | None]) 
     sure = {name: value for name, value in parameters.items() if value.u is not None}
     fitted = median(exact.angle, lambda one: one.fitted_deg if one.angle.u is not None else None)
     # The shape over the turn of the exact session, with the size of the median session.
-    size = (fitted.u or math.nan) / exact.fitted_deg
+    roots = exact.roots_deg
+    if roots is not None:
+        roots = None if fitted.u is None else fitted.u / exact.fitted_deg * roots
     return replace(
         exact,
         parameters=sure,
@@ -455,7 +455,7 @@ def _median(exact: PlanUncertainty, sessions: Sequence[PlanUncertainty | None]) 
         fitted_deg=math.nan if fitted.u is None else fitted.u,
         undetermined=tuple(name for name in (*parameters, *exact.undetermined) if name not in sure),
         notes=(*exact.notes, _DEPENDS),
-        roots_deg=None if exact.roots_deg is None else size * exact.roots_deg,
+        roots_deg=roots,
     )
 
 
@@ -467,7 +467,8 @@ def _reach(result: FitResult) -> PlanUncertainty:
     assert angle is not None
     shown = ShownAngle.around(origin.fit)
     whole = float(np.sqrt(origin.sources.by_place(shown.gradient, shown.reading).max()))
-    fitted = float(np.sqrt(fitted_variance(result).max()))
+    roots = origin.sources.roots(shown.gradient, shown.reading)
+    fitted = math.sqrt(float((roots**2).sum(axis=1).max()))
     sure = angle.u is not None
     return PlanUncertainty(
         result.method,
@@ -477,20 +478,8 @@ def _reach(result: FitResult) -> PlanUncertainty:
         fitted if sure else math.nan,
         result.undetermined,
         result.warnings,
-        result.angle_roots_deg,
+        roots if sure else None,
     )
-
-
-def fitted_variance(result: FitResult) -> Floats:
-    """Return the variance (m,) in degrees² of the shown angle, at m places around the turn.
-
-    The noise of the reading from which the angle is computed is not included.
-    """
-    origin = result.origin
-    assert origin is not None
-    assert origin.sources is not None
-    shown = ShownAngle.around(origin.fit)
-    return np.asarray((origin.sources.roots(shown.gradient, shown.reading) ** 2).sum(axis=1))
 
 
 # -- effects ------------------------------------------------------------------------------------------
@@ -514,7 +503,7 @@ def predict_sight(readings: Readings) -> Sight:
     problem = linearise(fit, terms)
     # The bias on all axes is in each model, because every part has one.
     widest = widest_terms(problem.terms)
-    bias = (problem.terms.index(widest["bias"]),) if "bias" in widest else ()
+    bias = tuple(problem.terms.index(term) for term in widest.values() if term.constant)
     reasons = {name: _why_unplanned(name, why) for name, why in missing.items()}
     seen = detectable(Search(problem, price(problem)), bias, reasons)
     hidden = {name: replace(one, reason=_HIDDEN) for name, one in seen.items() if "lies in" in one.reason}
@@ -534,7 +523,7 @@ def _confounded_pairs(
     basis = span(problem, bias)[0]
     columns = {}
     for name, term in widest_terms(problem.terms).items():
-        if name != "bias" and seen[name].amplitude is not None:
+        if not term.constant and seen[name].amplitude is not None:
             # Whitened columns (rows, d) by the term's amplitudes, without their part in the base model.
             index = problem.terms.index(term)
             own = problem.block(index) @ np.linalg.pinv(problem.back[index])
@@ -579,14 +568,15 @@ def planned_terms(readings: Readings, names: Sequence[str]) -> tuple[NamedTerm, 
         for name, term in offered.items()
         if any(need.endswith("_history") or need.startswith("previous") for need in term.effect.needs)
     }
-    known = sorted(set(offered) - _OF_BASE - with_memory)
+    of_base = {name for name, kind in catalogue("accelerometer").items() if kind.in_base}
+    known = sorted(set(offered) - of_base - with_memory)
     for name in names:
         if name in known:
             continue
         if name not in catalogue("accelerometer"):
             near = did_you_mean(name, list(catalogue("accelerometer")))
             raise UsageError(f"beware: no effect is called '{name}'{near}")
-        if name in _OF_BASE:
+        if name in of_base:
             why = "lies in the model that every session fits: leave it out"
         elif name in offered:
             why = "depends on all positions before, which an exchange of single ones cannot plan for"

@@ -163,6 +163,8 @@ class Header:
         JSON form of the runner's settings.
     title, note, operator, serial, stage, laboratory, customer : str
         Notes of the operator; all but the first two are empty in sessions of older programs.
+    stage_curve : mapping or None
+        JSON form of the errors of the stage by its certificate.
     simulated : bool
         True if the bus is simulated, so that the truth is known.
     """
@@ -180,6 +182,7 @@ class Header:
     stage: str = ""
     laboratory: str = ""
     customer: str = ""
+    stage_curve: Mapping[str, Any] | None = None
     simulated: bool = False
     created_utc: str = ""
     software: str = field(default=f"adis-gonio {__version__}")
@@ -287,6 +290,14 @@ def _fixture(value: Any) -> None:
         nullable(number(LEAST_FIXTURE_DEG, 1e6))(value)
 
 
+_CURVE = list_of(number(-1e6, 1e6), 2, 3600)
+_STAGE_CURVE = fields(
+    {
+        "name": text,
+        **dict.fromkeys(("angle_deg", "error_deg"), _CURVE),
+        "covariance_deg2": list_of(_CURVE, 2, 3600),
+    }
+)
 META = fields(
     {
         "url": text,
@@ -299,6 +310,7 @@ META = fields(
     {
         "simulated": truth_value,
         "created_utc": moment,
+        "stage_curve": nullable(_STAGE_CURVE),
         **dict.fromkeys(("title", "note", *METADATA, "software"), text),
     },
 )

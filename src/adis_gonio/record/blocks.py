@@ -202,7 +202,6 @@ SUPPLY_LIMITS_V = (4.75, 5.25)
 WITHOUT_NEWS = "they had no new data (ND), so their data-ready edge did not come from the sensor"
 
 
-@dataclass(frozen=True)
 class Alarms(JsonRecord):
     """When and how long the flag EA reported an error or alarm during a dwell.
 

@@ -168,7 +168,7 @@ class Overrides:
                 changes[name] = {"old": old, "new": new}
         settings = {name: change["new"] for name, change in changes.items()}
         if self.stage_curve is not None:
-            self.stage_curve.check(session)
+            self.stage_curve.check(dwell.angle_deg for dwell in session.dwells)
             changes["stage_curve"] = {"old": None, "new": self.stage_curve.name}
             settings |= {"stage_curve": self.stage_curve, "fixture_sigma_deg": self.fixture_sigma_deg}
         if self.angles:
@@ -179,7 +179,8 @@ class Overrides:
                 changes["angles"] = {"old": {k: old[k] for k in new}, "new": new}
             settings["dwells"] = dwells
         if self.reverse:
-            session.require_angles("there is nothing to reverse")
+            if all(dwell.angle_deg is None for dwell in session.dwells):
+                raise UsageError(f"{session.source}: no angle is declared, there is nothing to reverse")
             changes["reverse"] = {"old": False, "new": True}
             settings["dwells"] = tuple(map(_reversed, settings.get("dwells", session.dwells)))
         if self.columns:

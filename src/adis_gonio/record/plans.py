@@ -18,7 +18,6 @@ determinants). An odd number separates the harmonics of the residual up to the f
 
 from __future__ import annotations
 
-import difflib
 import itertools
 import json
 import math
@@ -30,7 +29,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from adis_gonio.base.errors import DataError, UsageError
+from adis_gonio.base.errors import DataError, UsageError, suggest
 from adis_gonio.base.jsonable import OPTIONAL, JsonRecord, finite, json_value
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.output import ends_in, replacing
@@ -46,7 +45,6 @@ GYRO_TURNS = "gyro-turns"
 DEFAULT_PLAN = "two-position"
 
 
-@dataclass(frozen=True)
 class Position(JsonRecord):
     """One position of a plan: its angle or direction, approach, use and conditions.
 
@@ -89,7 +87,6 @@ class Position(JsonRecord):
         return f"{place}{way}{' (check)' if self.use == 'check' else ''}"
 
 
-@dataclass(frozen=True)
 class Plan(JsonRecord):
     """A plan: the positions of a session in the order in which they are visited.
 
@@ -193,9 +190,7 @@ def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0)
     if name == GYRO_TURNS:
         raise UsageError("gyro turns have no positions: calibrate URL --plan gyro-turns --turns N")
     if kind is None:
-        near = difflib.get_close_matches(name, _KINDS, n=1)
-        hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(_KINDS)}"
-        raise UsageError(f"no plan is called '{name}'; {hint}")
+        raise UsageError(f"no plan is called '{name}'; {suggest(name, _KINDS)}")
     count = kind.default if positions is None else positions
     if kind.fixed and count != kind.default:
         raise UsageError(
@@ -314,7 +309,7 @@ def blindness(plan: Plan, bias_mg: float, gravity_mg: float = 1000.0) -> Blindne
         relative,
         degrees,
         f"{counted(len(angles), 'position')} cannot see a bias: {bias_mg:g} mg on each axis would put"
-        f" {degrees:.2f}° into delta_phi and {relative:.4f} into delta_k; the opposite positions cancel it",
+        f" {degrees:.2f}° into Δφ and {relative:.4f} into ΔK; the opposite positions cancel it",
     )
 
 

@@ -28,7 +28,6 @@ def digest_of_file(path: str | Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-@dataclass(frozen=True)
 class Covered(JsonRecord):
     """Mean, minimum and maximum of a condition (temperature or supply) over the dwells of a session."""
 

@@ -547,6 +547,10 @@ def _comment_text(line: str, dialect: Dialect, columns: int) -> str:
     return line.lstrip("#")
 
 
+_LONGEST_NAME = 40
+"""Characters of the name of a column; longer text is a sentence."""
+
+
 @dataclass(frozen=True)
 class _Assignment:
     """Decides which column of the format each cell of a header means."""
@@ -657,11 +661,12 @@ class _Assignment:
                 f"no header row: the first row has numbers; put a row such as '{_EXPECTED}' above it"
             )
         shown = ", ".join(f"'{cell[:40]}'" for cell in cells[:12])
-        example = ",".join(f"{n}={c[:40]}" for n, c in zip(("time", "ax", "ay"), cells, strict=False))
-        return self._fail(
-            f"not a samples CSV: no known column in the header ({shown}); expected time_s, ax, ay and "
-            f"others; say which are which, such as --columns '{example}'"
-        )
+        told = f"not a samples CSV: no known column in the header ({shown}); expected time_s, ax, ay, …"
+        names = [cell for cell in cells if len(cell) <= _LONGEST_NAME]
+        if len(names) < 3:  # prose: time, ax and ay need three names
+            return self._fail(told)
+        example = ",".join(f"{n}={c}" for n, c in zip(("time", "ax", "ay"), names, strict=False))
+        return self._fail(f"{told}; say which are which, such as --columns '{example}'")
 
     def _ignored(self, found: Mapping[str, CsvColumn]) -> list[str]:
         taken = {column.place for column in found.values()}

@@ -9,8 +9,9 @@ from __future__ import annotations
 import gzip
 import json
 import math
+import os
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import chain
 from pathlib import Path
 from typing import IO, Any, Self
@@ -148,20 +149,15 @@ def template_text(
 
 
 def write_template(path: Path, text: str) -> None:
-    """Write the text of a template to a new file.
+    """Write the text of a template to a file.
 
     Raises
     ------
-    SessionError
-        The file exists, or cannot be written.
+    OutputError
+        The file cannot be written.
     """
-    try:
-        with path.open("x", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-    except FileExistsError:
-        raise exists_error(path) from None
-    except OSError as error:
-        raise SessionError(f"{path}: cannot be written: {error.strerror or error}") from None
+    with replacing(path) as temporary:
+        write_utf8(temporary, text)
 
 
 def export_csv(session: Session, path: str | Path) -> None:
@@ -281,6 +277,7 @@ class SamplesRecorder:
         self.path = path
         self.rows = 0
         self.lost = 0
+        self._size = 0
         self.notes: list[str] = []
         self._header = [
             f"# title: {' '.join(title.split()) or 'continuous recording'}",
@@ -307,10 +304,23 @@ class SamplesRecorder:
         whole = block.variant != GENERIC
         formats = ["%d" if whole and name in ("ax", "ay", "az") else "%.6g" for name in columns]
         table = np.column_stack([block.time_s, *columns.values()])
-        np.savetxt(self._file, table, fmt=["%.6f", *formats], delimiter=",")
-        self._file.flush()
+        try:
+            np.savetxt(self._file, table, fmt=["%.6f", *formats], delimiter=",")
+            self._file.flush()
+        except OSError as error:
+            self._cut_off()
+            kept = f"its {self.rows} rows from before are complete"
+            raise OutputError(f"{self.path}: {error.strerror or error}; {kept}") from error
+        self._size = self.path.stat().st_size
         self.rows += len(block)
         self.lost += block.lost
+
+    def _cut_off(self) -> None:
+        """Close the file after a failed write, and remove the rows of the failed block."""
+        with suppress(OSError):
+            self._file.close()
+        with suppress(OSError):
+            os.truncate(self.path, self._size)
 
     def close(self) -> None:
         """Close the file; may be called twice."""

@@ -16,7 +16,7 @@ import numpy as np
 from adis_gonio.base.errors import DataError
 from adis_gonio.base.numbers import counted
 from adis_gonio.device.sensor.registers import changed_settings
-from adis_gonio.model.records import METADATA, Dwell, Session, Turn
+from adis_gonio.model.records import METADATA, Dwell, Session, StageCurve, Turn
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.archive_tables import Header, JsonDict, StoredAttempt
 from adis_gonio.record.blocks import (
@@ -261,6 +261,7 @@ def _session(
     return Session(
         sensor=header.variant,
         accel_unit="mg" if header.variant == GENERIC else "lsb",
+        stage_curve=None if header.stage_curve is None else StageCurve.of(header.stage_curve),
         **{n: getattr(header, n) for n in ("gravity_mps2", "fixture_sigma_deg", "title", *METADATA)},
         source=str(path),
         notes=(*notes, *describe_later_writes(facts)),

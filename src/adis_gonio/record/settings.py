@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 from adis_gonio.base.errors import UsageError
@@ -25,7 +25,6 @@ def expected_each_s(settle_s: float, dwell_s: float) -> float:
     return TURN_S + settle_s + dwell_s
 
 
-@dataclass(frozen=True)
 class Settings(JsonRecord):
     """Settings of a session, stored in its archive and used again when the session is resumed.
 

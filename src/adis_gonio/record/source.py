@@ -16,8 +16,7 @@ from typing import Any, Protocol, TypeVar
 from adis_gonio.base import Closing
 from adis_gonio.base.errors import ChipError, SessionError, UsageError
 from adis_gonio.device.bus.opening import SOURCE_GROUP, BusUrl
-from adis_gonio.device.sensor.data_ready import MASK as DATA_READY_BITS
-from adis_gonio.device.sensor.data_ready import DataReadyLoan
+from adis_gonio.device.sensor.data_ready import MASK as DATA_READY_BITS, DataReadyLoan
 from adis_gonio.device.sensor.driver import Adis16354, open_sensor
 from adis_gonio.device.sensor.registers import BY_NAME, READING_BITS, REGISTERS
 from adis_gonio.device.sensor.settings import Configuration, Status, white_noise_gain

@@ -15,11 +15,12 @@ step behind the sensor, and the registers, ENDURANCE and the journal together de
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from enum import StrEnum
 from typing import Any, Literal
 
 from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.base.numbers import join_words
 from adis_gonio.device.sensor.driver import ENDURANCE_WRAP
 from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF
 from adis_gonio.model.records import Session
@@ -54,7 +55,6 @@ class WriteStep(StrEnum):
     SET_BACK = "set-back"
 
 
-@dataclass(frozen=True)
 class Operation(JsonRecord):
     """One write, undo or autonull of offset registers, as recorded in the journal.
 
@@ -182,7 +182,6 @@ def find_undoable(known: Sequence[Operation]) -> Operation | None:
 RegisterState = Literal["old", "new", "half", "other"]
 
 
-@dataclass(frozen=True)
 class HeldOffsets(JsonRecord):
     """State of the sensor's offset registers, compared with the journal.
 
@@ -222,9 +221,8 @@ def held_offsets(
         saves both.
     """
     if not known:
-        return HeldOffsets(
-            "untouched", None, False, {}, None, "this session has written nothing to the sensor"
-        )
+        text = f"this session has not written {join_words(tuple(now))}"
+        return HeldOffsets("untouched", None, False, {}, None, text)
     last = known[-1]
     if last.op == "autonull" and not last.saved:
         last = replace(last, new={name: now[name] for name in last.old})  # the numbers found by the part
@@ -235,7 +233,9 @@ def held_offsets(
     saved = None if flash is None else all(flash.get(name) == now[name] for name in last.new)
     if registers == "old" and flash == {}:
         saved = None  # unknown: the old numbers were there before the write
-    return HeldOffsets(registers, saved, last.open, axes, last, _words(registers, flash, axes, last))
+    since = _written_since((*known, *others), endurance)
+    flashed = f"; {since}" if since else _flash(registers, flash, last)
+    return HeldOffsets(registers, saved, last.open, axes, last, _words(registers, flashed, axes, last))
 
 
 def flash_untouched(
@@ -286,15 +286,26 @@ def _in_flash(
             elif written:
                 # After a dip of the supply just before the flash write, the other numbers may be in flash.
                 flash = None
-    return flash
+    return None if _written_since((*known, *others), endurance) else flash
 
 
-def _words(
-    registers: str, flash: dict[str, int] | None, axes: Mapping[str, RegisterState], last: Operation
-) -> str:
+def _written_since(known: Sequence[Operation], endurance: int) -> str:
+    """Clause about a flash that another program wrote since the last save, or that is another flash.
+
+    Empty if ENDURANCE has the value that the last save left, and without a save.
+    """
+    saves = [one for one in known if one.saved]
+    after = max(saves, key=lambda one: one.number).endurance_after if saves else None
+    if after in (None, endurance) or any(one.open for one in known):
+        return ""
+    why = "written since" if endurance > after else "another part, or a simulated one without flash=FILE"
+    return f"ENDURANCE is {endurance} and was {after} after the save: {why}"
+
+
+def _words(registers: str, flashed: str, axes: Mapping[str, RegisterState], last: Operation) -> str:
     begun = f"; the {last.op} broke off after '{last.steps[-1]}'" if last.open else ""
     if registers in ("new", "old"):
-        return f"the sensor holds the {registers} offsets{_flash(registers, flash, last)}{begun}"
+        return f"the sensor holds the {registers} offsets{flashed}{begun}"
     each = ", ".join(f"{name} {state}" for name, state in axes.items())
     if registers == "half":
         return f"the sensor holds half of it ({each}){begun}: write again to finish, --undo to set back"

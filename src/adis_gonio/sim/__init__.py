@@ -7,28 +7,19 @@ from typing import TYPE_CHECKING
 from adis_gonio.base import lazily
 
 _HOMES = {
-    "Inputs": "sampling",
-    "SimBus": "bus",
-    "SimStage": "bus",
-    "SimulatedChip": "chip",
-    "Stage": "stage",
-    "State": "chip",
-    "Surroundings": "sampling",
-    "World": "world",
-    "WorldSettings": "settings",
-    "open_from_url": "bus",
+    "bus": "SimBus SimStage open_from_url",
+    "chip": "SimulatedChip State",
+    "sampling": "Inputs Surroundings",
+    "settings": "WorldSettings",
+    "stage": "Stage",
+    "world": "World",
 }
 
-__all__ = sorted(_HOMES)  # noqa: PLE0605 (a list of strings)
 
 if TYPE_CHECKING:
-    from adis_gonio.sim.bus import SimBus as SimBus
-    from adis_gonio.sim.bus import SimStage as SimStage
-    from adis_gonio.sim.bus import open_from_url as open_from_url
-    from adis_gonio.sim.chip import SimulatedChip as SimulatedChip
-    from adis_gonio.sim.chip import State as State
-    from adis_gonio.sim.sampling import Inputs as Inputs
-    from adis_gonio.sim.sampling import Surroundings as Surroundings
+    from adis_gonio.sim.bus import SimBus as SimBus, SimStage as SimStage, open_from_url as open_from_url
+    from adis_gonio.sim.chip import SimulatedChip as SimulatedChip, State as State
+    from adis_gonio.sim.sampling import Inputs as Inputs, Surroundings as Surroundings
     from adis_gonio.sim.settings import WorldSettings as WorldSettings
     from adis_gonio.sim.stage import Stage as Stage
     from adis_gonio.sim.world import World as World

@@ -235,22 +235,13 @@ class SimulatedChip:
         self._memory = Memory(flash, endurance, saved)
         self._electronics: Electronics = electronics or getattr(surroundings, "electronics", None) or IDEAL
         self._sampler = SignalChain(self.variant, self._memory, self._electronics)
-        self._row: Words
-        self._read_at: NDArray[np.int64]
-        self._state: State
-        self._until: float
-        self._epoch: float
-        self._period: float
-        self._k: int
-        self._updates: int
-        self._status: int
-        self._standing: int
-        self._dac: int
-        self._reply: int
-        self._shifted: int
-        self._null_sum: Floats
-        self._null_count: int
-        self._edges = 0
+        self._k = self._updates = self._status = self._standing = self._dac = 0
+        self._reply = self._shifted = self._null_count = self._edges = 0
+        self._until = self._epoch = self._period = 0.0
+        self._row: Words = np.zeros(len(OUTPUTS), np.uint16)
+        self._read_at: NDArray[np.int64] = np.zeros(len(OUTPUTS), np.int64)
+        self._null_sum: Floats = np.zeros(3)
+        self._state = State.STARTING
         self._time_s = start_s
         self._last_start = self._last_rise = -math.inf
         self._start_up(start_s)

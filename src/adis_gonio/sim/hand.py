@@ -115,7 +115,53 @@ def product(f: Course, g: Course) -> Course:
     return f[0] * g[0], f[1] * g[0] + f[0] * g[1], f[2] * g[0] + 2 * f[1] * g[1] + f[0] * g[2]
 
 
-class HandTurn:
+class _Hand:
+    """A movement by hand in pieces, with an uneven speed, tremor and sway.
+
+    Parameters
+    ----------
+    pieces : list of (float, float, float)
+        Begin and length in s, and signed angle in rad, of each grip.
+    length_s : float
+        Time of all pieces.
+    turned_rad : float
+        Sum of the angles of the pieces without their signs, for the mean speed.
+    """
+
+    def __init__(
+        self,
+        settings: WorldSettings,
+        rng: np.random.Generator,
+        pieces: list[tuple[float, float, float]],
+        length_s: float,
+        turned_rad: float,
+    ) -> None:
+        self._settings = settings
+        self._pieces, self.length_s = pieces, length_s
+        self._uneven, self._tremor = Sines.drawn(rng, SUBMOVEMENT_HZ), Sines.drawn(rng, TREMOR_HZ)
+        self._shaking = [Sines.drawn(rng, TREMOR_HZ) for _ in range(3)]
+        self._sway = Sines.drawn(rng, SWAY_HZ)
+        speed = turned_rad / length_s
+        self._uneven_rad = settings.hand_unevenness * speed / np.sqrt(self._uneven.mean_square_rate)
+        self._tremor_rad = np.radians(settings.hand_tremor_dps) / np.sqrt(self._tremor.mean_square_rate)
+
+    def turned(self, time_s: Floats) -> Course:
+        """Angle (n,) in rad turned at each time, its rate in rad/s and its acceleration in rad/s²."""
+        course = [np.zeros(len(time_s)) for _ in range(3)]
+        for piece in self._pieces:
+            _add(course, minimum_jerk(time_s, *piece))
+        held = hold(time_s, self.length_s)
+        _add(course, product(self._uneven.at(time_s), held), self._uneven_rad)
+        _add(course, product(self._tremor.at(time_s), held), self._tremor_rad)
+        return course[0], course[1], course[2]
+
+    def shaking_mg(self, time_s: Floats) -> Floats:
+        """Acceleration (n, 3) in mg by which the hand shakes the sensor."""
+        held = self._settings.hand_vibration_mg * hold(time_s, self.length_s)[0]
+        return np.stack([held * lines.at(time_s)[0] for lines in self._shaking], axis=1)
+
+
+class HandTurn(_Hand):
     """Full turns of the stage by hand; times count from their beginning.
 
     Parameters
@@ -136,7 +182,6 @@ class HandTurn:
     """
 
     def __init__(self, settings: WorldSettings, rng: np.random.Generator, turns: int = 1) -> None:
-        self._settings = settings
         spans, ways = _grips(settings, rng, turns)
         pauses = rng.uniform(*PAUSE_S, len(spans)) * settings.hand_pauses
         moving_s = max(settings.hand_turn_s - float(pauses[:-1].sum()), 0.2 * settings.hand_turn_s)
@@ -145,33 +190,11 @@ class HandTurn:
         lengths = moving_s * shares / shares.sum()
         # Each segment begins after the segment and the pause before it.
         begins = np.concatenate([[0.0], np.cumsum(lengths + pauses)[:-1]])
-        self._segments = list(zip(begins, lengths, np.radians(ways), strict=True))
+        pieces = list(zip(begins, lengths, np.radians(ways), strict=True))
+        turned_rad = float(np.radians(np.abs(ways)).sum())
+        super().__init__(settings, rng, pieces, float(begins[-1] + lengths[-1]), turned_rad)
         self.total_rad = float(np.radians(ways).sum())
-        self.length_s = float(begins[-1] + lengths[-1])
-        self._uneven = Sines.drawn(rng, SUBMOVEMENT_HZ)
-        self._tremor = Sines.drawn(rng, TREMOR_HZ)
-        self._shaking = [Sines.drawn(rng, TREMOR_HZ) for _ in range(3)]
-        self._sway = Sines.drawn(rng, SWAY_HZ)
         self._wobble_phase = rng.uniform(0, 2 * np.pi, 2)
-        speed = float(np.radians(np.abs(ways)).sum()) / self.length_s
-        self._uneven_rad = settings.hand_unevenness * speed / np.sqrt(self._uneven.mean_square_rate)
-        self._tremor_rad = np.radians(settings.hand_tremor_dps) / np.sqrt(self._tremor.mean_square_rate)
-
-    def turned(self, time_s: Floats) -> Course:
-        """Angle (n,) in rad turned at each time, its rate in rad/s and its acceleration in rad/s²."""
-        angle, rate, acceleration = (np.zeros(len(time_s)) for _ in range(3))
-        for begin, length, span in self._segments:
-            x = np.clip((time_s - begin) / length, 0.0, 1.0)
-            angle += span * x**3 * (10 - 15 * x + 6 * x**2)
-            rate += span / length * 30 * x**2 * (1 - x) ** 2
-            acceleration += span / length**2 * 60 * x * (1 - x) * (1 - 2 * x)
-        held = hold(time_s, self.length_s)
-        for lines, size in ((self._uneven, self._uneven_rad), (self._tremor, self._tremor_rad)):
-            shaken = product(lines.at(time_s), held)
-            angle += size * shaken[0]
-            rate += size * shaken[1]
-            acceleration += size * shaken[2]
-        return angle, rate, acceleration
 
     def tilt(self, time_s: Floats, turned: Course) -> tuple[Floats, Floats]:
         """Tilt (n,) in rad of the X-Y plane out of the vertical at each time, and its rate in rad/s."""
@@ -183,12 +206,6 @@ class HandTurn:
         sway = np.radians(self._settings.hand_sway_deg)
         swaying = product(self._sway.at(time_s), hold(time_s, self.length_s))
         return tilt + sway * swaying[0], slope + sway * swaying[1]
-
-    def shaking_mg(self, time_s: Floats) -> Floats:
-        """Acceleration (n, 3) in mg by which the hand shakes the sensor."""
-        held = hold(time_s, self.length_s)[0]
-        size = self._settings.hand_vibration_mg
-        return np.stack([size * held * lines.at(time_s)[0] for lines in self._shaking], axis=1)
 
 
 def _grips(settings: WorldSettings, rng: np.random.Generator, turns: int) -> tuple[Floats, Floats]:
@@ -214,7 +231,7 @@ _SECOND_MISS = 0.2
 """Error after the first correction, relative to the error before it (1 sigma)."""
 
 
-class HandMove:
+class HandMove(_Hand):
     """One movement by hand from one angle to another; times count from its beginning.
 
     Parameters
@@ -264,29 +281,13 @@ class HandMove:
         # Grips and corrections follow each other with rests between them.
         ends = np.cumsum(lengths) + np.concatenate([[0.0], np.cumsum(pauses)[:-1]])
         ways = np.sign(span_rad) * np.radians(spans)
-        self._pieces = list(zip(ends - lengths, lengths, ways, strict=True))
-        self.length_s = float(ends[-1])
-        self._uneven, self._tremor = Sines.drawn(rng, SUBMOVEMENT_HZ), Sines.drawn(rng, TREMOR_HZ)
-        self._shaking = [Sines.drawn(rng, TREMOR_HZ) for _ in range(3)]
-        mean_rad_s = abs(span_rad) / self.length_s
-        self._uneven_rad = settings.hand_unevenness * mean_rad_s / np.sqrt(self._uneven.mean_square_rate)
-        self._tremor_rad = np.radians(settings.hand_tremor_dps) / np.sqrt(self._tremor.mean_square_rate)
-        self._vibration_mg = settings.hand_vibration_mg
-        self._sway, axis = Sines.drawn(rng, SWAY_HZ), rng.standard_normal(3)
+        pieces = list(zip(ends - lengths, lengths, ways, strict=True))
+        super().__init__(settings, rng, pieces, float(ends[-1]), abs(span_rad))
+        axis = rng.standard_normal(3)
         self._stray_axis = axis / np.linalg.norm(axis)
         self._stray_rad = float(np.radians(settings.hand_stray_deg)) if free else 0.0
         twist = settings.hand_twist_deg * float(rng.standard_normal())
         self.twist_rad = float(np.radians(twist)) if free else 0.0
-
-    def turned(self, time_s: Floats) -> Course:
-        """Angle (n,) in rad turned at each time, its rate in rad/s and its acceleration in rad/s²."""
-        course = [np.zeros(len(time_s)) for _ in range(3)]
-        for piece in self._pieces:
-            _add(course, minimum_jerk(time_s, *piece))
-        held = hold(time_s, self.length_s)
-        _add(course, product(self._uneven.at(time_s), held), self._uneven_rad)
-        _add(course, product(self._tremor.at(time_s), held), self._tremor_rad)
-        return course[0], course[1], course[2]
 
     def add_stray(self, time_s: Floats, direction: Floats, rate: Floats) -> tuple[Floats, Floats]:
         """Add the stray and the twist of an unguided hand to a movement.
@@ -311,11 +312,6 @@ class HandMove:
             _, twisting, _ = minimum_jerk(time_s, 0.0, self.length_s, self.twist_rad)
             rate = rate - twisting[:, None] * direction
         return direction, rate
-
-    def shaking_mg(self, time_s: Floats) -> Floats:
-        """Acceleration (n, 3) in mg by which the hand shakes the sensor."""
-        held = self._vibration_mg * hold(time_s, self.length_s)[0]
-        return np.stack([held * lines.at(time_s)[0] for lines in self._shaking], axis=1)
 
 
 def _misses(size_deg: float, rng: np.random.Generator, *, one_way: bool) -> Floats:

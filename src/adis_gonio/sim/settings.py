@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import difflib
+import inspect
 import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import Field, dataclass, field, fields
 from typing import Any, Self, TypeVar, dataclass_transform
 
-from adis_gonio.base.errors import UsageError
+from adis_gonio.base.errors import UsageError, suggest
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 T = TypeVar("T")
@@ -318,11 +318,29 @@ class WorldSettings(GyroSettings):
             if name in others:
                 continue
             if name not in known:
-                near = difflib.get_close_matches(name, (*known, *others), n=1)
-                hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join((*others, *known))}"
+                hint = suggest(name, (*others, *known))
                 raise UsageError(f"the simulator has no option '{name}'; {hint}")
             try:
                 values[name] = float(text)
             except ValueError:
                 raise UsageError(f"{name}: '{text}' is no number") from None
         return cls(**values)
+
+
+def described_settings() -> list[tuple[str, str]]:
+    """Names of the settings in groups, each with its description and defaults, from the docstrings."""
+    default = {entry.name: entry.default for entry in fields(WorldSettings)}
+    rows: list[tuple[str, str]] = []
+    for settings in (WorldSettings, GyroSettings):
+        listed = inspect.cleandoc(settings.__doc__ or "").split("----------\n")[-1]
+        for line in listed.splitlines():
+            if not line.startswith(" "):
+                rows.append((line.partition(" : ")[0], ""))
+            else:
+                rows[-1] = (rows[-1][0], f"{rows[-1][1]} {line.strip()}".strip())
+    shown = []
+    for names, text in rows:
+        values = [default[name] for name in names.split(", ") if name in default]
+        each = dict.fromkeys("from the seed" if value is None else f"{value:g}" for value in values)
+        shown.append((names, f"{text.replace('`', '')} [{', '.join(each)}]"))
+    return shown

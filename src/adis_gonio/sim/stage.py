@@ -14,7 +14,7 @@ the direction of gravity in the sensor does not change.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -68,6 +68,10 @@ class Motion:
     time_in_dwell_s: Floats
 
 
+def _zeros() -> Floats:
+    return np.zeros(3)
+
+
 @dataclass(frozen=True)
 class _Leg:
     """A move of the stage and the rest after it: in the plane by angles, in space by a turn about an axis.
@@ -84,12 +88,12 @@ class _Leg:
     order: int
     approach: int
     previous_rad: float
-    base: Floats
-    side: Floats
-    turn_rad: float
-    spatial: bool
-    along: Floats
-    axis: Floats
+    spatial: bool = False
+    turn_rad: float = 0.0
+    base: Floats = field(default_factory=_zeros)
+    side: Floats = field(default_factory=_zeros)
+    along: Floats = field(default_factory=_zeros)
+    axis: Floats = field(default_factory=_zeros)
     hand: HandTurn | None = None
     by_hand: HandMove | None = None
 
@@ -137,7 +141,7 @@ class Stage:
         self._rng = rng
         self._moves = 0
         error = self._error(0)
-        self._legs = [self._planar(-np.inf, -np.inf, 0.0, 0.0, error, error, 0, 0, 0.0)]
+        self._legs = [_Leg(-np.inf, -np.inf, 0.0, 0.0, error, error, 0, 0, 0.0)]
         self._starts = np.array([-np.inf])
         self._mark_error = 0.0
         self._course: tuple[Floats, Floats] | None = None
@@ -183,7 +187,7 @@ class Stage:
             error = self._error(approach)
             vector = self._direction(target, error)
             end = self._turn(start_s, vector, target, error, approach)
-            rest = self._planar(end, end, target, target, error, error, self._order, approach, previous)
+            rest = _Leg(end, end, target, target, error, error, self._order, approach, previous)
             self._append(rest)
             return end
         difference = target - last.to_rad
@@ -242,10 +246,8 @@ class Stage:
         to_rad = last.to_rad + hand.total_rad
         approach = 1 if to_rad >= last.to_rad else -1
         end_s = start_s + hand.length_s
-        leg = self._planar(
-            start_s, end_s, last.to_rad, to_rad, last.to_error_rad, last.to_error_rad,
-            self._order, approach, last.to_rad,
-        )  # fmt: skip
+        error = last.to_error_rad
+        leg = _Leg(start_s, end_s, last.to_rad, to_rad, error, error, self._order, approach, last.to_rad)
         self._append(replace(leg, hand=hand))
         return end_s
 
@@ -285,8 +287,7 @@ class Stage:
         along = (standing @ about) * about
         leg = _Leg(
             start_s, start_s, float("nan"), float("nan"), 0.0, 0.0, self._order, int(np.sign(turn)),
-            self._legs[-1].to_rad, standing - along, -np.cross(about, standing), turn,
-            spatial=True, along=along, axis=about,
+            self._legs[-1].to_rad, True, turn, standing - along, -np.cross(about, standing), along, about,
         )  # fmt: skip
         return self._in_space(leg, self._hand_over(turn))
 
@@ -355,29 +356,10 @@ class Stage:
         last = self._legs[-1]
         by_hand = self._hand_over(target - last.to_rad, one_way=bool(approach))
         end_s = start_s + self._duration(target - last.to_rad, by_hand)
-        leg = self._planar(
-            start_s, end_s, last.to_rad, target, last.to_error_rad, error, self._order, approach, previous
-        )
+        errors = last.to_error_rad, error
+        leg = _Leg(start_s, end_s, last.to_rad, target, *errors, self._order, approach, previous)
         self._append(replace(leg, by_hand=by_hand))
         return end_s
-
-    def _planar(
-        self,
-        start_s: float,
-        end_s: float,
-        from_rad: float,
-        to_rad: float,
-        from_error: float,
-        to_error: float,
-        order: int,
-        approach: int,
-        previous: float,
-    ) -> _Leg:
-        none = np.zeros(3)
-        return _Leg(
-            start_s, end_s, from_rad, to_rad, from_error, to_error, order, approach, previous,
-            none, none, 0.0, spatial=False, along=none, axis=none,
-        )  # fmt: skip
 
     def _turn(self, start_s: float, to: Floats, theta: float, error: float, approach: int) -> float:
         base = self._standing
@@ -391,7 +373,7 @@ class Stage:
         self._mark_error = 0.0
         leg = _Leg(
             start_s, start_s, theta, theta, error, error, self._order, approach, self._legs[-1].to_rad,
-            base, side, turn, spatial=True, along=np.zeros(3), axis=-np.cross(base, side),
+            True, turn, base, side, axis=-np.cross(base, side),
         )  # fmt: skip
         return self._in_space(leg, self._hand_over(turn, free=True))
 
@@ -416,7 +398,6 @@ class Stage:
 
     def _along(self, leg: _Leg, time_s: Floats) -> Motion:
         n = len(time_s)
-        full = np.full
         since = time_s - leg.end_s
         if leg.hand is not None:
             return self._by_hand(leg, leg.hand, time_s)
@@ -431,7 +412,7 @@ class Stage:
                 since_start = time_s - leg.start_s
                 direction, turning = leg.by_hand.add_stray(since_start, direction, np.radians(rate))
                 rate = np.degrees(turning)
-            theta = full(n, leg.to_rad)
+            theta = np.full(n, leg.to_rad)
         else:
             span, slip = leg.to_rad - leg.from_rad, leg.to_error_rad - leg.from_error_rad
             theta = leg.from_rad + span * blend
@@ -444,21 +425,12 @@ class Stage:
             direction[:, 2] = np.sin(tilt)
             rate[:, 2] = np.degrees((span - slip) * speed)
             spin = (span - slip) * spin
-        return Motion(
-            direction,
-            rate,
-            np.zeros(n) if leg.spatial else spin,
-            np.zeros((n, 3)) if leg.by_hand is None else leg.by_hand.shaking_mg(time_s - leg.start_s),
-            self._ringing(since),
-            theta,
-            full(n, leg.previous_rad),
-            full(n, float(leg.order)),
-            full(n, float(leg.approach)),
-            np.maximum(since, 0.0) if np.isfinite(leg.end_s) else np.maximum(time_s, 0.0),
-        )
+        spin = np.zeros(n) if leg.spatial else spin
+        hand = leg.by_hand
+        shaking = np.zeros((n, 3)) if hand is None else hand.shaking_mg(time_s - leg.start_s)
+        return _motion(leg, time_s, direction, rate, spin, shaking, self._ringing(since), theta)
 
     def _by_hand(self, leg: _Leg, hand: HandTurn, time_s: Floats) -> Motion:
-        n = len(time_s)
         since = time_s - leg.start_s
         turned = hand.turned(since)
         wobble, wobbling = hand.tilt(since, turned)
@@ -468,17 +440,9 @@ class Stage:
         direction = np.stack([np.cos(psi) * np.cos(tilt), np.sin(psi) * np.cos(tilt), np.sin(tilt)], axis=1)
         # Rates for which gravity in the part follows the direction: d' = -rate x d.
         rate = np.stack([-wobbling * np.sin(psi), wobbling * np.cos(psi), turned[1]], axis=1)
-        return Motion(
-            direction,
-            np.degrees(rate),
-            turned[2],
-            hand.shaking_mg(since),
-            np.zeros(n),
-            theta,
-            np.full(n, leg.previous_rad),
-            np.full(n, float(leg.order)),
-            np.full(n, float(leg.approach)),
-            np.maximum(time_s - leg.end_s, 0.0),
+        still = np.zeros(len(time_s))
+        return _motion(
+            leg, time_s, direction, np.degrees(rate), turned[2], hand.shaking_mg(since), still, theta
         )
 
     def _ringing(self, since: Floats) -> Floats:
@@ -492,6 +456,13 @@ class Stage:
         return np.where(
             rings, settings.vibration_mg * np.exp(-after / settings.vibration_decay_s) * wave, 0.0
         )
+
+
+def _motion(leg: _Leg, time_s: Floats, *course: Floats) -> Motion:
+    """Add the conditions of a move to the course of the sensor during and after it."""
+    facts = (np.full(len(time_s), float(fact)) for fact in (leg.previous_rad, leg.order, leg.approach))
+    since = time_s - leg.end_s if np.isfinite(leg.end_s) else time_s
+    return Motion(*(*course, *facts, np.maximum(since, 0.0)))
 
 
 def _course(leg: _Leg, time_s: Floats) -> Course:

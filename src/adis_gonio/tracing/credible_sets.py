@@ -145,7 +145,6 @@ def _parts(selection: Selection, model: Model) -> list[_Part]:
     return list(dict.fromkeys(_Part(term.name, term.shown_as) for term in terms))
 
 
-@dataclass(frozen=True)
 class CredibleSet(JsonRecord):
     """Smallest set of names that together have 95 % of the probability to be one cause.
 

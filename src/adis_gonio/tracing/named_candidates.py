@@ -24,6 +24,12 @@ def choices_of_axes(axes: Sequence[Any], most: int | None = None) -> list[tuple[
     return [chosen for size in sizes for chosen in itertools.combinations(axes, size)]
 
 
+def prior_weight(kind: type[Effect]) -> float:
+    """Prior weight of an effect by its group (`Effect.prior`), relative to an effect without a group."""
+    constant, curvature, force = limits.bias_weight, limits.quadratic_weight, limits.g_weight
+    return {"constant": constant, "curvature": curvature, "force": force}.get(kind.prior, 1.0)
+
+
 def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
     """Return the candidate terms of all named effects, and the reason why each other effect is none.
 
@@ -34,10 +40,6 @@ def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
     terms: list[NamedTerm] = []
     missing: dict[str, str] = {}
     kinds = catalogue(data.model.part)
-    weights = {
-        "curvature": limits.quadratic_weight,
-        "force": limits.g_weight,
-    }
     for name, kind in kinds.items():
         if kind.enters is Enters.SAMPLES or kind.within_dwell:
             missing[name] = "looked for within the dwells"
@@ -51,7 +53,7 @@ def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
             continue
         variants = list(_variants(kind, data))
         parts = np.array([1 / getattr(effect, "cycles", 1) for effect, _ in variants])
-        shares = limits.effect_share * weights.get(kind.prior, 1.0) * parts / parts.sum()
+        shares = limits.effect_share * prior_weight(kind) * parts / parts.sum()
         if kind.prior == "constant":
             whole = [len(effect.axes) == data.axes for effect, _ in variants]
             shares = np.where(whole, limits.bias_share, shares)

@@ -24,7 +24,7 @@ import numpy as np
 from adis_gonio.base.arrays import solvable
 from adis_gonio.base.budget import attempt, current, spent, within
 from adis_gonio.base.errors import FitError, UsageError
-from adis_gonio.base.numbers import counted
+from adis_gonio.base.numbers import counted, signed
 from adis_gonio.base.uncertainty import Detectable
 from adis_gonio.fitting.estimation.readings import ACCELEROMETER, Readings, known_part, readings_of_part
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
@@ -512,8 +512,8 @@ def with_positions(result: TraceResult, data: Readings, positions: Diagnosis) ->
     if not positions.findings:
         return result
     corrected = [
-        f"traced as the part stood: {found.error_deg[0]:+.2f}° from position {found.position} on, whose"
-        " uncertainty is not in these figures"
+        f"traced as the part stood: {signed(found.error_deg[0], 2)}° from position {found.position} on,"
+        " whose uncertainty is not in these figures"
         for found in _large_slips(data, positions)
     ]
     return replace(

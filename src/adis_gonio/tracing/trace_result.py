@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING, Any, Literal
 
 from adis_gonio.base.budget import Budget
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration, GyroCalibration
 
 
-@dataclass(frozen=True)
 class ErrorFigures(JsonRecord):
     """Errors of a model: on the fitted dwells, on held-out dwells and of the angle.
 
@@ -67,7 +66,6 @@ class ErrorFigures(JsonRecord):
     unit: str = field(default="mg", metadata=HIDDEN)
 
 
-@dataclass(frozen=True)
 class Finding(JsonRecord):
     """A named effect that the trace added to the model.
 
@@ -100,7 +98,6 @@ class Finding(JsonRecord):
     cause: str = ""
 
 
-@dataclass(frozen=True)
 class Unnamed(JsonRecord):
     """Structure in the residual that no named effect explains.
 
@@ -127,7 +124,6 @@ class Unnamed(JsonRecord):
     p_value: float
 
 
-@dataclass(frozen=True)
 class Step(JsonRecord):
     """An effect added to the model, and the errors after adding it; one entry of `steps` in the JSON."""
 
@@ -138,7 +134,6 @@ class Step(JsonRecord):
 Purpose = Literal["decide", "cover"]
 
 
-@dataclass(frozen=True)
 class NextDwell(JsonRecord):
     """A proposed further dwell.
 
@@ -193,7 +188,6 @@ class NextDwell(JsonRecord):
         return self.one, self.other
 
 
-@dataclass(frozen=True)
 class Stopped(JsonRecord):
     """Record that the time limit ended a trace early.
 
@@ -232,7 +226,6 @@ class Stopped(JsonRecord):
         return f"{limit}: {outcome}; left out: {', '.join(self.left_out)}."
 
 
-@dataclass(frozen=True)
 class Rival(JsonRecord):
     """The terms of a model of high posterior probability; one entry of `rivals` in the JSON."""
 
@@ -240,7 +233,6 @@ class Rival(JsonRecord):
     probability: float
 
 
-@dataclass(frozen=True)
 class TraceResult(ParameterTable):
     """Result of tracing a session.
 

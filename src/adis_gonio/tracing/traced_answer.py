@@ -167,7 +167,7 @@ def _confirmed(recommended: Recommendation, trace: TraceResult) -> Recommendatio
     if trace.stopped is not None and not trace.stopped.checked:
         return recommended
     said = {
-        "adequate": "no effect missing",
+        "adequate": "no effect that this model lacks",
         "not adequate": "its model not adequate, and no effect to add",
         "not tested": "no effect to add; this session cannot test whether the model is adequate",
     }[trace.adequacy]

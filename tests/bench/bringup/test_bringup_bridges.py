@@ -3,44 +3,14 @@
 import pytest
 
 from adis_gonio.bench.bringup import STEPS, Verdict, bring_up
-from adis_gonio.device.bus import BusUrl, cp2130, mcp2210, serial, spidev
-from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.chip import State
-from adis_gonio.sim.testing.firmware import SimulatedFirmware
-from adis_gonio.sim.testing.pins import ChipPins, VirtualClock
-from fakes.cp2130_device import Cp2130Device
-from fakes.cp2130_usb import FakeUsbBackend, UsbBoard
-from fakes.mcp2210_device import Mcp2210Device
-from fakes.mcp2210_hid import FakeHid, HidBoard
-from fakes.serial_port import FakePort
-from fakes.spidev_kernel import FakeSpidevKernel
+from fakes.benches import open_bridge
 
 NAMES = ("link", "timing", "supply", "variant", "sample rate", "data-ready")
 
 
-def opened(kind, options=""):
-    """A bus of a kind with its chip, both in virtual time."""
-    clock = VirtualClock()
-    chip = SimulatedChip(World(seed=4), start_s=-0.5)
-    pins = ChipPins(chip, clock)
-    url = BusUrl.parse(f"{kind}:{options}")
-    if kind == "mcp2210":
-        return mcp2210.open_from_url(url, hid=FakeHid(HidBoard(Mcp2210Device(pins))), clock=clock), chip
-    if kind == "cp2130":
-        return cp2130.open_from_url(
-            url, backend=FakeUsbBackend(UsbBoard(Cp2130Device(pins))), clock=clock
-        ), chip
-    if kind == "spidev":
-        url = BusUrl.parse("spidev:/dev/spidev0.0")
-        return spidev.open_from_url(
-            url, system=FakeSpidevKernel({"/dev/spidev0.0": pins}), clock=clock
-        ), chip
-    url = BusUrl.parse(f"serial:x{options}")
-    return serial.open_from_url(url, port=FakePort(SimulatedFirmware(pins)), clock=clock), chip
-
-
 def done(kind, options="", names=NAMES):
-    bus, chip = opened(kind, options)
+    bus, chip = open_bridge(kind, options)
     with bus:
         found = bring_up(bus, steps=tuple(step for step in STEPS if step.name in names))
     assert chip.state is State.RUNNING

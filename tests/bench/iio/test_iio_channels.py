@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from adis_gonio.base.errors import CannotOpenError
 from adis_gonio.bench.iio_devices import BufferLayout, IioChannel, SampleFormat, choose_channels

@@ -33,8 +33,8 @@ def test_yes_writes_saves_and_says_what_the_sensor_holds(bus, path, capsys):
     assert numbers(bus) == flash(bus) == NEW
     rows = [line.split() for line in out.splitlines()]
     assert rows[0][:3] == ["register", "now", "new"]
-    assert rows[1][:3] == ["XACCL_OFF", "0", "-32"]
-    assert rows[2][:3] == ["YACCL_OFF", "0", "-34"]
+    assert rows[1][:3] == ["XACCL_OFF", "0", "−32"]
+    assert rows[2][:3] == ["YACCL_OFF", "0", "−34"]
     assert out.splitlines()[-1] == "the sensor holds the new offsets, saved to flash"
     assert "ENDURANCE 0 before, 1 after" in err
     assert "at rest, before" in err

@@ -403,7 +403,7 @@ def test_the_command_shows_the_plan_in_dps_writes_and_undoes(bus, path, capsys):
     assert main(["write", str(path), URL, "--yes", *QUICK]) == 0
     out, err = capsys.readouterr()
     rows = [line.split() for line in out.splitlines()]
-    assert rows[1][:3] == ["XGYRO_OFF", "0", "-66"]
+    assert rows[1][:3] == ["XGYRO_OFF", "0", "−66"]
     assert "°/s" in out
     assert "mg" not in out
     assert "zero rate by this dwell alone" in err
@@ -411,7 +411,9 @@ def test_the_command_shows_the_plan_in_dps_writes_and_undoes(bus, path, capsys):
     assert main(["write", str(path), URL, "--gyros", "--status"]) == 0
     assert "new offsets" in capsys.readouterr().out
     assert main(["write", str(path), URL, "--status"]) == 0
-    assert "written nothing" in capsys.readouterr().out
+    untouched = capsys.readouterr().out
+    assert "XACCL_OFF" in untouched
+    assert "XGYRO_OFF" not in untouched
     assert main(["write", str(path), URL, "--gyros", "--undo", "--yes"]) == 0
     assert gyro_numbers(bus) == OLD
 

@@ -141,6 +141,15 @@ def test_no_frame_writes_anything_but_the_two_offsets_and_the_flash_command(path
     assert numbers(bus) == flash(bus) == NEW
 
 
+def test_a_flash_with_fewer_writes_than_the_save_left_is_not_said_to_hold_it(path):
+    assert wrote(new_bus(3), path, SAVE).standing.saved is True
+    other = new_bus(3)  # as a simulated part without a file for its flash starts again
+    held = writer(other, path, SAVE).standing()
+    assert (held.registers, held.saved) == ("old", None)
+    assert {"ENDURANCE", "0", "1"} <= set(held.text.replace(":", "").split())
+    assert "power-on" not in held.text
+
+
 def test_without_save_the_flash_is_left_and_the_next_start_says_that_the_power_was_off(path):
     bus = new_bus(3)
     outcome = wrote(bus, path)

@@ -9,14 +9,15 @@ from adis_gonio.record.plans import plan
 from adis_gonio.record.settings import Settings
 from adis_gonio.sim.chip import State
 from bench.writeback.rig import flash, new_bus, numbers
-from device.bus.test_bridges_with_driver import BRIDGES, SEED, make
+from device.bus.test_bridges_with_driver import BRIDGES
+from fakes.benches import open_bridge
 
 
 @pytest.fixture(scope="module")
 def real(tmp_path_factory):
     """A session of the part behind the bridges that does not know it to be simulated."""
     path = tmp_path_factory.mktemp("real") / "part.session"
-    bus = new_bus(SEED)
+    bus = new_bus(4)
     sensor, bus.world = Adis16354(bus), None
     runner = SessionRunner.begin(
         sensor, path, plan("four-position"), Settings(dwell_s=1.0, settle_s=0.1), auto=True
@@ -30,7 +31,7 @@ def real(tmp_path_factory):
 def test_write_save_and_undo(kind, real, tmp_path):
     path = tmp_path / "part.session"
     path.write_bytes(real.read_bytes())
-    bus, chip = make(kind)
+    bus, chip = open_bridge(kind)
     bus.chip = chip
     with Adis16354(bus) as sensor:
         made = OffsetWriter(sensor, path, WriteSettings(dwell_s=0.5, save=True, angle_deg=0.0))

@@ -7,48 +7,23 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.device.bus import BusUrl, cp2130, mcp2210, open_bus, serial, spidev
+from adis_gonio.device.bus import open_bus
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.scanning import PolledScans, StreamedScans
-from adis_gonio.sim import SimulatedChip, World
-from adis_gonio.sim import chip as chip_module
+from adis_gonio.sim import SimulatedChip, World, chip as chip_module
 from adis_gonio.sim.chip import State
 from adis_gonio.sim.testing.doubles import SimulatedBoard
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
-from adis_gonio.sim.testing.pins import ChipPins, VirtualClock, WorkClock
-from fakes.cp2130_device import Cp2130Device
-from fakes.cp2130_usb import FakeUsbBackend, UsbBoard
-from fakes.mcp2210_device import Mcp2210Device
-from fakes.mcp2210_hid import FakeHid, HidBoard
-from fakes.serial_port import FakePort
-from fakes.spidev_kernel import FakeSpidevKernel
+from adis_gonio.sim.testing.pins import ChipPins, WorkClock
+from fakes.benches import open_bridge
 
 SEED = 4
 BRIDGES = ("mcp2210", "cp2130", "spidev", "serial")
 
 
-def make(kind, options=""):
-    """A bus of a kind with its chip, both in virtual time."""
-    clock = VirtualClock()
-    chip = SimulatedChip(World(seed=SEED), start_s=-0.5)
-    pins = ChipPins(chip, clock)
-    if kind == "mcp2210":
-        hid = FakeHid(HidBoard(Mcp2210Device(pins)))
-        return mcp2210.open_from_url(BusUrl.parse(f"mcp2210:{options}"), hid=hid, clock=clock), chip
-    if kind == "cp2130":
-        backend = FakeUsbBackend(UsbBoard(Cp2130Device(pins)))
-        return cp2130.open_from_url(BusUrl.parse(f"cp2130:{options}"), backend=backend, clock=clock), chip
-    if kind == "spidev":
-        kernel = FakeSpidevKernel({"/dev/spidev0.0": pins})
-        url = BusUrl.parse("spidev:/dev/spidev0.0")
-        return spidev.open_from_url(url, system=kernel, clock=clock), chip
-    port = FakePort(SimulatedFirmware(pins))
-    return serial.open_from_url(BusUrl.parse(f"serial:x{options}"), port=port, clock=clock), chip
-
-
 @pytest.mark.parametrize("kind", BRIDGES)
 def test_the_driver_identifies_configures_and_scans(kind):
-    bus, chip = make(kind)
+    bus, chip = open_bridge(kind)
     with Adis16354(bus) as sensor:
         assert sensor.read("SMPL_PRD") == 1
         sensor.configure(filter_m=2, gyro_range_dps=150)
@@ -65,7 +40,7 @@ def test_the_driver_identifies_configures_and_scans(kind):
 
 @pytest.mark.parametrize("kind", BRIDGES)
 def test_what_was_missed_is_counted(kind):
-    bus, _ = make(kind)
+    bus, _ = open_bridge(kind)
     names = ["XACCL_OUT", "ZACCL_OUT"]
     with Adis16354(bus) as sensor, sensor.stream(names, block_scans=32, leave_registers=True) as stream:
         assert isinstance(stream, PolledScans)
@@ -79,7 +54,7 @@ def test_what_was_missed_is_counted(kind):
 
 
 def test_the_firmware_streams_where_data_ready_is_enabled():
-    bus, _ = make("serial")
+    bus, _ = open_bridge("serial")
     with Adis16354(bus) as sensor:
         sensor.configure(data_ready=True)
         with sensor.stream(["XACCL_OUT", "YACCL_OUT", "ZACCL_OUT", "XTEMP_OUT"], block_scans=128) as stream:
@@ -92,7 +67,7 @@ def test_the_firmware_streams_where_data_ready_is_enabled():
 
 def watched(kind, options=""):
     """The same with a chip that keeps the writes that its pins saw."""
-    bus, chip = make(kind, options)
+    bus, chip = open_bridge(kind, options)
     writes = []
     frame = chip.frame
 
@@ -180,7 +155,7 @@ def test_the_event_counter_counts_by_the_chips_own_clock(monkeypatch, options, e
     """The chip samples 4 % faster than its data sheet says, which time alone does not tell."""
     nominal = chip_module.update_period_s
     monkeypatch.setattr(chip_module, "update_period_s", lambda word: nominal(word) / 1.04)
-    bus, chip = make("mcp2210", options)
+    bus, chip = open_bridge("mcp2210", options)
     with Adis16354(bus) as sensor, sensor.stream(["XACCL_OUT", "ZACCL_OUT"], block_scans=32) as stream:
         first = next(stream)
         begin = chip.data_ready_edges(bus.now_s()) if exact else bus.now_s() * 819.2 * 1.04

@@ -206,6 +206,28 @@ def test_unplugging_is_a_clear_error_and_plugging_in_again_works(bridge):
         assert again.exchange([0x3800, 0])[1] == 0x0402
 
 
+@pytest.mark.parametrize("after", range(1, 9))
+@each_usb
+def test_an_interruption_by_the_operator_leaves_no_answer_to_the_next_request(bridge, after):
+    bench = USB[bridge]()
+    with bench.open() as bus:
+        (owner, name), calls = bench.reader(bus), []
+        read = getattr(owner, name)
+
+        def interrupted(size, timeout_ms=0):
+            calls.append(timeout_ms)
+            if len(calls) == after:
+                raise KeyboardInterrupt
+            return read(size, timeout_ms)
+
+        setattr(owner, name, interrupted)
+        with contextlib.suppress(KeyboardInterrupt):
+            bus.exchange([0x3800, 0x3600, 0, 0x3800, 0x3600, 0, 0x3600, 0])
+        setattr(owner, name, read)
+        assert len(calls) == after
+        assert bus.exchange([0x3600, 0x3800, 0])[1:] == [0x0001, 0x0402]
+
+
 @pytest.mark.parametrize(("bridge", "most_s"), [("cp2130", 0.35), ("mcp2210", 0.25)])
 def test_a_silent_device_fails_within_its_time_out(bridge, most_s):
     bench = USB[bridge]()

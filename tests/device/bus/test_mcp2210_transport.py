@@ -4,8 +4,7 @@ import contextlib
 import threading
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from adis_gonio.base.errors import (
     BusError,
@@ -14,9 +13,7 @@ from adis_gonio.base.errors import (
     NotInstalledError,
     ProtocolError,
 )
-from adis_gonio.device.bus import BusUrl, SpiTiming
-from adis_gonio.device.bus import mcp2210 as r
-from adis_gonio.device.bus import mcp2210 as writes
+from adis_gonio.device.bus import BusUrl, SpiTiming, mcp2210 as r, mcp2210 as writes
 from adis_gonio.device.bus.mcp2210 import TimedWrites, find_devices, open_from_url
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.testing.bus_contract import BusContract, Rig
@@ -33,15 +30,10 @@ class TestMcp2210(BusContract):
         self.bench = bench
         bus = bench.open(self.url)
 
-        def silence():
-            bench.board.faults = Faults(hang=1.0, hang_s=0.4)
-            bench.board.faults.hangs(bench.clock.now_s())
-            bench.board.faults.hang = 0.0
-
         faults = {
             "an answer too short": (lambda: setattr(bench.device, "short", True), ProtocolError),
             "busy for ever": (lambda: setattr(bench.device, "busy", 2), CannotOpenError),
-            "hung": (silence, BusTimeoutError),
+            "hung": (bench.silence, BusTimeoutError),
         }
         twin = SimulatedChip(World(seed=Bench.seed), start_s=-0.5)
         return Rig(bus, bench.chip, twin, faults, slowest_hz=1_500)
@@ -143,9 +135,9 @@ def test_without_hidapi_the_extra_is_named(monkeypatch):
         raise ImportError(name)
 
     monkeypatch.setattr("importlib.import_module", refuse)
-    with pytest.raises(NotInstalledError, match=r"adis-gonio\[hid\]"):
+    with pytest.raises(NotInstalledError, match=r"\[hid\]"):
         open_from_url(BusUrl.parse("mcp2210:"))
-    with pytest.raises(NotInstalledError, match=r"adis-gonio\[hid\]"):
+    with pytest.raises(NotInstalledError, match=r"\[hid\]"):
         find_devices()
 
 
@@ -365,8 +357,7 @@ def test_parsers_take_any_bytes(data):
         r.SpiSettings.parse,
         r.Progress.parse,
         r.Progress.of_poll,
-        r.parse_events,
-        lambda answer: r.parse_pins(answer, r.Command.GET_GPIO_VALUES),
+        lambda answer: r.word_of(answer, r.Command.EVENTS),
     ):
         with contextlib.suppress(ProtocolError):
             parse(data)
@@ -381,12 +372,15 @@ def test_a_progress_never_carries_more_than_a_frame(data):
 
 def test_parsers_refuse_what_is_not_theirs():
     chip = bytes([0x20, 0, 0, 0]) + bytes([0, 1, 2, 0, 0, 0, 0, 0, 0])
-    assert r.ChipSettings.parse(chip.ljust(64, b"\0")).designations[:3] == (0, 1, 2)
+    assert r.ChipSettings.parse(chip.ljust(64, b"\0")).designations[:3] == bytes((0, 1, 2))
     with pytest.raises(ProtocolError, match="designation"):
         r.ChipSettings.parse(chip.replace(b"\x02", b"\x03").ljust(64, b"\0"))
     with pytest.raises(ProtocolError, match=r"0x12 .* 0x42"):
         r.Progress.parse(bytes([0x12]).ljust(64, b"\0"))
-    assert r.parse_pins(bytes([0x31, 0, 0, 0, 0xFF, 0xFF]).ljust(64), r.Command.GET_GPIO_VALUES) == 0x1FF
+    word = bytes([0x31, 0, 0, 0, 0xFE, 0x01]).ljust(64)
+    assert r.word_of(word, r.Command.GET_GPIO_VALUES) == 0x1FE
+    with pytest.raises(ProtocolError, match="GET_GPIO_VALUES is refused: the SPI engine is busy"):
+        r.word_of(word.replace(b"\x31\x00", b"\x31\xf8"), r.Command.GET_GPIO_VALUES)
     assert r.is_mark(bytes([0x50, 0, 7]).ljust(64), 7)
     assert not r.is_mark(bytes([0x12, 0, 7]).ljust(64), 7)
 
@@ -481,22 +475,3 @@ def test_a_device_that_takes_no_report_is_a_time_out_and_nothing_more_is_sent_to
         assert len(tried) == 1
         bus._device.write = takes
         assert bus.exchange([0x3800, 0])[1] == 0x0402
-
-
-@pytest.mark.parametrize("after", range(1, 9))
-def test_an_interruption_by_the_operator_leaves_no_answer_to_the_next_request(after):
-    bench = Bench()
-    with bench.open() as bus:
-        read, calls = bus._device.read, []
-
-        def interrupted(size, timeout_ms=0):
-            calls.append(timeout_ms)
-            if len(calls) == after:
-                raise KeyboardInterrupt
-            return read(size, timeout_ms)
-
-        bus._device.read = interrupted
-        with contextlib.suppress(KeyboardInterrupt):
-            bus.exchange([0x3800, 0x3600, 0])
-        bus._device.read = read
-        assert bus.exchange([0x3600, 0x3800, 0])[1:] == [0x0001, 0x0402]

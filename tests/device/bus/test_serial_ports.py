@@ -7,8 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.device.bus import BusUrl
-from adis_gonio.device.bus import serial as ports
+from adis_gonio.device.bus import BusUrl, serial as ports
 from adis_gonio.device.bus.serial import open_from_url
 
 

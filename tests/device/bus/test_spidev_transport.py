@@ -7,14 +7,12 @@ import sys
 import pytest
 
 from adis_gonio.base.errors import BusTimeoutError, CannotOpenError, ProtocolError, UsageError
-from adis_gonio.device.bus import BusUrl, Capability, SpiTiming
-from adis_gonio.device.bus import spidev as k
+from adis_gonio.device.bus import BusUrl, Capability, SpiTiming, spidev as k
 from adis_gonio.device.bus.spidev import find_devices, open_from_url
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.testing.bus_contract import BusContract, Rig, assert_timing
 from adis_gonio.sim.testing.faults import Faults
-from fakes.benches import SPIDEV_PATH
-from fakes.benches import SpidevBench as Bench
+from fakes.benches import SPIDEV_PATH, SpidevBench as Bench
 from fakes.spidev_kernel import (
     CPHA,
     CS_HIGH,

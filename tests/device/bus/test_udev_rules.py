@@ -5,8 +5,7 @@ import re
 import pytest
 from click.testing import CliRunner
 
-from adis_gonio.device.bus import cp2130 as requests
-from adis_gonio.device.bus import mcp2210 as reports
+from adis_gonio.device.bus import cp2130 as requests, mcp2210 as reports
 from adis_gonio.device.bus.host import RULES_FILE, udev_rule, udev_rules
 from adis_gonio.faces.cli.device_commands import devices_command
 

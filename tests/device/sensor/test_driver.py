@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from adis_gonio import open_bus, open_sensor
 from adis_gonio.base.errors import (
@@ -394,7 +393,6 @@ def test_saved_offsets_survive_a_reset_and_unsaved_ones_do_not(sensor):
 def test_a_flash_update_that_was_not_done_is_found_by_the_counter():
     script = [
         *CONFIGURATION,
-        *checked_reading((0x0000, 7)),  # life
         *checked_reading((0x0000, 7)),  # before
         (0xBE08, 0), *checked_reading((0x0000, 7)),  # the command, and the counter stands still
     ]  # fmt: skip

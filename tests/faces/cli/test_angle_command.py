@@ -124,7 +124,7 @@ READING = LiveAngle(12.0, -170.5, -170.123, 0.0123, True, 2.25, 24.5, 3)
 def test_the_smoothed_angle_leads_and_what_happened_is_in_words():
     smoothed = Smoothed(-170.2, 0.0456, 0.55, 3.0, 0.1, 0.01, ("gap", "saturated"))
     assert format_angle(replace(READING, smoothed=smoothed)) == (
-        " -170.200 ± 0.046°   gap, too fast for the gyro   gravity  -170.123°   raw  -170.500°"
+        " −170.200 ± 0.089°   gap, too fast for the gyro   gravity  −170.123°   raw  −170.500°"
         "   still  (2.2 mg)   24.5 °C   3 lost"
     )
 
@@ -133,12 +133,12 @@ def test_the_smoothed_angle_leads_and_what_happened_is_in_words():
 def test_a_line_fits_and_keeps_the_angle_first(width):
     text = format_angle(READING, width)
     assert len(text) <= width
-    assert text.startswith(" -170.123"[:width])
+    assert text.startswith(" −170.123"[:width])
 
 
 def test_all_is_said_where_there_is_room():
     assert (
-        format_angle(READING) == " -170.123 ± 0.012°   raw  -170.500°   still  (2.2 mg)   24.5 °C   3 lost"
+        format_angle(READING) == " −170.123 ± 0.024°   raw  −170.500°   still  (2.2 mg)   24.5 °C   3 lost"
     )
 
 

@@ -113,7 +113,7 @@ def test_a_ctrl_c_keeps_what_was_found(tmp_path, board, capsys):
         (["--allow-writes", "--leave-registers", "--yes"], "excludes --allow-writes"),
         (["--allow-writes"], "no terminal: add --yes"),
         (["-o", "a.pdf"], "name it a.html"),
-        (["--variant", "adis16999"], "no variant is called"),
+        (["--sensor", "adis16999"], "no variant is called"),
     ],
 )
 def test_a_wrong_call_is_one_line_and_opens_nothing(arguments, says, capsys, monkeypatch, tmp_path):

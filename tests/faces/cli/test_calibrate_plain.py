@@ -79,7 +79,7 @@ def test_undo_note_pause_repeat_skip_and_nonsense_are_all_answers_that_lead_on(b
     status, said, path = bench(typed, "--plan", "four-position")
     assert status == 0
     assert "'xyzzy' is no answer" in said.err
-    assert "the dwell at 90° is withdrawn" in said.err
+    assert "90° withdrawn" in said.err
     assert "paused" in said.err
     session = load_session(path)
     assert [remark["text"] for remark in session.facts["remarks"]] == ["loose clamp", "the lamp"]
@@ -89,10 +89,10 @@ def test_undo_note_pause_repeat_skip_and_nonsense_are_all_answers_that_lead_on(b
 def test_the_end_of_the_input_ends_the_session_and_resume_goes_on(bench):
     status, said, _ = bench("\n", "--plan", "four-position")
     assert status == 1
-    assert "go on with --resume" in said.err
+    assert "--resume -o" in said.err
     status, said, path = bench("\n\n\n", "--resume")
     assert status == 0
-    assert "1 of them done" in said.err
+    assert "1 of 4 positions done" in said.err
     assert len(load_session(path).dwells) == 4
 
 

@@ -197,7 +197,7 @@ def test_fit_all_shows_every_method_and_nothing_is_wider_than_80_columns(capsys,
     assert max(len(line.rstrip()) for line in out.splitlines()) <= 80
     assert "…" not in out
     for method in ("paper", "two-position", "four-position", "ml"):
-        assert f"{method}, ± u" in out
+        assert f"{method}, ± U" in out
     for line in out.splitlines():
         if line.startswith("delta_phi"):
             assert "°" in line or "deg" in line
@@ -520,5 +520,5 @@ def test_a_report_without_matplotlib_names_the_extra_before_any_work(
     page = tmp_path / "page.html"
     status, message = failed(capsys, "report", str(recorded), "-o", str(page))
     assert status == 1
-    assert message.endswith("pip install 'adis-gonio[report]'")
+    assert message.endswith("pip install '.[report]' in the folder of adis-gonio")
     assert not page.exists()

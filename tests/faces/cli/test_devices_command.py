@@ -77,7 +77,7 @@ def test_a_package_whose_finder_fails_is_named_in_one_line_and_hides_no_other(
 def test_the_extra_that_a_bus_needs_stands_in_the_list_word_for_word(capsys, plugged):
     plugged(Point("usb", ImportError("missing", name="libfoo")))
     assert main(["devices"]) == 0
-    assert "libfoo is missing; pip install 'adis-gonio[usb]'" in capsys.readouterr().out
+    assert "libfoo is missing; pip install '.[usb]'" in capsys.readouterr().out
 
 
 def test_brackets_and_colons_of_a_description_are_no_markup(capsys, plugged):

@@ -146,7 +146,7 @@ def test_without_pyarrow_the_extra_is_named_and_nothing_is_left(recorded, tmp_pa
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     status, said = failed(capsys, recorded, "-o", tmp_path / "s.parquet")
     assert status == 1
-    assert "pip install 'adis-gonio[parquet]'" in said
+    assert "pip install '.[parquet]'" in said
     assert files(tmp_path) == {}
 
 

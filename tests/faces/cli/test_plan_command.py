@@ -22,7 +22,7 @@ def test_the_headline_stands_first_and_eighty_columns_are_enough(capsys):
     words = ["plan", "--fixture", "0.02", "--positions", "12", "--beware", "bias_drift,hysteresis"]
     assert main(words) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("12 positions, 4 min: angle ± 0.01")
+    assert lines[0].startswith("12 positions, 4 min: angle u 0.01")
     assert max(map(len, lines)) <= 80
     text = "\n".join(lines)
     order = ["best to tell apart bias_drift, hysteresis", "Predicted, by", "Gain", "Sees", "Cannot see"]

@@ -44,7 +44,7 @@ def test_the_summary_says_what_how_sure_before_after_and_next(capsys, biased):
     assert "bias_x = 8.0" in out
     assert "as good as certain" in out
     headings = [
-        "Found",
+        "Found (± U, 95 %)",
         "Error before and after",
         "What this session could not have seen",
         "What to measure next",
@@ -79,7 +79,7 @@ def test_a_file_that_is_not_there_is_one_line(capsys, tmp_path, command):
 def test_the_page_is_written_and_replaced(capsys, biased, tmp_path):
     page = tmp_path / "page.html"
     page.write_text("old", encoding="utf-8")
-    assert main(["report", str(biased), "-o", str(page)]) == 0
+    assert main(["report", str(biased), "-o", str(page), "--force"]) == 0
     assert capsys.readouterr().out == ""
     text = page.read_text(encoding="utf-8")
     assert text.startswith("<!DOCTYPE html>")
@@ -89,9 +89,9 @@ def test_the_page_is_written_and_replaced(capsys, biased, tmp_path):
 
 def test_a_page_never_takes_the_place_of_its_session(capsys, biased):
     before = biased.read_bytes()
-    assert main(["report", str(biased), "-o", str(biased)]) == 2
+    assert main(["report", str(biased), "-o", str(biased), "--force"]) == 2
     assert biased.read_bytes() == before
-    assert "is the session itself" in capsys.readouterr().err
+    assert "reads this file" in capsys.readouterr().err
 
 
 def test_two_positions_have_a_page_that_says_why_there_is_no_more(tmp_path):

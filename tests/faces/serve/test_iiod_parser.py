@@ -3,8 +3,7 @@
 import random
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from adis_gonio.faces.serve import iiod_protocol as protocol
 from adis_gonio.faces.serve.iiod_protocol import (

@@ -13,6 +13,7 @@ from rich.console import Console
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.bench import events
+from adis_gonio.faces.free_hands import Hands
 from adis_gonio.faces.tui.bench_screen import BenchApp
 
 RESUME = "adis-gonio calibrate 'serial:' --resume -o today.session"
@@ -97,13 +98,16 @@ def shown(
     runner: PlayedRunner | None = None,
     picture: Path | None = None,
     before: object = None,
+    hands: Hands | None = None,
 ) -> tuple[str, BenchApp, PlayedRunner]:
     """Play a script, press keys, and return the screen, its app and what the runner was told."""
     played = runner or PlayedRunner(script)
     played.heeds_stop = False  # the screen stays to be looked at
 
     async def play() -> tuple[str, BenchApp]:
-        app = BenchApp(played, RESUME)
+        app = BenchApp(played, RESUME, hands=hands)
+        # Only the ticks below: on a slow machine a tick in the middle of the script opens its dialogs.
+        app.set_interval = lambda *_, **__: None
         async with app.run_test(size=size) as pilot:
             await asyncio.to_thread(played.played.wait)
             app.tick()

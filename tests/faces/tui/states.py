@@ -52,8 +52,8 @@ def done(place: int, made=PLAN, alarms: int = 0, lost: int = 0) -> events.DwellD
 TURN = events.TurnMeasured(1, 60.0, 59.84, 0.31, 60.12)
 RUNNING = events.Running(
     {
-        "delta_k": {"value": 0.00108, "u": 0.00013, "unit": "1"},
-        "delta_phi": {"value": -0.4123, "u": 0.0121, "unit": "deg"},
+        "delta_k": {"value": 0.00108, "u": 0.00013, "U": 0.00026, "unit": "1"},
+        "delta_phi": {"value": -0.4123, "u": 0.0121, "U": 0.0242, "unit": "deg"},
     },
     "ml",
     3,

@@ -69,7 +69,7 @@ def test_a_rate_beyond_the_range_is_told_while_it_is_turned():
 
 
 @pytest.mark.parametrize(
-    ("key", "told"), [("enter", ["confirm"]), ("t", ["repeat"]), ("s", ["skip"]), ("u", ["undo"])]
+    ("key", "told"), [("enter", ["confirm"]), ("r", ["repeat"]), ("s", ["skip"]), ("u", ["undo"])]
 )
 def test_keys_answer_a_turn_that_is_asked_for_as_a_position(key, told):
     assert shown([*LAID, look(angle=None, target=None)], keys=["x", key])[2].told == told

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.optimize import minimize
-from scipy.stats import bartlett
-from scipy.stats import f as fisher
+from scipy.stats import bartlett, f as fisher
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.estimation import spectrum as module

@@ -30,7 +30,7 @@ def test_dwells_and_turns_are_counted_apart() -> None:
     assert replace(RESULT, turns=1).held == "16 dwells and 1 turn"
     assert replace(RESULT, turns=0, positions=(0,)).held == "1 dwell"
     assert repr(RESULT).startswith(
-        "GyroFit(14 dwells and 3 turns, gyro_bias_x 0.400\u00a0±\u00a00.013\u00a0°/s, "
+        "GyroFit(14 dwells and 3 turns, gyro_bias_x 0.400\u00a0±\u00a00.025\u00a0°/s, "
     )
     document = RESULT.as_dict()
     assert (document["positions_used"], document["turns_used"]) == (14, 3)
@@ -51,13 +51,13 @@ def test_gains_by_turns_are_told_in_a_line() -> None:
     gains = gains_in(RESULT)
     assert gains is not None
     assert gains.line == (
-        "gain of gyros X 0.990\u00a0±\u00a00.020, Z 1.00984\u00a0±\u00a00.00041,"
+        "gain of gyros X 0.990\u00a0±\u00a00.039, Z 1.00984\u00a0±\u00a00.00080,"
         " by 3 turns (fit --sensor-part gyro)"
     )
     assert list(gains.as_dict()) == ["gyro_scale_x", "gyro_scale_z", "turns_used"]
     only = gains_in(replace(RESULT, parameters={"gyro_scale_z": VALUES["gyro_scale_z"]}, turns=1))
     assert only is not None
-    assert only.line == "gain of gyro Z 1.00984\u00a0±\u00a00.00041, by 1 turn (fit --sensor-part gyro)"
+    assert only.line == "gain of gyro Z 1.00984\u00a0±\u00a00.00080, by 1 turn (fit --sensor-part gyro)"
     assert gains_in(replace(RESULT, turns=0)) is None
     assert gains_in(replace(RESULT, parameters={"gyro_bias_x": VALUES["gyro_bias_x"]})) is None
     assert gains_of(session()) is None

@@ -12,14 +12,6 @@ from adis_gonio.bench.bringup.bringup_step import (
 )
 
 __all__ = [
-    "STEPS",
-    "Answer",
-    "Bringup",
-    "Measured",
-    "Outcome",
-    "Permission",
-    "Row",
-    "StepResult",
-    "Verdict",
+    "STEPS", "Answer", "Bringup", "Measured", "Outcome", "Permission", "Row", "StepResult", "Verdict",
     "bring_up",
-]
+]  # fmt: skip

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from adis_gonio.base.errors import NotInstalledError
-from adis_gonio.base.numbers import format_fixed, format_number, format_uncertain, with_unit
+from adis_gonio.base.numbers import format_fixed, format_number, with_unit
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.bench.bringup.bringup_step import (
     MOST_TESTS,
     QUESTIONS,
@@ -130,7 +131,7 @@ def _limits(found: Bringup) -> Section:
             f" among {MOST_TESTS} comparisons; {found.comparisons} of them were made. Each limit is a"
             " quantile of the figure's distribution on a good board: normal for means, chi-square for"
             " variances, exponential for the bins of a spectrum. Faults that are not random have no limit.",
-            "Values have their standard uncertainty.",
+            "± is U (95 %).",
         ),
         notes=(f"Bridge: {bridge}.", f"Original registers: {held or 'not read'}."),
     )
@@ -139,7 +140,7 @@ def _limits(found: Bringup) -> Section:
 def _value(figure: Measured) -> str:
     if figure.u is None:
         return _number(figure.value, figure)
-    return format_uncertain(figure.value, figure.u, figure.unit)
+    return str(Value(figure.value, figure.u, figure.unit))
 
 
 def _number(value: float, figure: Measured) -> str:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -22,8 +23,6 @@ from adis_gonio.bench.bringup.bringup_step import (
     Row,
     SideEffect,
     StepResult,
-    Verdict,
-    not_measured,
     writable,
 )
 from adis_gonio.bench.bringup.link_steps import BitErrors, Health, Link, Timing, WhichPart
@@ -124,56 +123,53 @@ class _Run:
         self._answers: dict[str, Answer] = {}
         self._bench: BringupBench | None = None
         self._undo: Undo | None = None
+        self._stopped = False
 
     def all(self, steps: tuple[BringupStep, ...]) -> Bringup:
         begun = self._bus.witness("utc", lambda: datetime.now(UTC).isoformat(timespec="seconds"))
-        stopped, failure = False, ""
-        try:
-            sensor = Adis16354(self._bus, self._variant, check=False)
-            self._bench = BringupBench(self._bus, sensor, self._budget, lends=self._permission.lends)
-        except KeyboardInterrupt:
-            stopped = True
-        except AdisGonioError as error:
-            failure = str(error)
+        failure = ""
+        with self._until_stopped():
+            try:
+                sensor = Adis16354(self._bus, self._variant, check=False)
+                self._bench = BringupBench(self._bus, sensor, self._budget, lends=self._permission.lends)
+            except AdisGonioError as error:
+                failure = str(error)
         for step in steps:
-            if stopped:
-                result = not_measured("stopped by the operator")
-            elif self._bench is None:
-                result = (
-                    not_measured("the link does not work")
-                    if self._rows
-                    else StepResult(Verdict.FAULT, failure)
-                )
-            else:
-                try:
+            result = StepResult().not_measured("stopped by the operator")
+            with self._until_stopped():
+                if self._bench is not None and not self._stopped:
                     result = self._one(self._bench, step)
-                except KeyboardInterrupt:
-                    stopped = True
-                    result = not_measured("stopped by the operator")
-            try:
+                elif failure:
+                    result = StepResult().not_measured("the link does not work")
+                    result = result if self._rows else StepResult().fault(failure)
+            with self._until_stopped():
                 self._add(step, result)
-            except KeyboardInterrupt:
-                stopped = True
         if self._undo is not None:
-            try:
+            with self._until_stopped():
                 self._undo.put_back()  # again, since an interruption may have come during the first time
-            except KeyboardInterrupt:
-                stopped = True
-        return self._whole(begun, stopped)
+        return self._whole(begun)
+
+    @contextmanager
+    def _until_stopped(self) -> Iterator[None]:
+        """Context that a Ctrl-C of the operator ends, which is then noted."""
+        try:
+            yield
+        except KeyboardInterrupt:
+            self._stopped = True
 
     def _one(self, bench: BringupBench, step: BringupStep) -> StepResult:
         refusal = bench.blocked or self._refusal(step)
         if refusal:
-            return not_measured(refusal)
+            return StepResult().not_measured(refusal)
         if step.effect in (SideEffect.WRITES, SideEffect.FLASH) and not self._permission.ask(step.question):
-            return not_measured("the answer to its question was no")
+            return StepResult().not_measured("the answer to its question was no")
         changes = step.effect is not SideEffect.READS
         try:
             if changes and self._undo is None:
                 self._undo = Undo(bench.sensor, writable())
-            return step.run(bench)
+            return step.run(bench, StepResult())
         except AdisGonioError as error:
-            return StepResult(Verdict.FAULT, f"could not be done: {error}")
+            return StepResult().fault(f"could not be done: {error}")
         finally:
             if changes and self._undo is not None:
                 try:
@@ -198,7 +194,7 @@ class _Run:
             self._answers[name] = result.answers.get(name, default)
         self._tell(row)
 
-    def _whole(self, begun: str, stopped: bool) -> Bringup:
+    def _whole(self, begun: str) -> Bringup:
         sensor = None if self._bench is None else self._bench.sensor
         answers = {}
         for question in QUESTIONS:
@@ -225,7 +221,7 @@ class _Run:
             undone_ok=not left,
             comparisons=self._budget.spent,
             false_alarm=self._budget.total,
-            stopped=stopped,
+            stopped=self._stopped,
         )
 
 

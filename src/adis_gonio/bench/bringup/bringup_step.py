@@ -10,6 +10,7 @@ of a periodogram. Faults that are not random (a stuck line, a lost edge) have no
 from __future__ import annotations
 
 import math
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -32,7 +33,6 @@ _PART = VARIANTS["adis16354"]
 _FIGURES = _PART.performance
 
 
-@dataclass(frozen=True)
 class Question(JsonRecord):
     """A property of the ADIS16354 that is not certain, with its value in the package's tables.
 
@@ -54,105 +54,67 @@ class Question(JsonRecord):
     table: str
     source: str
     confidence: str
-    otherwise: str = "the step that answers it was not done"
+    otherwise: str
 
 
-def _register(name: str, register: str, text: str, table: str, confidence: str = "") -> Question:
-    row = BY_NAME[register]
-    return Question(name, text, table, row.source, confidence or row.confidence)
+_LSB = f"{_PART.accel_mg_per_lsb} mg | {_PART.source} | {_PART.confidence}"
+_LATER = "not known (after, on later parts)"
+_PER_C = f"{_FIGURES.bias_tempco_mg_per_c} mg/°C, {_FIGURES.scale_tempco_ppm_per_c:g} ppm/°C"
+_INITIAL = f"{_FIGURES.initial_bias_mg:g} mg and {100 * _FIGURES.scale_error_typical:g} % (1 sigma)"
+
+_TABLE = f"""
+accel_lsb | LSB of the accelerometers: 0.4672 or 0.467 mg? | {_LSB}
+    the two are 0.04 % apart; the gain error of a part (0.1 % and more) hides that whatever is done,
+    and one pose also has the bias in it (10 mg are 1 %)
+accel_offset_lsb | LSB of XACCL_OFF, YACCL_OFF, ZACCL_OFF in LSB of the output? | 1 | DS; LSB from code | C
+offset_after_filter | Do the offsets act before or after the filter? | {_LATER} | later parts | C
+accel_noise | Noise of the accelerometers, unfiltered, rms? | {_FIGURES.noise_mg} mg | estimate | D
+gyro_noise | Noise of the gyros, unfiltered, rms? | {_FIGURES.gyro_noise_dps} °/s | DS | B
+accel_bias_scale | Initial bias and gain error of the accelerometers? | {_INITIAL} | estimate | D
+    one pose has |a| only; calibrate with the plan 'poses'
+accel_alignment | Angle between the axes? | within {_FIGURES.non_orthogonality_deg}° | DS | B
+    needs several poses; calibrate with the plan 'poses'
+accel_stability | Bias instability of the accelerometers? | {_FIGURES.bias_instability_mg} mg | estimate | D
+    needs hours at rest; record them with adis-gonio stream
+accel_temperature | Temperature coefficients of bias and gain? | {_PER_C} | estimate | D
+    needs a chamber, or a warm-up that is recorded
+accel_nonlinearity | Nonlinearity of the accelerometers? | within 0.2 % of the range | DS | B
+    needs many poses; adis-gonio trace of such a session
+filter_gain | Noise gain of the filter steps M? | two boxcars of 2^M taps | DS | A
+sample_period | Period of the internal update? | 0.61035 or 18.921 ms × (N + 1) | DS | A
+data_ready_edge | Which edge of the data-ready pulse follows the update? | the first | inferred | C
+data_ready_pulse | Width of the data-ready pulse? | not given | – | ?
+self_test_gyro | Do the gyros answer to both signs of the manual self-test? | yes | DS | B
+self_test_accel | Do the accelerometers answer to the positive sign only? | yes | DS | B
+over_range_falls | Does the over-range bit clear automatically? | yes (DS, p. 20) | DS | A
+alarm_stays | Does an alarm's bit stay until STATUS is read? | yes (DS, p. 20) | DS | B
+over_range_threshold | Threshold of over-range? | not given | – | ?
+flash_count | Does ENDURANCE count a flash update by one? | yes | DS | A
+autonull_duration | Duration of the autonull? | not given | – | ?
+    an autonull overwrites the gyros' offsets in flash, which cannot be undone without more writes
+reset_recovery | Recovery from a reset? | not given; taken as a start-up, 0.15 s | DS | B
+    to find its end something must be asked too early, and traffic during a reset can leave a part
+    without answers
+illegal_settings | What do illegal SENS_AVG and SMPL_PRD = 0 do? | not given | – | ?
+    nothing illegal is ever written
+"""
+"""A line for each question: name, question, value in the table, source and confidence. Indented lines give
+the reason why no step answers it."""
 
 
-_ESTIMATE = "estimate"
-
-QUESTIONS: tuple[Question, ...] = (
-    Question(
-        "accel_lsb", "LSB of the accelerometers: 0.4672 or 0.467 mg?",
-        f"{_PART.accel_mg_per_lsb} mg", _PART.source, _PART.confidence,
-        "the two are 0.04 % apart; the gain error of a part (0.1 % and more) hides that whatever is done,"
-        " and one pose also has the bias in it (10 mg are 1 %)",
-    ),
-    _register(
-        "accel_offset_lsb", "XACCL_OFF", "LSB of XACCL_OFF, YACCL_OFF, ZACCL_OFF in LSB of the output?",
-        "1",
-    ),
-    Question(
-        "offset_after_filter", "Do the offsets act before or after the filter?",
-        "not known (after, on later parts)", "later parts", "C",
-    ),
-    Question(
-        "accel_noise", "Noise of the accelerometers, unfiltered, rms?",
-        f"{_FIGURES.noise_mg} mg", _ESTIMATE, "D",
-    ),
-    Question(
-        "gyro_noise", "Noise of the gyros, unfiltered, rms?",
-        f"{_FIGURES.gyro_noise_dps} °/s", "DS", "B",
-    ),
-    Question(
-        "accel_bias_scale", "Initial bias and gain error of the accelerometers?",
-        f"{_FIGURES.initial_bias_mg:g} mg and {100 * _FIGURES.scale_error_typical:g} % (1 sigma)",
-        _ESTIMATE, "D", "one pose has |a| only; calibrate with the plan 'poses'",
-    ),
-    Question(
-        "accel_alignment", "Angle between the axes?", f"within {_FIGURES.non_orthogonality_deg}°",
-        "DS", "B",
-        "needs several poses; calibrate with the plan 'poses'",
-    ),
-    Question(
-        "accel_stability", "Bias instability of the accelerometers?",
-        f"{_FIGURES.bias_instability_mg} mg", _ESTIMATE, "D",
-        "needs hours at rest; record them with adis-gonio stream",
-    ),
-    Question(
-        "accel_temperature", "Temperature coefficients of bias and gain?",
-        f"{_FIGURES.bias_tempco_mg_per_c} mg/°C, {_FIGURES.scale_tempco_ppm_per_c:g} ppm/°C",
-        _ESTIMATE, "D",
-        "needs a chamber, or a warm-up that is recorded",
-    ),
-    Question(
-        "accel_nonlinearity", "Nonlinearity of the accelerometers?", "within 0.2 % of the range", "DS", "B",
-        "needs many poses; adis-gonio trace of such a session",
-    ),
-    _register("filter_gain", "SENS_AVG", "Noise gain of the filter steps M?", "two boxcars of 2^M taps"),
-    _register(
-        "sample_period", "SMPL_PRD", "Period of the internal update?", "0.61035 or 18.921 ms × (N + 1)"
-    ),
-    Question(
-        "data_ready_edge", "Which edge of the data-ready pulse follows the update?", "the first",
-        "inferred", "C",
-    ),
-    Question("data_ready_pulse", "Width of the data-ready pulse?", "not given", "–", "?"),
-    _register(
-        "self_test_gyro", "MSC_CTRL", "Do the gyros answer to both signs of the manual self-test?",
-        "yes", "B",
-    ),
-    _register(
-        "self_test_accel", "MSC_CTRL", "Do the accelerometers answer to the positive sign only?", "yes", "B"
-    ),
-    _register(
-        "over_range_falls", "STATUS", "Does the over-range bit clear automatically?", "yes (DS, p. 20)"
-    ),
-    _register(
-        "alarm_stays", "STATUS", "Does an alarm's bit stay until STATUS is read?", "yes (DS, p. 20)", "B"
-    ),
-    Question("over_range_threshold", "Threshold of over-range?", "not given", "–", "?"),
-    _register("flash_count", "ENDURANCE", "Does ENDURANCE count a flash update by one?", "yes"),
-    Question(
-        "autonull_duration", "Duration of the autonull?", "not given", "–", "?",
-        "an autonull overwrites the gyros' offsets in flash, which cannot be undone without more writes",
-    ),
-    Question(
-        "reset_recovery", "Recovery from a reset?", "not given; taken as a start-up, 0.15 s", "DS", "B",
-        "to find its end something must be asked too early, and traffic during a reset can leave a part"
-        " without answers",
-    ),
-    Question(
-        "illegal_settings", "What do illegal SENS_AVG and SMPL_PRD = 0 do?", "not given", "–", "?",
-        "nothing illegal is ever written",
-    ),
-)  # fmt: skip
+def _parse(block: str) -> Question:
+    line, *reason = block.splitlines()
+    name, text, table, source, confidence = line.split(" | ")
+    otherwise = " ".join(part.strip() for part in reason) or "the step that answers it was not done"
+    return Question(name, text, table, source, confidence, otherwise)
 
 
+QUESTIONS = tuple(_parse(block) for block in re.split(r"\n(?=\w)", _TABLE.strip()))
 FORMAT = "adis-gonio bringup 1"
+_COPIED = (
+    *("software", "begun_utc", "url", "simulated", "variant", "bridge", "registers"),
+    *("sound", "accused", "headline", "stopped"),
+)
 Number = TypeVar("Number", float, float | None)
 
 
@@ -177,7 +139,6 @@ class Outcome(StrEnum):
     NOT_MEASURED = "not measured"
 
 
-@dataclass(frozen=True)
 class Measured(JsonRecord):
     """A measured figure with its standard uncertainty.
 
@@ -198,7 +159,6 @@ class Measured(JsonRecord):
     expected: float | None = None
 
 
-@dataclass(frozen=True)
 class Answer(JsonRecord):
     """Answer to one open question about the sensor; `text` is one sentence."""
 
@@ -220,30 +180,20 @@ class Curve:
     log: bool = False
 
 
-@dataclass(frozen=True)
-class StepResult(JsonRecord):
-    """Result of a bring-up step: a verdict, one sentence, figures, and answers to open questions."""
-
-    document_keys = ("verdict", "text", "figures")
-
-    verdict: Verdict
-    text: str
-    figures: tuple[Measured, ...] = ()
-    answers: Mapping[str, Answer] = field(default_factory=dict)
-    curves: tuple[Curve, ...] = ()
-
-
 def _plain(number: Number) -> Number:
     return number.item() if isinstance(number, np.generic) else number
 
 
-class Findings:
-    """Collects the figures, answers and curves of a bring-up step and makes its result from them."""
+class StepResult(JsonRecord, frozen=False):
+    """Result of a bring-up step, which the step fills: verdict, sentence, figures, answers and curves."""
 
-    def __init__(self) -> None:
-        self.figures: list[Measured] = []
-        self.answers: dict[str, Answer] = {}
-        self.curves: tuple[Curve, ...] = ()
+    document_keys = ("verdict", "text", "figures")
+
+    verdict: Verdict = Verdict.NOT_MEASURED
+    text: str = ""
+    figures: list[Measured] = field(default_factory=list)
+    answers: dict[str, Answer] = field(default_factory=dict)
+    curves: tuple[Curve, ...] = ()
 
     def measure(
         self,
@@ -262,9 +212,13 @@ class Findings:
         """Record the answer to an open question about the sensor."""
         self.answers[question] = Answer(outcome, text, figures)
 
+    def check(self, question: str, holds: object, text: str, *figures: Measured) -> None:
+        """Record an answer that confirms the table if `holds`, or else contradicts it."""
+        self.answer(question, Outcome.CONFIRMS if holds else Outcome.CONTRADICTS, text, *figures)
+
     def settle(self, question: str, text: str, *, differs: bool) -> StepResult:
         """Record all figures of the step as the answer to its only question; return the step's result."""
-        self.answer(question, Outcome.CONTRADICTS if differs else Outcome.CONFIRMS, text, *self.figures)
+        self.check(question, not differs, text, *self.figures)
         return self.differs(text) if differs else self.ok(text)
 
     def contradictions(self) -> str:
@@ -273,22 +227,26 @@ class Findings:
         return "; ".join(one.text for one in answers if one.outcome is Outcome.CONTRADICTS)
 
     def ok(self, text: str) -> StepResult:
-        """Return the result of a step that found no fault."""
-        return self._result(Verdict.OK, text)
+        """End the step without a fault."""
+        return self._end(Verdict.OK, text)
 
     def fault(self, text: str) -> StepResult:
-        """Return the result of a step that found a fault of the board."""
-        return self._result(Verdict.FAULT, text)
+        """End the step with a fault of the board."""
+        return self._end(Verdict.FAULT, text)
 
     def differs(self, text: str) -> StepResult:
-        """Return the result of a step that contradicts the table."""
-        return self._result(Verdict.DIFFERS, text)
+        """End the step with a contradiction of the table."""
+        return self._end(Verdict.DIFFERS, text)
 
-    def _result(self, verdict: Verdict, text: str) -> StepResult:
-        return StepResult(verdict, text, tuple(self.figures), self.answers, self.curves)
+    def not_measured(self, why: str) -> StepResult:
+        """End a step that could not measure, with the reason."""
+        return self._end(Verdict.NOT_MEASURED, f"not measured: {why}")
+
+    def _end(self, verdict: Verdict, text: str) -> StepResult:
+        self.verdict, self.text = verdict, text
+        return self
 
 
-@dataclass(frozen=True)
 class Row(JsonRecord):
     """A bring-up step with its result, as in the JSON document."""
 
@@ -369,25 +327,14 @@ class Bringup:
 
     def as_dict(self) -> dict[str, Any]:
         """The document that `adis-gonio bringup --json` prints."""
+        answers = [question.as_dict() | self.answers[question.name].as_dict() for question in QUESTIONS]
         return {
             "format": FORMAT,
-            "software": self.software,
-            "begun_utc": self.begun_utc,
-            "url": self.url,
-            "simulated": self.simulated,
-            "variant": self.variant,
-            "bridge": dict(self.bridge),
-            "registers": dict(self.registers),
-            "sound": self.sound,
-            "accused": self.accused,
-            "headline": self.headline,
-            "stopped": self.stopped,
+            **{name: getattr(self, name) for name in _COPIED},
             "undone": {"verified": self.undone_ok, "text": self.undone},
             "false_alarm": {"board": self.false_alarm, "comparisons": self.comparisons},
             "steps": [row.as_dict() for row in self.rows],
-            "answers": [
-                question.as_dict() | self.answers[question.name].as_dict() for question in QUESTIONS
-            ],
+            "answers": answers,
         }
 
 
@@ -504,8 +451,11 @@ class BringupStep(ABC):
     settles: tuple[str, ...] = ()
 
     @abstractmethod
-    def run(self, bench: BringupBench) -> StepResult:
-        """Run the step; raises `AdisGonioError` if the sensor or the bridge fails."""
+    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
+        """Run the step, fill its result and return it.
+
+        Raises `AdisGonioError` if the sensor or the bridge fails.
+        """
 
 
 @dataclass
@@ -641,11 +591,6 @@ def _longest_run(blocks: Sequence[ScanBlock], count: int) -> ScanBlock:
     best = int(np.argmax(lengths))
     cut = slice(breaks[best], min(breaks[best + 1], breaks[best] + count))
     return replace(whole, words=whole.words[cut], time_s=whole.time_s[cut], lost=0, missed=None)
-
-
-def not_measured(why: str) -> StepResult:
-    """Return the result of a step that could not measure, with the reason."""
-    return StepResult(Verdict.NOT_MEASURED, f"not measured: {why}")
 
 
 def writable() -> tuple[Register, ...]:

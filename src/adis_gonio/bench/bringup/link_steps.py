@@ -14,7 +14,6 @@ from adis_gonio.bench.bringup.bringup_step import (
     BringupBench,
     BringupStep,
     Curve,
-    Findings,
     Floats,
     StepResult,
     at_most,
@@ -90,12 +89,11 @@ class Link(BringupStep):
     name = "link"
     does = "reads the control registers three times: silence, a stuck, inverted or shifted data line"
 
-    def run(self, bench: BringupBench) -> StepResult:
+    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Read the control registers, and test if a known wiring error explains the replies."""
         frames = np.append(np.tile(read_frames(_CONSTANT), _PASSES), np.uint16(IDLE))
         words = bench.bus.exchange_array(frames)[1:].reshape(_PASSES, -1)
         first = [int(word) for word in words[0]]
-        found = Findings()
         found.measure("control registers read", len(first), expected=len(_CONSTANT))
         problem = _silence(words) or _unsteady(words)
         if not problem:
@@ -146,9 +144,9 @@ class Timing(BringupStep):
     does = "asks the bridge for both modes' timing and times 500 frames"
     _frames = 500
 
-    def run(self, bench: BringupBench) -> StepResult:
+    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Compare the timing that the bridge reports and the measured time of a frame with the limits."""
-        found, wrong = Findings(), []
+        wrong: list[str] = []
         for mode, asked in (("fast", FAST), ("normal", NORMAL)):
             got = bench.bus.inner.configure(asked)
             found.measure(f"{mode}: clock", got.clock_hz, "Hz", expected=asked.clock_hz)
@@ -207,7 +205,7 @@ class BitErrors(BringupStep):
     name = "bit errors"
     does = "1000 reads of constant registers at each clock of the bridge, slowest first"
 
-    def run(self, bench: BringupBench) -> StepResult:
+    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Read the registers at each clock, and limit later steps to the fastest clock without errors."""
         smpl_prd = bench.constants["SMPL_PRD"] & 0xFF
         mode, limit = ("fast", FAST) if smpl_prd <= FAST_UP_TO else ("normal", NORMAL)
@@ -241,7 +239,6 @@ class BitErrors(BringupStep):
         bench.refresh()
         bits = 16 * sum(trial.reads for trial in trials)
         errors = sum(trial.wrong_bits for trial in trials)
-        found = Findings()
         for t in trials:
             found.measure(f"wrong of {t.reads} at {t.clock_hz / 1e3:g} kHz", t.wrong_words, expected=0)
         found.measure("bit error rate, upper limit (95 %)", at_most(errors, bits))
@@ -331,7 +328,7 @@ class Health(BringupStep):
     name = "supply"
     does = f"{_SCANS} readings of supply and temperatures; STATUS, read twice (a read clears it)"
 
-    def run(self, bench: BringupBench) -> StepResult:
+    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Compare supply and temperatures with the limits of operation, and check that STATUS is clear."""
         first = bench.status()
         bench.wait_updates()
@@ -341,7 +338,6 @@ class Health(BringupStep):
         lsb, zero, _ = scales(registers(names), bench.sensor.variant, 300)
         mean, u = mean_and_u(block.numbers().astype(np.float64), _gain(bench))
         value, u = zero + lsb * mean, lsb * u
-        found = Findings()
         found.measure("supply", value[0], "V", u[0], 5.0)
         for axis, t, s in zip("xyz", value[1:], u[1:], strict=True):
             found.measure(f"temperature {axis}", t, "degC", s)
@@ -374,7 +370,7 @@ class WhichPart(BringupStep):
         " ADIS16350/55"
     )
 
-    def run(self, bench: BringupBench) -> StepResult:
+    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Compare |a| in LSB with the value that each variant has at 1 g."""
         block, _ = bench.scans(_SCANS, ACCEL_OUT)
         mean, u = mean_and_u(block.numbers().astype(np.float64), _gain(bench))
@@ -387,7 +383,6 @@ class WhichPart(BringupStep):
         warm = bench.sensor.quantity("XTEMP_OUT").value - 25.0
         tolerance = float(np.hypot(_tolerance(asked, warm), u_norm * asked.accel_mg_per_lsb / 1000))
         off = norm / asked.one_g_lsb - 1
-        found = Findings()
         found.measure("|a|", norm, "LSB", u_norm, asked.one_g_lsb)
         for name, m, s in zip(ACCEL_OUT, mean, u, strict=True):
             found.measure(f"mean of {name}, less its offset", m, "LSB", s)

@@ -13,13 +13,10 @@ from adis_gonio.bench.bringup.bringup_step import (
     BringupBench,
     BringupStep,
     Curve,
-    Findings,
     Floats,
     Measured,
-    Outcome,
     SideEffect,
     StepResult,
-    not_measured,
 )
 from adis_gonio.device.sensor.decoding import scales
 from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, registers
@@ -39,8 +36,6 @@ _HANN_WIDTH = 35 / 18
 """Number of bins of a periodogram with Hann's window that count as one independent bin in a mean."""
 _MOST_FLICKER = 0.1
 """Largest share of flicker, relative to white noise, at the lowest frequency used."""
-GYRO_FLOOR_DPS = 0.015
-"""Bias instability of the gyros (an estimate, D: the simulator has this value)."""
 
 
 def degrees_of_freedom(count: int, m: int, spacing: float = 1.0) -> float:
@@ -90,35 +85,33 @@ class Noise(BringupStep):
     effect = SideEffect.LENDS
     settles = ("accel_noise", "gyro_noise")
 
-    def run(self, bench: BringupBench) -> StepResult:
+    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Record scans at rest and judge the noise of the six axes."""
         sensor = bench.sensor
         configuration = sensor.configuration()
         names = (*ACCEL_OUT, *GYRO_OUT)
         if configuration.gyro_range_dps is None:
-            return not_measured("SENS_AVG holds no valid range of the gyros")
+            return found.not_measured("SENS_AVG holds no valid range of the gyros")
         block, whole = bench.scans(_SCANS, names)
         if not whole:
             block = block.first(_FEW)
         if len(block) < _FEW // 4:
-            return not_measured(
+            return found.not_measured(
                 f"{len(block)} scans in {LONGEST_S:g} s are too few; a faster SMPL_PRD gives more"
             )
         m, rate = configuration.filter_m, configuration.sample_rate_hz
         lsb, _, units = scales(registers(names), sensor.variant, configuration.gyro_range_dps)
-        performance = sensor.variant.performance
-        expected = np.array([performance.noise_mg] * 3 + [performance.gyro_noise_dps] * 3)
+        expected = sensor.variant.performance.noise
         numbers = block.numbers().astype(np.float64)
         stuck = [name for name, column in zip(names, numbers.T, strict=True) if not np.ptp(column)]
         if stuck:
-            return Findings().fault(f"{', '.join(stuck)} never changes: the axis does not work")
+            return found.fault(f"{', '.join(stuck)} never changes: the axis does not work")
         if whole:
             judged = _by_spectrum(bench, numbers, m, rate, expected / lsb)
         else:
             spacing = float(np.mean(np.diff(block.time_s))) * rate
             judged = _by_variance(bench, numbers, m, spacing, expected / lsb)
         sigma, u = judged.sigma * lsb, judged.u * lsb
-        found = Findings()
         found.curves = judged.curves()
         for name, s, d, e, unit in zip(names, sigma, u, expected, units, strict=True):
             found.measure(f"noise of {name}, unfiltered", s, unit, d, e)
@@ -143,13 +136,9 @@ class Noise(BringupStep):
                 )
             )
         mean_mg, mean_dps = float(np.mean(sigma[:3])), float(np.mean(sigma[3:]))
+        tails = ("; spectrum not measured: scans have gaps on this bridge", ", white behind the filter")
         text = f"{mean_mg:.2f} mg and {mean_dps:.3f} °/s rms unfiltered, as the table says"
-        text += (
-            ", white behind the filter"
-            if whole
-            else "; spectrum not measured: scans have gaps on this bridge"
-        )
-        return found.ok(text)
+        return found.ok(text + tails[whole])
 
 
 class _Judged:
@@ -186,12 +175,7 @@ class _Judged:
 
 def floors(part: Variant, expected: Floats) -> Floats:
     """Bias instability (6,) of the axes in LSB; `expected` is their white noise in LSB."""
-    performance = part.performance
-    white = np.array([performance.noise_mg] * 3 + [performance.gyro_noise_dps] * 3)
-    return np.asarray(
-        np.array([performance.bias_instability_mg] * 3 + [GYRO_FLOOR_DPS] * 3) * expected / white,
-        np.float64,
-    )
+    return np.asarray(part.performance.floor * expected / part.performance.noise)
 
 
 def _by_variance(bench: BringupBench, numbers: Floats, m: int, spacing: float, expected: Floats) -> _Judged:
@@ -259,15 +243,14 @@ def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, e
     return judged
 
 
-def _answer_noise(found: Findings, names: Sequence[str], off: Sequence[bool]) -> None:
+def _answer_noise(found: StepResult, names: Sequence[str], off: Sequence[bool]) -> None:
     """Answer the questions on noise by the six first figures, one per axis."""
     for question, first, unit in (("accel_noise", 0, "mg"), ("gyro_noise", 3, "°/s")):
         axes = slice(first, first + 3)
         pairs = zip(names[axes], found.figures[axes], strict=True)
         figures = [replace(figure, name=name, unit=unit) for name, figure in pairs]
         text = f"{', '.join(f'{figure.value:.3g}' for figure in figures)} {unit} where the table says"
-        outcome = Outcome.CONTRADICTS if any(off[axes]) else Outcome.CONFIRMS
-        found.answer(question, outcome, f"{text} {figures[0].expected:g}", *figures)
+        found.check(question, not any(off[axes]), f"{text} {figures[0].expected:g}", *figures)
 
 
 class FilterSteps(BringupStep):
@@ -280,7 +263,7 @@ class FilterSteps(BringupStep):
     settles = ("filter_gain",)
     _scans = 2048
 
-    def run(self, bench: BringupBench) -> StepResult:
+    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Compare the variance at each M with the variance at M = 0 times the tabulated noise gain."""
         lsb = bench.sensor.variant.accel_mg_per_lsb
         flicker = (bench.sensor.variant.performance.bias_instability_mg / lsb) ** 2
@@ -297,7 +280,7 @@ class FilterSteps(BringupStep):
             spacing = 1.0 if whole else float(np.mean(np.diff(block.time_s))) * configuration.sample_rate_hz
             variances.append(np.maximum(numbers.var(axis=0, ddof=1) - 1 / 12, 1e-9))
             dofs.append(degrees_of_freedom(len(block), m, spacing))
-        found, off = Findings(), []
+        off: list[int] = []
         reference, reference_dof = variances[0], 3 * dofs[0]
         for m in range(1, 7):
             # The three axes are taken together; flicker passes every filter.

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.errors import BusTimeoutError, UsageError
+from adis_gonio.base.numbers import signed
 from adis_gonio.bench.bringup.bringup_step import (
     BOARD_CLOCK_U,
     HOST_CLOCK_U,
@@ -16,13 +17,11 @@ from adis_gonio.bench.bringup.bringup_step import (
     BringupBench,
     BringupStep,
     Curve,
-    Findings,
     Floats,
     Measured,
     Outcome,
     SideEffect,
     StepResult,
-    not_measured,
 )
 from adis_gonio.device.bus import Capability, Words
 from adis_gonio.device.sensor.registers import BY_NAME, ND, read_frames, timing_for, write_frames
@@ -123,15 +122,14 @@ class Rate(BringupStep):
     name = "sample rate"
     does = "counts new-data flags (ND) of one register that is read without a pause"
 
-    def run(self, bench: BringupBench) -> StepResult:
+    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Measure the period of the updates and compare it with the nominal period of SMPL_PRD."""
         configuration = bench.sensor.configuration()
         expected = configuration.sample_period_s
         period = measured_period(bench, expected, max(8, min(512, round(2.0 / expected))))
         if isinstance(period, str):
-            return not_measured(period)
+            return found.not_measured(period)
         rate = 1 / period.value_s
-        found = Findings()
         found.measure("sample rate", rate, "Hz", rate * period.u_s / period.value_s, 1 / expected)
         found.measure("period", 1e6 * period.value_s, "us", 1e6 * period.u_s, 1e6 * expected)
         bench.clock, bench.clock_known = period.value_s / expected, True
@@ -145,7 +143,7 @@ class Rate(BringupStep):
                 f" SMPL_PRD = 0x{code:02X}"
             )
         return found.differs(
-            f"{rate:.2f} updates a second, {100 * (rate * expected - 1):+.2f} % from the nominal rate"
+            f"{rate:.2f} updates a second, {signed(100 * (rate * expected - 1), 2)} % from the nominal rate"
         )
 
 
@@ -212,18 +210,17 @@ class DataReady(BringupStep):
     _lists = (16, 8)
     """Numbers of reads in a scan that are tried: 16 is the limit of the firmware, 8 is usual."""
 
-    def run(self, bench: BringupBench) -> StepResult:
+    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Test both polarities if the bridge starts scans; only count edges if it cannot."""
         streams, counts = bench.has(Capability.STREAM), bench.has(Capability.EVENT_COUNTER)
         if not (streams or counts):
-            return not_measured(
+            return found.not_measured(
                 "this bridge has no data-ready input (neither streams nor an event counter)"
             )
         if not bench.lends:
-            return not_measured("it would enable data-ready, which --leave-registers forbids")
+            return found.not_measured("it would enable data-ready, which --leave-registers forbids")
         configuration = bench.sensor.configuration()
         period = configuration.sample_period_s * bench.clock
-        found = Findings()
         before = bench.sensor.read(_MISC)
         try:
             if counts:
@@ -233,7 +230,7 @@ class DataReady(BringupStep):
                 # Two edges may lie on either side of the span; the bridge's clock is off by so much.
                 slack = 2 + bench.budget.z() * BOARD_CLOCK_U * expected
                 if edges == 0:
-                    return not_measured(_NO_EDGE)
+                    return found.not_measured(_NO_EDGE)
                 if abs(edges - expected) > slack:
                     return found.fault(self._of_rate(edges, expected, period))
                 bench.data_ready = True
@@ -248,9 +245,9 @@ class DataReady(BringupStep):
             self._enable(bench, before, first=False)
             second = self._scan(bench, period)
         except _NoEdgeError:
-            return not_measured(_NO_EDGE)
+            return found.not_measured(_NO_EDGE)
         except UsageError as error:
-            return not_measured(
+            return found.not_measured(
                 f"this bridge takes no list of {self._lists[-1]} reads at an edge ({error})"
             )
         finally:
@@ -328,7 +325,7 @@ class DataReady(BringupStep):
         return _Edges(_positions(words), lost, *_jitter(times, period_s), expected, frame_us, reads)
 
     def _judge(
-        self, bench: BringupBench, period_s: float, first: _Edges, second: _Edges, found: Findings
+        self, bench: BringupBench, period_s: float, first: _Edges, second: _Edges, found: StepResult
     ) -> StepResult:
         for name, edges in (("first", first), ("second", second)):
             found.measure(f"{name} edge: rate of scans", edges.rate_hz, "Hz", expected=1 / period_s)
@@ -356,17 +353,13 @@ class DataReady(BringupStep):
             late = f"the update comes {late_us[0]:.0f} to {late_us[1]:.0f} µs after the pulse's first edge"
             u_us = first.frame_us / math.sqrt(12)
             figure = Measured("update after the first edge", sum(late_us) / 2, "us", u_us)
-            found.answer("data_ready_edge", Outcome.CONTRADICTS, late, figure)
+            found.check("data_ready_edge", False, late, figure)
             return found.differs(
                 f"the wrong edge leads: {late}, so that words of a scan that starts there mix two updates"
                 + ("; at its second edge they do not" if second.usual == 0 else "")
             )
-        found.answer(
-            "data_ready_edge",
-            Outcome.CONFIRMS,
-            f"a scan that starts at the pulse's first edge comes after the update, by at most"
-            f" {-late_us[0]:.0f} µs",
-        )
+        text = "a scan that starts at the pulse's first edge comes after the update"
+        found.check("data_ready_edge", True, f"{text}, by at most {-late_us[0]:.0f} µs")
         return found.ok(
             f"every edge follows an update, none is missed; the first edge of the pulse leads; jitter"
             f" {first.jitter_us:.1f} µs rms"
@@ -441,12 +434,12 @@ class SamplePeriods(BringupStep):
     settles = ("sample_period",)
     _codes = (0x01, 0x04, 0x09, 0x0A, 0x1F, 0x7F, 0x80, 0x83)
 
-    def run(self, bench: BringupBench) -> StepResult:
+    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Compare each measured period with the nominal period of its code.
 
         The nominal period is the time base (bit 7 of the code) times (N + 1), with N in bits 0 to 6.
         """
-        found, off, why = Findings(), [], ""
+        off, why = list[str](), ""
         for code in self._codes:
             bench.sensor.write("SMPL_PRD", code)
             expected = sample_period_s(code) * bench.clock
@@ -460,8 +453,8 @@ class SamplePeriods(BringupStep):
             if abs(period.value_s - expected) > bench.budget.z() * period.u_s:
                 off.append(f"0x{code:02X}: {period.value_s / expected:.4f} times its nominal period")
         if not found.figures:
-            return not_measured(why)
+            return found.not_measured(why)
         text = f"{len(found.figures)} steps of both time bases have their nominal period"
         if bench.clock_known:
-            text += f" by the part's own clock ({100 * (1 / bench.clock - 1):+.2f} %)"
+            text += f" by the part's own clock ({signed(100 * (1 / bench.clock - 1), 2)} %)"
         return found.settle("sample_period", "; ".join(off) or text, differs=bool(off))

@@ -11,15 +11,12 @@ from adis_gonio.bench.bringup.bringup_step import (
     Answer,
     BringupBench,
     BringupStep,
-    Findings,
     Floats,
     Measured,
     Outcome,
     SideEffect,
     StepResult,
-    not_measured,
 )
-from adis_gonio.bench.bringup.noise_steps import GYRO_FLOOR_DPS
 from adis_gonio.device.sensor.decoding import scales
 from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, BY_NAME, GYRO_OUT, registers
 from adis_gonio.device.sensor.settings import Alarm, sens_avg_word
@@ -41,7 +38,7 @@ class Offset(BringupStep):
     question = f"Write XACCL_OFF, YACCL_OFF and ZACCL_OFF ({_STEP:+d} LSB for a second)?"
     settles = ("accel_offset_lsb", "offset_after_filter")
 
-    def run(self, bench: BringupBench) -> StepResult:
+    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Compare the means with an offset and without it; means before and after it cancel a drift."""
         sensor = bench.sensor
         bench.sample_quickly()
@@ -57,14 +54,12 @@ class Offset(BringupStep):
         # The mean of before and after cancels a linear drift.
         ratio = (moved - (before + after) / 2) / np.array(steps)
         u = _mean_u(bench, _SCANS)[:3] * math.sqrt(1.5) / _STEP
-        found = Findings()
         for out, name, r, s in zip(ACCEL_OUT, ACCEL_OFF, ratio, u, strict=True):
             found.measure(f"step of {out} / step of {name}", r, "1", s, 1.0)
         off = [k for k in range(3) if abs(ratio[k] - 1) > bench.budget.z() * u[k]]
         filtered = self._behind_filter(bench, held[0], steps[0], float(ratio[0]))
         text = f"the outputs moved by {', '.join(f'{r:.4f}' for r in ratio)} LSB for each LSB of the offset"
-        outcome = Outcome.CONTRADICTS if off else Outcome.CONFIRMS
-        found.answer("accel_offset_lsb", outcome, text, *found.figures)
+        found.check("accel_offset_lsb", not off, text, *found.figures)
         found.answers["offset_after_filter"] = filtered
         if off:
             return found.differs(f"{text} registers: their LSB is not the output's")
@@ -114,8 +109,7 @@ def _mean_u(bench: BringupBench, count: int) -> Floats:
     """
     part = bench.sensor.variant
     lsb, _, _ = scales(registers((*ACCEL_OUT, *GYRO_OUT)), part, 300)
-    white = np.array([part.performance.noise_mg] * 3 + [part.performance.gyro_noise_dps] * 3) / lsb
-    floor = np.array([part.performance.bias_instability_mg] * 3 + [GYRO_FLOOR_DPS] * 3) / lsb
+    white, floor = part.performance.noise / lsb, part.performance.floor / lsb
     result: Floats = np.sqrt(white**2 / count + 2 * floor**2 + 1 / 12 / count)
     return result
 
@@ -129,7 +123,7 @@ class SelfTests(BringupStep):
     question = "Run the self-tests (MSC_CTRL[10:8], about 3 s, volatile)?"
     settles = ("self_test_gyro", "self_test_accel")
 
-    def run(self, bench: BringupBench) -> StepResult:
+    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Measure the change of all six axes by each stimulus.
 
         The means are taken without, with +, without, with − and without stimulus.
@@ -155,7 +149,6 @@ class SelfTests(BringupStep):
         range_scale = np.array([1.0] * 3 + [0.07326 / lsb[3]] * 3)
         u = _mean_u(bench, _SCANS // 2) * math.sqrt(1.5) * range_scale
         limit = np.array([bench.budget.z() for _ in names]) * u
-        found = Findings()
         for sign, values in (("positive", plus), ("negative", minus)):
             for name, value, s, size, unit in zip(names, values, u, lsb, units, strict=True):
                 found.measure(f"{name}, {sign} stimulus", value * size, unit, s * size)
@@ -177,24 +170,17 @@ class SelfTests(BringupStep):
         )
 
 
-def _answer_self_test(found: Findings, plus: Floats, minus: Floats, limit: Floats) -> None:
+def _answer_self_test(found: StepResult, plus: Floats, minus: Floats, limit: Floats) -> None:
+    figures = found.figures
     both = [abs(minus[k]) > limit[k] and plus[k] * minus[k] < 0 for k in (3, 4, 5)]
     deaf = ", ".join(axis for axis, answers in zip("XYZ", both, strict=True) if not answers)
-    still = [abs(minus[k]) <= limit[k] for k in (0, 1, 2)]
-    for question, as_said, text, otherwise, kind in (
-        (
-            "self_test_gyro", all(both), "the gyros answer to both signs, opposite ways",
-            f"gyro {deaf} does not answer to both signs, opposite ways", "GYRO",
-        ),
-        (
-            "self_test_accel", all(still),
-            "the accelerometers do not move at the negative stimulus",
-            "the accelerometers answer to the negative stimulus as well", "ACCL",
-        ),
-    ):  # fmt: skip
-        outcome = Outcome.CONFIRMS if as_said else Outcome.CONTRADICTS
-        figures = [figure for figure in found.figures if kind in figure.name]
-        found.answer(question, outcome, text if as_said else otherwise, *figures)
+    who = f"gyro {deaf} does not answer" if deaf else "the gyros answer"
+    of_gyros = [figure for figure in figures if "GYRO" in figure.name]
+    found.check("self_test_gyro", all(both), f"{who} to both signs, opposite ways", *of_gyros)
+    still = (abs(minus[:3]) <= limit[:3]).all()
+    text = "do not move at the negative stimulus" if still else "answer to the negative stimulus as well"
+    of_accels = [figure for figure in figures if "ACCL" in figure.name]
+    found.check("self_test_accel", still, f"the accelerometers {text}", *of_accels)
 
 
 class StatusBits(BringupStep):
@@ -207,15 +193,14 @@ class StatusBits(BringupStep):
     settles = ("alarm_stays", "over_range_falls", "over_range_threshold")
     _halvings = 9
 
-    def run(self, bench: BringupBench) -> StepResult:
+    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Test the alarm bit, which should stay, then the over-range bit, which should clear."""
         bench.sample_quickly()
         bench.status()
         bench.wait_updates()
         if standing := bench.status():
-            return not_measured(f"STATUS is 0x{standing:04X} already")
-        found = Findings()
-        found.answers["alarm_stays"] = self._alarm(bench)
+            return found.not_measured(f"STATUS is 0x{standing:04X} already")
+        self._alarm(bench, found)
         self._over_range(bench, found)
         if off := found.contradictions():
             return found.differs(off)
@@ -223,7 +208,7 @@ class StatusBits(BringupStep):
         return found.ok("; ".join(texts))
 
     @staticmethod
-    def _alarm(bench: BringupBench) -> Answer:
+    def _alarm(bench: BringupBench, found: StepResult) -> None:
         bench.sensor.set_alarm(1, Alarm("SUPPLY_OUT", threshold=1.0))
         bench.wait_updates()
         raised = bench.alarm_stands()
@@ -233,17 +218,16 @@ class StatusBits(BringupStep):
         read = bool(bench.status() & _ALARM)
         bench.wait_updates()
         cleared = not bench.status() & _ALARM
+        text = "an alarm's bit stays until STATUS is read, which clears it"
         if not raised:
-            return Answer(Outcome.CONTRADICTS, "an alarm on the supply above 1 V does not show as EA")
-        if stays and read and cleared:
-            return Answer(Outcome.CONFIRMS, "an alarm's bit stays until STATUS is read, which clears it")
-        return Answer(
-            Outcome.CONTRADICTS,
-            "an alarm's bit clears automatically when its condition ends" if cleared
-            else "an alarm's bit is not cleared by a read of STATUS",
-        )  # fmt: skip
+            text = "an alarm on the supply above 1 V does not show as EA"
+        elif not cleared:
+            text = "an alarm's bit is not cleared by a read of STATUS"
+        elif not (stays and read):
+            text = "an alarm's bit clears automatically when its condition ends"
+        found.check("alarm_stays", raised and stays and read and cleared, text)
 
-    def _over_range(self, bench: BringupBench, found: Findings) -> None:
+    def _over_range(self, bench: BringupBench, found: StepResult) -> None:
         """Drive one axis over its range by its offset register, and find the threshold by bisection.
 
         It is the axis along which gravity is largest.
@@ -260,11 +244,16 @@ class StatusBits(BringupStep):
         reached_mg = abs(rest + end) * part.accel_mg_per_lsb
         # The condition has to be true in every sample, even with the largest noise.
         needed_mg = 1000 * part.accel_range_g + bench.budget.z() * part.performance.noise_mg
+
+        def unknown(why: str) -> None:
+            for question in ("over_range_falls", "over_range_threshold"):
+                found.answer(question, Outcome.NOT_MEASURED, f"not measured: {why}")
+
         if reached_mg < needed_mg:
-            why = f"not measured: with its offset {ACCEL_OUT[axis]} reaches {reached_mg:.0f} mg only"
-            why += f" of {needed_mg:.0f}: turn the part so that an axis points along gravity"
-            found.answer("over_range_falls", Outcome.NOT_MEASURED, why)
-            found.answer("over_range_threshold", Outcome.NOT_MEASURED, why)
+            unknown(
+                f"with its offset {ACCEL_OUT[axis]} reaches {reached_mg:.0f} mg only of {needed_mg:.0f}:"
+                " turn the part so that an axis points along gravity"
+            )
             return
 
         def over(number: int) -> bool:
@@ -275,11 +264,7 @@ class StatusBits(BringupStep):
             return bool(bench.status() & _OVER_RANGE)
 
         if not over(end):
-            why = (
-                f"not measured: {reached_mg:.0f} mg by the offset raise no over-range: it is judged without"
-            )
-            found.answer("over_range_falls", Outcome.NOT_MEASURED, why)
-            found.answer("over_range_threshold", Outcome.NOT_MEASURED, why)
+            unknown(f"{reached_mg:.0f} mg by the offset raise no over-range: it is judged without")
             return
         bench.wait_updates()
         stood = bench.alarm_stands()
@@ -288,14 +273,17 @@ class StatusBits(BringupStep):
         fell = not bench.alarm_stands()
         word = bench.status()
         falls = fell and not word & _OVER_RANGE
-        found.answers["over_range_falls"] = _falling(stood=stood, falls=falls)
+        if stood:
+            text = "automatically when its condition ends" if falls else "only when STATUS is read"
+            verb = "clears" if falls else "does not clear automatically,"
+            found.check("over_range_falls", falls, f"over-range {verb} {text}")
+        else:
+            why = "not measured: over-range came and went before its condition ended"
+            found.answer("over_range_falls", Outcome.NOT_MEASURED, why)
         inside, outside = held, end
         for _ in range(self._halvings):
             middle = (inside + outside) // 2
-            if over(middle):
-                outside = middle
-            else:
-                inside = middle
+            inside, outside = (inside, middle) if over(middle) else (middle, outside)
         sensor.write(name, held)
         bench.wait_updates()
         bench.status()
@@ -308,16 +296,6 @@ class StatusBits(BringupStep):
         found.answer("over_range_threshold", Outcome.MEASURED, text, figure)
 
 
-def _falling(*, stood: bool, falls: bool) -> Answer:
-    if not stood:
-        return Answer(
-            Outcome.NOT_MEASURED, "not measured: over-range came and went before its condition ended"
-        )
-    if falls:
-        return Answer(Outcome.CONFIRMS, "over-range clears automatically when its condition ends")
-    return Answer(Outcome.CONTRADICTS, "over-range does not clear automatically, only when STATUS is read")
-
-
 class FlashCount(BringupStep):
     """Tests if the register ENDURANCE counts a flash update."""
 
@@ -327,17 +305,16 @@ class FlashCount(BringupStep):
     question = "Reset the part and write the flash once (10 000 writes are its life)?"
     settles = ("flash_count",)
 
-    def run(self, bench: BringupBench) -> StepResult:
+    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Save the numbers that the flash already has, and compare ENDURANCE before and after."""
         if not bench.supply_ok:
-            return not_measured("the supply is outside its limits, so that a flash update may fail")
+            return found.not_measured("the supply is outside its limits, so that a flash update may fail")
         used = {"AUX_DAC": 0x0FFF, "GPIO_CTRL": 0x0003}  # a voltage, lines that are outputs
         in_use = [name for name, bits in used.items() if bench.sensor.read(name) & bits]
         if in_use:
-            return not_measured(f"{' and '.join(in_use)} is in use, which a reset would drop")
+            return found.not_measured(f"{' and '.join(in_use)} is in use, which a reset would drop")
         before = bench.sensor.read("ENDURANCE")
         bench.sensor.reset()
-        found = Findings()
         try:
             after = bench.sensor.save_to_flash()
         except ChipError as error:

@@ -16,13 +16,6 @@ from adis_gonio.bench.writeback.offset_plan import (
 from adis_gonio.bench.writeback.offset_writer import OffsetWriter, WriteSettings
 
 __all__ = [
-    "AutonullFound",
-    "OffsetWriter",
-    "WritePlan",
-    "WriteSettings",
-    "bias_left_mg",
-    "offsets_in_force",
-    "offsets_recorded",
-    "plan_gyro_offsets",
-    "plan_offsets",
-]
+    "AutonullFound", "OffsetWriter", "WritePlan", "WriteSettings", "bias_left_mg", "offsets_in_force",
+    "offsets_recorded", "plan_gyro_offsets", "plan_offsets",
+]  # fmt: skip

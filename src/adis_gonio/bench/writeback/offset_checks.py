@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,6 +24,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats, central_differences
 from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.jsonable import NAMED_BY_UNIT, OPTIONAL, JsonRecord
+from adis_gonio.base.numbers import format_fixed, signed
 from adis_gonio.bench.writeback.offset_plan import BIASES, UNITS, WritePlan, plan_gyro_offsets, plan_offsets
 from adis_gonio.device.sensor.decoding import ScanBlock, join
 from adis_gonio.device.sensor.driver import Adis16354
@@ -49,7 +50,6 @@ REGISTERS = (*ACCEL_OUT, "XTEMP_OUT", "SUPPLY_OUT")
 OF_GYROS = (*REGISTERS, *GYRO_OUT, *TEMP_OUT[1:])
 
 
-@dataclass(frozen=True)
 class Rest(JsonRecord):
     """Mean readings of the sensor over a dwell at rest.
 
@@ -192,7 +192,6 @@ LEAST_SHARE = 0.5
 """Smallest share of gravity in the session's plane for a comparison of its length."""
 
 
-@dataclass(frozen=True)
 class Agreement(JsonRecord):
     """Comparison of measured with expected figures.
 
@@ -230,7 +229,8 @@ class Agreement(JsonRecord):
     def __str__(self) -> str:
         unit, places = UNITS[self.unit], 2 if self.unit == "mg" else 3
         figures = [
-            f"{name} {m:.{places}f} {unit}, expected {e:.{places}f} {unit} (u {u:.2g} {unit})"
+            f"{name} {format_fixed(m, places)} {unit}, expected {format_fixed(e, places)} {unit}"
+            f" (u {u:.2g} {unit})"
             for name, m, e, u in zip(self.names, self.measured, self.expected, self.u, strict=True)
         ]
         return f"{self.what}: {'; '.join(figures)}"
@@ -366,7 +366,6 @@ PRECISE_S = 30.0
 """Averaging time of a precision autonull (DS, A: about 30 s)."""
 
 
-@dataclass(frozen=True)
 class AutonullFound(JsonRecord):
     """Zero rates (3,) in °/s in the present pose, found by the chip's autonull and by the session.
 
@@ -413,15 +412,15 @@ class AutonullFound(JsonRecord):
     def by(self) -> str:
         """The differences that exceed the limit, as text."""
         return ", ".join(
-            f"{axis.upper()} {off:+.3f} °/s (u {u:.2g} °/s)"
+            f"{axis.upper()} {signed(off, 3)} °/s (u {u:.2g} °/s)"
             for axis, off, u in zip(AXES, self.off_dps, self.u_dps, strict=True)
             if abs(off) > SIGMAS * u
         )
 
     def __str__(self) -> str:
         figures = [
-            f"{axis.upper()} {c:+.3f} °/s (u {uc:.2g}), session {s:+.3f} °/s"
-            f" (u {us:.2g}, {f:+.3f} by force)"
+            f"{axis.upper()} {signed(c, 3)} °/s (u {uc:.2g}), session {signed(s, 3)} °/s"
+            f" (u {us:.2g}, {signed(f, 3)} by force)"
             for axis, c, uc, s, us, f in zip(
                 AXES,
                 self.chip_dps,

@@ -103,7 +103,6 @@ class AxisPlan:
         }
 
 
-@dataclass(frozen=True)
 class WritePlan(JsonRecord):
     """Plan of the numbers to write to the offset registers of all axes.
 

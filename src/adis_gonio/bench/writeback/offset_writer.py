@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from adis_gonio.base.errors import AdisGonioError, ChipError, SessionError, UsageError, VerifyError
+from adis_gonio.base.numbers import signed
 from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.bench.writeback.offset_checks import (
     PRECISE_S,
@@ -443,7 +444,7 @@ class OffsetWriter:
         value, u = found
         unit, places = UNITS[self._part.unit], 2 if self._part.unit == "mg" else 3
         each = zip("XYZ", value, u, strict=False)
-        told = ", ".join(f"{axis} {v:+.{places}f} {unit} (u {s:.2g} {unit})" for axis, v, s in each)
+        told = ", ".join(f"{axis} {signed(v, places)} {unit} (u {s:.2g} {unit})" for axis, v, s in each)
         lsb = plan.axes[0].lsb
         near = "zero" if (abs(value) <= lsb + 2 * u).all() else "not zero"
         what = "bias" if self._part.unit == "mg" else "zero rate"

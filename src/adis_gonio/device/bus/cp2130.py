@@ -31,13 +31,10 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import functools
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import IntEnum
-from typing import Any, Protocol
-
-import numpy as np
+from typing import Any
 
 from adis_gonio.base.errors import (
     BusError,
@@ -46,21 +43,21 @@ from adis_gonio.base.errors import (
     NotInstalledError,
     ProtocolError,
     UsageError,
+    install_extra,
 )
-from adis_gonio.device.bus.contract import Capability, SpiTiming, Words
+from adis_gonio.device.bus.contract import Capability, SpiTiming
 from adis_gonio.device.bus.host import (
     RESET_PULSE_S,
     SAFE_TIMING,
     WALL,
     Clock,
-    HostBus,
     UrlOptions,
+    UsbBus,
+    UsbOptions,
     busy,
+    choose,
     gone,
-    missing,
     no_permission,
-    require_separate_pins,
-    several,
 )
 from adis_gonio.device.bus.opening import BusUrl, Device
 
@@ -76,7 +73,7 @@ CLOCKS_HZ = (12e6, 6e6, 3e6, 1.5e6, 750e3, 375e3, 187.5e3, 93.75e3)
 CS_LOW_FOR_A_WHOLE_COMMAND = True
 """[M] Chip select stays low for one bulk command, and the chip's own "CS toggle" works per byte: so a
 frame is one WriteRead of two bytes with the toggle off. If a scope shows CS rising between the two bytes,
-change the delay mask in `delay_request`."""
+change the delay mask in `Cp2130Bus._set_up`."""
 
 CPHA_BIT, CPOL_BIT, PUSH_PULL_BIT = 5, 4, 3
 """[M] Bits of the SPI word; bits 2:0 are the clock code."""
@@ -104,14 +101,8 @@ class ControlRequest(IntEnum):
     GET_EVENT_COUNTER = 0x44
 
 
-class GpioMode(IntEnum):
-    """Electrical mode of a GPIO pin."""
-
-    INPUT = 0
-    OPEN_DRAIN = 1
-    PUSH_PULL = 2
-
-
+_OPEN_DRAIN = 1
+"""Electrical mode of a GPIO pin."""
 _THIS_ONE_ONLY = 2
 _WRITE_READ = 2
 _HEADER = struct.Struct("<HBBI")
@@ -129,21 +120,11 @@ def spi_word(code: int) -> int:
     return 1 << CPHA_BIT | 1 << CPOL_BIT | 1 << PUSH_PULL_BIT | code
 
 
-def spi_word_request(channel: int, word: int) -> bytes:
-    """Data of the request `SET_SPI_WORD`: channel and configuration byte."""
-    return bytes((channel, word))
-
-
 def parse_spi_words(data: bytes) -> tuple[int, ...]:
     """SPI configuration bytes of all channels, from the reply to `GET_SPI_WORD`."""
     if len(data) != CHANNELS:
         raise ProtocolError(f"CP2130: {len(data)} SPI words instead of {CHANNELS}")
     return tuple(data)
-
-
-def select_request(channel: int) -> bytes:
-    """Data of the request `SET_CHIP_SELECT` that enables this channel and disables all others."""
-    return bytes((channel, _THIS_ONE_ONLY))
 
 
 def parse_selects(data: bytes) -> tuple[frozenset[int], frozenset[int]]:
@@ -155,16 +136,6 @@ def parse_selects(data: bytes) -> tuple[frozenset[int], frozenset[int]]:
         frozenset(channel for channel in range(CHANNELS) if channels >> channel & 1),
         frozenset(pin for pin, bit in enumerate(PIN_BITS) if pins >> bit & 1),
     )
-
-
-def delay_request(channel: int) -> bytes:
-    """Data of the request `SET_SPI_DELAY` for no delays and no CS toggle: the host times the frames."""
-    return bytes((channel, 0)) + bytes(6)
-
-
-def gpio_request(pin: int, mode: GpioMode, level: int) -> bytes:
-    """Data of the request `SET_GPIO_MODE`: pin, mode and output level."""
-    return bytes((pin, mode, level))
 
 
 def frame_command(frame: int) -> bytes:
@@ -190,74 +161,33 @@ def parse_counter(data: bytes) -> tuple[int, int]:
     return mode & 7, count
 
 
-TIMEOUT_S = 0.25
-"""Time for one transfer; the chip needs less than 1 ms."""
 _DRAIN_MS = 5
 _MOST_LATE = 64
 _GONE = (errno.ENODEV, errno.ENOENT, errno.ESHUTDOWN)
 _LATE = (errno.ETIMEDOUT, 10060)
 
 
-class UsbDevice(Protocol):
-    """The methods of a pyusb device that this module uses."""
-
-    def ctrl_transfer(
-        self,
-        bm_request_type: int,
-        b_request: int,
-        w_value: int,
-        w_index: int,
-        data_or_length: bytes | int,
-        timeout: int,
-        /,
-    ) -> object:
-        """Make a control transfer; a transfer to the host returns the bytes read."""
-
-    def write(self, endpoint: int, data: bytes, timeout: int, /) -> int:
-        """Send bytes to a bulk endpoint; return the number sent."""
-
-    def read(self, endpoint: int, size: int, timeout: int, /) -> object:
-        """Read up to `size` bytes from a bulk endpoint, as an array of bytes."""
-
-    def clear_halt(self, endpoint: int, /) -> None:
-        """Clear the halt condition of an endpoint after a stalled transfer."""
-
-    def reset(self) -> None:
-        """Reset the USB port of the device."""
-
-
-class Cp2130Bus(HostBus):
+class Cp2130Bus(UsbBus):
     """A bus over an open USB device with the CP2130.
 
     Parameters
     ----------
-    device : UsbDevice
-        Interface 0 is claimed.
+    device : usb.core.Device
+        A device of pyusb; its interface 0 is claimed.
     usb_error : type
         Class of the errors of `device`.
     claim : callable
         Claims the interface again after a port reset.
-    release : callable
-        Called when the bus is closed.
     endpoints : tuple of int
         Bulk endpoints out and in.
-    url : str
-        For messages.
-    cs : int
-        GPIO that is chip select; the SPI channel has this number too.
-    reset_gpio : int or None
-        GPIO on the chip's RST, driven open-drain.
-    event_counter : bool
-        Offer the event counter of GPIO.4, which must be configured in the board's OTP.
-    timeout_s : float
-        Time for one transfer.
-    clock : Clock
-        The bus's clock.
+    options : UsbOptions
+        The SPI channel has the number of the pin `cs`. RST is driven open-drain. The event counter is
+        GPIO.4, which must be configured in the board's OTP.
 
     Raises
     ------
     UsageError
-        A pin is to have two functions, or the board has no event counter.
+        The board has no event counter.
     CannotOpenError
         The pin of `cs` is no chip select.
     BusError
@@ -266,44 +196,28 @@ class Cp2130Bus(HostBus):
 
     def __init__(
         self,
-        device: UsbDevice,
+        device: Any,
         usb_error: type[OSError],
-        *,
         claim: Callable[[], object],
-        release: Callable[[], object],
         endpoints: tuple[int, int],
-        url: str = "cp2130:",
-        cs: int = 0,
-        reset_gpio: int | None = None,
-        event_counter: bool = False,
-        timeout_s: float = TIMEOUT_S,
+        url: str,
+        options: UsbOptions,
         clock: Clock = WALL,
     ) -> None:
-        super().__init__(url, clock, release)
+        super().__init__(url, options, clock)
         self._device = device
         self._usb_error = usb_error
         self._claim = claim
         self._out_endpoint, self._in_endpoint = endpoints
-        self._cs = cs
-        self._reset_gpio = reset_gpio
-        self._timeout_s = timeout_s
-        self._unsure = False
         self._must_reset = False
-        event = EVENT_PIN if event_counter else None
-        require_separate_pins(url, cs, reset_gpio, event, f"GPIO.{EVENT_PIN}")
         self._drain()
         self._timing = self._configure(SAFE_TIMING)
-        offered = set()
         self._drive_reset(1)
-        if reset_gpio is not None:
-            offered.add(Capability.HARD_RESET)
         self._counted = 0
-        if event_counter:
-            mode, self._counted = parse_counter(self._in(ControlRequest.GET_EVENT_COUNTER, 3))
+        if options.event_counter:
+            mode, self._counted = self._counter()
             if mode not in COUNTER_MODES:
                 raise UsageError(f"{url}: GPIO.{EVENT_PIN} of this board is no event counter (see its OTP)")
-            offered.add(Capability.EVENT_COUNTER)
-        self.capabilities = frozenset(offered)
 
     # -- frames ----------------------------------------------------------------------------------------
 
@@ -318,37 +232,25 @@ class Cp2130Bus(HostBus):
         return SpiTiming(CLOCKS_HZ[code], timing.stall_us, timing.period_us)
 
     def _set_up(self, code: int) -> None:
-        word = spi_word(code)
-        self._out(ControlRequest.SET_SPI_WORD, spi_word_request(self._cs, word))
-        self._out(ControlRequest.SET_SPI_DELAY, delay_request(self._cs))
-        self._out(ControlRequest.SET_CHIP_SELECT, select_request(self._cs))
-        if parse_spi_words(self._in(ControlRequest.GET_SPI_WORD, PACKET))[self._cs] != word:
+        """Set the SPI channel to mode 3 at a clock, without delays, and enable its chip select alone."""
+        word, channel = spi_word(code), self._options.cs
+        self._out(ControlRequest.SET_SPI_WORD, bytes((channel, word)))
+        self._out(ControlRequest.SET_SPI_DELAY, bytes((channel, *[0] * 7)))
+        self._out(ControlRequest.SET_CHIP_SELECT, bytes((channel, _THIS_ONE_ONLY)))
+        if parse_spi_words(self._in(ControlRequest.GET_SPI_WORD, PACKET))[channel] != word:
             raise ProtocolError(f"{self.url}: the CP2130 did not take its SPI word")
         channels, pins = parse_selects(self._in(ControlRequest.GET_CHIP_SELECT, PACKET))
-        if channels != {self._cs}:
+        if channels != {channel}:
             raise ProtocolError(f"{self.url}: the CP2130 did not take its chip select")
-        if self._cs not in pins:
+        if channel not in pins:
             raise CannotOpenError(
-                f"{self.url}: GPIO.{self._cs} of this board is no chip select, by its OTP or until it is"
+                f"{self.url}: GPIO.{channel} of this board is no chip select, by its OTP or until it is"
                 " plugged in again: wire CS to another and say which (?cs=)"
             )
 
-    def _exchange(self, frames: Words) -> Words:
-        self._settle()
-        replies = np.empty(len(frames), np.uint16)
-        try:
-            for k, frame in enumerate(frames.tolist()):
-                self._pace.wait(self._timing)
-                self._bulk_out(frame_command(frame))
-                replies[k] = parse_frame(self._bulk_in(PACKET, self._timeout_s))
-                self._pace.done(self._timing)
-        except BusError as error:
-            self._fail(error)
-            raise
-        except BaseException:  # the operator's Ctrl-C: a reply may still come
-            self._unsure = self._must_reset = True
-            raise
-        return replies
+    def _frame(self, frame: int) -> int:
+        self._bulk_out(frame_command(frame))
+        return parse_frame(self._bulk_in(PACKET, self._options.timeout_s))
 
     # -- optional capabilities ---------------------------------------------------------------------------
 
@@ -359,48 +261,47 @@ class Cp2130Bus(HostBus):
             self.sleep_s(RESET_PULSE_S)
 
     def _drive_reset(self, level: int) -> None:
-        if self._reset_gpio is not None:
-            mode = gpio_request(self._reset_gpio, GpioMode.OPEN_DRAIN, level)
-            self._out(ControlRequest.SET_GPIO_MODE, mode)
+        if self._options.reset_gpio is not None:
+            self._out(ControlRequest.SET_GPIO_MODE, bytes((self._options.reset_gpio, _OPEN_DRAIN, level)))
+
+    def _counter(self) -> tuple[int, int]:
+        return parse_counter(self._in(ControlRequest.GET_EVENT_COUNTER, 3))
 
     def _count_edges(self) -> int:
         """Number of data-ready edges since the last call or the last port reset."""
         self._settle()
-        _, count = parse_counter(self._in(ControlRequest.GET_EVENT_COUNTER, 3))
+        _, count = self._counter()
         # The counter is never set back, so that a read that fails loses nothing.
         new, self._counted = (count - self._counted) & 0xFFFF, count
         return new
 
     # -- transfers -----------------------------------------------------------------------------------------
 
-    @property
-    def _timeout_ms(self) -> int:
-        return max(1, round(self._timeout_s * 1000))
-
     def _out(self, request: ControlRequest, data: bytes) -> None:
-        self._call(
-            lambda: self._device.ctrl_transfer(TYPE_OUT, request, 0, 0, data, self._timeout_ms),
-            request.name,
-        )
+        self._call(request.name, self._device.ctrl_transfer, TYPE_OUT, request, 0, 0, data, self._ms)
 
     def _in(self, request: ControlRequest, size: int) -> bytes:
-        ms = self._timeout_ms
-        return _bytes(
-            self._call(lambda: self._device.ctrl_transfer(TYPE_IN, request, 0, 0, size, ms), request.name)
+        return bytes(
+            self._call(request.name, self._device.ctrl_transfer, TYPE_IN, request, 0, 0, size, self._ms)
         )
 
     def _bulk_out(self, data: bytes) -> None:
-        sent = self._call(lambda: self._device.write(self._out_endpoint, data, self._timeout_ms), "a frame")
+        sent = self._call("a frame", self._device.write, self._out_endpoint, data, self._ms)
         if sent != len(data):
             raise ProtocolError(f"{self.url}: {sent} of {len(data)} bytes of a command left")
 
     def _bulk_in(self, size: int, timeout_s: float) -> bytes:
-        ms = max(1, round(timeout_s * 1000))
-        return _bytes(self._call(lambda: self._device.read(self._in_endpoint, size, ms), "a reply"))
+        ms = round(timeout_s * 1000)
+        return bytes(self._call("a reply", self._device.read, self._in_endpoint, size, ms))
 
-    def _call(self, action: Callable[[], object], what: str) -> object:
+    @property
+    def _ms(self) -> int:
+        return round(self._options.timeout_s * 1000)
+
+    def _call(self, what: str, transfer: Callable[..., Any], *arguments: object) -> Any:
+        """Call a method of the device; convert its errors to errors of a bus."""
         try:
-            return action()
+            return transfer(*arguments)
         except self._usb_error as error:
             raise self._typed(error, what) from error
 
@@ -408,49 +309,40 @@ class Cp2130Bus(HostBus):
         if error.errno in _GONE:
             return gone(self.url)
         if error.errno in _LATE:
-            return BusTimeoutError(f"{self.url}: no answer to {what} within {self._timeout_s:g} s")
+            return BusTimeoutError(f"{self.url}: no answer to {what} within {self._options.timeout_s:g} s")
         if error.errno == errno.EACCES:
             return CannotOpenError(f"{self.url}: the permission was taken away")
         return ProtocolError(f"{self.url}: {what} failed: {error.strerror or error}")
 
     # -- after a failure -----------------------------------------------------------------------------------
 
-    def _fail(self, error: BusError) -> None:
-        """Note the recovery that a failure needs; do it now if the device is still connected."""
-        self._unsure = True
-        self._must_reset |= isinstance(error, BusTimeoutError)
-        if not isinstance(error, CannotOpenError):
-            try:
-                self._settle()
-            except BusError:
-                self._unsure = True  # the first error counts, the next use tries again
+    def _note_failure(self, error: BaseException) -> bool:
+        # After a time-out or an interruption a reply may still come.
+        self._must_reset |= isinstance(error, BusTimeoutError) or not isinstance(error, BusError)
+        return isinstance(error, BusError) and not isinstance(error, CannotOpenError)
 
-    def _settle(self) -> None:
-        """If an earlier transfer failed, bring the device back to a known state."""
-        if not self._unsure:
-            return
+    def _recover(self) -> None:
         if self._must_reset:
             self._reset()
         else:
             self._end_halts()
         self._drain()
-        self._unsure = False
 
     def _reset(self) -> None:
-        self._call(self._device.reset, "a port reset")
-        self._call(self._claim, "claiming the interface")
+        self._call("a port reset", self._device.reset)
+        self._call("claiming the interface", self._claim)
         code = clock_code(self._timing.clock_hz)
         assert code is not None, "the timing in force was configured"
         self._set_up(code)
         self._drive_reset(1)
         if Capability.EVENT_COUNTER in self.capabilities:
-            _, self._counted = parse_counter(self._in(ControlRequest.GET_EVENT_COUNTER, 3))
+            _, self._counted = self._counter()
         self._must_reset = False
         self._pace.done(self._timing)
 
     def _end_halts(self) -> None:
         for endpoint in (self._in_endpoint, self._out_endpoint):
-            self._call(functools.partial(self._device.clear_halt, endpoint), "ending a halt")
+            self._call("ending a halt", self._device.clear_halt, endpoint)
 
     def _drain(self) -> None:
         """Read and discard late replies until none comes."""
@@ -462,10 +354,6 @@ class Cp2130Bus(HostBus):
             except ProtocolError:
                 self._end_halts()
         raise ProtocolError(f"{self.url}: unexpected replies; does another program use it?")
-
-
-def _bytes(data: object) -> bytes:
-    return bytes(data)  # type: ignore[call-overload,no-any-return]  # pyusb gives array.array, untyped
 
 
 _OPTIONS = ("cs", "reset_gpio", "event_counter", "timeout_ms", "bus", "address")
@@ -492,10 +380,7 @@ def open_from_url(url: BusUrl, *, backend: Any = None, clock: Clock = WALL) -> C
         No such board, no permission, or another program has it.
     """
     options = UrlOptions(url, _OPTIONS)
-    cs = options.number("cs", 0, 0, 10)
-    reset_gpio = options.number_or_none("reset_gpio", 0, 10)
-    event_counter = options.switch("event_counter")
-    timeout_ms = options.number("timeout_ms", round(TIMEOUT_S * 1000), 10, 10_000)
+    usual = UsbOptions.of(options, CHANNELS, EVENT_PIN, f"GPIO.{EVENT_PIN}")
     place = options.number_or_none("bus", 0, 999), options.number_or_none("address", 0, 255)
     usb = _load()
     boards = _boards(usb, backend)
@@ -506,14 +391,10 @@ def open_from_url(url: BusUrl, *, backend: Any = None, clock: Clock = WALL) -> C
         and place[1] in (None, board.address)
         and (not url.place or _serial(usb, board) == url.place)
     ]
-    if not fits:
-        denied = [board for board in boards if _serial(usb, board) is None]
-        if denied:
-            raise no_permission(url.text, _node(denied[0]), "usb 87a0")
-        raise missing(url.text, "such CP2130" if boards else "CP2130", _devices(usb, boards))
-    if len(fits) > 1:
-        raise several(url.text, _devices(usb, fits))
-    device = fits[0]
+    if not fits and (denied := [board for board in boards if _serial(usb, board) is None]):
+        raise no_permission(url.text, _node(denied[0]), "usb 87a0")
+    what = "such CP2130" if boards else "CP2130"
+    device = choose(url, what, fits, boards, lambda boards: _devices(usb, boards))
 
     def claim() -> None:
         usb.util.claim_interface(device, _INTERFACE)
@@ -528,22 +409,8 @@ def open_from_url(url: BusUrl, *, backend: Any = None, clock: Clock = WALL) -> C
             endpoints = _endpoints(usb, url.text, device)
         except usb.core.USBError as error:
             raise _cannot_open(url.text, device, error) from error
-        kept = contextlib.ExitStack()
-        bus = Cp2130Bus(
-            device,
-            usb.core.USBError,
-            claim=claim,
-            release=kept.close,
-            endpoints=endpoints,
-            url=url.text,
-            cs=cs,
-            reset_gpio=reset_gpio,
-            event_counter=event_counter,
-            timeout_s=timeout_ms / 1000,
-            clock=clock,
-        )
-        kept.push(stack.pop_all())
-    return bus
+        bus = Cp2130Bus(device, usb.core.USBError, claim, endpoints, url.text, usual, clock)
+        return bus.take_over(stack)
 
 
 def find_devices(*, backend: Any = None) -> list[Device]:
@@ -557,7 +424,7 @@ def _load() -> Any:
         import usb.core
         import usb.util
     except ImportError:
-        raise NotInstalledError("cp2130: pyusb is not installed: pip install 'adis-gonio[usb]'") from None
+        raise NotInstalledError(f"cp2130: pyusb is not installed: {install_extra('usb')}") from None
     return usb
 
 
@@ -575,7 +442,7 @@ def _libusb() -> Any:
 def _boards(usb: Any, backend: Any) -> list[Any]:
     backend = backend or _libusb()
     if backend is None:
-        raise NotInstalledError("cp2130: libusb is not installed: pip install 'adis-gonio[usb]'")
+        raise NotInstalledError(f"cp2130: libusb is not installed: {install_extra('usb')}")
     try:
         found = usb.core.find(find_all=True, backend=backend, idVendor=VENDOR_ID, idProduct=PRODUCT_ID)
         return sorted(found, key=lambda board: (board.bus or 0, board.address or 0))
@@ -617,7 +484,7 @@ def _node(board: Any) -> str:
     return f"/dev/bus/usb/{board.bus or 0:03d}/{board.address or 0:03d}"
 
 
-def _devices(usb: Any, boards: list[Any]) -> list[Device]:
+def _devices(usb: Any, boards: Sequence[Any]) -> list[Device]:
     serials = [_serial(usb, board) for board in boards]
     devices = []
     for board, serial in zip(boards, serials, strict=True):

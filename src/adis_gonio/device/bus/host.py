@@ -5,14 +5,21 @@ from __future__ import annotations
 import contextlib
 import os
 import time
+from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Protocol
+from typing import Self, TypeVar
 
-from adis_gonio.base.errors import CannotOpenError, UsageError
-from adis_gonio.device.bus.contract import FRAME_BITS, SpiBus, SpiTiming
+import numpy as np
+
+from adis_gonio.base.errors import BusError, CannotOpenError, UsageError, suggest
+from adis_gonio.device.bus.contract import FRAME_BITS, Capability, SpiBus, SpiTiming, Words
 from adis_gonio.device.bus.opening import BusUrl, Device
+
+T = TypeVar("T")
+Listing = Callable[[Sequence[T]], list[Device]]
 
 RULES_FILE = "70-adis-gonio.rules"
 """Name of the rules, here and in /etc/udev/rules.d; below 73, where uaccess tags are acted upon."""
@@ -44,18 +51,8 @@ RESET_PULSE_S = 0.001
 """Duration in s of the low pulse on RST; the chip needs microseconds, a bridge's pin may take 1 ms."""
 
 
-class Clock(Protocol):
-    """Clock of a bus; tests use a virtual one."""
-
-    def now_s(self) -> float:
-        """Present monotonic time in s."""
-
-    def sleep_s(self, seconds: float) -> None:
-        """Wait for at least `seconds`."""
-
-
-class WallClock:
-    """The monotonic clock of this computer."""
+class Clock:
+    """The monotonic clock of this computer; tests give a bus a virtual one."""
 
     def now_s(self) -> float:
         """Present monotonic time in s."""
@@ -66,7 +63,7 @@ class WallClock:
         time.sleep(seconds)
 
 
-WALL = WallClock()
+WALL = Clock()
 
 
 class Pace:
@@ -101,16 +98,14 @@ class HostBus(SpiBus):
         For messages.
     clock : Clock
         The bus's clock.
-    release : callable
-        Called when the bus is closed.
     """
 
-    def __init__(self, url: str, clock: Clock, release: Callable[[], object]) -> None:
+    def __init__(self, url: str, clock: Clock) -> None:
         super().__init__(SAFE_TIMING)
         self.url = url
         self._clock = clock
         self._pace = Pace(clock)
-        self._release = release
+        self._resources = contextlib.ExitStack()
 
     def now_s(self) -> float:
         """Present time in s on the monotonic clock of this bus."""
@@ -120,29 +115,27 @@ class HostBus(SpiBus):
         """Wait for `seconds` on the clock of this bus."""
         self._clock.sleep_s(seconds)
 
+    def take_over(self, opened: contextlib.ExitStack) -> Self:
+        """Release these resources when the bus is closed; return the bus."""
+        self._resources = opened.pop_all()
+        return self
+
     def _close(self) -> None:
-        self._release()
-
-
-def require_separate_pins(url: str, cs: int, reset: int | None, event: int | None, event_name: str) -> None:
-    """Raise `UsageError` if one pin is to have two functions; None means that a function is not used."""
-    pins = [pin for pin in (cs, reset, event) if pin is not None]
-    if len(set(pins)) != len(pins):
-        raise UsageError(f"{url}: cs, reset_gpio and the event counter ({event_name}) need pins apart")
+        self._resources.close()
 
 
 class UrlOptions:
-    """Options of a bus URL, with checks; an unknown option is an error that lists the known ones."""
+    """Options of a bus URL, with checks; an unknown option is an error that suggests a known one."""
 
     def __init__(self, url: BusUrl, names: Sequence[str]) -> None:
-        self._url = url
+        self.url = url
         for name in url.options:
             if name not in names:
-                raise UsageError(f"'{url.text}': no option '{name}'; there is {', '.join(names)}")
+                raise UsageError(f"'{url.text}': no option is called '{name}'; {suggest(name, names)}")
 
     def text(self, name: str, default: str = "") -> str:
         """Return an option as text."""
-        return self._url.options.get(name, default)
+        return self.url.options.get(name, default)
 
     def number(self, name: str, default: int, low: int, high: int) -> int:
         """Return an option as a whole number from `low` to `high`."""
@@ -151,11 +144,11 @@ class UrlOptions:
 
     def number_or_none(self, name: str, low: int, high: int) -> int | None:
         """Return an option as a whole number from `low` to `high`; None if the URL lacks it."""
-        text = self._url.options.get(name)
+        text = self.url.options.get(name)
         if text is None:
             return None
         if not text.isascii() or not text.isdigit() or not low <= int(text) <= high:
-            raise UsageError(f"'{self._url.text}': {name} is a whole number from {low} to {high}")
+            raise UsageError(f"'{self.url.text}': {name} is a whole number from {low} to {high}")
         return int(text)
 
     def switch(self, name: str, *, default: bool = False) -> bool:
@@ -166,8 +159,125 @@ class UrlOptions:
         """Return an option that is one of the words in `choices`; the first is the default."""
         word = self.text(name, choices[0])
         if word not in choices:
-            raise UsageError(f"'{self._url.text}': {name} is one of {', '.join(choices)}")
+            raise UsageError(f"'{self.url.text}': {name} is one of {', '.join(choices)}")
         return word
+
+
+@dataclass(frozen=True)
+class UsbOptions:
+    """Options that the boards with a USB bridge have in common.
+
+    Attributes
+    ----------
+    cs : int
+        Pin that is chip select.
+    reset_gpio : int or None
+        Pin on the chip's RST.
+    event_counter : bool
+        True if data-ready is wired to the pin that counts.
+    timeout_s : float
+        Time for one transfer; a chip needs less than 2 ms.
+    """
+
+    cs: int = 0
+    reset_gpio: int | None = None
+    event_counter: bool = False
+    timeout_s: float = 0.25
+
+    @classmethod
+    def of(cls, options: UrlOptions, pins: int, event_pin: int, event_name: str) -> UsbOptions:
+        """Read the options from a URL of a bridge with `pins` pins.
+
+        Raises
+        ------
+        UsageError
+            An option is out of range, or a pin would have two functions.
+        """
+        cs = options.number("cs", cls.cs, 0, pins - 1)
+        reset_gpio = options.number_or_none("reset_gpio", 0, pins - 1)
+        event_counter = options.switch("event_counter")
+        timeout_ms = options.number("timeout_ms", round(1000 * cls.timeout_s), 10, 10_000)
+        used = [cs, *([] if reset_gpio is None else [reset_gpio]), *([event_pin] if event_counter else [])]
+        if len(set(used)) != len(used):
+            raise UsageError(
+                f"{options.url.text}: cs, reset_gpio and the event counter ({event_name}) need pins apart"
+            )
+        return cls(cs, reset_gpio, event_counter, timeout_ms / 1000)
+
+
+class UsbBus(HostBus):
+    """Base class of USB bridges, which send one frame after another and recover after a failure."""
+
+    def __init__(self, url: str, options: UsbOptions, clock: Clock) -> None:
+        super().__init__(url, clock)
+        self._options = options
+        self._unsure = False
+        wired = {
+            Capability.HARD_RESET: options.reset_gpio is not None,
+            Capability.EVENT_COUNTER: options.event_counter,
+        }
+        self.capabilities = frozenset(capability for capability, there in wired.items() if there)
+
+    def _exchange(self, frames: Words) -> Words:
+        self._settle()
+        replies = np.empty(len(frames), np.uint16)
+        try:
+            for k, frame in enumerate(frames.tolist()):
+                self._pace.wait(self._timing)
+                replies[k] = self._frame(frame)
+                self._pace.done(self._timing)
+        except BaseException as error:  # an interruption by the operator also leaves an answer behind
+            self._unsure = True
+            if self._note_failure(error):
+                with contextlib.suppress(BusError):  # the first error counts, the next use tries again
+                    self._settle()
+            raise
+        return replies
+
+    def _settle(self) -> None:
+        """If an earlier transfer failed, bring the device back to a known state."""
+        if self._unsure:
+            self._recover()
+            self._unsure = False
+
+    @abstractmethod
+    def _frame(self, frame: int) -> int:
+        """Send a frame and return the reply."""
+
+    @abstractmethod
+    def _note_failure(self, error: BaseException) -> bool:
+        """Note the recovery that a failed frame needs; return True if it can be done now."""
+
+    @abstractmethod
+    def _recover(self) -> None:
+        """Bring the device back to a known state after a failure."""
+
+
+def choose(url: BusUrl, what: str, fits: Sequence[T], boards: Sequence[T], devices: Listing[T]) -> T:
+    """Return the only board that fits a URL.
+
+    Parameters
+    ----------
+    what : str
+        Name of such a board, for the message that none is connected.
+    fits, boards : sequence
+        Boards that fit, and all connected boards.
+    devices : callable
+        Converts boards to devices for a message.
+
+    Raises
+    ------
+    CannotOpenError
+        No board fits; the message lists the connected ones.
+    UsageError
+        Several boards fit, of which none is chosen automatically.
+    """
+    if not fits:
+        raise missing(url.text, what, devices(boards))
+    if len(fits) > 1:
+        urls = " or ".join(device.url for device in devices(fits))
+        raise UsageError(f"{url.text}: {len(fits)} devices fit; choose {urls}")
+    return fits[0]
 
 
 def no_permission(url: str, what: str, rule: str) -> CannotOpenError:
@@ -196,11 +306,6 @@ def missing(url: str, what: str, others: Sequence[Device] = ()) -> CannotOpenErr
     """Make the error for a device that is not connected; its message lists the connected devices."""
     there = f"connected: {', '.join(d.url for d in others)}" if others else "see 'adis-gonio devices'"
     return CannotOpenError(f"{url}: no {what} is connected; {there}")
-
-
-def several(url: str, devices: Sequence[Device]) -> UsageError:
-    """Make the error for a URL that fits several devices, of which none is chosen automatically."""
-    return UsageError(f"{url}: {len(devices)} devices fit; choose {' or '.join(d.url for d in devices)}")
 
 
 @contextlib.contextmanager

@@ -43,32 +43,36 @@ import importlib
 import struct
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
-import numpy as np
-
-from adis_gonio.base.errors import BusError, BusTimeoutError, NotInstalledError, ProtocolError, UsageError
-from adis_gonio.device.bus.contract import Capability, SpiTiming, Words
+from adis_gonio.base.errors import (
+    BusError,
+    BusTimeoutError,
+    NotInstalledError,
+    ProtocolError,
+    UsageError,
+    install_extra,
+)
+from adis_gonio.device.bus.contract import SpiTiming
 from adis_gonio.device.bus.host import (
     RESET_PULSE_S,
     SAFE_TIMING,
     WALL,
     Clock,
-    HostBus,
     UrlOptions,
+    UsbBus,
+    UsbOptions,
     busy,
+    choose,
     claimed,
     gone,
     missing,
     no_permission,
     readable_and_writable,
-    require_separate_pins,
-    several,
 )
 from adis_gonio.device.bus.opening import BusUrl, Device
 
@@ -113,27 +117,14 @@ class Command(IntEnum):
     READ_EEPROM = 0x50
 
 
-class AnswerStatus(IntEnum):
-    """Status of a command: the second byte of its answer."""
-
-    DONE = 0x00
-    NOT_OWNED = 0xF7
-    BUSY = 0xF8
-    UNKNOWN = 0xF9
-    WRITE_FAILED = 0xFA
-    ACCESS_1 = 0xFB
-    ACCESS_2 = 0xFC
-    ACCESS_3 = 0xFD
-
-
+DONE, NOT_OWNED, BUSY = 0x00, 0xF7, 0xF8
+"""Status of a command, the second byte of its answer: done, or refused for another master or a transfer."""
 STATUS_WORDS = {
-    AnswerStatus.NOT_OWNED: "another master has the SPI bus",
-    AnswerStatus.BUSY: "the SPI engine is busy",
-    AnswerStatus.UNKNOWN: "the command is unknown: is this an MCP2210?",
-    AnswerStatus.WRITE_FAILED: "a write failed",
-    AnswerStatus.ACCESS_1: "access denied: the settings are protected",
-    AnswerStatus.ACCESS_2: "access denied: the settings are protected",
-    AnswerStatus.ACCESS_3: "access denied: the settings are protected",
+    NOT_OWNED: "another master has the SPI bus",
+    BUSY: "the SPI engine is busy",
+    0xF9: "the command is unknown: is this an MCP2210?",
+    0xFA: "a write failed",
+    **dict.fromkeys((0xFB, 0xFC, 0xFD), "access denied: the settings are protected"),
 }
 
 
@@ -180,10 +171,25 @@ def status_of(answer: bytes, command: Command) -> int:
 
 def status_words(status: int) -> str:
     """Meaning of a status byte in words, for messages."""
-    try:
-        return STATUS_WORDS[AnswerStatus(status)]
-    except (ValueError, KeyError):
-        return f"status 0x{status:02X}"
+    return STATUS_WORDS.get(status, f"status 0x{status:02X}")
+
+
+def data_of(answer: bytes, command: Command) -> bytes:
+    """Content of the answer to a command that was done: its bytes from the fifth on.
+
+    Raises
+    ------
+    ProtocolError
+        As `status_of`, or the command was refused.
+    """
+    if status := status_of(answer, command):
+        raise ProtocolError(f"MCP2210: {command.name} is refused: {status_words(status)}")
+    return answer[4:]
+
+
+def word_of(answer: bytes, command: Command) -> int:
+    """Content of an answer with one 16-bit word: a count of events, or one bit for each pin."""
+    return int(_WORD.unpack_from(data_of(answer, command))[0])
 
 
 def mark(number: int) -> bytes:
@@ -199,11 +205,10 @@ def is_mark(answer: bytes, number: int) -> bool:
     return len(answer) == REPORT and answer[0] == Command.READ_EEPROM and answer[ECHO] == number
 
 
-@dataclass(frozen=True)
-class ChipSettings:
+class ChipSettings(NamedTuple):
     """Settings of the nine pins in RAM (commands 0x20, 0x21): functions, outputs, directions, flags."""
 
-    designations: tuple[int, ...]
+    designations: bytes
     outputs: int
     directions: int
     flags: int
@@ -211,33 +216,25 @@ class ChipSettings:
     @classmethod
     def parse(cls, answer: bytes) -> ChipSettings:
         """Create the settings from an answer to `GET_CHIP`."""
-        if status_of(answer, Command.GET_CHIP):
-            raise ProtocolError(f"MCP2210: chip settings not read: {status_words(answer[1])}")
-        designations, outputs, directions, flags = _CHIP.unpack_from(answer, 4)
-        if any(kind > Designation.DEDICATED for kind in designations):
+        settings = cls._make(_CHIP.unpack_from(data_of(answer, Command.GET_CHIP)))
+        if max(settings.designations) > Designation.DEDICATED:
             raise ProtocolError("MCP2210: a pin's designation is none of GPIO, CS, dedicated")
-        return cls(tuple(designations), outputs, directions, flags)
-
-    def with_pin(self, pin: int, kind: Designation) -> ChipSettings:
-        """Copy of the settings with another function of one pin."""
-        designations = list(self.designations)
-        designations[pin] = kind
-        return replace(self, designations=tuple(designations))
+        return settings
 
     def request(self) -> bytes:
         """Report of the command `SET_CHIP` with these settings."""
-        body = _CHIP.pack(bytes(self.designations), self.outputs, self.directions, self.flags)
-        return request(Command.SET_CHIP, bytes(3) + body)
+        return request(Command.SET_CHIP, bytes(3) + _CHIP.pack(*self))
 
 
-@dataclass(frozen=True)
-class SpiSettings:
-    """SPI settings in RAM (commands 0x40, 0x41); all delays are zero, because the host times the frames."""
+class SpiSettings(NamedTuple):
+    """SPI settings in RAM (commands 0x40, 0x41); the three delays have steps of 100 µs."""
 
     bit_rate_hz: int
     idle_cs: int
     active_cs: int
-    times_100us: tuple[int, int, int]
+    cs_to_data: int
+    last_to_cs: int
+    between: int
     transaction: int
     mode: int
 
@@ -245,26 +242,21 @@ class SpiSettings:
     def for_frames(cls, clock_hz: float, cs: int) -> SpiSettings:
         """Settings for frames of two bytes in SPI mode 3 with chip select on pin `cs`.
 
-        The chip divides 12 MHz; the rate is the fastest possible one not above `clock_hz`.
+        The delays are zero, because the host times the frames. The chip divides 12 MHz; the rate is the
+        fastest possible one not above `clock_hz`.
         """
         rate = BASE_HZ // -int(-BASE_HZ // clock_hz)
         idle = (1 << PINS) - 1
-        return cls(rate, idle, idle & ~(1 << cs), (0, 0, 0), FRAME_BYTES, 3)
+        return cls(rate, idle, idle & ~(1 << cs), 0, 0, 0, FRAME_BYTES, 3)
 
     @classmethod
     def parse(cls, answer: bytes) -> SpiSettings:
         """Create the settings from an answer to `GET_SPI`."""
-        if status_of(answer, Command.GET_SPI):
-            raise ProtocolError(f"MCP2210: SPI settings not read: {status_words(answer[1])}")
-        rate, idle, active, lead, hold, between, transaction, mode = _SPI.unpack_from(answer, 4)
-        return cls(rate, idle, active, (lead, hold, between), transaction, mode)
+        return cls._make(_SPI.unpack_from(data_of(answer, Command.GET_SPI)))
 
     def request(self) -> bytes:
         """Report of the command `SET_SPI` with these settings."""
-        body = _SPI.pack(
-            self.bit_rate_hz, self.idle_cs, self.active_cs, *self.times_100us, self.transaction, self.mode
-        )
-        return request(Command.SET_SPI, bytes(3) + body)
+        return request(Command.SET_SPI, bytes(3) + _SPI.pack(*self))
 
 
 def transfer(data: bytes = b"") -> bytes:
@@ -272,8 +264,7 @@ def transfer(data: bytes = b"") -> bytes:
     return request(Command.TRANSFER, bytes([len(data), 0, 0]) + data)
 
 
-@dataclass(frozen=True)
-class Progress:
+class Progress(NamedTuple):
     """State of an SPI transaction: the engine's state and the bytes received since the last answer."""
 
     engine: Engine
@@ -282,8 +273,7 @@ class Progress:
     @classmethod
     def parse(cls, answer: bytes) -> Progress:
         """Create the state from the answer to a transfer that was accepted."""
-        if status_of(answer, Command.TRANSFER):
-            raise ProtocolError(f"MCP2210: transfer refused: {status_words(answer[1])}")
+        data = data_of(answer, Command.TRANSFER)
         count = answer[2]
         if count > FRAME_BYTES:
             raise ProtocolError(f"MCP2210: {count} bytes came in for a frame of {FRAME_BYTES}")
@@ -293,7 +283,7 @@ class Progress:
             raise ProtocolError(f"MCP2210: engine state 0x{answer[3]:02X} is not defined") from None
         if engine is Engine.STARTED and count:
             raise ProtocolError("MCP2210: data before the transfer has started")
-        return cls(engine, answer[4 : 4 + count])
+        return cls(engine, data[:count])
 
     @classmethod
     def of_poll(cls, answer: bytes) -> Progress:
@@ -302,28 +292,9 @@ class Progress:
         While the engine clocks, it refuses such a transfer with status 0xF8 (data sheet DS22288A, figure
         3-23); this counts as `Engine.STARTED`.
         """
-        if status_of(answer, Command.TRANSFER) == AnswerStatus.BUSY:
+        if status_of(answer, Command.TRANSFER) == BUSY:
             return cls(Engine.STARTED, b"")
         return cls.parse(answer)
-
-
-def parse_events(answer: bytes) -> int:
-    """Count of the event counter, from the answer to `EVENTS`."""
-    if status_of(answer, Command.EVENTS):
-        raise ProtocolError(f"MCP2210: event counter not read: {status_words(answer[1])}")
-    return int(_WORD.unpack_from(answer, 4)[0])
-
-
-def parse_pins(answer: bytes, command: Command) -> int:
-    """Values or directions of the nine pins, one bit each, from the answer to a GPIO command."""
-    if status_of(answer, command):
-        raise ProtocolError(f"MCP2210: GPIO not read: {status_words(answer[1])}")
-    return int(_WORD.unpack_from(answer, 4)[0]) & (1 << PINS) - 1
-
-
-def pins_request(command: Command, bits: int) -> bytes:
-    """Report that sets the values or directions of the nine pins, one bit each (1 is an input)."""
-    return request(command, bytes(3) + _WORD.pack(bits))
 
 
 WRITE_S = 2.5
@@ -335,34 +306,18 @@ LONGEST_WRITE_S = 6.0
 """The kernel has cancelled a write by then."""
 
 
-class HidDevice(Protocol):
-    """The methods of a hidapi device that this module uses."""
-
-    def write(self, data: bytes, /) -> int:
-        """Send a report that begins with a report id; return its size, or a negative number on failure."""
-
-    def read(self, size: int, timeout_ms: int = 0, /) -> list[int]:
-        """Return a report, or nothing after the time-out; raise `OSError` if the device is unplugged."""
-
-    def set_nonblocking(self, on: int, /) -> int:
-        """Make reads without a time-out return at once, also without data."""
-
-    def close(self) -> None:
-        """Close the device."""
-
-
 class TimedWrites:
-    """Wraps a `HidDevice` so that `write` raises `TimeoutError` if the device takes no report.
+    """Wraps a device of hidapi so that `write` raises `TimeoutError` if the device takes no report.
 
     Parameters
     ----------
-    device : HidDevice
-        Device; `close` also closes it.
+    device : hid.device
+        Open device; `close` also closes it.
     timeout_s : float
         Time for a write, including a pending write before it.
     """
 
-    def __init__(self, device: HidDevice, timeout_s: float = WRITE_S) -> None:
+    def __init__(self, device: Any, timeout_s: float = WRITE_S) -> None:
         self._device = device
         self._timeout_s = timeout_s
         self._thread = ThreadPoolExecutor(1, "mcp2210-write")
@@ -377,18 +332,19 @@ class TimedWrites:
 
     def _write(self, data: bytes) -> int:
         begin_s = time.monotonic()
-        sent = self._device.write(data)
+        sent: int = self._device.write(data)
         if sent < 0 and time.monotonic() - begin_s > AT_ONCE_S:
             raise TimeoutError("hidapi's own time-out")
         return sent
 
     def read(self, size: int, timeout_ms: int = 0, /) -> list[int]:
         """Return a report, or nothing after the time-out; raise `OSError` if the device is unplugged."""
-        return self._device.read(size, timeout_ms)
+        report: list[int] = self._device.read(size, timeout_ms)
+        return report
 
     def set_nonblocking(self, on: int, /) -> int:
         """Make reads without a time-out return at once, also without data."""
-        return self._device.set_nonblocking(on)
+        return int(self._device.set_nonblocking(on))
 
     def close(self) -> None:
         """Close the device after a running write has ended, since hidapi frees the memory that it uses."""
@@ -403,71 +359,32 @@ class TimedWrites:
             self._device.close()
 
 
-TIMEOUT_S = 0.25
-"""Time for one answer; the chip needs 1 to 2 ms."""
 _TRIES = 2
 _MOST_LATE = 64
 """Most foreign answers that are discarded before an error."""
 
 
-class Mcp2210Bus(HostBus):
+class Mcp2210Bus(UsbBus):
     """A bus over an open HID device with the MCP2210.
 
     Parameters
     ----------
-    device : HidDevice
-        Belongs to the bus from now on.
-    url : str
-        For messages.
-    cs : int
-        GP that is chip select.
-    reset_gpio : int or None
-        GP on the chip's RST; driven low or left floating.
-    event_counter : bool
-        Data-ready is wired to GP6: count its edges.
-    timeout_s : float
-        Time for one answer.
-    clock : Clock
-        The bus's clock.
-    release : callable
-        Called when the bus is closed, in place of the device's own `close`.
+    device : hid.device or TimedWrites
+    options : UsbOptions
+        RST is driven low or left floating; GP6 counts events.
 
     Raises
     ------
-    UsageError
-        A pin is to have two functions.
     BusError
         The device does not take its settings.
     """
 
-    def __init__(
-        self,
-        device: HidDevice,
-        *,
-        url: str = "mcp2210:",
-        cs: int = 0,
-        reset_gpio: int | None = None,
-        event_counter: bool = False,
-        timeout_s: float = TIMEOUT_S,
-        clock: Clock = WALL,
-        release: Callable[[], object] | None = None,
-    ) -> None:
-        super().__init__(url, clock, release or device.close)
+    def __init__(self, device: Any, url: str, options: UsbOptions, clock: Clock = WALL) -> None:
+        super().__init__(url, options, clock)
         self._device = device
-        self._cs = cs
-        self._reset_gpio = reset_gpio
-        self._timeout_s = timeout_s
         self._unsure = True
         self._takes_reports = True
         self._marked = 0
-        event = EVENT_PIN if event_counter else None
-        require_separate_pins(url, cs, reset_gpio, event, f"GP{EVENT_PIN}")
-        offered = set()
-        if reset_gpio is not None:
-            offered.add(Capability.HARD_RESET)
-        if event_counter:
-            offered.add(Capability.EVENT_COUNTER)
-        self.capabilities = frozenset(offered)
         device.set_nonblocking(1)
         self._settle()
         self._set_pins()
@@ -479,34 +396,17 @@ class Mcp2210Bus(HostBus):
         if timing.clock_hz < SLOWEST_HZ:
             raise UsageError(f"{self.url}: the slowest clock is {SLOWEST_HZ} Hz, not {timing.clock_hz:g}")
         self._settle()
-        wanted = SpiSettings.for_frames(timing.clock_hz, self._cs)
+        wanted = SpiSettings.for_frames(timing.clock_hz, self._options.cs)
         self._ask_done(Command.SET_SPI, wanted.request())
         got = SpiSettings.parse(self._ask(Command.GET_SPI))
-        if (
-            replace(got, bit_rate_hz=wanted.bit_rate_hz) != wanted
-            or not 0 < got.bit_rate_hz <= timing.clock_hz
-        ):
+        if got[1:] != wanted[1:] or not 0 < got.bit_rate_hz <= timing.clock_hz:
             raise ProtocolError(f"{self.url}: the MCP2210 did not take its settings: {got}")
         return SpiTiming(float(got.bit_rate_hz), timing.stall_us, timing.period_us)
 
-    def _exchange(self, frames: Words) -> Words:
-        self._settle()
-        replies = np.empty(len(frames), np.uint16)
-        try:
-            for k, frame in enumerate(frames.tolist()):
-                replies[k] = self._frame(frame)
-        except BaseException as error:  # an interruption by the operator leaves an answer behind as well
-            self._unsure = True
-            if isinstance(error, BusError) and self._takes_reports:
-                self._settle_quietly()
-            raise
-        return replies
-
     def _frame(self, frame: int) -> int:
-        self._pace.wait(self._timing)
         self._start(frame.to_bytes(FRAME_BYTES, "big"))
         data = b""
-        deadline = self._clock.now_s() + self._timeout_s
+        deadline = self._clock.now_s() + self._options.timeout_s
         while True:
             progress = Progress.of_poll(self._ask(Command.TRANSFER, transfer()))
             data += progress.data
@@ -514,9 +414,9 @@ class Mcp2210Bus(HostBus):
                 break
             if self._clock.now_s() > deadline:
                 raise BusTimeoutError(
-                    f"{self.url}: the SPI engine does not finish a frame within {self._timeout_s:g} s"
+                    f"{self.url}: the SPI engine does not finish a frame within"
+                    f" {self._options.timeout_s:g} s"
                 )
-        self._pace.done(self._timing)
         if len(data) != FRAME_BYTES:
             raise ProtocolError(f"{self.url}: a frame ended with {len(data)} of {FRAME_BYTES} bytes")
         return int.from_bytes(data, "big")
@@ -529,12 +429,12 @@ class Mcp2210Bus(HostBus):
         for left in range(_TRIES - 1, -1, -1):
             answer = self._ask(Command.TRANSFER, transfer(data))
             status = status_of(answer, Command.TRANSFER)
-            if status == AnswerStatus.DONE:
+            if status == DONE:
                 progress = Progress.parse(answer)
                 if STARTS_WITHOUT_DATA and progress.engine is not Engine.STARTED:
                     raise ProtocolError(f"{self.url}: data before the transfer has started")
                 return
-            if status not in (AnswerStatus.BUSY, AnswerStatus.NOT_OWNED):
+            if status not in (BUSY, NOT_OWNED):
                 raise ProtocolError(f"{self.url}: {status_words(status)}")
             if left:
                 self._cancel()
@@ -544,42 +444,48 @@ class Mcp2210Bus(HostBus):
     # -- optional capabilities -----------------------------------------------------------------------
 
     def _pull_reset(self) -> None:
-        bit = 1 << (self._reset_gpio or 0)
+        bit = 1 << (self._options.reset_gpio or 0)
         self._settle()
-        values = parse_pins(self._ask(Command.GET_GPIO_VALUES), Command.GET_GPIO_VALUES)
-        inputs = parse_pins(self._ask(Command.GET_GPIO_DIRECTIONS), Command.GET_GPIO_DIRECTIONS)
-        self._ask_done(Command.SET_GPIO_VALUES, pins_request(Command.SET_GPIO_VALUES, values & ~bit))
+        values = self._word(Command.GET_GPIO_VALUES)
+        inputs = self._word(Command.GET_GPIO_DIRECTIONS)
+        self._send_word(Command.SET_GPIO_VALUES, values & ~bit)
         for directions in (inputs & ~bit, inputs | bit):
-            report = pins_request(Command.SET_GPIO_DIRECTIONS, directions)
-            self._ask_done(Command.SET_GPIO_DIRECTIONS, report)
+            self._send_word(Command.SET_GPIO_DIRECTIONS, directions)
             self.sleep_s(RESET_PULSE_S)
 
     def _count_edges(self) -> int:
         """Number of data-ready edges on pin GP6 since the last call."""
         self._settle()
-        return parse_events(self._ask(Command.EVENTS))
+        return self._word(Command.EVENTS)
 
     def _set_pins(self) -> None:
-        now = ChipSettings.parse(self._ask(Command.GET_CHIP))
-        wanted = now.with_pin(self._cs, Designation.CS)
-        if self._reset_gpio is not None:
-            wanted = wanted.with_pin(self._reset_gpio, Designation.GPIO)
-            wanted = replace(wanted, directions=wanted.directions | 1 << self._reset_gpio)
-        if Capability.EVENT_COUNTER in self.capabilities:
-            wanted = wanted.with_pin(EVENT_PIN, Designation.DEDICATED)
-            flags = wanted.flags & ~EVENT_MODE_MASK | COUNT_RISING_EDGES << 1
-            wanted = replace(wanted, flags=flags)
+        now, options = ChipSettings.parse(self._ask(Command.GET_CHIP)), self._options
+        designations, directions, flags = bytearray(now.designations), now.directions, now.flags
+        designations[options.cs] = Designation.CS
+        if options.reset_gpio is not None:
+            designations[options.reset_gpio] = Designation.GPIO
+            directions |= 1 << options.reset_gpio
+        if options.event_counter:
+            designations[EVENT_PIN] = Designation.DEDICATED
+            flags = flags & ~EVENT_MODE_MASK | COUNT_RISING_EDGES << 1
+        wanted = ChipSettings(bytes(designations), now.outputs, directions, flags)
         if wanted != now:
             self._ask_done(Command.SET_CHIP, wanted.request())
-        if Capability.EVENT_COUNTER in self.capabilities:
+        if options.event_counter:
             self._ask(Command.EVENTS)
 
     # -- reports --------------------------------------------------------------------------------------
 
     def _ask_done(self, command: Command, report: bytes) -> None:
         status = status_of(self._ask(command, report), command)
-        if status != AnswerStatus.DONE:
+        if status != DONE:
             raise ProtocolError(f"{self.url}: {status_words(status)}")
+
+    def _send_word(self, command: Command, word: int) -> None:
+        self._ask_done(command, request(command, bytes(3) + _WORD.pack(word)))
+
+    def _word(self, command: Command) -> int:
+        return word_of(self._ask(command), command)
 
     def _ask(self, command: Command, report: bytes | None = None) -> bytes:
         """Send a command and return its answer; after an error the device counts as unsettled."""
@@ -599,12 +505,12 @@ class Mcp2210Bus(HostBus):
         while self._read(0):
             pass  # discard late answers
         self._write(report)
-        deadline = self._clock.now_s() + self._timeout_s
+        deadline = self._clock.now_s() + self._options.timeout_s
         for _ in range(_MOST_LATE):
             left = deadline - self._clock.now_s()
             answer = self._read(max(1, round(left * 1000))) if left > 0 else b""
             if not answer:
-                raise BusTimeoutError(f"{self.url}: no answer within {self._timeout_s:g} s")
+                raise BusTimeoutError(f"{self.url}: no answer within {self._options.timeout_s:g} s")
             if is_mine(answer):
                 return answer  # others are late, of requests that were given up
         raise ProtocolError(f"{self.url}: only answers to other commands; does another program use it?")
@@ -629,21 +535,11 @@ class Mcp2210Bus(HostBus):
 
     # -- after a failure -------------------------------------------------------------------------------
 
-    def _settle(self) -> None:
-        """If an earlier command failed, bring the device back to a known state."""
-        if self._unsure:
-            self._cancel()
-            self._unsure = False
+    def _note_failure(self, error: BaseException) -> bool:
+        return isinstance(error, BusError) and self._takes_reports
 
-    def _settle_quietly(self) -> None:
-        """Like `_settle`, but without raising, so that an earlier error is the one reported.
-
-        If it fails, the next use of the bus tries again.
-        """
-        try:
-            self._settle()
-        except BusError:
-            self._unsure = True
+    def _recover(self) -> None:
+        self._cancel()
 
     def _cancel(self) -> None:
         self._converse(Command.CANCEL, request(Command.CANCEL))
@@ -680,10 +576,7 @@ def open_from_url(url: BusUrl, *, hid: Any = None, clock: Clock = WALL) -> Mcp22
     """
     options = UrlOptions(url, _OPTIONS)
     backend = options.one_of("backend", _BACKENDS)
-    cs = options.number("cs", 0, 0, 8)
-    reset_gpio = options.number_or_none("reset_gpio", 0, 8)
-    event_counter = options.switch("event_counter")
-    timeout_ms = options.number("timeout_ms", round(TIMEOUT_S * 1000), 10, 10_000)
+    usual = UsbOptions.of(options, PINS, EVENT_PIN, f"GP{EVENT_PIN}")
     blocks = hid is None
     hid = hid or _load(backend)
     boards = _boards(hid)
@@ -693,28 +586,13 @@ def open_from_url(url: BusUrl, *, hid: Any = None, clock: Clock = WALL) -> Mcp22
         for board in boards
         if (not wanted or _path(board) == wanted) and (not url.place or _serial(board) == url.place)
     ]
-    if not fits:
-        raise missing(url.text, "such MCP2210" if boards else "MCP2210", _devices(boards))
-    if len(fits) > 1:
-        raise several(url.text, _devices(fits))
+    board = choose(url, "such MCP2210" if boards else "MCP2210", fits, boards, _devices)
     with contextlib.ExitStack() as stack:
-        device: HidDevice = _open(hid, url.text, fits[0], stack)
+        device = _open(hid, url.text, board, stack)
         if blocks:
             device = TimedWrites(device)
         stack.callback(device.close)
-        kept = contextlib.ExitStack()
-        bus = Mcp2210Bus(
-            device,
-            url=url.text,
-            cs=cs,
-            reset_gpio=reset_gpio,
-            event_counter=event_counter,
-            timeout_s=timeout_ms / 1000,
-            clock=clock,
-            release=kept.close,
-        )
-        kept.push(stack.pop_all())
-    return bus
+        return Mcp2210Bus(device, url.text, usual, clock).take_over(stack)
 
 
 def find_devices(*, hid: Any = None) -> list[Device]:
@@ -734,10 +612,10 @@ def _load(backend: str) -> Any:
                 "mcp2210: module 'hid' belongs to package hid, not hidapi: pip uninstall hid;"
                 " pip install --force-reinstall hidapi"
             )
-    raise NotInstalledError("mcp2210: hidapi is not installed: pip install 'adis-gonio[hid]'")
+    raise NotInstalledError(f"mcp2210: hidapi is not installed: {install_extra('hid')}")
 
 
-def _open(hid: Any, url: str, board: dict[str, Any], stack: contextlib.ExitStack) -> HidDevice:
+def _open(hid: Any, url: str, board: dict[str, Any], stack: contextlib.ExitStack) -> Any:
     path = _path(board)
     node = _node(path)
     if not readable_and_writable(node):
@@ -751,8 +629,7 @@ def _open(hid: Any, url: str, board: dict[str, Any], stack: contextlib.ExitStack
         if not any(_path(other) == path for other in _boards(hid)):
             raise missing(url, "MCP2210 any more") from None
         raise busy(url, node) from None
-    opened: HidDevice = device
-    return opened
+    return device
 
 
 def _boards(hid: Any) -> list[dict[str, Any]]:
@@ -783,7 +660,7 @@ def _node(path: str) -> str:
     return f"/dev/bus/usb/{bus:03d}/{number:03d}"
 
 
-def _devices(boards: list[dict[str, Any]]) -> list[Device]:
+def _devices(boards: Sequence[dict[str, Any]]) -> list[Device]:
     serials = [_serial(board) for board in boards]
     devices = []
     for board, serial in zip(boards, serials, strict=True):

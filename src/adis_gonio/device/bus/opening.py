@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from urllib.parse import parse_qsl
 
-from adis_gonio.base.errors import BusError, NotInstalledError, UsageError, one_line
+from adis_gonio.base.errors import (
+    BusError,
+    NotInstalledError,
+    UsageError,
+    install_extra,
+    one_line,
+    suggest,
+)
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.device.bus.contract import SpiBus
 
@@ -88,7 +94,7 @@ def open_bus(url: str) -> SpiBus:
             except ImportError as error:
                 raise NotInstalledError(
                     f"'{url}': the bus '{parsed.scheme}' needs {error.name or error}:"
-                    f" pip install 'adis-gonio[{parsed.scheme}]'"
+                    f" {install_extra(parsed.scheme)}"
                 ) from error
             return opener(parsed)
     sources = {point.name for point in entry_points(group=SOURCE_GROUP)}
@@ -96,16 +102,13 @@ def open_bus(url: str) -> SpiBus:
         raise UsageError(
             f"'{url}': gives samples, but carries no frames to a chip: stream and calibrate take it"
         )
-    known = sorted({*bus_schemes(), *sources})
-    near = difflib.get_close_matches(parsed.scheme, known, n=1)
-    hint = f"did you mean '{near[0]}:'?" if near else f"known: {', '.join(known) or 'none'}"
+    hint = suggest(f"{parsed.scheme}:", [f"{scheme}:" for scheme in sorted({*bus_schemes(), *sources})])
     raise UsageError(f"'{url}': no bus is called '{parsed.scheme}'; {hint}")
 
 
 DEVICE_GROUP = "adis_gonio.devices"
 
 
-@dataclass(frozen=True)
 class Device(JsonRecord):
     """A device that can be opened: its URL and a description, each as one printable line."""
 
@@ -128,7 +131,7 @@ def find_devices() -> list[Device]:
         try:
             devices += _found(point)
         except ImportError as error:
-            need = f"not usable: {error.name or error} is missing; pip install 'adis-gonio[{point.name}]'"
+            need = f"not usable: {error.name or error} is missing; {install_extra(point.name)}"
             devices.append(Device(f"{point.name}:", need))
         except (BusError, NotInstalledError) as error:
             devices.append(Device(f"{point.name}:", f"not usable: {error}"))

@@ -34,9 +34,8 @@ import difflib
 import errno
 import os
 import re
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -50,11 +49,11 @@ from adis_gonio.device.bus.host import (
     HostBus,
     UrlOptions,
     busy,
+    choose,
     gone,
     missing,
     no_permission,
     readable_and_writable,
-    several,
 )
 from adis_gonio.device.bus.opening import BusUrl, Device
 
@@ -176,24 +175,8 @@ def open_drain_line(offset: int) -> LineRequest:
     return request
 
 
-class Kernel(Protocol):
-    """The system calls that this module uses; tests replace them."""
-
-    def open(self, path: str) -> int:
-        """Open a device file for reading and writing; return its descriptor or raise `OSError`."""
-
-    def ioctl(self, fd: int, request: int, argument: Any) -> int:
-        """Call ioctl with a ctypes object that the kernel reads and writes; raise `OSError` on failure."""
-
-    def lock(self, fd: int) -> None:
-        """Take an advisory lock; raise `BlockingIOError` if another program has it."""
-
-    def close(self, fd: int) -> None:
-        """Close a file descriptor."""
-
-
-class LinuxKernel:
-    """The system calls of Linux that this module uses.
+class Kernel:
+    """The system calls of Linux that this module uses; tests replace them.
 
     Raises
     ------
@@ -243,8 +226,6 @@ class SpidevBus(HostBus):
         System calls.
     fd : int
         The open device file.
-    release : callable
-        Called when the bus is closed.
     url : str
         For messages.
     cs_high_us : float
@@ -266,14 +247,12 @@ class SpidevBus(HostBus):
         self,
         system: Kernel,
         fd: int,
-        *,
-        release: Callable[[], object],
-        url: str = "spidev:",
-        cs_high_us: float = CS_HIGH_US,
-        reset_fd: int | None = None,
+        url: str,
+        cs_high_us: float,
+        reset_fd: int | None,
         clock: Clock = WALL,
     ) -> None:
-        super().__init__(url, clock, release)
+        super().__init__(url, clock)
         self._system = system
         self._fd = fd
         self._cs_high_us = cs_high_us
@@ -423,15 +402,12 @@ def open_from_url(
         )
     path = url.place
     if not path:
-        devices = find_devices(folder=folder)
-        if len(devices) > 1:
-            raise several(url.text, devices)
-        if not devices:
-            raise missing(url.text, "SPI device file (on a Raspberry Pi: dtparam=spi=on)")
-        path = BusUrl.parse(devices[0].url).place
+        found = find_devices(folder=folder)
+        only = choose(url, "SPI device file (on a Raspberry Pi: dtparam=spi=on)", found, [], list)
+        path = BusUrl.parse(only.url).place
     if system is None:
         try:
-            system = LinuxKernel()
+            system = Kernel()
         except ImportError:
             raise CannotOpenError(f"{url.text}: spidev is Linux's; this system has none") from None
     with contextlib.ExitStack() as stack:
@@ -445,18 +421,7 @@ def open_from_url(
         if line:
             reset_fd = _request_line(system, url.text, *_find_line(system, url.text, line, folder), folder)
             stack.callback(system.close, reset_fd)
-        kept = contextlib.ExitStack()
-        bus = SpidevBus(
-            system,
-            fd,
-            release=kept.close,
-            url=url.text,
-            cs_high_us=cs_high_us,
-            reset_fd=reset_fd,
-            clock=clock,
-        )
-        kept.push(stack.pop_all())
-    return bus
+        return SpidevBus(system, fd, url.text, cs_high_us, reset_fd, clock).take_over(stack)
 
 
 def find_devices(*, folder: str = "/dev") -> list[Device]:

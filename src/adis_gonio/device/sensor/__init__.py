@@ -15,21 +15,7 @@ from adis_gonio.device.sensor.settings import (
 from adis_gonio.device.sensor.variants import VARIANTS, Variant
 
 __all__ = [
-    "DEFAULT_SCAN",
-    "REGISTERS",
-    "VARIANTS",
-    "Adis16354",
-    "Alarm",
-    "Configuration",
-    "ManualSelfTest",
-    "Offsets",
-    "Quantity",
-    "Register",
-    "ScanBlock",
-    "ScanStream",
-    "SelfTest",
-    "Status",
-    "Variant",
-    "decode_numbers",
-    "open_sensor",
-]
+    "DEFAULT_SCAN", "REGISTERS", "VARIANTS", "Adis16354", "Alarm", "Configuration", "ManualSelfTest",
+    "Offsets", "Quantity", "Register", "ScanBlock", "ScanStream", "SelfTest", "Status", "Variant",
+    "decode_numbers", "open_sensor",
+]  # fmt: skip

@@ -29,6 +29,7 @@ from adis_gonio.base.errors import (
     VariantError,
     VerifyError,
 )
+from adis_gonio.base.numbers import use_minus
 from adis_gonio.device.bus import Capability, SpiBus, open_bus
 from adis_gonio.device.sensor.data_ready import (
     UPDATE_EDGE,
@@ -116,7 +117,7 @@ class Quantity:
     unit: str
 
     def __str__(self) -> str:
-        return f"{self.value:.6g} {self.unit}" if self.unit else f"{self.number}"
+        return use_minus(f"{self.value:.6g} {self.unit}" if self.unit else f"{self.number}")
 
 
 def open_sensor(url: str, *, variant: str = "adis16354", check: bool = True) -> Adis16354:
@@ -570,8 +571,7 @@ class Adis16354(Closing):
         StatusError
             STATUS reports a failed flash update.
         """
-        self._require_flash_life(force)
-        return self._flash_command("flash_update", FLASH_UPDATE_S, "the flash update")
+        return self._flash_command("flash_update", FLASH_UPDATE_S, "the flash update", force=force)
 
     def autonull(self, *, force: bool = False) -> Offsets:
         """Let the chip cancel its present gyro outputs while it is at rest; return the new offsets.
@@ -580,9 +580,8 @@ class Adis16354(Closing):
 
         The duration is not given by the maker; the wait covers the filter and the flash update.
         """
-        self._require_flash_life(force)
         wait = self.configuration().settling_s + START_UP_S + FLASH_UPDATE_S
-        self._flash_command("autonull", wait, "the autonull")
+        self._flash_command("autonull", wait, "the autonull", force=force)
         return self.offsets()
 
     def precision_autonull(self, *, force: bool = False) -> Offsets:
@@ -590,8 +589,8 @@ class Adis16354(Closing):
 
         It ends in a flash update; only a reset stops it.
         """
-        self._require_flash_life(force)
-        self._flash_command("precision_autonull", PRECISION_AUTONULL_S, "the precision autonull")
+        what = "the precision autonull"
+        self._flash_command("precision_autonull", PRECISION_AUTONULL_S, what, force=force)
         return self.offsets()
 
     def restore_factory(self, *, force: bool = False) -> Offsets:
@@ -604,8 +603,7 @@ class Adis16354(Closing):
         VerifyError
             An offset is not zero afterwards, or the endurance counter did not go up.
         """
-        self._require_flash_life(force)
-        self._flash_command("restore", START_UP_S, "the factory restore")
+        self._flash_command("restore", START_UP_S, "the factory restore", force=force)
         left = self.offsets()
         if any((*left.gyro_dps, *left.accel_mg)):
             raise VerifyError(f"after the factory restore offsets are not zero: {left}")
@@ -698,8 +696,12 @@ class Adis16354(Closing):
         row = BY_NAME["COMMAND"]
         self.bus.exchange_array(write_frames(row, row.field(field).mask, byte_mask=0x00FF))
 
-    def _flash_command(self, field: str, wait_s: float, what: str) -> int:
+    def _flash_command(self, field: str, wait_s: float, what: str, *, force: bool) -> int:
         before = self.endurance()
+        if before >= FLASH_LIFE and not force:
+            raise ChipError(
+                f"ENDURANCE is {before}: the flash is made for {FLASH_LIFE} writes; force it if you must"
+            )
         self._command(field)
         self.bus.sleep_s(wait_s)
         after = self.endurance()
@@ -712,13 +714,6 @@ class Adis16354(Closing):
         if status.flags["flash"]:
             raise StatusError(f"STATUS after {what}: {status}")
         return after
-
-    def _require_flash_life(self, force: bool) -> None:
-        written = self.endurance()
-        if written >= FLASH_LIFE and not force:
-            raise ChipError(
-                f"ENDURANCE is {written}: the flash is made for {FLASH_LIFE} writes; force it if you must"
-            )
 
     def _follow(self) -> None:
         """Read the configuration and adapt the SPI timing and the gyro scale to it."""

@@ -8,7 +8,6 @@ mode is known from the first access to SMPL_PRD on; before that no rule of timin
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,7 +28,6 @@ TOLERANCE = 0.01
 """Relative error that a measured time may have, because a logic analyser samples in steps."""
 
 
-@dataclass(frozen=True)
 class FrameRow(JsonRecord):
     """One frame, or one other call of the bus.
 

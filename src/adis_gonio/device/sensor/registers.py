@@ -1,8 +1,7 @@
 """The register table of the ADIS16350 family, one row for each register, and read and write frames.
 
 Sources: DS is the data sheet of the ADIS16350/ADIS16355, Rev. B. The confidence rates the validity of a row
-for the ADIS16354: A, the data sheet and independent code for this part agree; B, the sibling's data
-sheet only; C, derived, or code only; D, an estimate.
+for the ADIS16354 (`CONFIDENCES`).
 
 A frame is bit 15 write, bit 14 zero, bits 13:8 byte address, bits 7:0 data (DS, A). Replies are
 pipelined: the word of frame k is shifted out during frame k + 1. Only `write_frames` sets the write bit.
@@ -10,10 +9,11 @@ pipelined: the word of frame k is shifted out during frame k + 1. Only `write_fr
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 
@@ -21,6 +21,13 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.device.bus import SpiTiming, Words
 
 Confidence = Literal["A", "B", "C", "D"]
+CONFIDENCES: dict[Confidence, str] = {
+    "A": "the siblings' data sheet and independent code for this part agree",
+    "B": "the siblings' data sheet only",
+    "C": "derived, or code only",
+    "D": "an estimate",
+}
+"""Evidence for a row of the table, by letter."""
 
 
 class Access(StrEnum):
@@ -54,6 +61,13 @@ class Field:
     high: int
     low: int
     meaning: str
+
+    @classmethod
+    def parse(cls, line: str) -> Field:
+        """Read a field from a line of the table, such as `15:12 source2 0 off, 1 supply`."""
+        bits, name, meaning = line.split(maxsplit=2)
+        high, _, low = bits.partition(":")
+        return cls(name, int(high), int(low or high), meaning)
 
     @property
     def mask(self) -> int:
@@ -142,197 +156,110 @@ class Register:
         raise KeyError(f"{self.name} has no field '{name}'")
 
 
-_AXES = "XYZ"
+_TABLE = """
+ENDURANCE  00 u16 r  count        0000 0000 0000 A flash writes so far, wraps at 32768; made for 10 000
+SUPPLY_OUT 02 u12 r  supply       0000 0000 0000 A supply voltage
+XGYRO_OUT  04 s14 r  gyro         0000 0000 0000 A rate of turn about X
+YGYRO_OUT  06 s14 r  gyro         0000 0000 0000 A rate of turn about Y
+ZGYRO_OUT  08 s14 r  gyro         0000 0000 0000 A rate of turn about Z
+XACCL_OUT  0A s14 r  accel        0000 0000 0000 A acceleration along X; level with Z up, Z reads -1 g
+YACCL_OUT  0C s14 r  accel        0000 0000 0000 A acceleration along Y; level with Z up, Z reads -1 g
+ZACCL_OUT  0E s14 r  accel        0000 0000 0000 A acceleration along Z; level with Z up, Z reads -1 g
+XTEMP_OUT  10 s12 r  temperature  0000 0000 0000 A temperature of the die of gyro X, 0 = 25 °C
+YTEMP_OUT  12 s12 r  temperature  0000 0000 0000 A temperature of the die of gyro Y, 0 = 25 °C
+ZTEMP_OUT  14 s12 r  temperature  0000 0000 0000 A temperature of the die of gyro Z, 0 = 25 °C
+AUX_ADC    16 u12 r  aux-adc      0000 0000 0000 A auxiliary input
+XGYRO_OFF  1A s13 rw gyro-offset  1FFF 1FFF 0000 A added to the output of gyro X
+YGYRO_OFF  1C s13 rw gyro-offset  1FFF 1FFF 0000 A added to the output of gyro Y
+ZGYRO_OFF  1E s13 rw gyro-offset  1FFF 1FFF 0000 A added to the output of gyro Z
+XACCL_OFF  20 s12 rw accel-offset 0FFF 0FFF 0000 C added to the output of accelerometer X (layout A, LSB C)
+YACCL_OFF  22 s12 rw accel-offset 0FFF 0FFF 0000 C added to the output of accelerometer Y (layout A, LSB C)
+ZACCL_OFF  24 s12 rw accel-offset 0FFF 0FFF 0000 C added to the output of accelerometer Z (layout A, LSB C)
+ALM_MAG1   26 u16 rw fields       BFFF BFFF 0000 B threshold of alarm 1
+    15    greater            1 alarm above the threshold, 0 below
+    13:0  threshold          in the format of the source
+ALM_MAG2   28 u16 rw fields       BFFF BFFF 0000 B threshold of alarm 2
+    15    greater            1 alarm above the threshold, 0 below
+    13:0  threshold          in the format of the source
+ALM_SMPL1  2A u16 rw fields       00FF 00FF 0000 B samples for the rate of change of alarm 1
+    7:0   samples            number of samples
+ALM_SMPL2  2C u16 rw fields       00FF 00FF 0000 B samples for the rate of change of alarm 2
+    7:0   samples            number of samples
+ALM_CTRL   2E u16 rw fields       FFD7 FFD7 0000 B control of both alarms
+    15:12 source2            0 off, 1 supply, 2-4 gyro XYZ, 5-7 accel XYZ, 8-10 temperature XYZ, 11 aux
+    11:8  source1            0 off, 1 supply, 2-4 gyro XYZ, 5-7 accel XYZ, 8-10 temperature XYZ, 11 aux
+    7     rate2              1 alarm 2 on rate of change
+    6     rate1              1 alarm 1 on rate of change
+    4     filtered           1 compare filtered data
+    2     output             1 drive a DIO line
+    1     polarity           1 active high
+    0     line               1 DIO2, 0 DIO1
+AUX_DAC    30 u12 rw aux-dac      0FFF 0000 0000 B auxiliary output, taken over by COMMAND[2]
+GPIO_CTRL  32 u16 rw fields       0303 0000 0000 A DIO lines as general inputs and outputs
+    9     level2             level of DIO2
+    8     level1             level of DIO1
+    1     output2            1 DIO2 is an output
+    0     output1            1 DIO1 is an output
+MSC_CTRL   34 u16 rw fields       07C7 00C7 0000 A self-test, data-ready, compensation
+    10    self_test          1 start the internal self-test; clears itself
+    9     negative           1 manual self-test, negative
+    8     positive           1 manual self-test, positive
+    7     linear_g           1 compensate the gyros' g-sensitivity by factory data
+    6     origin             1 compensate turns at the accelerometers' positions
+    2     data_ready         1 data-ready on a DIO line
+    1     polarity           1 active high
+    0     line               1 DIO2, 0 DIO1
+SMPL_PRD   36 u16 rw fields       00FF 00FF 0001 A period of the internal update: base * (N + 1)
+    7     slow               time base 0 0.61035 ms, 1 18.921 ms
+    6:0   n                  N; 1 is the least that is allowed
+SENS_AVG   38 u16 rw fields       0707 0707 0402 A gyro range and filter (SENS/AVG of the data sheet)
+    10:8  range              4 ±300, 2 ±150, 1 ±75 °/s
+    2:0   m                  two boxcars of 2^M taps, M from 0 to 6
+SLP_CNT    3A u16 rw fields       00FF 0000 0000 B sleep for a count of 0.5 s
+    7:0   halves             time in 0.5 s
+STATUS     3C u16 r  fields       0000 0000 0000 A faults and alarms; a read clears all bits
+    15    accel_z_self_test  accelerometer Z failed its self-test
+    14    accel_y_self_test  accelerometer Y failed its self-test
+    13    accel_x_self_test  accelerometer X failed its self-test
+    12    gyro_z_self_test   gyro Z failed its self-test
+    11    gyro_y_self_test   gyro Y failed its self-test
+    10    gyro_x_self_test   gyro X failed its self-test
+    9     alarm2             alarm 2 is active
+    8     alarm1             alarm 1 is active
+    5     self_test          the self-test failed
+    4     over_range         a sensor is over its range
+    3     spi                an SPI transfer failed
+    2     flash              a flash update failed
+    1     supply_high        supply above 5.25 V
+    0     supply_low         supply below 4.75 V
+COMMAND    3E u16 w  fields       009F 0000 0000 A commands, each starts by writing its bit
+    7     reset              software reset
+    4     precision_autonull null the gyros over about 30 s without motion
+    3     flash_update       save to flash, about 100 ms
+    2     latch_dac          take over AUX_DAC
+    1     restore            factory restore: zero the six offsets
+    0     autonull           null the gyros
+"""
+"""A line for each register: name, byte address (hexadecimal), width of its number (`s` signed, `u` not),
+access, kind, writable bits, bits with a flash copy, default (all hexadecimal), confidence, and meaning.
+Indented lines are its bit fields: bits, name, meaning."""
+_OUTPUTS = (Kind.SUPPLY, Kind.GYRO, Kind.ACCEL, Kind.TEMPERATURE, Kind.AUX_ADC)
 
 
-def _outputs() -> list[Register]:
-    rows = [
-        Register(
-            "ENDURANCE", 0x00, 16, False, Access.READ, Kind.COUNT,
-            "flash writes so far, wraps at 32768; the part is made for 10 000",
-        ),
-        Register(
-            "SUPPLY_OUT", 0x02, 12, False, Access.READ, Kind.SUPPLY, "supply voltage", flags=True
-        ),
-    ]  # fmt: skip
-    for kind, stem, base, bits, meaning in (
-        (Kind.GYRO, "GYRO", 0x04, 14, "rate of turn about {0}"),
-        (Kind.ACCEL, "ACCL", 0x0A, 14, "acceleration along {0}; level with Z up, Z reads -1 g"),
-        (Kind.TEMPERATURE, "TEMP", 0x10, 12, "temperature of the die of gyro {0}, 0 = 25 °C"),
-    ):
-        for k, axis in enumerate(_AXES):
-            rows.append(
-                Register(
-                    f"{axis}{stem}_OUT", base + 2 * k, bits, True, Access.READ, kind,
-                    meaning.format(axis), flags=True,
-                )
-            )  # fmt: skip
-    rows.append(
-        Register("AUX_ADC", 0x16, 12, False, Access.READ, Kind.AUX_ADC, "auxiliary input", flags=True)
-    )
-    return rows
-
-
-def _offsets() -> list[Register]:
-    rows = []
-    for k, axis in enumerate(_AXES):
-        rows.append(
-            Register(
-                f"{axis}GYRO_OFF", 0x1A + 2 * k, 13, True, Access.READ_WRITE, Kind.GYRO_OFFSET,
-                f"added to the output of gyro {axis}", write_mask=0x1FFF, flash_mask=0x1FFF,
-            )
+def _parse(table: str) -> Iterator[Register]:
+    for block in re.split(r"\n(?=\w)", table.strip()):
+        line, *parts = block.splitlines()
+        name, address, width, access, kind, *words, confidence, meaning = line.split(maxsplit=9)
+        writable, flash, default = (int(word, 16) for word in words)
+        fields = [Field.parse(part) for part in parts]
+        source = "DS; LSB from code" if kind == Kind.ACCEL_OFFSET else "DS"
+        yield Register(
+            name, int(address, 16), int(width[1:]), width[0] == "s", Access(access), Kind(kind), meaning,
+            default, kind in _OUTPUTS, writable, flash, tuple(fields), source, cast(Confidence, confidence),
         )  # fmt: skip
-    for k, axis in enumerate(_AXES):
-        rows.append(
-            Register(
-                f"{axis}ACCL_OFF", 0x20 + 2 * k, 12, True, Access.READ_WRITE, Kind.ACCEL_OFFSET,
-                f"added to the output of accelerometer {axis}; layout A, its LSB on the 16354 is C",
-                write_mask=0x0FFF, flash_mask=0x0FFF, source="DS; LSB from code", confidence="C",
-            )
-        )  # fmt: skip
-    return rows
 
 
-_ALARM_SOURCES = "0 off, 1 supply, 2-4 gyro XYZ, 5-7 accel XYZ, 8-10 temperature XYZ, 11 aux"
-
-
-def _control() -> list[Register]:
-    def row(
-        name: str,
-        address: int,
-        meaning: str,
-        write_mask: int,
-        flash_mask: int,
-        fields: tuple[Field, ...] = (),
-        *,
-        bits: int = 16,
-        access: Access = Access.READ_WRITE,
-        kind: Kind = Kind.FIELDS,
-        default: int = 0,
-        confidence: Confidence = "B",
-    ) -> Register:
-        return Register(
-            name, address, bits, False, access, kind, meaning, default, False,
-            write_mask, flash_mask, fields, "DS", confidence,
-        )  # fmt: skip
-
-    rows = []
-    for k in (1, 2):
-        rows.append(
-            row(
-                f"ALM_MAG{k}", 0x24 + 2 * k, f"threshold of alarm {k}", 0xBFFF, 0xBFFF,
-                (
-                    Field("greater", 15, 15, "1 alarm above the threshold, 0 below"),
-                    Field("threshold", 13, 0, "in the format of the source"),
-                ),
-            )
-        )  # fmt: skip
-    for k in (1, 2):
-        rows.append(
-            row(
-                f"ALM_SMPL{k}", 0x28 + 2 * k, f"samples for the rate of change of alarm {k}",
-                0x00FF, 0x00FF, (Field("samples", 7, 0, "number of samples"),),
-            )
-        )  # fmt: skip
-    return [
-        *rows,
-        row(
-            "ALM_CTRL", 0x2E, "control of both alarms", 0xFFD7, 0xFFD7,
-            (
-                Field("source2", 15, 12, _ALARM_SOURCES),
-                Field("source1", 11, 8, _ALARM_SOURCES),
-                Field("rate2", 7, 7, "1 alarm 2 on rate of change"),
-                Field("rate1", 6, 6, "1 alarm 1 on rate of change"),
-                Field("filtered", 4, 4, "1 compare filtered data"),
-                Field("output", 2, 2, "1 drive a DIO line"),
-                Field("polarity", 1, 1, "1 active high"),
-                Field("line", 0, 0, "1 DIO2, 0 DIO1"),
-            ),
-        ),
-        row(
-            "AUX_DAC", 0x30, "auxiliary output, taken over by COMMAND[2]", 0x0FFF, 0,
-            bits=12, kind=Kind.AUX_DAC,
-        ),
-        row(
-            "GPIO_CTRL", 0x32, "DIO lines as general inputs and outputs", 0x0303, 0,
-            (
-                Field("level2", 9, 9, "level of DIO2"),
-                Field("level1", 8, 8, "level of DIO1"),
-                Field("output2", 1, 1, "1 DIO2 is an output"),
-                Field("output1", 0, 0, "1 DIO1 is an output"),
-            ),
-            confidence="A",
-        ),
-        row(
-            "MSC_CTRL", 0x34, "self-test, data-ready, compensation", 0x07C7, 0x00C7,
-            (
-                Field("self_test", 10, 10, "1 start the internal self-test; clears itself"),
-                Field("negative", 9, 9, "1 manual self-test, negative"),
-                Field("positive", 8, 8, "1 manual self-test, positive"),
-                Field("linear_g", 7, 7, "1 compensate the gyros' g-sensitivity by factory data"),
-                Field("origin", 6, 6, "1 compensate turns at the accelerometers' positions"),
-                Field("data_ready", 2, 2, "1 data-ready on a DIO line"),
-                Field("polarity", 1, 1, "1 active high"),
-                Field("line", 0, 0, "1 DIO2, 0 DIO1"),
-            ),
-            confidence="A",
-        ),
-        row(
-            "SMPL_PRD", 0x36, "period of the internal update: base * (N + 1)", 0x00FF, 0x00FF,
-            (
-                Field("slow", 7, 7, "time base 0 0.61035 ms, 1 18.921 ms"),
-                Field("n", 6, 0, "N; 1 is the least that is allowed"),
-            ),
-            default=0x0001, confidence="A",
-        ),
-        row(
-            "SENS_AVG", 0x38, "gyro range and filter (SENS/AVG of the data sheet)", 0x0707, 0x0707,
-            (
-                Field("range", 10, 8, "4 ±300, 2 ±150, 1 ±75 °/s"),
-                Field("m", 2, 0, "two boxcars of 2^M taps, M from 0 to 6"),
-            ),
-            default=0x0402, confidence="A",
-        ),
-        row(
-            "SLP_CNT", 0x3A, "sleep for a count of 0.5 s", 0x00FF, 0,
-            (Field("halves", 7, 0, "time in 0.5 s"),),
-        ),
-        row(
-            "STATUS", 0x3C, "faults and alarms; a read clears all bits", 0, 0,
-            (
-                Field("accel_z_self_test", 15, 15, "accelerometer Z failed its self-test"),
-                Field("accel_y_self_test", 14, 14, "accelerometer Y failed its self-test"),
-                Field("accel_x_self_test", 13, 13, "accelerometer X failed its self-test"),
-                Field("gyro_z_self_test", 12, 12, "gyro Z failed its self-test"),
-                Field("gyro_y_self_test", 11, 11, "gyro Y failed its self-test"),
-                Field("gyro_x_self_test", 10, 10, "gyro X failed its self-test"),
-                Field("alarm2", 9, 9, "alarm 2 is active"),
-                Field("alarm1", 8, 8, "alarm 1 is active"),
-                Field("self_test", 5, 5, "the self-test failed"),
-                Field("over_range", 4, 4, "a sensor is over its range"),
-                Field("spi", 3, 3, "an SPI transfer failed"),
-                Field("flash", 2, 2, "a flash update failed"),
-                Field("supply_high", 1, 1, "supply above 5.25 V"),
-                Field("supply_low", 0, 0, "supply below 4.75 V"),
-            ),
-            access=Access.READ, confidence="A",
-        ),
-        row(
-            "COMMAND", 0x3E, "commands, each starts by writing its bit", 0x009F, 0,
-            (
-                Field("reset", 7, 7, "software reset"),
-                Field("precision_autonull", 4, 4, "null the gyros over about 30 s without motion"),
-                Field("flash_update", 3, 3, "save to flash, about 100 ms"),
-                Field("latch_dac", 2, 2, "take over AUX_DAC"),
-                Field("restore", 1, 1, "factory restore: zero the six offsets"),
-                Field("autonull", 0, 0, "null the gyros"),
-            ),
-            access=Access.WRITE, confidence="A",
-        ),
-    ]  # fmt: skip
-
-
-REGISTERS: tuple[Register, ...] = (*_outputs(), *_offsets(), *_control())
+REGISTERS: tuple[Register, ...] = tuple(_parse(_TABLE))
 """All registers in order of their address; 0x18 is reserved."""
 
 BY_NAME: dict[str, Register] = {register.name: register for register in REGISTERS}

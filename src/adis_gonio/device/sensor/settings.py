@@ -224,7 +224,6 @@ def sens_avg_word(gyro_range_dps: int, filter_m: int) -> int:
     return RANGE_CODE[gyro_range_dps] << 8 | filter_m
 
 
-@dataclass(frozen=True)
 class Offsets(JsonRecord):
     """The six offset registers in °/s and mg; the chip adds each to the output of its axis.
 

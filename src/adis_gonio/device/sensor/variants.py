@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.device.sensor.registers import Kind
 
@@ -55,6 +58,16 @@ class Performance:
     gyro_g_sensitivity_dps_per_g: float = 0.05
     gyro_supply_sensitivity_dps_per_v: float = 0.25
     gyro_instability_dps: float = 0.015
+
+    @property
+    def noise(self) -> Floats:
+        """White noise (rms) of an unfiltered sample of the six axes: (6,), three in mg and three in °/s."""
+        return np.array([self.noise_mg] * 3 + [self.gyro_noise_dps] * 3)
+
+    @property
+    def floor(self) -> Floats:
+        """Floor of the Allan deviation of the six axes: (6,), three in mg and three in °/s."""
+        return np.array([self.bias_instability_mg] * 3 + [self.gyro_instability_dps] * 3)
 
     @property
     def skew_u_rad(self) -> float:

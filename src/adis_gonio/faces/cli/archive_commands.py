@@ -15,9 +15,11 @@ from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import (
     check_page,
     console,
+    print_indented,
     print_json,
     print_table,
     report_progress,
+    report_written,
     write_page,
 )
 
@@ -172,7 +174,7 @@ def history_command(
         for line in sensor_history.chart_lines(track, screen.width):
             screen.print(line)
         for text in (*sensor_history.drift_sentences(track), *sensor_history.chart_sentences(track, found)):
-            screen.print(f"  {text}")
+            print_indented(screen, text)
     screen.print()
     screen.print("Effects found", style="bold cyan")
     for row in sensor_history.effect_table(found):
@@ -228,9 +230,9 @@ def due_command(
     date = f"{found.date}, by the {found.by}" if found.date else "unknown"
     screen.print(f"Next calibration of {found.serial}: {date}", style="bold")
     for rule in found.rules:
-        screen.print(f"  {rule.method}: {rule.date or 'no date'}: {rule.why}")
+        print_indented(screen, f"{rule.method}: {rule.date or 'no date'}: {rule.why}")
         if rule.assumes:
-            screen.print(f"    assumes: {rule.assumes}")
+            print_indented(screen, f"assumes: {rule.assumes}", 4)
     if found.limits.assumed:
         screen.print(f"  {found.limits.tolerance} is assumed as tolerance: set yours with --tolerance")
 
@@ -253,9 +255,9 @@ def due_command(
 @click.option(
     "--scheduler", metavar="ADDRESS", help="Use a dask cluster, such as tcp://10.0.0.1:8786 (extra: fleet)."
 )
-@option.file(
-    "--output", "-o", "outputs", multiple=True,
-    help="Summary to write: .html for a page, .json, .parquet with a row per session; may be repeated.",
+@option.output(
+    "Summary to write: .html for a page, .json, .parquet with a row per session; may be repeated.",
+    name="outputs", paths=lambda outputs: outputs, multiple=True,
 )  # fmt: skip
 @option.file(
     "--journal", help="File that keeps the results during the work (default: next to the first -o)."
@@ -308,7 +310,7 @@ def fleet_command(
     else:
         _show_fleet(outcome)
     for path in outputs:
-        click.echo(f"{path}: {counted(len(outcome.rows), 'session')}", err=True)
+        report_written(path, counted(len(outcome.rows), "session"))
     if fleet.failed:
         click.echo(f"{counted(fleet.failed, 'session')} of {len(outcome.rows)} failed", err=True)
     return 1 if fleet.failed else 0

@@ -9,17 +9,25 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.numbers import signed, use_minus
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import console, json_text, print_json, table_of
+from adis_gonio.faces.cli.show import console, json_text, print_json, report_written, say, table_of
 
 if TYPE_CHECKING:
     from adis_gonio.bench.bringup import Bringup, Row
     from adis_gonio.bench.writeback import OffsetWriter, WritePlan
 
 
+def _report_files(output: Path) -> tuple[Path, Path]:
+    """Paths of the HTML page and the JSON document, which have one stem."""
+    if output.suffix.lower() not in ("", ".html", ".json"):
+        raise UsageError(f"{output}: bringup writes a page and a JSON: name it {output.stem}.html")
+    return output.with_suffix(".html"), output.with_suffix(".json")
+
+
 @option.command("bringup", "--output --allow-writes --yes")
 @option.url
-@option.output("Write FILE.html and FILE.json.", metavar="FILE")
+@option.output("Write FILE.html and FILE.json.", paths=_report_files)
 @option.flag("--allow-writes", "--writes", help="Also run the steps that write registers.")
 @option.flag("--flash", help="With --allow-writes: also write the flash once.")
 @option.flag("--yes", help="Answer yes to the question of each step that writes.")
@@ -53,7 +61,7 @@ def bringup_command(
         raise UsageError(
             "--allow-writes asks before each step, and standard input is no terminal: add --yes"
         )
-    files = _check_report_files(output)
+    files = () if output is None else _report_files(output)
     from adis_gonio.bench.bringup import Permission, bring_up
     from adis_gonio.device.bus import open_bus
     from adis_gonio.device.sensor.variants import variant as find_variant
@@ -65,7 +73,7 @@ def bringup_command(
             raise KeyboardInterrupt from None
 
     def tell(row: Row) -> None:
-        click.echo(f"{row.result.verdict:13} {row.name:15} {row.result.text}", err=as_json)
+        say(f"{row.result.verdict:13} {row.name:15} {row.result.text}", err=as_json, hang=30)
 
     part = find_variant(variant)
     permission = Permission(allow_writes, flash, not leave_registers, ask)
@@ -76,25 +84,11 @@ def bringup_command(
     if as_json:
         print_json(found.as_dict())
     else:
-        click.echo(f"\n{found.headline} Writes: {found.undone}.")
+        click.echo()
+        say(f"{found.headline} Writes: {found.undone}.", err=False)
     if found.stopped:
         raise KeyboardInterrupt
     return 0 if found.sound else 1
-
-
-def _check_report_files(output: Path | None) -> tuple[Path, ...]:
-    """Paths of the HTML page and the JSON document, which have one stem; empty without an output.
-
-    An error is raised if they cannot be written.
-    """
-    if output is None:
-        return ()
-    if output.suffix.lower() not in ("", ".html", ".json"):
-        raise UsageError(f"{output}: bringup writes a page and a JSON: name it {output.stem}.html")
-    from adis_gonio.base.output import check_output
-
-    page, document = output.with_suffix(".html"), output.with_suffix(".json")
-    return check_output(page, force=True), check_output(document, force=True)
 
 
 def _write_report(found: Bringup, page: Path, document: Path) -> None:
@@ -104,7 +98,7 @@ def _write_report(found: Bringup, page: Path, document: Path) -> None:
     for path, text in ((document, json_text(found.as_dict()) + "\n"), (page, build_page(found))):
         with replacing(path) as temporary:
             write_utf8(temporary, text)
-    click.echo(f"written: {page}, {document}", err=True)
+        report_written(path)
 
 
 @option.command("write", "--dry-run --save --undo")
@@ -179,12 +173,13 @@ def write_command(
     )
     variant = load(session).sensor
     with open_sensor(url, variant=variant, check=not no_check) as sensor:
-        writer = OffsetWriter(sensor, session, settings, tell=_tell)
+        writer = OffsetWriter(sensor, session, settings, tell=say)
         state = writer.standing()
         if status:
             document: dict[str, Any] = {"state": state.as_dict(), "plan": None, "done": False}
         else:
-            _tell(state.text)
+            if state.registers != "untouched":
+                say(state.text)
             document = (
                 _undo(writer, yes=yes)
                 if undo
@@ -193,7 +188,7 @@ def write_command(
     if as_json:
         print_json(document)
     else:
-        click.echo(document["state"]["text"])
+        say(document["state"]["text"], err=False)
     return 0 if document["state"]["registers"] in ("untouched", "old", "new") else 1
 
 
@@ -207,7 +202,7 @@ def _write(
     if dry_run:
         return document
     if null:
-        _tell(
+        say(
             "the chip takes the outputs of this pose for zero rates, including the part due to gravity; it"
             " saves them to flash, with all other registers that have a copy there (ENDURANCE goes up by"
             " one, or by two if the null has to be undone)"
@@ -216,7 +211,7 @@ def _write(
     else:
         answer = "write" if yes else _ask_to_write(writer, plan)
     if answer == "leave":
-        _tell("nothing was changed")
+        say("nothing was changed")
         return document
     if answer == "null":
         done = writer.autonull(precise=null == "precise")
@@ -227,7 +222,7 @@ def _write(
 
 def _undo(writer: OffsetWriter, *, yes: bool) -> dict[str, Any]:
     if not (yes or _confirm("Set the old offsets back?")):
-        _tell("nothing was changed")
+        say("nothing was changed")
         return {"plan": None, "state": writer.standing().as_dict(), "done": False}
     return {"plan": None, "done": True} | writer.undo().as_dict()
 
@@ -268,19 +263,17 @@ def _print_plan(plan: WritePlan) -> None:
     for axis in plan.axes:
         unit, places = UNITS[axis.unit], 2 if axis.unit == "mg" else 3
         moved, bias, after = (
-            f"{value:+.{places}f} {unit}" for value in (axis.effect, axis.bias_now, axis.bias_after)
+            f"{signed(value, places)} {unit}" for value in (axis.effect, axis.bias_now, axis.bias_after)
         )
         u = f"{axis.u:.2g} {unit}"
-        rows.append((axis.register, str(axis.now), str(axis.new), moved, bias, u, after))
+        rows.append(
+            (axis.register, use_minus(str(axis.now)), use_minus(str(axis.new)), moved, bias, u, after)
+        )
     console().print(table_of(head, rows))
     for axis in plan.axes:
         if axis.clipped:
-            _tell(f"{axis.register} is at its limit: {axis.bias_after:+.1f} mg of the bias remain")
+            say(f"{axis.register} is at its limit: {signed(axis.bias_after, 1)} mg of the bias remain")
         if axis.now != axis.recorded:
-            _tell(f"{axis.register} was {axis.recorded} when the session was recorded")
+            say(f"{axis.register} was {axis.recorded} when the session was recorded")
     for doubt in plan.doubts:
-        _tell(f"doubtful: {doubt}")
-
-
-def _tell(text: str) -> None:
-    click.echo(text, err=True)
+        say(f"doubtful: {doubt}")

@@ -10,15 +10,15 @@ import click
 
 from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.output import exists_error
+from adis_gonio.base.output import exists_error, set_aside
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import print_json, report_progress
+from adis_gonio.faces.cli.show import print_json, report_progress, say
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 if TYPE_CHECKING:
     from adis_gonio.bench.advisor import TraceAdvisor
     from adis_gonio.bench.runner import SessionRunner
-    from adis_gonio.model.records import Session
+    from adis_gonio.model.records import Session, StageCurve
     from adis_gonio.record.plans import Plan
     from adis_gonio.record.source import SampleSource
     from adis_gonio.tracing.trace_result import TraceResult
@@ -45,7 +45,8 @@ _TURNED = {
     },
 )
 @option.url
-@option.output("Session file to write.", required=True)
+@option.file("--output", "-o", help="Session file to write.", required=True)
+@option.flag("--force", help="Begin a new session; an existing one gets another name.")
 @click.option(
     "--plan", "plan_name",
     help="two-position (default), four-position, mmpm, tumble, poses, free-turn, gyro-turns, or a file.",
@@ -91,7 +92,11 @@ _TURNED = {
     "--latitude", type=float, metavar="DEGREES", help="Use the ellipsoid's gravity at this latitude."
 )
 @click.option("--height", type=float, default=0.0, metavar="M", help="Height, with --latitude.")
-@option.fixture()
+@option.fixture(
+    type=option.parse_stage,
+    metavar="DEGREES|dcc:FILE",
+    help="Standard uncertainty of a stage angle in degrees; dcc:stage.xml: the stage's certificate.",
+)
 @option.title
 @click.option("--note", default="", help="Note to keep with the session.")
 @click.option("--operator", help="Operator; a terminal asks for it.")
@@ -107,6 +112,7 @@ def calibrate_command(
     *,
     url: str,
     output: Path,
+    force: bool,
     resume: bool,
     as_json: bool,
     closing: bool,
@@ -142,10 +148,13 @@ def calibrate_command(
     from adis_gonio.bench.advisor import MOST_EXTRA, TraceAdvisor
     from adis_gonio.record.loading import load_session
     from adis_gonio.record.plans import GYRO_TURNS
-    from adis_gonio.record.source import open_source, refuse_chip_options
+    from adis_gonio.record.source import refuse_chip_options
 
+    option.check_session_name(output)
     if output.exists() and not resume:
-        raise exists_error(output, "--resume goes on with it, or choose another name")
+        if not force:
+            raise exists_error(output, "--resume goes on with it, --force keeps it under another name")
+        click.echo(f"{output}: renamed to {set_aside(output)}", err=True)
     if resume and not output.exists():
         raise SessionError(f"{output}: no such session to resume")
     if max_extra is not None and not closing:
@@ -158,14 +167,7 @@ def calibrate_command(
         click.echo(f"{output}: complete, nothing is left to do", err=True)
         complete = True
     else:
-        from adis_gonio.faces.cli.line_prompts import PlainBench, choose_face
-
-        with open_source(url, variant=options["variant"], check=not options["no_check"]) as sensor:
-            runner = _runner(sensor, output, resume=resume, advisor=advisor, **options)
-            prompts = PlainBench(runner, auto=options["auto"])
-            resume_by = shlex.join(["adis-gonio", "calibrate", url, "--resume", "-o", str(output)])
-            plain = plain or options["auto"] or not runner.on_screen
-            complete = choose_face(runner, prompts, plain=plain, resume_by=resume_by).run()
+        complete = _run(url, output, plain=plain, resume=resume, advisor=advisor, **options)
     session = load_session(output)
     if session.facts["plan"]["name"] == GYRO_TURNS:
         from adis_gonio.faces.cli.fit_commands import show_gyro_fit
@@ -176,6 +178,34 @@ def calibrate_command(
     if not as_json:
         click.echo(f"session: {session.source}")
     return _status(session, complete=complete)
+
+
+def _run(
+    url: str, output: Path, *, plain: bool, resume: bool, advisor: TraceAdvisor | None, **options: Any
+) -> bool:
+    """Run the session on the screen or by plain prompts; return True if it is complete."""
+    from adis_gonio.faces.cli.line_prompts import PlainBench, choose_face
+    from adis_gonio.faces.free_hands import FREE_RATE_HZ, free_hands
+    from adis_gonio.record.source import open_source
+
+    resume_by = shlex.join(["adis-gonio", "calibrate", url, "--resume", "-o", str(output)])
+    with (
+        free_hands(url) as (port, hands),
+        open_source(port, variant=options["variant"], check=not options["no_check"]) as sensor,
+    ):
+        if hands is not None and options["rate_hz"] is None and not resume:
+            options["rate_hz"] = FREE_RATE_HZ
+        runner = _runner(sensor, output, resume=resume, advisor=advisor, **options)
+        prompts = PlainBench(runner, auto=options["auto"], hands=hands)
+        plain = plain or options["auto"] or not runner.on_screen
+        face = choose_face(runner, prompts, plain=plain, resume_by=resume_by, hands=hands)
+        complete = False
+        try:
+            complete = face.run()
+        finally:  # also if the device is lost
+            if not complete:
+                click.echo(f"what was recorded is kept; go on with {resume_by}", err=True)
+        return complete
 
 
 def _show_result(session: Session, advisor: TraceAdvisor | None, *, complete: bool, as_json: bool) -> None:
@@ -213,14 +243,14 @@ def _status(session: Session, *, complete: bool) -> int:
     doubts = session.facts["doubts"]
     for doubt in doubts:
         sure = "cannot" if doubt["attempt"] is not None else "may not"
-        click.echo(f"the result {sure} be right: {doubt['message']}", err=True)
+        say(f"the result {sure} be right: {doubt['message']}")
     if doubts:
         kept = sum(doubt["attempt"] is not None for doubt in doubts)
         what = [f"{counted(kept, 'dwell')} kept nevertheless"] if kept else []
         skipped = sum(doubt["kind"] != "registers" for doubt in doubts) - kept
         if skipped:
             what.append(f"{counted(skipped, 'position')} that contradicted dwells before skipped")
-        click.echo("; ".join([*what, f"the data stay in {session.source}: measure again"]), err=True)
+        say("; ".join([*what, f"the data stay in {session.source}: measure again"]))
     return 0 if complete and not doubts else 1
 
 
@@ -313,7 +343,8 @@ def _runner(
         auto=auto,
         extend=extend,
         gravity_mps2=gravity,
-        fixture_sigma_deg=None if plan_name == FREE_TURN else fixture,
+        fixture_sigma_deg=fixture if isinstance(fixture, float) and plan_name != FREE_TURN else None,
+        stage_curve=None if isinstance(fixture, float | None) else fixture,
         title=options["title"],
         note=options["note"],
         **_metadata(options, ask=on_terminal() and not auto),
@@ -326,12 +357,12 @@ def _gravity_and_fixture(
     plan_name: str | None,
     *,
     gravity_mps2: float | None,
-    fixture_deg: float | None,
+    fixture_deg: float | StageCurve | None,
     latitude: float | None,
     height: float,
     **_: Any,
-) -> tuple[float, float | None]:
-    """Local gravity in m/s² and the standard uncertainty of a stage angle in degrees.
+) -> tuple[float, float | StageCurve | None]:
+    """Local gravity in m/s², and the uncertainty of a stage angle in degrees or the stage's certificate.
 
     A simulated bench states both if they are not given, as the operator of a real bench knows them.
     """

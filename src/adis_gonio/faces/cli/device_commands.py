@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.numbers import use_minus
 from adis_gonio.device.bus import find_devices
 from adis_gonio.device.bus.host import udev_rules
 from adis_gonio.device.sensor import DEFAULT_SCAN, REGISTERS, Adis16354, Register, open_sensor
-from adis_gonio.device.sensor.registers import Kind, register, registers
+from adis_gonio.device.sensor.registers import CONFIDENCES, Kind, register, registers
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import console, print_json, table_of
 
@@ -290,30 +291,35 @@ def _show_registers(
     from rich.table import Table
 
     with_values = any(quantity is not None for _, quantity in rows)
-    if with_values:
-        columns = (">number", ">value", *([">by the calibration"] if wanted else []))
-    else:
-        columns = (">bits", "access", ">default", "flash", "confidence")
+    columns = (">number", ">value", *([">by the calibration"] if wanted else []))
     table = Table(box=None, padding=(0, 2, 0, 0))
-    for name in ("register", "address", *columns):
+    for name in ("register", "at", *(columns if with_values else (">bits", "access", "evidence"))):
         table.add_column(name.lstrip(">"), justify="right" if name[0] == ">" else "left")
     table.add_column("meaning", overflow="fold")
     for row, quantity in rows:
+        meaning = row.meaning
         if with_values:
-            number = f"0x{quantity.number:04X}" if row.kind is Kind.FIELDS else str(quantity.number)
+            number = (
+                f"0x{quantity.number:04X}" if row.kind is Kind.FIELDS else use_minus(str(quantity.number))
+            )
             cells = [number, "" if row.kind in (Kind.FIELDS, Kind.COUNT) else str(quantity)]
             cells += [str(wanted.get(row.name, ""))] if wanted else []
         else:
-            bits, flash = f"{row.bits}{'s' if row.signed else 'u'}", "yes" if row.flash_mask else ""
-            cells = [bits, row.access.value, f"0x{row.default:04X}", flash, row.confidence]
-        table.add_row(row.name, f"0x{row.address:02X}", *cells, row.meaning)
+            access = row.access.value + (", flash" if row.flash_mask else "")
+            cells = [f"{row.bits}{'s' if row.signed else 'u'}", access, row.confidence]
+            meaning += f" (default 0x{row.default:04X})" if row.default else ""
+        table.add_row(row.name, f"0x{row.address:02X}", *cells, meaning)
         if fields or (with_values and len(rows) <= 4):
             for field in row.fields:
                 bits = f"[{field.high}:{field.low}]" if field.high != field.low else f"[{field.low}]"
                 held = [str(field.of(quantity.number))] if with_values else []
                 spare = [""] * (len(cells) - len(held))
                 table.add_row(f"  {field.name}", bits, *held, *spare, field.meaning, style="dim")
-    console().print(table)
+    screen = console()
+    screen.print(table)
+    if not with_values:
+        for letter, meaning in CONFIDENCES.items():
+            screen.print(f"evidence {letter}: {meaning}")
 
 
 def _register_document(row: Register, quantity: Any) -> dict[str, Any]:

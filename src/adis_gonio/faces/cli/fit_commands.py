@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.base.numbers import counted
+from adis_gonio.base.numbers import count_decimals, counted, format_fixed
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import (
     WIDTH,
@@ -20,6 +20,8 @@ from adis_gonio.faces.cli.show import (
     table_of,
     write_page,
 )
+from adis_gonio.fitting.methods import METHOD_TABLE
+from adis_gonio.record.session_reader import FREE_TURN
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -48,8 +50,7 @@ _PARAMETER_HEAD = ("parameter", "unit", "value", "u", "U (95 %)", "k", "ν")
 @option.session
 @click.option(
     "--method",
-    help="paper, two-position, four-position, mmpm or ml; free-turn for one continuous turn (default: the"
-    " recommended method).",
+    help=f"{', '.join(METHOD_TABLE)}; {FREE_TURN} for a continuous turn (default: the recommended method).",
 )
 @option.flag("--all", "everything", help="Show every method in full.")
 @click.option(
@@ -184,9 +185,11 @@ def _parameter_table(answer: Answer, truth: Mapping[str, float] | None) -> Table
     columns, rows = list(_PARAMETER_HEAD), [list(row) for row in answer.parameter_rows()]
     if truth is not None:
         columns.insert(2, "truth")
-        for row in rows:
-            row.insert(2, f"{truth[row[0]]:.6g}" if row[0] in truth else "")
-    return table_of(columns, rows, (0, 1), bold=("delta_k", "delta_phi"))
+        for row, (name, value) in zip(rows, answer.parameters.items(), strict=True):
+            row.insert(
+                2, format_fixed(truth[name], count_decimals(value.u or 0.0)) if name in truth else ""
+            )
+    return table_of(columns, rows, (0, 1), bold=("ΔK", "Δφ"))
 
 
 def _print_scores(screen: Console, answer: Answer, *, everything: bool) -> None:

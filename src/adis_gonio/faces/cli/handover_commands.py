@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import sys
 import tempfile
-from contextlib import nullcontext
+from inspect import cleandoc
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,14 +13,12 @@ import click
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import check_page, print_json, report_progress, write_page
-from adis_gonio.handover.formats import BY_NAME, format_of
+from adis_gonio.faces.cli.show import check_page, print_json, report_progress, report_written, write_page
+from adis_gonio.handover.formats import BY_NAME, FORMATS, format_of
 
 if TYPE_CHECKING:
     from adis_gonio.base.conformity import Tolerance
     from adis_gonio.record.loading import Overrides
-
-STANDARD_OUTPUT = "-"
 
 
 @option.command(
@@ -33,7 +31,7 @@ STANDARD_OUTPUT = "-"
     "--format", "kind", type=click.Choice(list(BY_NAME)),
     help="Format (default: by the ending of the file).",
 )  # fmt: skip
-@click.option("--output", "-o", metavar="FILE", help="File to write; - is standard output.")
+@option.output("File to write; - is standard output.")
 @click.option("--method", help="Method of the coefficients (default: the recommended one).")
 @option.flag("--trace", "traced", help="Export the coefficients of the traced model.")
 @option.flag("--samples", help="JSON: also write every sample.")
@@ -41,40 +39,34 @@ STANDARD_OUTPUT = "-"
 @option.file(
     "--gyros", help="Another session of this part (plan gyro-turns), or a calibration file of its gyros."
 )
-@option.flag("--force", help="Replace an existing file.")
 @option.tolerance("Certificate: state if the angle error is within this tolerance.")
 @option.overrides
 def export_command(
     *,
     session: Path,
     kind: str | None,
-    output: str | None,
+    output: Path | None,
     method: str | None,
     traced: bool,
     samples: bool,
     name: str | None,
     gyros: Path | None,
-    force: bool,
     tolerance: Tolerance | None,
     overrides: Overrides,
 ) -> None:
     """Export a session's coefficients or data for other programs.
 
     \b
-    c-header   .h              gravity and angle in C, fixed point and float
-    json       .json           calibration, fit or trace, facts of the session
-    csv        .csv .csv.gz    samples, which adis-gonio fit reads back
-    parquet    .parquet        samples (extra: parquet)
-    dcc        .xml            digital calibration certificate
-    registers  .txt            offsets, which adis-gonio registers takes
+    FORMATS
 
     If the registers changed during a session, only its json contains coefficients, in the fit. SESSION may
     be a calibration file for c-header, dcc and registers.
     """  # noqa: D301 - click keeps the lines of a paragraph with this character
-    from adis_gonio.base.output import check_output, replacing
+    from adis_gonio.base.output import replacing
     from adis_gonio.handover.session_export import ExportSource
 
-    if kind is None and output in (None, STANDARD_OUTPUT):
+    to_file = output is not None and output != Path(option.STANDARD_OUTPUT)
+    if kind is None and not to_file:
         raise UsageError(
             "no file and no format: give -o FILE with an ending such as .h or .json, or --format"
         )
@@ -86,10 +78,9 @@ def export_command(
     source.check(kind)
     if output is None and BY_NAME[kind].holds == "samples":
         raise UsageError(f"--format {kind} needs -o FILE; -o - is standard output")
-    checked = None if output in (None, STANDARD_OUTPUT) else check_output(Path(str(output)), force=force)
-    with report_progress(f"tracing {session.name}") if traced else nullcontext():
-        if checked is not None:
-            with replacing(checked) as temporary:
+    with report_progress(f"exporting {session.name}"):
+        if output is not None and to_file:
+            with replacing(output) as temporary:
                 remarks = source.write(kind, temporary)
         else:
             # Standard output gets the whole export or, after a failure, nothing.
@@ -101,10 +92,16 @@ def export_command(
                 sys.stdout.flush()
     for remark in remarks:
         click.echo(f"{session}: {remark}", err=True)
+    if output is not None and to_file:
+        report_written(output, kind)
+
+
+_LISTED = [f"{one.name:<9} {' '.join(one.endings[:2]):<14} {one.meaning}" for one in FORMATS]
+export_command.help = cleandoc(export_command.help or "").replace("FORMATS", "\n".join(_LISTED))
 
 
 @option.command("paper")
-@option.output("Page to write; an existing page is replaced.")
+@option.output("Page to write.")
 @option.json
 @option.with_default("--seed", type=int, default=0, help="Seed of all random numbers.")
 @option.with_default("--sessions", type=int, default=10, help="Simulated parts of each kind.")
@@ -112,7 +109,7 @@ def paper_command(*, output: Path | None, as_json: bool, seed: int, sessions: in
     """Reproduce the seed paper: its table 1, its figure 3, and where its method overtakes MMPM.
 
     Sessions are simulated through chip and driver, with the table's measured column as the true parameters.
-    This takes a minute or two on two cores. Without -o and --json the conclusions are printed.
+    This takes about a minute. Without -o and --json the conclusions are printed.
     """
     from adis_gonio.handover.paper_page import build_page, verdicts
     from adis_gonio.handover.paper_study import reproduce

@@ -18,10 +18,12 @@ import click
 import numpy as np
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.base.numbers import counted
+from adis_gonio.base.numbers import counted, format_fixed, signed
+from adis_gonio.base.uncertainty import NORMAL_95
 from adis_gonio.device.sensor import DEFAULT_SCAN, open_sensor
 from adis_gonio.device.sensor.registers import registers
 from adis_gonio.faces.cli import options as option
+from adis_gonio.faces.cli.show import say
 from adis_gonio.faces.cli.terminal import Interrupt
 from adis_gonio.live.angle_smoother import LAG_S
 from adis_gonio.live.live_angle import LiveAngle, LiveBlocks, LiveSource, live_angles, open_live
@@ -57,7 +59,7 @@ NOTES = {
 @option.with_default(
     "--every", "every_s", type=float, default=0.2, metavar="SECONDS", help="Screen: time per line."
 )
-@option.output("Record every scan to .csv[.gz].")
+@option.output("Record every scan to .csv[.gz].", at_once=True)
 @click.option("--rate", "rate_hz", type=float, metavar="HZ", help="Samples per second, 0.413 to 819.2.")
 @click.option(
     "--filter", "filter_m", type=int, metavar="M", help="Filter: two passes of 2^M taps, M from 0 to 6."
@@ -110,7 +112,7 @@ def stream_command(
         show = ShownStream(max(1, round(every_s * rate_hz)), recorder, lines=not as_json)
         stack.callback(show.print_totals)  # also after a failure: the earlier scans remain
         stream = stack.enter_context(open_stream(min(show.scans_a_line, 1024)))
-        click.echo(f"{url}: {rate_hz:.4g} samples/s, {stream.how}", err=True)
+        say(f"{url.removesuffix(':')}: {rate_hz:.4g} samples/s, {stream.how}")
         show.run(stream, seconds)
     if as_json:
         show.print_document()
@@ -240,7 +242,8 @@ class ShownStream:
 
     def print_totals(self) -> None:
         """Print the number of scans, the number of lost scans, and the recorded file."""
-        where = f", recorded in {self._recorder.path}" if self._recorder is not None else ""
+        recorder = self._recorder
+        where = "" if recorder is None else f", {counted(recorder.rows, 'row')} in {recorder.path}"
         more = f", {self._dropped} left out without new data (ND)" if self._dropped else ""
         more += f", {self._alarms} with an error or alarm in STATUS (EA)" if self._alarms else ""
         click.echo(f"{counted(self._scans, 'scan')}, {self._lost} lost{more}{where}", err=True)
@@ -322,7 +325,7 @@ class Columns:
         values = np.concatenate([block.values() for block in blocks])
         time_s = float(blocks[-1].time_s[-1]) - since_s
         cells = [
-            f"{mean:.2f} ± {sd:.2f}" if self.spread else f"{mean:.2f}"
+            f"{format_fixed(mean, 2)} ({sd:.2f})" if self.spread else format_fixed(mean, 2)
             for mean, sd in zip(values.mean(axis=0), values.std(axis=0), strict=True)
         ]
         return f"{time_s:{self.time_cell}.2f}" + "".join(
@@ -392,7 +395,7 @@ def angle_command(
     with contextlib.closing(LiveBlocks(reopen, patience_s, report_break, time.sleep)) as blocks:
         source = blocks.source
         rate = f"{source.measuring.sample_rate_hz:.4g} samples/s"
-        click.echo(f"{url}: {rate}, {source.stream.how}", err=True)
+        say(f"{url.removesuffix(':')}: {rate}, {source.stream.how}; angles ± U (95 %)")
         last_s = math.inf if seconds is None else seconds - source.measuring.sample_period_s
         line = _AngleLine(as_json=as_json)
         try:
@@ -446,13 +449,13 @@ def format_angle(reading: LiveAngle, width: int | None = None) -> str:
     main, u_deg = by_gravity, reading.u_deg
     if smoothed is not None:
         main, u_deg = smoothed.smoothed_deg, smoothed.smoothed_u_deg
-    u = "" if u_deg is None else f" ± {u_deg:.3f}"
-    parts = [f"{main:+9.3f}{u}°"]
+    u = "" if u_deg is None else f" ± {NORMAL_95 * u_deg:.3f}"
+    parts = [f"{signed(main, 3):>9}{u}°"]
     if smoothed is not None:
         parts += [", ".join(NOTES[note] for note in smoothed.notes)] if smoothed.notes else []
-        parts.append(f"gravity {by_gravity:+9.3f}°")
+        parts.append(f"gravity {signed(by_gravity, 3):>9}°")
     if reading.corrected_deg is not None:
-        parts.append(f"raw {reading.angle_deg:+9.3f}°")
+        parts.append(f"raw {signed(reading.angle_deg, 3):>9}°")
     spread = "" if reading.spread_mg is None else f" ({reading.spread_mg:.1f} mg)"
     state = {True: "still ", False: "moving", None: "…     "}[reading.still]
     parts.append(f"{state}{spread}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -32,7 +32,7 @@ _OVERRIDDEN = (
 )
 _SHARED_SECTIONS = {
     "Measuring": "--dwell --settle --rate --filter --range --poll",
-    "Sensor": "--variant --no-check --sensor-part",
+    "Sensor": "--sensor --no-check --sensor-part",
     "Corrections of the file": "--gravity --fixture --angles --reverse --unit --sensor --columns"
     " --laboratory --customer",
 }
@@ -85,7 +85,7 @@ def parse_fixture(text: str) -> float:
     return sigma
 
 
-def _parse_stage(text: str) -> float | StageCurve:
+def parse_stage(text: str) -> float | StageCurve:
     """Parse the uncertainty of a declared angle, or read the stage's certificate from `dcc:FILE`."""
     if str(text).startswith("dcc:"):
         from adis_gonio.handover.certificate import read_stage_curve
@@ -154,9 +154,59 @@ def file(*names: str, help: str, **more: Any) -> Option[Any]:
     return click.option(*names, type=FILE, help=help, **{"metavar": "FILE", **more})
 
 
-def output(help: str, **more: Any) -> Option[Any]:
-    """Return the option `-o` for the file to write."""
-    return file("--output", "-o", help=help, **more)
+def check_session_name(path: Path) -> None:
+    """Raise `UsageError` if the ending of a session file promises another format."""
+    from adis_gonio.base.output import ends_in
+
+    if ends_in(path, ".csv", ".gz", ".json", ".html", ".svg", ".xml", ".h", ".txt", ".parquet"):
+        raise UsageError(f"{path}: becomes a session file: name it {path.stem}.session")
+
+
+STANDARD_OUTPUT = "-"
+
+
+def output(
+    help: str,
+    *,
+    paths: Callable[[Any], Iterable[Path]] = lambda given: (given,),
+    at_once: bool = False,
+    name: str = "output",
+    **more: Any,
+) -> Option[Any]:
+    """Return a decorator with the options `-o` for the file to write, and `--force` to replace it.
+
+    A file that exists is refused before the command begins. The command gets the file only.
+
+    Parameters
+    ----------
+    paths : callable
+        Files that the command writes for the given value, if it is not just the given file.
+    at_once : bool
+        With `--force`, remove an existing file before the command begins; otherwise it stays until the new
+        one is complete.
+    name : str
+        Name of the command's argument.
+    """
+
+    def decorate(function: F) -> F:
+        @wraps(function)
+        def checked(*, force: bool, **arguments: Any) -> Any:
+            from adis_gonio.base.output import check_output
+
+            given = arguments[name]
+            inputs = [value for key, value in arguments.items() if key != name and isinstance(value, Path)]
+            for path in () if given in (None, Path(STANDARD_OUTPUT)) else paths(given):
+                check_output(path, force=force)
+                if any(path.exists() and one.exists() and path.samefile(one) for one in inputs):
+                    raise UsageError(f"{path}: the command reads this file; name another one for -o")
+                if at_once and path.is_file():
+                    path.unlink()
+            return function(**arguments)
+
+        forced = flag("--force", help="Replace an existing file.")(checked)
+        return file("--output", "-o", name, help=help, **more)(forced)  # type: ignore[no-any-return]
+
+    return decorate
 
 
 def flag(*names: str, help: str) -> Option[Any]:
@@ -180,7 +230,7 @@ def fixture(
 ) -> Option[Any]:
     """Return the option `--fixture` for the uncertainty of a stage angle."""
     help = help or "Standard uncertainty of a stage angle in degrees."
-    return click.option("--fixture", name, type=parse_fixture, metavar=metavar, help=help, **more)
+    return click.option("--fixture", name, metavar=metavar, help=help, **{"type": parse_fixture, **more})
 
 
 def gravity(help: str = "Local gravity in m/s² (default 9.80665).", **more: Any) -> Option[Any]:
@@ -205,7 +255,9 @@ places = click.argument(
     "places", type=click.Path(path_type=Path, readable=False), nargs=-1, metavar="[DIR]..."
 )
 json = flag("--json", "as_json", help="Write one JSON document to standard output.")
-variant = with_default("--variant", default="adis16354", help="adis16354, adis16350 or adis16355.")
+variant = with_default(
+    "--sensor", "variant", default="adis16354", help="Sensor variant: adis16354, adis16350 or adis16355."
+)
 poll = flag("--poll", help="Poll the scans and leave the data-ready line alone.")
 no_check = flag("--no-check", help="Open the sensor without checking that |a| is 1 g for this variant.")
 seconds = click.option(
@@ -232,7 +284,7 @@ _OVERRIDES = (
     click.option(
         "--fixture",
         "fixture_sigma_deg",
-        type=_parse_stage,
+        type=parse_stage,
         multiple=True,
         metavar="DEGREES|dcc:FILE",
         help="Correct the standard uncertainty of a stage angle in degrees; free: the angles are unknown;"
@@ -280,10 +332,10 @@ def _parse_tolerance(text: str) -> float:
 
 
 def _parse_risk(text: str) -> float:
-    value = _number(str(text).strip().removesuffix("%"))
+    value, percent = _number(str(text).strip().removesuffix("%")), str(text).strip().endswith("%")
     if value is None:
         raise click.BadParameter(f"'{text}' is no risk: give a percentage, such as 2%")
-    return value / 100 if str(text).strip().endswith("%") else value
+    return value / 100 if percent else value
 
 
 def tolerance(help: str) -> Option[Any]:

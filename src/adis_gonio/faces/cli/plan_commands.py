@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -14,9 +15,9 @@ import numpy as np
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.output import check_output, ends_in
+from adis_gonio.base.output import ends_in, replacing
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import print_json, report_progress
+from adis_gonio.faces.cli.show import print_json, report_progress, report_written
 from adis_gonio.model.records import SENSORS, STANDARD_GRAVITY_MPS2
 
 if TYPE_CHECKING:
@@ -75,10 +76,9 @@ if TYPE_CHECKING:
 @option.with_default("--sensor", default="adis16354", help="adis16354, adis16350 or adis16355.")
 @option.with_default("--seed", type=int, default=1, help="Seed of the search.")
 @option.output("Plan file to write, for calibrate --plan FILE.")
-@option.flag("--force", help="Replace an existing plan file.")
 @option.json
 def plan_command(
-    *, output: Path | None, force: bool, as_json: bool, tolerance: Tolerance | None, **options: Any
+    *, output: Path | None, as_json: bool, tolerance: Tolerance | None, **options: Any
 ) -> None:
     """Predict the uncertainties and detectable effects of a plan of positions, or find the best plan.
 
@@ -91,10 +91,8 @@ def plan_command(
     from adis_gonio.plan.optimal_plan import prediction_lines
     from adis_gonio.record.plans import document_of, write_plan
 
-    if output is not None:
-        if not ends_in(output, ".json"):
-            raise UsageError(f"{output}: a plan is a JSON file: name it .json")
-        check_output(output, force=force)
+    if output is not None and not ends_in(output, ".json"):
+        raise UsageError(f"{output}: a plan is a JSON file: name it .json")
     bench = _bench(**options)
     found: BestPlan | None = None
     if options["plan_name"] is not None:
@@ -105,6 +103,7 @@ def plan_command(
         prediction = found.prediction
     if output is not None:
         write_plan(output, prediction.plan, None if found is None else found.made_for())
+        report_written(output, counted(len(prediction.plan), "position"))
     if as_json:
         stated = {} if tolerance is None else {"conformity": prediction.reach.conformity(tolerance)}
         shown = (found or prediction).as_dict()
@@ -207,7 +206,7 @@ def template_command(
         raise UsageError(f"{output}: a template is filled in by hand: name it .csv")
     chosen = find_plan(plan_name, positions, check)
     write_template(output, template_text(chosen, **keys))
-    click.echo(f"{output}: {counted(len(chosen), 'position')} to fill in", err=True)
+    report_written(output, f"{counted(len(chosen), 'position')} to fill in")
 
 
 def _list_option(name: str, rows: Callable[[], list[tuple[str, str]]], help: str) -> option.Option[Any]:
@@ -216,7 +215,7 @@ def _list_option(name: str, rows: Callable[[], list[tuple[str, str]]], help: str
     def print_list(context: click.Context, option: click.Parameter, wanted: bool) -> None:
         if wanted:
             formatter = click.HelpFormatter(max_width=context.max_content_width)
-            formatter.write_dl(rows())
+            formatter.write_dl(rows(), col_max=26)
             click.echo(formatter.getvalue(), nl=False)
             context.exit()
 
@@ -232,14 +231,9 @@ def _effect_rows() -> list[tuple[str, str]]:
 
 
 def _setting_rows() -> list[tuple[str, str]]:
-    from dataclasses import fields
+    from adis_gonio.sim.settings import described_settings
 
-    from adis_gonio.sim.settings import WorldSettings
-
-    return [
-        (entry.name, "drawn from the seed" if entry.default is None else str(entry.default))
-        for entry in fields(WorldSettings)
-    ]
+    return described_settings()
 
 
 @option.command(
@@ -247,13 +241,13 @@ def _setting_rows() -> list[tuple[str, str]]:
     "--output --plan --effect",
     {
         "Plan": "--positions --check --order",
-        "Simulated bench": "--set --seed --variant --like --list-effects --list-settings",
+        "Simulated bench": "--set --date --serial --seed --sensor --like --list-effects --list-settings",
     },
 )
 @option.output(
     "File to write: .csv or .csv.gz for samples without the truth, else a session file with the truth.",
-    required=True,
-)
+    required=True, at_once=True,
+)  # fmt: skip
 @option.with_default("--plan", "plan_name", default="four-position", help="A plan by name, or a plan file.")
 @option.positions
 @option.check
@@ -271,6 +265,11 @@ def _setting_rows() -> list[tuple[str, str]]:
     "--set", "settings", multiple=True, metavar="NAME=VALUE",
     help="A setting of the simulated world, such as delta_k=0.01; may be repeated.",
 )  # fmt: skip
+@click.option(
+    "--date", type=click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M"]), metavar="DATE",
+    help="Date of the session, such as 2024-05-31 (UTC; default: now). CSV keeps no date.",
+)  # fmt: skip
+@click.option("--serial", default="", help="Serial number of the part.")
 @option.dwell()
 @option.rate
 @option.filter
@@ -281,7 +280,7 @@ def _setting_rows() -> list[tuple[str, str]]:
 )  # fmt: skip
 @_list_option("--list-effects", _effect_rows, "List the effects with their causes.")
 @_list_option("--list-settings", _setting_rows, "List the settings with their defaults.")
-def simulate_command(*, output: Path, **options: Any) -> None:
+def simulate_command(*, output: Path, date: datetime | None, **options: Any) -> None:
     """Record a session from the simulated sensor, with hidden parameters and effects by name.
 
     The driver measures the session frame by frame, like a session from a real sensor.
@@ -292,9 +291,11 @@ def simulate_command(*, output: Path, **options: Any) -> None:
     from adis_gonio.plan import find_plan
     from adis_gonio.record.archive import ArchiveView
     from adis_gonio.record.loading import load_session
-    from adis_gonio.record.samples_writer import export_csv
+    from adis_gonio.record.samples_writer import write_csv
 
-    check_output(output, cure="choose another name")
+    as_csv = ends_in(output, ".csv", ".csv.gz")
+    if not as_csv:
+        option.check_session_name(output)
     if options["like"] is not None:
         _simulate_twin(options["like"], output, options["seed"])
         return
@@ -303,7 +304,6 @@ def simulate_command(*, output: Path, **options: Any) -> None:
     )
     positions = find_plan(options["plan_name"], options["positions"], options["check"])
     positions = positions.ordered(options["order"], np.random.default_rng(options["seed"]))
-    as_csv = ends_in(output, ".csv", ".csv.gz")
     with (
         tempfile.TemporaryDirectory() as folder,
         open_sensor(_simulator_url(**options), variant=options["variant"]) as sensor,
@@ -319,16 +319,19 @@ def simulate_command(*, output: Path, **options: Any) -> None:
             gravity_mps2=world.settings.gravity_mps2,
             fixture_sigma_deg=world.settings.fixture_sigma_deg,
             title=options["title"],
+            serial=options["serial"],
+            created_utc="" if date is None else date.replace(tzinfo=UTC).isoformat(),
         )
         complete = PlainBench(runner, auto=True).run()
         with ArchiveView(archive) as view:
             done = len(view.dwells())
         if as_csv and done:
-            export_csv(load_session(archive), output)
+            with replacing(output) as temporary:
+                write_csv(load_session(archive), temporary)
     if not complete:  # only Ctrl-C ends a simulation early
         click.echo(f"{output}: {done} of {counted(len(positions), 'dwell')}", err=True)
         raise KeyboardInterrupt
-    click.echo(f"{output}: {counted(done, 'dwell')}", err=True)
+    report_written(output, counted(done, "dwell"))
 
 
 def _simulate_twin(path: Path, output: Path, seed: int) -> None:
@@ -336,7 +339,7 @@ def _simulate_twin(path: Path, output: Path, seed: int) -> None:
     from adis_gonio.base.budget import current
     from adis_gonio.handover.digital_twin import simulate_like
     from adis_gonio.record.loading import explain_refusal, load_session
-    from adis_gonio.record.samples_writer import export_csv
+    from adis_gonio.record.samples_writer import write_csv
     from adis_gonio.tracing.trace import trace
 
     if not ends_in(output, ".csv", ".csv.gz"):
@@ -352,8 +355,9 @@ def _simulate_twin(path: Path, output: Path, seed: int) -> None:
             raise DataError(f"{path}: one pose has no model of positions to simulate")
         current().tell("simulating")
         twin = simulate_like(session, traced.fits[-1], seed=seed)
-    export_csv(twin, output)
-    click.echo(f"{output}: {counted(len(session.dwells), 'dwell')}, the twin of {path}", err=True)
+    with replacing(output) as temporary:
+        write_csv(twin, temporary)
+    report_written(output, f"{counted(len(session.dwells), 'dwell')}, the twin of {path}")
 
 
 def _simulator_url(

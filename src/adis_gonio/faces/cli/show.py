@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import threading
 import time
@@ -18,6 +19,7 @@ from rich.console import Console
 
 from adis_gonio.base.jsonable import finite
 from adis_gonio.base.numbers import format_duration
+from adis_gonio.base.tables import fold_text
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -29,7 +31,7 @@ WIDTH = 100
 def console(*, stderr: bool = False, most: int = 0) -> Console:
     """Return a rich console without automatic colours and markup.
 
-    Output to a program is 200 columns wide, so that no row is folded.
+    Output to a program is 200 columns wide, so that no row is folded, unless COLUMNS gives its width.
 
     Parameters
     ----------
@@ -41,10 +43,32 @@ def console(*, stderr: bool = False, most: int = 0) -> Console:
         return Console(stderr=stderr, highlight=False, markup=False, emoji=False, width=width)
 
     screen = make()
-    width = screen.width if screen.is_terminal else 200
+    width = screen.width if screen.is_terminal or "COLUMNS" in os.environ else 200
     if most:
         width = min(width, most)
     return screen if screen.width == width else make(width)
+
+
+def print_indented(screen: Console, text: str, indent: int = 2, style: str = "") -> None:
+    """Print a text, wrapped to the screen, with all of its lines indented."""
+    from rich.padding import Padding
+    from rich.text import Text
+
+    screen.print(Padding(Text(text, style=style), (0, 0, 0, indent)), width=min(screen.width, WIDTH))
+
+
+def say(text: str, *, err: bool = True, hang: int = 0) -> None:
+    """Print a line for people, on standard error by default; a terminal gets it folded to its width.
+
+    Lines after the first are indented by `hang`.
+    """
+    screen = console(stderr=err, most=WIDTH)
+    if screen.is_terminal and len(text) >= screen.width:
+        room = screen.width - 1 - hang
+        # Only the rest is folded: the first line may begin with aligned columns.
+        cut = text.rfind(" ", 0, screen.width)
+        text = "\n".join([text[:cut], *fold_text(text[cut + 1 :], room + hang, hang)])
+    click.echo(text, err=err)
 
 
 LEAST_TEXT = 16
@@ -103,26 +127,25 @@ def print_table(
 
 
 def check_page(output: Path | None) -> None:
-    """Raise an error if an HTML page is wanted and cannot be written.
+    """Raise an error if an HTML page is wanted and its figures cannot be drawn."""
+    if output is not None:
+        from adis_gonio.page.svg import require_matplotlib
 
-    An existing page is replaced only when the new one is written.
-    """
-    if output is None:
-        return
-    from adis_gonio.base.output import check_output
-    from adis_gonio.page.svg import require_matplotlib
-
-    check_output(output, force=True)
-    require_matplotlib()
+        require_matplotlib()
 
 
 def write_page(output: Path, text: str) -> None:
-    """Write an HTML page and report its size on standard error."""
+    """Write an HTML page and report it on standard error."""
     from adis_gonio.base.output import replacing, write_utf8
 
     with replacing(output) as temporary:
-        size = write_utf8(temporary, text)
-    click.echo(f"{output}: {size // 1024 + 1} kB", err=True)
+        write_utf8(temporary, text)
+    report_written(output)
+
+
+def report_written(path: Path | str, content: str = "") -> None:
+    """Report on standard error that a file was written, with its content or else its size."""
+    click.echo(f"written: {path}, {content or f'{Path(path).stat().st_size // 1024 + 1} kB'}", err=True)
 
 
 def json_text(document: Any, *, ascii_only: bool = False) -> str:

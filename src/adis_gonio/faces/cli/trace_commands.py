@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from adis_gonio.base.errors import AdisGonioError, UsageError
+from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.base.numbers import counted, format_number, format_percent
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import WIDTH, check_page, console, print_json, report_progress, write_page
@@ -118,7 +118,7 @@ def _print_found(screen: Console, result: TraceResult) -> None:
 
     if not result.found:
         return
-    _print_heading(screen, "Found")
+    _print_heading(screen, "Found (± U, 95 %)")
     table = Table.grid(padding=(0, 2, 0, 0))
     table.add_column(justify="right", width=3)
     table.add_column(no_wrap=True)
@@ -260,7 +260,7 @@ def _confounded_groups(summary: Mapping[str, Any]) -> str:
 
 @option.command("report", "--output --time-limit", {"Conformity": "--tolerance --rule --risk"})
 @option.session
-@option.output("Page to write; an existing page is replaced.", required=True)
+@option.output("Page to write.", required=True)
 @option.time_limit("End the trace after this time with the best model so far.")
 @option.tolerance("State on the certificate if the angle error is within this tolerance.")
 @option.overrides
@@ -276,11 +276,8 @@ def report_command(
 
     The first page is a certificate to sign. The annex shows the results of every method that the session
     supports, the trace with a figure for each step, the effects that could not be seen, measurements to
-    make next, and the data. The page depends only on the session's file, so an older page of the same name
-    is replaced.
+    make next, and the data.
     """
-    if output.exists() and session.exists() and output.samefile(session):
-        raise UsageError(f"{output}: is the session itself; name another file for the page")
     check_page(output)
     loaded = option.load(session, overrides)
     what = "a free turn" if loaded.free_turn else counted(len(loaded.dwells), "dwell")

@@ -27,6 +27,7 @@ from adis_gonio.base.errors import SessionError, UsageError
 from adis_gonio.bench import events
 from adis_gonio.bench.guidance import drawing
 from adis_gonio.bench.runner import SessionRunner
+from adis_gonio.faces.free_hands import Hands
 from adis_gonio.faces.tui import dialogs, screen_text
 from adis_gonio.faces.tui.bench_state import LEAST_SIZE, BenchState
 from adis_gonio.record.archive import ArchiveView
@@ -59,6 +60,8 @@ class BenchApp(App[None]):
         Command that resumes the session.
     remember : callable
         Called with the state once a resumed session is open; adds the positions of earlier runs.
+    hands : Hands, optional
+        Simulated part that keys move.
 
     Attributes
     ----------
@@ -76,13 +79,15 @@ class BenchApp(App[None]):
     ENABLE_COMMAND_PALETTE = False
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("enter", "answer_position('confirm')", show=False),
-        Binding("t", "answer_position('repeat')", show=False),
+        Binding("r", "answer_position('repeat')", show=False),
         Binding("s", "answer_position('skip')", show=False),
         Binding("u", "answer_position('undo')", show=False),
         Binding("p", "pause", show=False),
         Binding("n", "note", show=False),
         Binding("q", "ask_to_quit", show=False),
         Binding("d", "draw", show=False),
+        Binding("m", "move", show=False),
+        Binding("b", "bump", show=False),
         Binding("question_mark,f1,h", "explain", show=False),
         Binding("ctrl+c,ctrl+q", "stop_now", show=False, priority=True),
     ]
@@ -118,9 +123,12 @@ class BenchApp(App[None]):
         runner: SessionRunner,
         resume_by: str,
         remember: Callable[[BenchState], None] = lambda state: None,
+        hands: Hands | None = None,
     ) -> None:
         super().__init__()
         self.state = BenchState()
+        self.state.hands = hands is not None
+        self._hands = hands
         self.error: BaseException | None = None
         self.crash: Exception | None = None
         self.abandoned = self.killed = False
@@ -273,11 +281,9 @@ class BenchApp(App[None]):
         match question:
             case events.GuardRaised():
                 dialog = dialogs.guard_dialog(question)
-            case events.RepetitionOffered():
-                dialog = dialogs.repetition_dialog(question)
-            case events.ExtensionOffered():
+            case events.RepetitionOffered() | events.ExtensionOffered():
                 planned = 0 if self.state.plan is None else len(self.state.plan)
-                dialog = dialogs.extension_dialog(question, planned)
+                dialog = dialogs.offer_dialog(question, planned)
             case events.PositionAsked() if not (self.state.zero_known or self._drawn):
                 self.action_draw()
             case _:
@@ -302,7 +308,7 @@ class BenchApp(App[None]):
             return
         if answer == "accept" and isinstance(self.state.question, events.ExtensionOffered):
             self.state.plan = self.state.question.plan
-        self.state.answered()
+        self.state.answered(answer)
         self.show()
 
     # -- keys ---------------------------------------------------------------------------------------
@@ -339,7 +345,23 @@ class BenchApp(App[None]):
             if text:
                 self._runner.note(text)
 
-        self._open(dialogs.NoteDialog(), keep)
+        self._open(dialogs.LineDialog("Note", "saved in the session with its time and position"), keep)
+
+    def action_move(self) -> None:
+        """Ask for an angle, and turn a simulated part without a stage by it."""
+        hands = self._hands
+        if hands is not None:
+            dialog = dialogs.LineDialog("Turn the part by … degrees", "such as -30")
+            self._open(dialog, lambda text: self._tell(hands.move(text)) if text else None)
+
+    def action_bump(self) -> None:
+        """Bump a simulated part without a stage."""
+        if self._hands is not None:
+            self._tell(self._hands.bump())
+
+    def _tell(self, text: str) -> None:
+        self.state.say(text)
+        self.show()
 
     def action_explain(self) -> None:
         """Show the help on keys and signs."""
@@ -419,11 +441,14 @@ class ScreenFace:
         Not run yet.
     resume_by : str
         Command that resumes the session.
+    hands : Hands, optional
+        Simulated part that keys move.
     """
 
-    def __init__(self, runner: SessionRunner, resume_by: str) -> None:
+    def __init__(self, runner: SessionRunner, resume_by: str, hands: Hands | None = None) -> None:
         self._runner = runner
         self._resume_by = resume_by
+        self._hands = hands
 
     def run(self) -> bool:
         """Run the session; return True if it is complete.
@@ -433,11 +458,11 @@ class ScreenFace:
         SessionError
             The screen itself failed; the recorded data are kept.
         Exception
-            Any error of the runner; a message on standard error then explains how to resume.
+            Any error of the runner.
         KeyboardInterrupt
             The operator did not wait for the session's end, or a signal ended it.
         """
-        app = BenchApp(self._runner, self._resume_by, remember)
+        app = BenchApp(self._runner, self._resume_by, remember, self._hands)
         try:
             app.run(mouse=False)
         finally:
@@ -454,13 +479,8 @@ class ScreenFace:
                 f"the screen failed ({name}: {app.crash}); go on with {self._resume_by} --plain"
             ) from app.crash
         if app.error is not None:
-            _print(f"what was recorded is kept; go on with {self._resume_by}")
             raise app.error
-        finished = app.state.finished
-        if finished is None or finished.complete:
-            return finished is not None
-        _print(f"  not complete: {finished.done} of {finished.total}; go on with {self._resume_by}")
-        return False
+        return app.state.finished is not None and app.state.finished.complete
 
 
 def remember(state: BenchState) -> None:

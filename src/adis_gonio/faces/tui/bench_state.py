@@ -6,19 +6,17 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from enum import Enum
 from functools import singledispatchmethod
-from typing import Literal
 
 from adis_gonio.base.arrays import wrap_degrees
-from adis_gonio.base.numbers import counted, format_fixed
+from adis_gonio.base.numbers import counted
 from adis_gonio.bench import events
-from adis_gonio.bench.guidance import face
+from adis_gonio.faces import bench_words as words
+from adis_gonio.faces.bench_words import Level, Question
 from adis_gonio.record.plans import GYRO_TURNS, Plan, Position
 
 MOST_MESSAGES = 100
 LEAST_SIZE = (80, 24)
 """Smallest columns and rows of the screen."""
-
-Question = events.PositionAsked | events.GuardRaised | events.RepetitionOffered | events.ExtensionOffered
 
 
 class Mark(Enum):
@@ -47,7 +45,7 @@ class Message:
     """A line in the list of messages."""
 
     text: str
-    level: Literal["said", "warned"] = "said"
+    level: Level = "said"
 
 
 @dataclass(frozen=True)
@@ -108,6 +106,8 @@ class BenchState:
     paused : bool
     quiet : bool
         True if no news of the sensor is expected: in a pause, during a trace, after the end.
+    hands : bool
+        True if keys move a simulated part.
     zero_known : bool
         True once a dwell has determined the stage's zero.
     here : Position or None
@@ -147,6 +147,7 @@ class BenchState:
         self.time_left_s: float | None = None
         self.paused = False
         self.quiet = False
+        self.hands = False
         self.zero_known = False
         self.here: Position | None = None
         self._turned_deg: float | None = None
@@ -196,27 +197,41 @@ class BenchState:
         self.marks |= dict.fromkeys(skipped, Mark.SKIPPED)
         self.marks |= dict.fromkeys(faulty, Mark.FAULTY)
 
-    def answered(self) -> None:
-        """Close the question after an answer; the next event sets the new state."""
+    def answered(self, answer: str = "") -> None:
+        """Close the question after an answer; the next event sets the new state.
+
+        The list of messages keeps the question of a guard with its answer.
+        """
+        if isinstance(self.question, events.GuardRaised) and answer:
+            meaning = words.answers_to(self.question)[answer].meaning
+            self.say(f"{self.question.message}: {meaning}", "warned")
         if isinstance(self.question, events.PositionAsked):
             self.doing = "going on"
         self.question = None
 
-    def say(self, text: str, level: Literal["said", "warned"] = "said") -> None:
+    def say(self, text: str, level: Level = "said") -> None:
         """Add a message to the list of messages."""
         self.messages = [*self.messages, Message(text, level)][-MOST_MESSAGES:]
 
-    @singledispatchmethod
     def take(self, event: events.Event) -> None:
-        """Update the state by the next event; events without a method below change nothing."""
+        """Update the state and the messages by the next event."""
+        self._take(event)
+        # The first lines of a session are in the title and at the side.
+        if not isinstance(event, events.Started | events.Configured):
+            for text, level in words.lines_about(event):
+                self.say(text, level)
 
-    @take.register
+    @singledispatchmethod
+    def _take(self, event: events.Event) -> None:
+        """Update the state; events without a method below change nothing."""
+
+    @_take.register
     def _(self, event: events.Started) -> None:
         self.path, self.url, self.variant = event.path, event.url, event.variant
         self.plan, self.resumed = event.plan, event.resumed
         self.doing = "setting up the sensor"
 
-    @take.register
+    @_take.register
     def _(self, event: events.Configured) -> None:
         self.rate_hz = float(event.configuration["sample_rate_hz"])
         self.range_dps = float(event.configuration.get("gyro_range_dps") or self.range_dps)
@@ -225,23 +240,17 @@ class BenchState:
         for name, (before, after) in event.changed.items():
             self.say(f"register {name} {before} → {after}")
 
-    @take.register
-    def _(self, event: events.NoiseMeasured) -> None:
-        noise = ", ".join(f"{value:.2f}" for value in event.noise_mg)
-        self.say(f"noise at rest {noise} mg (x, y, z)")
-
-    @take.register
+    @_take.register
     def _(self, event: events.PositionAsked) -> None:
         self._ask(event, event.place)
         self.time_left_s = event.time_left_s
         self.target_deg = event.position.angle_deg
 
-    @take.register
+    @_take.register
     def _(self, event: events.GuardRaised) -> None:
         self._ask(event, event.place)
-        self.say(event.message, "warned")
 
-    @take.register
+    @_take.register
     def _(self, event: events.RepetitionOffered | events.ExtensionOffered) -> None:
         self._ask(event, None)
 
@@ -250,11 +259,11 @@ class BenchState:
         self.question, self.place = question, place
         self.doing, self.waits_for = "waiting for you", "your answer"
 
-    @take.register
+    @_take.register
     def _(self, event: events.StageMoved) -> None:
         self.doing = f"the stage has gone to {event.position}"
 
-    @take.register
+    @_take.register
     def _(self, event: events.Watching) -> None:
         self._look(event)
         self.lost = event.lost
@@ -264,7 +273,7 @@ class BenchState:
         activities = {"measuring": "measuring the noise at rest", "moving": "waiting for rest"}
         self.doing = activities.get(event.state, "still; settling")
 
-    @take.register
+    @_take.register
     def _(self, event: events.DwellProgress) -> None:
         self._look(event)
         self._go_on()
@@ -303,29 +312,26 @@ class BenchState:
         self.question, self.span, self.paused, self.quiet = None, None, False, False
         self.whole = None
 
-    @take.register
+    @_take.register
     def _(self, event: events.TurnProgress) -> None:
         self._go_on()
         self.whole, self.angle_deg, self.lost = event, event.turned_deg, event.lost
         self.spread_mg = None
         self.doing = "turning"
 
-    @take.register
+    @_take.register
     def _(self, event: events.TurnDone) -> None:
         self._go_on()
         self.turned = event
-        lost = f", {event.lost} scans lost" if event.lost else ""
-        turned = format_fixed(event.turned_deg, 1, sign=True)
-        self.say(f"turned {turned}° by the gyro in {event.length_s:.0f} s{lost}")
 
-    @take.register
+    @_take.register
     def _(self, event: events.Waiting) -> None:
         self._go_on()
         self.place = event.place
         self.doing = "waiting, as the plan asks"
         self.span = Span("wait", event.elapsed_s, event.length_s)
 
-    @take.register
+    @_take.register
     def _(self, event: events.Advising) -> None:
         self._go_on()
         self.place = None
@@ -333,12 +339,7 @@ class BenchState:
         self.waits_for = ""
         self.doing = f"tracing {counted(event.dwells, 'dwell')}"
 
-    @take.register
-    def _(self, event: events.Advised) -> None:
-        if event.ended:
-            self.say(event.ended)
-
-    @take.register
+    @_take.register
     def _(self, event: events.DwellDone) -> None:
         self._go_on()
         self.marks[event.place] = Mark.FAULTY if event.alarms else Mark.DONE
@@ -347,34 +348,26 @@ class BenchState:
         self.zero_known |= event.position.angle_deg is not None
         self.place = None
         self.doing = f"{event.position} is done"
-        lost = f", {event.lost} lost" if event.lost else ""
-        lost += f", {event.alarms} with an error or alarm" if event.alarms else ""
-        each = zip("xyz", event.accel_mg, strict=True)
-        mean = ", ".join(f"{axis} {format_fixed(mg, 2, sign=True)}" for axis, mg in each) + " mg"
-        place = (face(event.position) if self.on_table else "") or str(event.position)
-        self.say(f"✓ {place}: {mean}{lost}")
 
-    @take.register
+    @_take.register
     def _(self, event: events.DwellInterrupted) -> None:
         self._go_on()
         self.here = self._turned_deg = None
-        self.say(f"{event.position} interrupted: {event.reason} (samples kept)", "warned")
 
-    @take.register
+    @_take.register
     def _(self, event: events.Problem) -> None:
         if event.kind in ("status", "alarm"):
             self.marks[event.place] = Mark.FAULTY
-        self.say(event.message, "warned")
 
-    @take.register
+    @_take.register
     def _(self, event: events.TurnMeasured) -> None:
         self.turn = event
 
-    @take.register
+    @_take.register
     def _(self, event: events.Running) -> None:
         self.running = event
 
-    @take.register
+    @_take.register
     def _(self, event: events.Paused) -> None:
         self._go_on()
         self.paused = self.quiet = True
@@ -382,21 +375,16 @@ class BenchState:
         self.angle_deg = self.spread_mg = self._turned_deg = None
         self.doing = "paused"
 
-    @take.register
+    @_take.register
     def _(self, event: events.Unpaused) -> None:
         self.paused = False
         self.doing = "going on"
 
-    @take.register
-    def _(self, event: events.Noted) -> None:
-        self.say(f"noted: {event.text}")
-
-    @take.register
+    @_take.register
     def _(self, event: events.Withdrawn) -> None:
         self.marks[event.place] = Mark.WITHDRAWN
-        self.say(f"{event.position} withdrawn; it stays in the file, marked")
 
-    @take.register
+    @_take.register
     def _(self, event: events.Finished) -> None:
         self._go_on()
         self.place = None

@@ -2,57 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import ClassVar, TypeVar
 
 from rich.text import Text
+from textual import events as ui
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Vertical
-from textual.events import Key
 from textual.screen import ModalScreen
 from textual.widgets import Input, Static
 
 from adis_gonio.bench import events
+from adis_gonio.faces import bench_words as words
+from adis_gonio.faces.bench_words import Key
 from adis_gonio.faces.tui.screen_text import format_measured
-
-
-@dataclass(frozen=True)
-class Choice:
-    """One answer of a dialog: its name for the runner, its letter and its label."""
-
-    answer: str
-    key: str
-    label: str
-
-
-CHOICES = {
-    choice.answer: choice
-    for choice in (
-        Choice("retake", "t", "go back: ask for the position again"),
-        Choice("keep", "k", "keep it as it is"),
-        Choice("reverse", "r", "the stage counts the other way: reverse the whole session"),
-        Choice("confirm", "c", "take it"),
-        Choice("skip", "s", "skip this position"),
-        Choice("undo", "u", "withdraw the last dwell"),
-        Choice("repeat", "a", "take the last dwell again"),
-        Choice("accept", "y", "yes"),
-        Choice("decline", "n", "no"),
-        Choice("stop", "q", "quit here; the session can be resumed"),
-    )
-}
-"""Answers to the runner's questions."""
-
-ON_TABLE = {
-    "retake": Choice("retake", "t", "go back to the mark and turn again"),
-    "reverse": Choice("reverse", "r", "keep it, and turn the next one the other way"),
-}
-"""Answers with other labels for whole turns on a table."""
-
-STAY = Choice("stay", "g", "go on with the session")
-QUIT = Choice("stop", "q", "quit here")
-
 
 Result = TypeVar("Result")
 
@@ -76,7 +40,8 @@ class Dialog(_Finishing[str]):
     ----------
     heading, text : str
         The question and its reason.
-    choices : sequence of Choice
+    choices : mapping of str to Key
+        Keys of the answers, by name.
     default : str
         Answer that is selected at first.
     rows : sequence of (str, str)
@@ -94,16 +59,15 @@ class Dialog(_Finishing[str]):
         self,
         heading: str,
         text: str,
-        choices: Sequence[Choice],
+        choices: Mapping[str, Key],
         default: str,
         rows: Sequence[tuple[str, str]] = (),
     ) -> None:
         super().__init__()
         self._heading, self._text, self._rows = heading, text, rows
-        self._choices = choices
+        self._choices = list(choices.items())
         self._default = default
-        answers = [choice.answer for choice in choices]
-        self._at = answers.index(default) if default in answers else 0
+        self._at = list(choices).index(default) if default in choices else 0
 
     def compose(self) -> ComposeResult:
         """Create the box of the dialog with its texts."""
@@ -123,10 +87,10 @@ class Dialog(_Finishing[str]):
 
     def _show(self) -> None:
         text = Text()
-        for number, choice in enumerate(self._choices):
+        for number, (answer, key) in enumerate(self._choices):
             here = number == self._at
-            line = f"{'▶' if here else ' '} {choice.key}  {choice.label}"
-            if choice.answer == self._default:
+            line = f"{'▶' if here else ' '} {key.letter}  {key.meaning}"
+            if answer == self._default:
                 line += " (default)"
             text.append(line + "\n", style="bold reverse" if here else "")
         text.rstrip()
@@ -139,38 +103,42 @@ class Dialog(_Finishing[str]):
 
     def action_choose(self) -> None:
         """Close the dialog with the selected answer."""
-        self.finish(self._choices[self._at].answer)
+        self.finish(self._choices[self._at][0])
 
-    def on_key(self, event: Key) -> None:
+    def on_key(self, event: ui.Key) -> None:
         """Close the dialog with the answer that has this letter."""
-        for choice in self._choices:
-            if event.character == choice.key:
+        for answer, key in self._choices:
+            if event.character and event.character in (key.letter, key.also):
                 event.stop()
-                self.finish(choice.answer)
+                self.finish(answer)
                 return
 
 
-class NoteDialog(_Finishing[str]):
-    """Dialog in which the operator types a note; the result is empty after a cancel."""
+class LineDialog(_Finishing[str]):
+    """Dialog in which the operator types a line, such as a note; the result is empty after a cancel."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape", "give_up", show=False),
         Binding("ctrl+c,ctrl+q", "app.stop_now", show=False, priority=True),
     ]
 
+    def __init__(self, heading: str, hint: str) -> None:
+        super().__init__()
+        self._heading, self._hint = heading, hint
+
     def compose(self) -> ComposeResult:
         """Create the box of the dialog with its input line."""
         with Vertical(id="box"):
-            yield Static(Text("Note", style="bold"), id="heading")
-            yield Input(placeholder="saved in the session with its time and position", id="note")
-            yield Static(Text("Enter keeps it, Esc gives it up", style="dim"))
+            yield Static(Text(self._heading, style="bold"), id="heading")
+            yield Input(placeholder=self._hint, id="note")
+            yield Static(Text("Enter takes it, Esc gives it up", style="dim"))
 
     def action_give_up(self) -> None:
-        """Close the dialog without a note."""
+        """Close the dialog without a line."""
         self.finish("")
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
-        """Close the dialog with the typed line as the note."""
+        """Close the dialog with the typed line."""
         self.finish(event.value)
 
 
@@ -192,7 +160,7 @@ class HelpDialog(_Finishing[None]):
             yield Static(Text(self._text), id="text")
             yield Static(Text("any key closes this", style="dim"))
 
-    def on_key(self, event: Key) -> None:
+    def on_key(self, event: ui.Key) -> None:
         """Close the dialog at any key."""
         event.stop()
         self.finish()
@@ -200,32 +168,21 @@ class HelpDialog(_Finishing[None]):
 
 def guard_dialog(event: events.GuardRaised) -> Dialog:
     """Make the dialog for the question of a guard, with its measured numbers."""
-    known = CHOICES | (ON_TABLE if event.position.turned_deg is not None else {})
-    choices = [known[name] for name in event.answers if name != "stop"] + [CHOICES["stop"]]
     heading = f"{event.position}: {event.kind.replace('_', ' ')}"
     rows = [format_measured(name, value) for name, value in event.values.items()]
-    return Dialog(heading, event.message, choices, event.default, rows)
+    return Dialog(heading, event.message, words.answers_to(event), event.default, rows)
 
 
-def repetition_dialog(event: events.RepetitionOffered) -> Dialog:
-    """Make the dialog that asks if dwells with a fault are to be repeated."""
-    where = ", ".join(str(position) for position in event.positions)
-    text = f"An error or alarm occurred at {where}. Repeat these dwells? Otherwise they are kept."
-    answers = [CHOICES["accept"], CHOICES["decline"], CHOICES["stop"]]
-    return Dialog("Faults within dwells", text, answers, "accept")
+def offer_dialog(event: events.RepetitionOffered | events.ExtensionOffered, planned: int) -> Dialog:
+    """Make the dialog that offers to repeat dwells, or to go on beyond the `planned` positions."""
+    reason, offer = words.reason_of(event, planned)
+    return Dialog(offer, reason, words.answers_to(event), words.default_of(event))
 
 
-def extension_dialog(event: events.ExtensionOffered, positions: int) -> Dialog:
-    """Make the dialog that asks if the session is to continue with further positions."""
-    more = event.plan.positions[positions:]
-    where = ", ".join(str(position) for position in more)
-    reasons = [event.blindness.message] if event.blindness is not None else list(event.reasons)
-    text = " ".join(f"{reason[:1].upper()}{reason[1:]}." for reason in reasons)
-    answers = [CHOICES["accept"], CHOICES["decline"], CHOICES["stop"]]
-    return Dialog("More positions?", f"{text}\n\nGo on with {where}?", answers, "accept")
+QUIT = {"stop": Key("y", "yes", "quit here", also="q"), "stay": Key("n", "no", "go on with the session")}
 
 
 def quit_dialog(resume_by: str) -> Dialog:
     """Make the dialog that asks if the session is to end."""
     text = f"The recorded data stay. Go on later with\n  {resume_by}"
-    return Dialog("Quit the session?", text, [STAY, QUIT], "stay")
+    return Dialog("Quit the session?", text, QUIT, "stay")

@@ -11,20 +11,19 @@ from adis_gonio.base.numbers import (
     DASH,
     counted,
     format_duration,
-    format_fixed,
-    format_uncertain,
+    signed,
     use_minus,
 )
 from adis_gonio.bench import events
 from adis_gonio.bench.guidance import face, to_do
 from adis_gonio.bench.runner import SHARE_OF_RANGE
+from adis_gonio.faces import bench_words as words
 from adis_gonio.faces.tui.bench_state import BenchState, Mark
 from adis_gonio.record.plans import Position, attitude
 
 SILENT_S = 5.0
 """Time without news of the sensor after which the screen reports the silence."""
 _SETTLED = (Mark.DONE, Mark.FAULTY, Mark.SKIPPED)
-_SYMBOLS = {"delta_k": "ΔK", "delta_phi": "Δφ"}
 _UNITS = {
     "deg": "°", "mg": " mg", "c": " °C", "v": " V", "s": " s", "dps": " °/s", "k": " K", "percent": " %",
 }  # fmt: skip
@@ -34,20 +33,7 @@ biases and gains are known: set each position by the stage's scale."""
 _BY_GYROS = """\
 The angle is the integral of the gyro since the last rest, positive
 counter-clockwise seen from above; it has the error of the gyro's gain."""
-HELP = f"""\
-Enter  take: the part is at the position
-t      take the last dwell again; the old one stays in the file
-s      skip this position
-u      undo: withdraw the last dwell, and ask for its position again
-p      pause or go on; nothing is measured during a pause
-n      add a note to the session
-d      draw how to hold the part, and the positive direction
-q      quit; the recorded data stay, --resume continues the session
-Ctrl-C quit at once
-
-▶ now   ✓ done   – skipped   ! fault   ↶ again   · to do
-{_BY_GRAVITY}
-No question has a time limit."""
+_SIGNS = "▶ now   ✓ done   – skipped   ! fault   ↶ again   · to do"
 _DIGITS = {
     "0": ("████", "█  █", "█  █", "█  █", "████"),
     "1": ("  █ ", " ██ ", "  █ ", "  █ ", " ███"),
@@ -77,7 +63,7 @@ def large_angle(value_deg: float | None, scale: int = 1) -> list[str]:
     scale : int
         2 doubles width and height.
     """
-    text = DASH if value_deg is None else f"{format_fixed(value_deg, 2, sign=True)}°"
+    text = DASH if value_deg is None else f"{signed(value_deg, 2)}°"
     rows = []
     for row in range(5):
         thin = " ".join(_DIGITS[character][row] for character in text)
@@ -101,7 +87,7 @@ def _place_name(position: Position, *, on_table: bool) -> str:
         if position.turned_deg is None:
             return face(position)
         turns = counted(round(abs(position.turned_deg) / 360), "turn")
-        return f"{format_fixed(position.turned_deg, 0, sign=True)}°, {turns}"
+        return f"{signed(position.turned_deg, 0)}°, {turns}"
     if position.angle_deg is not None:
         where = f"{position.angle_deg:g}°"
     elif position.direction is None:
@@ -185,7 +171,7 @@ def target(state: BenchState) -> str:
     if state.lost_way:
         return goal
     arrow, way = ("▶▶", "more") if more > 0 else ("◀◀", "back")
-    return f"{goal}   {arrow} turn {format_fixed(more, 1, sign=True)}° {way}"
+    return f"{goal}   {arrow} turn {signed(more, 1)}° {way}"
 
 
 def _table_target(state: BenchState) -> str:
@@ -194,12 +180,12 @@ def _table_target(state: BenchState) -> str:
         return ""
     if position.turned_deg is None:
         return face(position)
-    goal = f"asked {format_fixed(position.turned_deg, 0, sign=True)}°"
+    goal = f"asked {signed(position.turned_deg, 0)}°"
     if state.whole is None:
         fastest = SHARE_OF_RANGE * state.range_dps
         return f"{goal} at {fastest:.0f} °/s at most ({360 / fastest:.0f} s a turn)"
-    turns = format_fixed(state.whole.turned_deg / 360.0, 2, sign=True)
-    more = format_fixed(position.turned_deg - state.whole.turned_deg, 0, sign=True)
+    turns = signed(state.whole.turned_deg / 360.0, 2)
+    more = signed(position.turned_deg - state.whole.turned_deg, 0)
     return f"{goal}   {turns} turns so far   {more}° to go"
 
 
@@ -210,7 +196,7 @@ def stillness(state: BenchState, width: int) -> str:
     """
     if state.whole is not None:
         beyond = "TOO FAST  " if too_fast(state) else ""
-        now = format_fixed(state.whole.rate_dps, 0, sign=True)
+        now = signed(state.whole.rate_dps, 0)
         peak = state.whole.peak_dps
         text = f"{beyond}{now} °/s, largest {peak:.0f} of {state.range_dps:.0f} "
         return text + _bar(peak / state.range_dps, width - len(text))
@@ -269,26 +255,12 @@ def _bar(share: float, width: int) -> str:
 def facts(state: BenchState) -> list[tuple[str, str]]:
     """Rows of name and value that are shown below the angle."""
     if not state.on_table:
-        return [("last turn", _turn(state.turn)), ("result", _running(state.running))]
+        return [("last turn", words.turn_text(state.turn)), ("result", _running(state.running))]
     faces = []
     if state.plan is not None and state.place is not None:
         # The face up at the current place, or at the nearest place before it that states one.
         faces = [face(position) for position in reversed(state.plan.positions[: state.place + 1])]
     return [("face", next(filter(None, faces), DASH)), ("last turn", _whole_turn(state.turned))]
-
-
-def _turn(turn: events.TurnMeasured | None) -> str:
-    if turn is None:
-        return DASH
-    parts = []
-    if turn.asked_deg is not None:
-        parts.append(f"asked {format_fixed(turn.asked_deg, 1, sign=True)}°")
-    if turn.gyro_deg is not None:
-        u = "" if turn.gyro_u_deg is None else f" ± {turn.gyro_u_deg:.1f}"
-        parts.append(f"gyro {format_fixed(turn.gyro_deg, 1, sign=True)}{u}°")
-    if turn.gravity_deg is not None:
-        parts.append(f"gravity {format_fixed(turn.gravity_deg, 1, sign=True)}°")
-    return ", ".join(parts) or "not watched"
 
 
 def _whole_turn(turn: events.TurnDone | None) -> str:
@@ -297,8 +269,8 @@ def _whole_turn(turn: events.TurnDone | None) -> str:
     off = turn.turned_deg - 360.0 * round(turn.turned_deg / 360.0)
     lost = f", {turn.lost} scans lost" if turn.lost else ""
     return (
-        f"gyro {format_fixed(turn.turned_deg, 1, sign=True)}° in {turn.length_s:.0f} s,\n"
-        f"{format_fixed(off, 1, sign=True)}° off {counted(turn.turns, 'whole turn')}{lost}"
+        f"gyro {signed(turn.turned_deg, 1)}° in {turn.length_s:.0f} s,\n"
+        f"{signed(off, 1)}° off {counted(turn.turns, 'whole turn')}{lost}"
     )
 
 
@@ -306,16 +278,11 @@ def _running(running: events.Running | None) -> str:
     """Text of the parameters by the dwells so far."""
     if running is None:
         return "– (after the second position)"
-    known = {symbol: running.parameters.get(name) for name, symbol in _SYMBOLS.items()}
-    values = [
-        f"{symbol} {format_uncertain(entry['value'], entry['u'], entry['unit'])}"
-        for symbol, entry in known.items()
-        if entry is not None
-    ]
     dwells = counted(running.dwells, "dwell")
+    values = words.running_values(running)
     if not values:
         return f"{dwells}, by {running.method}"
-    return "\n".join(values) + f"   ({running.method}, {dwells})"
+    return "\n".join([*values, f"(± U, 95 %; {dwells}, {running.method})"])
 
 
 def surroundings(state: BenchState, width: int, silence_s: float = 0.0) -> list[str]:
@@ -329,7 +296,7 @@ def surroundings(state: BenchState, width: int, silence_s: float = 0.0) -> list[
     if state.temperature_c is None or state.began_c is None:
         lines = ["temperature not measured"]
     else:
-        drift = format_fixed(state.temperature_c - state.began_c, 1, sign=True)
+        drift = signed(state.temperature_c - state.began_c, 1)
         lines = [f"{state.temperature_c:.1f} °C, {drift} K since begin"]
     if silence_s >= SILENT_S and not state.quiet:
         lines.append(f"NO NEWS for {format_duration(silence_s)}")
@@ -349,14 +316,19 @@ def format_measured(name: str, value: float) -> tuple[str, str]:
 
 def keys(state: BenchState) -> list[tuple[str, str]]:
     """Keys that have an effect now, each with its meaning."""
-    asked = state.question if isinstance(state.question, events.PositionAsked) else None
-    answers = [] if asked is None else [("Enter", "take", True), ("t", "retake", asked.can_repeat)]
-    answers += [] if asked is None else [("s", "skip", True), ("u", "undo", asked.can_undo)]
-    shown = [(key, meaning) for key, meaning, works in answers if works]
-    pause = ("p", "go on" if state.paused else "pause")
-    return [*shown, pause, ("n", "note"), ("q", "quit"), ("?", "help")]
+    question = state.question
+    answers = {} if question is None else words.answers_to(question)
+    end = answers.pop("stop", words.ANSWERS["stop"])
+    shown = [(key.letter, key.word) for key in answers.values()]
+    if question is not None and not isinstance(question, events.PositionAsked):  # a dialog is open
+        return [(words.ENTER, answers[words.default_of(question)].word), *shown, (end.letter, end.word)]
+    more = [words.MOVE, words.BUMP] if state.hands else [words.DRAW]
+    shown += [(words.PAUSE.letter, "go on" if state.paused else words.PAUSE.word)]
+    return shown + [(key.letter, key.word) for key in (words.NOTE, *more, end, words.HELP)]
 
 
 def help_text(state: BenchState) -> str:
     """Help on keys and signs, and on the origin of the displayed angle."""
-    return HELP.replace(_BY_GRAVITY, _BY_GYROS) if state.on_table else HELP
+    origin = _BY_GYROS if state.on_table else _BY_GRAVITY
+    listed = words.help_lines(hands=state.hands)
+    return "\n".join([*listed, "", _SIGNS, origin, "No question has a time limit."])

@@ -27,7 +27,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal, get_args
 
@@ -159,7 +158,6 @@ lattice."""
 _LATTICE = 32
 
 
-@dataclass(frozen=True)
 class AllanCurve(JsonRecord):
     """Allan deviation of one axis with 95 % intervals, and the deviation that the fitted noise predicts.
 

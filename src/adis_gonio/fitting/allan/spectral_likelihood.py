@@ -36,7 +36,6 @@ _LEAKS = 4
 """Ordinates on either side into which a sinusoid leaks behind Hann's window."""
 
 
-@dataclass(frozen=True)
 class SpectralLine(JsonRecord):
     """A sinusoid that was found in a record.
 

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.model.effects import AXES, Conditions, Effect, Enters
+from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, constant_effect
 from adis_gonio.model.records import MG_PER_G
 
 Where = Literal["bias", "gain", "misalignment", "angle"]
@@ -121,6 +121,12 @@ class NamedTerm(Term):
     shapes: tuple[tuple[int, float], ...] = ()
     spread: float | None = None
     begins: float = 0.0
+
+    @classmethod
+    def offset(cls, axes: Sequence[str], spread: float | None = None) -> NamedTerm:
+        """Make the term of a constant offset of each of these axes."""
+        constant = constant_effect(axes)
+        return cls(constant.name, (), 0.0, constant, spread=spread)
 
     @property
     def name(self) -> str | None:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats, central_differences, solvable
 from adis_gonio.base.errors import AdisGonioError, FitError, SessionError
 from adis_gonio.base.jsonable import json_object
-from adis_gonio.base.numbers import counted, format_uncertain
+from adis_gonio.base.numbers import counted, signed
 from adis_gonio.base.tables import Entries, ParameterTable
 from adis_gonio.base.uncertainty import INADEQUATE, Value
 from adis_gonio.calibrate.coefficients import NotCorrected
@@ -170,7 +170,6 @@ class GyroScore:
         }
 
 
-@dataclass(frozen=True)
 class GyroFit(ParameterTable):
     """Fitted parameters of the gyros with their covariance.
 
@@ -240,10 +239,7 @@ class GyroFit(ParameterTable):
         return float(np.sqrt((self.residual_dps**2).mean()))
 
     def __repr__(self) -> str:
-        shown = ", ".join(
-            f"{name} {format_uncertain(value.value, value.u, value.unit)}"
-            for name, value in list(self.parameters.items())[:3]
-        )
+        shown = ", ".join(f"{name} {value}" for name, value in list(self.parameters.items())[:3])
         return f"GyroFit({self.held}, {shown})"
 
     @property
@@ -650,7 +646,7 @@ def _drifting(data: Readings, model: _Model, parameters: dict[str, Value]) -> li
             if not free:
                 open_.append(name)
             elif abs(float(value) - known.value) > known.u:
-                moved.append(f"{name} {known.value:+.3f} to {float(value):+.3f}")
+                moved.append(f"{name} {signed(known.value, 3)} to {signed(float(value), 3)}")
         changes = [f"with one in the model {', '.join(moved)} °/s/g"] if moved else []
         changes += (
             [f"with one in the model {', '.join(_kinds(open_))} cannot be determined"] if open_ else []
@@ -684,8 +680,7 @@ class Gains:
     def line(self) -> str:
         """Text for the user, such as `gain of gyro Z by 3 turns between dwells: 1.0098 ± 0.0004`."""
         shown = ", ".join(
-            f"{name.removeprefix(_STEM).upper()} {format_uncertain(value.value, value.u, value.unit)}"
-            for name, value in self.values.items()
+            f"{name.removeprefix(_STEM).upper()} {value}" for name, value in self.values.items()
         )
         gyros = "gyro" if len(self.values) == 1 else "gyros"
         return f"gain of {gyros} {shown}, by {counted(self.turns, 'turn')} (fit --sensor-part gyro)"

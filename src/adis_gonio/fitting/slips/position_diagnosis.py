@@ -12,7 +12,8 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees, wrap_radians
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.base.uncertainty import CREDIBLE_SET
+from adis_gonio.base.numbers import format_uncertain
+from adis_gonio.base.uncertainty import CREDIBLE_SET, NORMAL_95, Value
 from adis_gonio.fitting.slips.position_evidence import (
     Detectability,
     KnownFaults,
@@ -42,7 +43,6 @@ SIZED: frozenset[Name] = frozenset({"mistyped", "misset", "slipped"})
 """Names of faults with an error of one size at one position or at all later ones."""
 
 
-@dataclass(frozen=True)
 class Named(JsonRecord):
     """One possible cause of an error, with its positions and probability.
 
@@ -215,11 +215,11 @@ def _plain(value: float | None) -> str:
 
 
 def _stated(angle: Angle) -> str:
-    return f"{angle[0]:.2f}° ± {max(angle[1], 0.005):.2f}°"
+    return str(Value(*angle, "deg"))
 
 
 def _signed(angle: Angle) -> str:
-    return f"{angle[0]:+.2f}° ± {max(angle[1], 0.005):.2f}°"
+    return format_uncertain(angle[0], NORMAL_95 * angle[1], "deg", sign=True)
 
 
 CERTAIN = 0.99

@@ -123,6 +123,11 @@ def effect(name: str, axes: Sequence[str] = ("x", "y"), **choices: int) -> Effec
     return kind(tuple(axes) if kind.by_axis else (), **choices)
 
 
+def constant_effect(axes: Sequence[str]) -> Effect:
+    """Create the effect of the group `constant` (`Effect.prior`): an offset of each of these axes."""
+    return next(kind for kind in BUILT_IN.values() if kind.prior == "constant")(tuple(axes))
+
+
 def _kind(name: str) -> type[Effect]:
     known = catalogue()
     if name not in known:

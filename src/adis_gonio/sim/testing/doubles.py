@@ -26,8 +26,7 @@ from adis_gonio.base import Closing
 from adis_gonio.base.errors import CannotOpenError, UsageError
 from adis_gonio.device.bus.opening import BusUrl
 from adis_gonio.device.sensor.driver import Adis16354
-from adis_gonio.sim.bus import SimBus, SimStage
-from adis_gonio.sim.bus import open_from_url as _open_bus
+from adis_gonio.sim.bus import SimBus, SimStage, open_from_url as _open_bus
 from adis_gonio.sim.chip import SimulatedChip
 from adis_gonio.sim.testing.faults import NO_FAULTS, BusFaults, Faults, FaultyBus, FaultyStream
 from adis_gonio.sim.testing.firmware import SimulatedFirmware

@@ -228,8 +228,8 @@ class FaultyBus(ForwardingBus):
     # -- faulty calls --------------------------------------------------------------------------------
 
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
-        """Start a stream of the wrapped bus, with faults in the words of its scans."""
-        return _FaultyFrames(self, self.inner.stream(frames, block_scans=block_scans))
+        """Start a stream of the inner bus, with faults in the words of its scans."""
+        return _FaultyFrames(self, super().stream(frames, block_scans=block_scans))
 
     def _exchange(self, frames: Words) -> Words:
         if self._happens("busy"):

@@ -11,6 +11,7 @@ import math
 import struct
 import zlib
 from collections import deque
+from dataclasses import KW_ONLY, InitVar, dataclass
 
 from adis_gonio.sim.testing.pins import ChipPins
 
@@ -58,6 +59,25 @@ def unstuff(data: bytes) -> bytes | None:
     return bytes(out)
 
 
+class _RefusalError(Exception):
+    """A request is refused, with this code and detail."""
+
+    def __init__(self, code: int, detail: int = 0) -> None:
+        super().__init__()
+        self.code, self.detail = code, detail
+
+
+def _require(holds: object, code: int, detail: int = 0) -> None:
+    if not holds:
+        raise _RefusalError(code, detail)
+
+
+def _unpacked(layout: str, body: bytes) -> tuple[int, ...]:
+    _require(len(body) == struct.calcsize(layout), BAD_LENGTH)
+    return struct.unpack(layout, body)
+
+
+@dataclass(eq=False)
 class SimulatedFirmware:
     """The firmware of a simulated board, connected to a simulated chip.
 
@@ -75,34 +95,23 @@ class SimulatedFirmware:
         Silence after power-on and after a reset of the board.
     """
 
-    def __init__(
-        self,
-        pins: ChipPins,
-        *,
-        baud: int = 500_000,
-        drift: float = 0.0,
-        start_us: int = 0,
-        boot_s: float = 0.0,
-        board: str = "simulated F1",
-        capabilities: int = 7,
-        version: int = VERSION,
-    ) -> None:
-        self.pins = pins
-        self.byte_s = 10 / baud
-        self.drift = drift
-        self.start_us = start_us
-        self.boot_s = boot_s
-        self.board = board
-        self.capabilities = capabilities
-        self.version = version
+    pins: ChipPins
+    _: KW_ONLY
+    baud: int = 500_000
+    drift: float = 0.0
+    start_us: int = 0
+    boot_s: float = 0.0
+    board: str = "simulated F1"
+    capabilities: int = 7
+    version: int = VERSION
+
+    def __post_init__(self) -> None:
+        self.byte_s = 10 / self.baud
         self.out: deque[tuple[float, bytes]] = deque()
         self.executed: list[bytes] = []
-        self.counters = dict.fromkeys(
-            ("packets", "crc", "cobs", "length", "discarded", "repeated", "overruns"), 0
-        )
-        self.frames = 0
-        self.all_lost = 0
-        self.scan_packets = 0
+        counters = ("packets", "crc", "cobs", "length", "discarded", "repeated", "overruns")
+        self.counters = dict.fromkeys(counters, 0)
+        self.frames = self.all_lost = self.scan_packets = 0
         self.restart()
 
     # -- life -------------------------------------------------------------------------------------------
@@ -206,70 +215,71 @@ class SimulatedFirmware:
             if step > 32767:
                 self.counters["discarded"] += 1
                 return
-        before = len(self.out)
         self.executed.append(raw)
-        handler = getattr(self, f"_do_{kind:02x}", None)
-        if handler is None:
-            self._refuse(kind, request_id, UNKNOWN)
-        else:
-            handler(request_id, body)
-        reply = self.out[-1][1] if len(self.out) > before else b""
+        try:
+            self.send(kind | 0x80, request_id, self._execute(kind, request_id, body))
+        except _RefusalError as refused:
+            self._refuse(kind, request_id, refused.code, refused.detail)
         if self._session:
-            self._last = (request_id, check, reply)
+            self._last = (request_id, check, self.out[-1][1])
 
     def _refuse(self, kind: int, request_id: int, code: int, detail: int = 0) -> None:
         self.send(0xFF, request_id, struct.pack("<BBH", kind, code, detail))
 
     # -- requests ---------------------------------------------------------------------------------------
 
-    def _do_01(self, request_id: int, body: bytes) -> None:
-        if len(body) != 5:
-            self._refuse(1, request_id, BAD_LENGTH)
-            return
-        version, nonce = struct.unpack("<BI", body)
-        if version != self.version:
-            self._refuse(1, request_id, OTHER_VERSION, self.version)
-            return
+    def _execute(self, kind: int, request_id: int, body: bytes) -> bytes:
+        """Execute a request; return the body of its reply."""
+        if kind == 4:
+            return self._begin_stream(request_id, body)
+        requests = (
+            self._hello,
+            self._configure,
+            self._exchange,
+            None,
+            self._stop,
+            self._reset,
+            self._count,
+        )
+        request = requests[kind - 1] if 0 < kind <= len(requests) else None
+        if request is None:
+            raise _RefusalError(UNKNOWN)
+        return request(body)
+
+    def _require_idle(self) -> None:
+        _require(self._stream is None, BUSY)
+
+    def _hello(self, body: bytes) -> bytes:
+        version, nonce = _unpacked("<BI", body)
+        _require(version == self.version, OTHER_VERSION, self.version)
         self._session, self._nonce = True, nonce
         self._stream = None
         self._timing = DEFAULTS
         limits = (MAX_FRAMES, MAX_LIST, MAX_SCAN_BYTES, MAX_WAIT)
         fixed = (self.version, 0, 1, 0, self.capabilities, *limits)
         times = (self.now_us(self.pins.clock.now_s()), nonce, *CLOCKS)
-        self.send(0x81, request_id, struct.pack("<BBBBHBBBHII6I", *fixed, *times) + self.board.encode())
+        return struct.pack("<BBBBHBBBHII6I", *fixed, *times) + self.board.encode()
 
-    def _do_02(self, request_id: int, body: bytes) -> None:
-        if len(body) != 8:
-            self._refuse(2, request_id, BAD_LENGTH)
-        elif self._stream is not None:
-            self._refuse(2, request_id, BUSY)
-        else:
-            clock, stall, period = struct.unpack("<IHH", body)
-            fits = [hz for hz in CLOCKS if 0 < hz <= clock]
-            if not fits or stall > MAX_WAIT or period > MAX_WAIT:
-                self._refuse(2, request_id, BAD_VALUE, 0 if not fits else 4 if stall > MAX_WAIT else 6)
-                return
-            self._timing = (fits[0], stall, period)
-            self.send(0x82, request_id, struct.pack("<IHH", *self._timing))
+    def _configure(self, body: bytes) -> bytes:
+        clock, stall, period = _unpacked("<IHH", body)
+        self._require_idle()
+        fits = [hz for hz in CLOCKS if 0 < hz <= clock]
+        _require(fits, BAD_VALUE, 0)
+        _require(stall <= MAX_WAIT, BAD_VALUE, 4)
+        _require(period <= MAX_WAIT, BAD_VALUE, 6)
+        self._timing = (fits[0], stall, period)
+        return struct.pack("<IHH", *self._timing)
 
-    def _do_03(self, request_id: int, body: bytes) -> None:
+    def _exchange(self, body: bytes) -> bytes:
         count = len(body) // 2
-        if len(body) % 2 != 1 or not 1 <= count <= MAX_FRAMES:
-            self._refuse(3, request_id, BAD_LENGTH)
-            return
-        if self._stream is not None:
-            self._refuse(3, request_id, BUSY)
-            return
+        _require(len(body) % 2 == 1 and 1 <= count <= MAX_FRAMES, BAD_LENGTH)
+        self._require_idle()
         frames = struct.unpack_from(f"<{count}H", body, 1)
         bad = [k for k, frame in enumerate(frames) if frame & 0x4000]
         writes = sum(frame >> 15 for frame in frames)
-        if bad:
-            self._refuse(3, request_id, BAD_FRAME, bad[0])
-        elif writes != body[0]:
-            self._refuse(3, request_id, WRITE_COUNT, writes)
-        else:
-            words = [self.frame(frame) for frame in frames]
-            self.send(0x83, request_id, struct.pack(f"<{count}H", *words))
+        _require(not bad, BAD_FRAME, bad[0] if bad else 0)
+        _require(writes == body[0], WRITE_COUNT, writes)
+        return struct.pack(f"<{count}H", *(self.frame(frame) for frame in frames))
 
     def frame(self, word: int, not_before_s: float = -math.inf) -> int:
         """Send a frame to the chip as soon as the timing allows; return the word received."""
@@ -285,94 +295,65 @@ class SimulatedFirmware:
         self.frames += 1
         return int.from_bytes(reply, "big")
 
-    def _do_04(self, request_id: int, body: bytes) -> None:
-        if len(body) < 10 or len(body) % 2:
-            self._refuse(4, request_id, BAD_LENGTH)
-            return
-        if self._stream is not None:
-            self._refuse(4, request_id, BUSY)
-            return
+    def _begin_stream(self, request_id: int, body: bytes) -> bytes:
+        _require(len(body) >= 10 and len(body) % 2 == 0, BAD_LENGTH)
+        self._require_idle()
         trigger, scans, decimation, period_us = struct.unpack_from("<BBHI", body)
         frames = struct.unpack_from(f"<{(len(body) - 8) // 2}H", body, 8)
         bad = [k for k, frame in enumerate(frames) if frame & 0xC000]
-        if bad:
-            self._refuse(4, request_id, BAD_FRAME, bad[0])
-        elif len(frames) > MAX_LIST:
-            self._refuse(4, request_id, BAD_LENGTH)
-        elif trigger > PERIOD:
-            self._refuse(4, request_id, BAD_VALUE, 0)
-        elif not scans or scans * 2 * len(frames) > MAX_SCAN_BYTES:
-            self._refuse(4, request_id, BAD_VALUE, 1)
-        elif not decimation:
-            self._refuse(4, request_id, BAD_VALUE, 2)
-        elif (trigger == PERIOD) != bool(period_us):
-            self._refuse(4, request_id, BAD_VALUE, 4)
-        else:
-            now = self.pins.clock.now_s()
-            self._stream = _Stream(self, request_id, trigger, scans, decimation, period_us, frames, now)
-            self.send(0x84, request_id, struct.pack("<I", self.now_us(now)))
+        _require(not bad, BAD_FRAME, bad[0] if bad else 0)
+        _require(len(frames) <= MAX_LIST, BAD_LENGTH)
+        _require(trigger <= PERIOD, BAD_VALUE, 0)
+        _require(scans and scans * 2 * len(frames) <= MAX_SCAN_BYTES, BAD_VALUE, 1)
+        _require(decimation, BAD_VALUE, 2)
+        _require((trigger == PERIOD) == bool(period_us), BAD_VALUE, 4)
+        now = self.pins.clock.now_s()
+        self._stream = _Stream(self, request_id, trigger, scans, decimation, period_us, frames, now)
+        return struct.pack("<I", self.now_us(now))
 
-    def _do_05(self, request_id: int, body: bytes) -> None:
-        if body:
-            self._refuse(5, request_id, BAD_LENGTH)
-            return
+    def _stop(self, body: bytes) -> bytes:
+        _require(not body, BAD_LENGTH)
         if self._stream is not None:
             self._stream.flush(self.pins.clock.now_s())
             self._totals = (self._stream.sent, self._stream.lost)
             self._stream = None
-        self.send(0x85, request_id, struct.pack("<II", *self._totals))
+        return struct.pack("<II", *self._totals)
 
-    def _do_06(self, request_id: int, body: bytes) -> None:
-        if len(body) != 2:
-            self._refuse(6, request_id, BAD_LENGTH)
-            return
-        low_us = struct.unpack("<H", body)[0]
-        if self._stream is not None:
-            self._refuse(6, request_id, BUSY)
-        elif not 10 <= low_us <= 50_000:
-            self._refuse(6, request_id, BAD_VALUE, 0)
-        else:
-            clock = self.pins.clock
-            clock.advance_to(clock.now_s() + low_us * 1e-6)
-            self.pins.hard_reset()
-            self.send(0x86, request_id, struct.pack("<I", self.now_us(clock.now_s())))
+    def _reset(self, body: bytes) -> bytes:
+        (low_us,) = _unpacked("<H", body)
+        self._require_idle()
+        _require(10 <= low_us <= 50_000, BAD_VALUE, 0)
+        clock = self.pins.clock
+        clock.advance_to(clock.now_s() + low_us * 1e-6)
+        self.pins.hard_reset()
+        return struct.pack("<I", self.now_us(clock.now_s()))
 
-    def _do_07(self, request_id: int, body: bytes) -> None:
-        if body:
-            self._refuse(7, request_id, BAD_LENGTH)
-            return
-        now = self.pins.clock.now_s()
+    def _count(self, body: bytes) -> bytes:
+        _require(not body, BAD_LENGTH)
+        now, edges = self.now_us(self.pins.clock.now_s()), self.pins.data_ready_edges()
         figures = [value & 0xFFFF for value in self.counters.values()]
-        edges = self.pins.data_ready_edges()
-        lost = self.all_lost
-        self.send(
-            0x87, request_id, struct.pack("<IIII7H", self.now_us(now), edges, lost, self.frames, *figures)
-        )
+        return struct.pack("<IIII7H", now, edges, self.all_lost, self.frames, *figures)
 
 
+@dataclass(eq=False)
 class _Stream:
     """A running stream of scans; `scan` makes each scan when the firmware has passed its trigger."""
 
-    def __init__(
-        self,
-        firmware: SimulatedFirmware,
-        request_id: int,
-        trigger: int,
-        scans: int,
-        decimation: int,
-        period_us: int,
-        frames: tuple[int, ...],
-        now_s: float,
-    ) -> None:
-        self.firmware = firmware
-        self.id = request_id
-        self.scans = scans
-        self.decimation = decimation
-        self.frames = frames
+    firmware: SimulatedFirmware
+    id: int
+    trigger: int
+    scans: int
+    decimation: int
+    period_us: int
+    frames: tuple[int, ...]
+    begun_s: InitVar[float]
+
+    def __post_init__(self, begun_s: float) -> None:
         self.sent = self.lost = 0
-        self._rising = trigger == RISING
-        self._period_s = period_us * 1e-6 / (1 + firmware.drift) if trigger == PERIOD else None
-        self._after_s = now_s
+        self._period_s = None
+        if self.trigger == PERIOD:
+            self._period_s = self.period_us * 1e-6 / (1 + self.firmware.drift)
+        self._after_s = begun_s
         self._words: list[int] = []
         self._times: list[float] = []
         self._first_lost = 0
@@ -385,7 +366,7 @@ class _Stream:
         chip = self.firmware.pins.chip
         if not chip.data_ready_enabled:
             return None
-        first = chip.next_edge_s(max(self._after_s, chip.time_s), rising=self._rising)
+        first = chip.next_edge_s(max(self._after_s, chip.time_s), rising=self.trigger == RISING)
         return None if first is None else first + (self.decimation - 1) * chip.update_period_s
 
     def scan(self, trigger_s: float) -> None:
@@ -421,13 +402,8 @@ class _Stream:
             return
         firmware = self.firmware
         first, last = firmware.now_us(self._times[0]), firmware.now_us(self._times[-1])
-        head = struct.pack(
-            "<IHII",
-            self.sent & 0xFFFF_FFFF,
-            self._first_lost & 0xFFFF,
-            first,
-            (last - first) & 0xFFFF_FFFF,
-        )
+        counts = self.sent & 0xFFFF_FFFF, self._first_lost & 0xFFFF
+        head = struct.pack("<IHII", *counts, first, (last - first) & 0xFFFF_FFFF)
         body = head + struct.pack(f"<{len(self._words)}H", *self._words)
         # Two buffers: one is sent while the other fills; if both are full, triggers are lost.
         self._blocked_s = firmware._line_free_s

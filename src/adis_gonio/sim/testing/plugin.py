@@ -9,7 +9,6 @@ only this module is imported.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -79,8 +78,8 @@ def _options(request: pytest.FixtureRequest) -> dict[str, Any]:
             pytest.fail(f"@pytest.mark.{MARK} takes names, such as url='sim:?seed=3'", pytrace=False)
         for name in mark.kwargs:
             if name not in OPTIONS:
-                near = difflib.get_close_matches(name, OPTIONS, n=1)
-                hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(OPTIONS)}"
-                pytest.fail(f"@pytest.mark.{MARK} has no '{name}'; {hint}", pytrace=False)
+                from adis_gonio.base.errors import suggest
+
+                pytest.fail(f"@pytest.mark.{MARK} has no '{name}'; {suggest(name, OPTIONS)}", pytrace=False)
         options |= mark.kwargs
     return options

@@ -166,7 +166,6 @@ SEARCHES = 6
 variance, courses shared by the dwells, events in single dwells."""
 
 
-@dataclass(frozen=True)
 class Place(JsonRecord):
     """A dwell and axis in which a finding occurs.
 
@@ -220,7 +219,6 @@ class View:
     points: bool = False
 
 
-@dataclass(frozen=True)
 class WithinFinding(JsonRecord):
     """A finding in the samples inside the dwells.
 

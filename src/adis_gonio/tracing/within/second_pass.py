@@ -55,8 +55,14 @@ from adis_gonio.tracing.within.samples import (
     scatter,
 )
 from adis_gonio.tracing.within.tones import TAPER_LOSS, Density, tones
-from adis_gonio.tracing.within.variances import LEAST_DWELLS as LEAST_LOUD
-from adis_gonio.tracing.within.variances import TESTS, heterogeneous, levels_of, noise_change, step_of
+from adis_gonio.tracing.within.variances import (
+    LEAST_DWELLS as LEAST_LOUD,
+    TESTS,
+    heterogeneous,
+    levels_of,
+    noise_change,
+    step_of,
+)
 
 _CLAIMED_DWELLS = 4
 """Smallest number of dwells of a finding that counts among `found`."""

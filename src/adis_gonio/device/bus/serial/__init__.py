@@ -16,15 +16,22 @@ from __future__ import annotations
 import contextlib
 import errno
 import time
+from collections.abc import Sequence
 from typing import Any
 
-from adis_gonio.base.errors import BusError, BusTimeoutError, NotInstalledError, ProtocolError, UsageError
-from adis_gonio.device.bus.host import WALL, Clock, UrlOptions, busy, gone, missing, no_permission, several
+from adis_gonio.base.errors import (
+    BusError,
+    BusTimeoutError,
+    NotInstalledError,
+    ProtocolError,
+    UsageError,
+    install_extra,
+)
+from adis_gonio.device.bus.host import WALL, Clock, UrlOptions, busy, choose, gone, missing, no_permission
 from adis_gonio.device.bus.opening import BusUrl, Device
 from adis_gonio.device.bus.serial.bus import BOOT_S, SerialBus
 from adis_gonio.device.bus.serial.link import Port, SerialLink
-from adis_gonio.device.bus.wire import load_cobs
-from adis_gonio.device.bus.wire import protocol as wire
+from adis_gonio.device.bus.wire import load_cobs, protocol as wire
 
 SLICE_S = 0.05
 """Longest single wait in a read. It is constant, because pyserial would configure the port again for each
@@ -47,9 +54,7 @@ def load() -> Any:
         import serial
         import serial.tools.list_ports
     except ImportError:
-        raise NotInstalledError(
-            "serial: pyserial is not installed: pip install 'adis-gonio[serial]'"
-        ) from None
+        raise NotInstalledError(f"serial: pyserial is not installed: {install_extra('serial')}") from None
     if not hasattr(serial, "serial_for_url"):
         raise NotInstalledError(
             "serial: module 'serial' belongs to package serial, not pyserial: pip uninstall serial;"
@@ -146,7 +151,7 @@ def names_itself(port: Any) -> bool:
     return str(port.product or "").startswith(PRODUCT)
 
 
-def devices(ports: list[Any]) -> list[Device]:
+def devices(ports: Sequence[Any]) -> list[Device]:
     """Convert ports to devices for a list. Ports are not opened, because that would reset many boards."""
     rows = []
     for port in ports:
@@ -223,11 +228,7 @@ def _place(url: BusUrl, number: str) -> str:
         return url.place
     boards = list_boards()
     fits = [board for board in boards if not number or board.serial_number == number]
-    if not fits:
-        what = f"port with serial number {number}" if number else "USB serial port"
-        raise missing(url.text, what, devices(boards))
     if len(fits) > 1:
         fits = [board for board in fits if names_itself(board)] or fits
-    if len(fits) > 1:
-        raise several(url.text, devices(fits))
-    return str(fits[0].device)
+    what = f"port with serial number {number}" if number else "USB serial port"
+    return str(choose(url, what, fits, boards, devices).device)

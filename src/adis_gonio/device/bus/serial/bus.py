@@ -11,7 +11,8 @@ to 0.5 %). Times that were returned never change: the map bends towards the line
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +27,7 @@ from adis_gonio.device.bus.contract import (
 )
 from adis_gonio.device.bus.host import RESET_PULSE_S, SAFE_TIMING, WALL, Clock, HostBus
 from adis_gonio.device.bus.serial.link import B, Port, RefusedError, SerialLink
-from adis_gonio.device.bus.wire import Body, Packet
-from adis_gonio.device.bus.wire import protocol as wire
+from adis_gonio.device.bus.wire import Body, Packet, protocol as wire
 
 _WRAP_US = 1 << 32
 _WHILE_S = 1.0
@@ -122,6 +122,7 @@ _AROUND = wire.HEADER_SIZE + wire.CRC_SIZE + 2
 """Bytes on the line in addition to the body of a packet: header, CRC, COBS, delimiter."""
 
 
+@dataclass(eq=False)
 class SerialStream(FrameStream):
     """A running stream of the firmware, as an iterator of blocks.
 
@@ -129,7 +130,7 @@ class SerialStream(FrameStream):
     ----------
     owner : SerialBus
         The bus.
-    stream_id : int
+    id : int
         Id of the request that started it; packets of other streams are discarded.
     width : int
         Frames in the list.
@@ -139,35 +140,17 @@ class SerialStream(FrameStream):
         Minimum number of scans in a block.
     clock : ClockMap
         Converts the times of scans.
-    byte_s : float
-        Time of a byte on the line.
-    stop : callable
-        Ends the stream and frees the bus.
     """
 
-    def __init__(
-        self,
-        owner: SerialBus,
-        *,
-        stream_id: int,
-        width: int,
-        packet_scans: int,
-        block_scans: int,
-        clock: ClockMap,
-        byte_s: float,
-        stop: Callable[[], None],
-    ) -> None:
-        self._owner = owner
-        self._id = stream_id
-        self._width = width
-        self._packet_scans = packet_scans
-        self._block = block_scans
-        self._clock = clock
-        self._byte_s = byte_s
-        self._stop = stop
-        self._open = True
-        self._next_sequence = 0
-        self._lost = 0
+    owner: SerialBus
+    id: int
+    width: int
+    packet_scans: int
+    block_scans: int
+    clock: ClockMap
+    _open: bool = True
+    _next_sequence: int = 0
+    _lost: int = 0
 
     def __next__(self) -> FrameBlock:
         """Return the next block of scans.
@@ -181,7 +164,7 @@ class SerialStream(FrameStream):
         """
         parts: list[FrameBlock] = []
         have = 0
-        while have < self._block:
+        while have < self.block_scans:
             if not self._open:
                 if parts:
                     break
@@ -200,18 +183,18 @@ class SerialStream(FrameStream):
         """Stop the stream, so that the bus accepts other requests again."""
         if self._open:
             self._open = False
-            self._stop()
+            self.owner.stop_stream()
 
     def _part(self) -> FrameBlock | None:
         """Wait for a packet and return its scans; None if it is invalid or belongs to another stream."""
         packet, arrival_s = self._packet()
-        if packet.id != self._id:
+        if packet.id != self.id:
             return None
         try:
             scans = wire.Scans.unpack(packet.body)
         except ProtocolError:
             return None
-        count, rest = divmod(len(scans.words), self._width)
+        count, rest = divmod(len(scans.words), self.width)
         if not count or rest:
             return None
         missed = (scans.sequence - self._next_sequence) & 0xFFFF_FFFF
@@ -220,16 +203,16 @@ class SerialStream(FrameStream):
         lost = missed + ((scans.lost - self._lost) & 0xFFFF)
         self._next_sequence = (scans.sequence + count) & 0xFFFF_FFFF
         self._lost = scans.lost
-        left_s = arrival_s - (len(packet.body) + _AROUND) * self._byte_s
-        times = self._clock.times(scans.first_us, scans.span_us, count, left_s)
-        return FrameBlock(scans.words.reshape(count, self._width), times, lost)
+        left_s = arrival_s - (len(packet.body) + _AROUND) * self.owner.byte_s
+        times = self.clock.times(scans.first_us, scans.span_us, count, left_s)
+        return FrameBlock(scans.words.reshape(count, self.width), times, lost)
 
     def _packet(self) -> tuple[Packet, float]:
         """Wait for the next packet of scans; return it and its time of arrival in s.
 
         While none comes, the edge counter shows why.
         """
-        owner = self._owner
+        owner = self.owner
         first: int | None = None
         edges: int | None = None
         begin_s = since_s = owner.now_s()
@@ -240,7 +223,7 @@ class SerialStream(FrameStream):
             now_edges = owner.count_edges()
             first = now_edges if first is None else first
             unheard = (now_edges - first) & 0xFFFF_FFFF
-            if unheard > _PACKETS_MISSED * self._packet_scans and owner.now_s() - begin_s > SILENCE_S:
+            if unheard > _PACKETS_MISSED * self.packet_scans and owner.now_s() - begin_s > SILENCE_S:
                 raise BusTimeoutError(
                     f"{owner.url}: {unheard} data-ready edges, but no packet of scans came through whole in"
                     f" {owner.now_s() - begin_s:.1f} s: check the cable and the baud rate"
@@ -283,13 +266,13 @@ class SerialBus(HostBus):
         Baud rate, from which the travel time of a packet follows; unused if the board is a USB device.
     link : SerialLink
         Link to use instead of a new one.
-    release : callable
-        Called when the bus is closed, in place of the port's own `close`.
 
     Attributes
     ----------
     firmware : HelloReply
         Reply of the firmware to the hello.
+    byte_s : float
+        Time of a byte on the line.
 
     Raises
     ------
@@ -309,9 +292,9 @@ class SerialBus(HostBus):
         trigger: wire.Trigger = wire.Trigger.FALLING,
         baud: int = wire.BAUD,
         link: SerialLink | None = None,
-        release: Callable[[], object] | None = None,
     ) -> None:
-        super().__init__(url, clock, release or port.close)
+        super().__init__(url, clock)
+        self._resources.callback(port.close)
         self._trigger = trigger
         self.edge_rises = trigger is wire.Trigger.RISING
         self._link = link or SerialLink(port, url=url, clock=clock)
@@ -321,7 +304,7 @@ class SerialBus(HostBus):
         self._lost_session = False
         self.firmware = self._link.hello(boot_s)
         native = self.firmware.capabilities & wire.FirmwareCapability.USB
-        self._byte_s = _USB_BYTE_S if native else 10 / baud
+        self.byte_s = _USB_BYTE_S if native else 10 / baud
         self.unbroken_frames = max(1, self.firmware.max_frames)
         self._timing = self._configure(SAFE_TIMING)
         self.capabilities = self._offered()
@@ -329,15 +312,13 @@ class SerialBus(HostBus):
             self._counted = self.count_edges()
 
     def _offered(self) -> frozenset[Capability]:
-        has = wire.FirmwareCapability(self.firmware.capabilities & 0x7)
-        offered = set()
-        if wire.FirmwareCapability.DATA_READY in has:
-            offered.add(Capability.EVENT_COUNTER)
-            if wire.FirmwareCapability.STREAM in has:
-                offered.add(Capability.STREAM)
-        if wire.FirmwareCapability.HARD_RESET in has:
-            offered.add(Capability.HARD_RESET)
-        return frozenset(offered)
+        has, flag = self.firmware.capabilities, wire.FirmwareCapability
+        needs = {
+            Capability.EVENT_COUNTER: flag.DATA_READY,
+            Capability.STREAM: flag.DATA_READY | flag.STREAM,
+            Capability.HARD_RESET: flag.HARD_RESET,
+        }
+        return frozenset(capability for capability, bits in needs.items() if has & bits == bits)
 
     # -- frames -----------------------------------------------------------------------------------------
 
@@ -375,7 +356,7 @@ class SerialBus(HostBus):
             if self._stream is not None:
                 self._stream.close()
         finally:
-            self._release()
+            super()._close()
 
     # -- optional capabilities ---------------------------------------------------------------------------
 
@@ -389,16 +370,8 @@ class SerialBus(HostBus):
         packet_scans = min(fit, block_scans)
         request = wire.StreamRequest(self._trigger, packet_scans, 1, 0, np.array(frames, np.uint16))
         reply = self._ask(request, wire.StreamReply)
-        self._stream = SerialStream(
-            self,
-            stream_id=self._link.last_id,
-            width=width,
-            packet_scans=packet_scans,
-            block_scans=block_scans,
-            clock=ClockMap(reply.now_us, self.now_s()),
-            byte_s=self._byte_s,
-            stop=self._stop,
-        )
+        clock = ClockMap(reply.now_us, self.now_s())
+        self._stream = SerialStream(self, self._link.last_id, width, packet_scans, block_scans, clock)
         return self._stream
 
     def _pull_reset(self) -> None:
@@ -440,7 +413,8 @@ class SerialBus(HostBus):
             self._require_open()
             return self._ask(wire.StatisticsRequest(), wire.StatisticsReply).edges
 
-    def _stop(self) -> None:
+    def stop_stream(self) -> None:
+        """End the running stream, so that the bus accepts other requests again."""
         with self._lock:
             self._stream = None
             try:

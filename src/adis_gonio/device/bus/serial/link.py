@@ -10,12 +10,11 @@ import random
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 from adis_gonio.base.errors import BusTimeoutError, ProtocolError
 from adis_gonio.device.bus.host import Clock
-from adis_gonio.device.bus.wire import Body, Packet, Receiver, encode
-from adis_gonio.device.bus.wire import protocol as wire
+from adis_gonio.device.bus.wire import Body, Packet, Receiver, encode, protocol as wire
 
 RETRY_S = wire.RETRY_MS / 1000
 TRIES = 5
@@ -88,14 +87,6 @@ class LinkCounts:
     late: int = 0
 
 
-@dataclass(frozen=True)
-class _Answer(Generic[B]):
-    """Reply or refusal from the firmware, and the number of copies of the request sent until it came."""
-
-    body: B | wire.Error
-    sent: int
-
-
 class SerialLink:
     """The host's side of the serial protocol: sends requests and sorts the packets that arrive.
 
@@ -107,8 +98,6 @@ class SerialLink:
         For messages.
     clock : Clock
         Time for waits.
-    tries : int
-        Times that a request is sent.
     dice : random.Random
         Draws nonces and the first id.
 
@@ -118,22 +107,13 @@ class SerialLink:
         Packets of streams with their times of arrival, in order.
     """
 
-    def __init__(
-        self,
-        port: Port,
-        *,
-        url: str,
-        clock: Clock,
-        tries: int = TRIES,
-        dice: random.Random | None = None,
-    ) -> None:
+    def __init__(self, port: Port, *, url: str, clock: Clock, dice: random.Random | None = None) -> None:
         self.port = port
         self.url = url
         self.counts = LinkCounts()
         self.receiver = Receiver()
         self.scans: deque[tuple[Packet, float]] = deque()
         self._clock = clock
-        self._tries = tries
         self._dice = dice or random.Random()
         # Ids continue over sessions on this port, so that a late packet of an old session has an old id.
         self._id = self._dice.randrange(1 << 16)
@@ -167,15 +147,15 @@ class SerialLink:
             self._send_zeros(ZEROS_AGAIN_S if sent else ZEROS_FIRST_S)
             return True
 
-        answer = self._converse(packet, wire.HelloReply, HELLO_EVERY_S, again, nonce=nonce)
+        answer, _ = self._converse(packet, wire.HelloReply, HELLO_EVERY_S, again, nonce)
+        if isinstance(answer, wire.HelloReply):
+            if answer.protocol != wire.VERSION:
+                raise self._other_version(answer.protocol)
+            return answer
         if answer is not None:
-            if isinstance(answer.body, wire.HelloReply):
-                if answer.body.protocol != wire.VERSION:
-                    raise self._other_version(answer.body.protocol)
-                return answer.body
-            if answer.body.code == wire.Refusal.PROTOCOL_VERSION:
-                raise self._other_version(answer.body.detail)
-            raise ProtocolError(f"{self.url}: {RefusedError('hello', answer.body, once=True)}")
+            if answer.code == wire.Refusal.PROTOCOL_VERSION:
+                raise self._other_version(answer.detail)
+            raise ProtocolError(f"{self.url}: {RefusedError('hello', answer, once=True)}")
         noise = ", only noise (another baud rate?)" if self.receiver.counts.bad > bad else ""
         raise BusTimeoutError(
             f"{self.url}: no adis-gonio firmware answers within {wait_s:g} s{noise}; is it flashed, and is"
@@ -199,19 +179,15 @@ class SerialLink:
         """
         packet = self._packet(body)
         self.counts.requests += 1
-        answer = self._converse(
-            packet,
-            reply,
-            RETRY_S + 1.1 * runs_s,
-            lambda sent: sent < self._tries,
-        )
-        if answer is not None:
-            if isinstance(answer.body, wire.Error):
-                raise RefusedError(type(body).__name__, answer.body, once=answer.sent == 1)
-            return answer.body
-        raise BusTimeoutError(
-            f"{self.url}: no answer from the firmware to {self._tries} tries of {type(body).__name__}"
-        )
+        wait_s = RETRY_S + 1.1 * runs_s
+        answer, sent = self._converse(packet, reply, wait_s, lambda sent: sent < TRIES)
+        if isinstance(answer, wire.Error):
+            raise RefusedError(type(body).__name__, answer, once=sent == 1)
+        if answer is None:
+            raise BusTimeoutError(
+                f"{self.url}: no answer from the firmware to {TRIES} tries of {type(body).__name__}"
+            )
+        return answer
 
     @property
     def last_id(self) -> int:
@@ -256,22 +232,21 @@ class SerialLink:
         reply: type[B],
         wait_s: float,
         again: Callable[[int], bool],
-        *,
         nonce: int | None = None,
-    ) -> _Answer[B] | None:
-        """Send a request repeatedly until it is answered; return the answer, or None without one.
+    ) -> tuple[B | wire.Error | None, int]:
+        """Send a request until it is answered; return the reply or refusal, and the number of copies sent.
 
-        `again(copies sent)` decides if one more copy may be sent.
+        The answer is None without one. `again(copies sent)` decides if one more copy may be sent.
         """
         sent = 0
         while again(sent):
             self.port.send(packet)
             sent += 1
-            body = self._await(reply, wait_s, nonce)
-            if body is not None:
-                return _Answer(body, sent)
+            answer = self._await(reply, wait_s, nonce)
+            if answer is not None:
+                return answer, sent
             self.counts.retries += 1
-        return None
+        return None, sent
 
     def _await(self, reply: type[B], wait_s: float, nonce: int | None) -> B | wire.Error | None:
         end_s = self._clock.now_s() + wait_s

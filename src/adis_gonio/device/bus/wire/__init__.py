@@ -11,7 +11,7 @@ import functools
 from dataclasses import dataclass
 from typing import Any
 
-from adis_gonio.base.errors import NotInstalledError
+from adis_gonio.base.errors import NotInstalledError, install_extra
 from adis_gonio.device.bus.wire.body import Body
 from adis_gonio.device.bus.wire.protocol import CRC_SIZE, HEADER_SIZE, MAX_RAW, PacketType
 
@@ -62,7 +62,7 @@ def load_cobs() -> Any:
     try:
         from cobs import cobs
     except ImportError:
-        raise NotInstalledError("serial: cobs is not installed: pip install 'adis-gonio[serial]'") from None
+        raise NotInstalledError(f"serial: cobs is not installed: {install_extra('serial')}") from None
     return cobs
 
 

@@ -1,0 +1,201 @@
+"""The words of a bench session for the screen and the plain prompts: keys, answers, lines about events.
+
+Both faces take every key, question and line from here, so that an operator meets one of each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from adis_gonio.base.numbers import NAMES, counted, format_duration, format_uncertain, signed
+from adis_gonio.base.uncertainty import NORMAL_95
+from adis_gonio.bench import events
+from adis_gonio.device.sensor.settings import compensations
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key of both faces: its letter, a word for lists of keys, and an explanation."""
+
+    letter: str
+    word: str
+    meaning: str
+    also: str = ""
+    """Another letter for the same key in a dialog."""
+
+
+ENTER = "Enter"
+ANSWERS = {
+    "confirm": Key(ENTER, "take", "the part is at the position"),
+    "repeat": Key("r", "again", "take the last dwell again; the old one stays in the file"),
+    "retake": Key("r", "again", "go back: ask for the position again"),
+    "skip": Key("s", "skip", "skip this position"),
+    "undo": Key("u", "undo", "withdraw the last dwell, and ask for its position again"),
+    "keep": Key("k", "keep", "keep it as it is"),
+    "reverse": Key("v", "reverse", "the stage counts the other way: reverse the whole session"),
+    "accept": Key("y", "yes", "yes"),
+    "decline": Key("n", "no", "no"),
+    "stop": Key("q", "quit", "end here; the data stay, --resume goes on"),
+}
+"""Keys of the answers to the runner's questions."""
+ON_TABLE = {
+    "retake": Key("r", "again", "go back to the mark and turn again"),
+    "reverse": Key("v", "reverse", "keep it, and turn the next one the other way"),
+}
+"""Answers that have another meaning for whole turns on a table."""
+PAUSE = Key("p", "pause", "pause or go on; nothing is measured during a pause")
+NOTE = Key("n", "note", "add a note to the session")
+DRAW = Key("d", "draw", "draw how to hold the part, and the positive direction")
+HELP = Key("?", "help", "show this list")
+MOVE = Key("m", "move", "turn the simulated part by some degrees, such as -30")
+BUMP = Key("b", "bump", "bump the simulated part")
+"""Keys of a simulated part that only the operator's keys move (`sim:?hands=free`)."""
+
+Question = events.PositionAsked | events.GuardRaised | events.RepetitionOffered | events.ExtensionOffered
+
+
+def answers_to(question: Question) -> dict[str, Key]:
+    """Possible answers to a question, by name, in the order in which they are listed."""
+    match question:
+        case events.PositionAsked():
+            possible = {"repeat": question.can_repeat, "undo": question.can_undo}
+            names = [n for n in ("confirm", "repeat", "skip", "undo") if possible.get(n, True)]
+        case events.GuardRaised():
+            names = [name for name in question.answers if name != "stop"]
+        case _:
+            names = ["accept", "decline"]
+    asks_turn = isinstance(question, events.GuardRaised) and question.position.turned_deg is not None
+    known = ANSWERS | (ON_TABLE if asks_turn else {})
+    return {name: known[name] for name in (*names, "stop")}
+
+
+def default_of(question: Question) -> str:
+    """Name of the answer that Enter gives."""
+    if isinstance(question, events.GuardRaised):
+        return question.default
+    return "confirm" if isinstance(question, events.PositionAsked) else "accept"
+
+
+Offer = events.RepetitionOffered | events.ExtensionOffered
+
+
+def reason_of(question: Offer, planned: int) -> tuple[str, str]:
+    """Reason for an offer as sentences, and the offer as a question; the plan has `planned` positions."""
+    if isinstance(question, events.RepetitionOffered):
+        where = ", ".join(str(position) for position in question.positions)
+        return f"An error or alarm occurred at {where}.", "Repeat these dwells? Otherwise they are kept."
+    reasons = question.reasons if question.blindness is None else (question.blindness.message,)
+    where = ", ".join(str(position) for position in question.plan.positions[planned:])
+    return " ".join(f"{reason[:1].upper()}{reason[1:]}." for reason in reasons), f"Go on with {where}?"
+
+
+def help_lines(*, hands: bool = False) -> list[str]:
+    """List of all keys with their meanings."""
+    keys = [ANSWERS[name] for name in ("confirm", "repeat", "skip", "undo", "keep", "reverse")]
+    keys += [PAUSE, NOTE, DRAW, ANSWERS["stop"], *([MOVE, BUMP] if hands else [])]
+    return [f"{key.letter:<6} {key.meaning}" for key in keys] + ["Ctrl-C end at once"]
+
+
+# -- lines about events ------------------------------------------------------------------------------
+
+Level = Literal["said", "warned"]
+
+
+def lines_about(event: events.Event) -> list[tuple[str, Level]]:
+    """Lines about an event that stay in view, each with its level; empty for an event without news."""
+    match event:
+        case events.Started():
+            shape = counted(len(event.plan), "position")
+            begun = f"resumed, {event.done} of {shape} done" if event.resumed else f"begun, {shape}"
+            return [(f"{event.plan.name} {begun}, {event.variant} on {event.url}", "said")]
+        case events.Configured():
+            return [(line, "said") for line in configuration_lines(event)]
+        case events.NoiseMeasured():
+            noise = ", ".join(f"{value:.2f}" for value in event.noise_mg)
+            return [(f"noise at rest {noise} mg (x, y, z)", "said")]
+        case events.DwellDone():
+            each = zip("xyz", event.accel_mg, strict=True)
+            mean = "  ".join(f"{axis} {signed(mg, 2):>8}" for axis, mg in each)
+            lost = f", {event.lost} lost" if event.lost else ""
+            lost += f", {event.alarms} with an error or alarm" if event.alarms else ""
+            return [(f"{mean} mg  {event.position}{lost}", "said")]
+        case events.TurnDone():
+            lost = f", {event.lost} scans lost" if event.lost else ""
+            turns = f"{counted(event.turns, 'full turn')}, {event.travelled_deg:.0f}° in all"
+            took = f"{event.length_s:.0f} s, {event.samples} scans{lost}"
+            return [(f"turned {signed(event.turned_deg, 1)}°: {turns}, {took}", "said")]
+        case _:
+            return _course(event)
+
+
+def _course(event: events.Event) -> list[tuple[str, Level]]:
+    """Lines about the course of the session."""
+    match event:
+        case events.DwellInterrupted():
+            return [(f"{event.position} interrupted: {event.reason} (samples kept)", "warned")]
+        case events.Problem():
+            return [(event.message, "warned")]
+        case events.Noted():
+            return [(f"noted: {event.text}", "said")]
+        case events.Withdrawn():
+            return [(f"{event.position} withdrawn; it stays in the file, marked", "said")]
+        case events.Advised() if event.ended:
+            return [(f"{event.ended[0].upper()}{event.ended[1:]}.", "said")]
+        case events.Finished() if not event.complete:
+            return [(f"not complete: {event.done} of {event.total}", "warned")]
+    return []
+
+
+def configuration_lines(event: events.Configured) -> list[str]:
+    """Lines about rate, filter, changed registers, the chip's compensations, and why it is polled."""
+    filter_m = event.configuration.get("filter_m")
+    filtered = "" if filter_m is None else f", filter 2 × {2**filter_m} taps"
+    changed = ", ".join(f"{name} {a} → {b}" for name, (a, b) in event.changed.items())
+    rate = f"{event.configuration['sample_rate_hz']:.1f} samples/s{filtered}"
+    lines = [rate + (f"; changed {changed}" if changed else "")]
+    compensated = compensations(event.configuration)
+    if compensated:
+        lines.append(f"the chip compensates {', '.join(compensated)}")
+    if event.why_polled:
+        lines.append(f"scans are polled: {event.why_polled}")
+    return lines
+
+
+def turn_text(turn: events.TurnMeasured | None) -> str:
+    """The turn since the last position: asked, by the gyro ± U (95 %), and by gravity."""
+    if turn is None:
+        return "–"
+    parts = [] if turn.asked_deg is None else [f"asked {signed(turn.asked_deg)}°"]
+    if turn.gyro_deg is not None:
+        u = None if turn.gyro_u_deg is None else NORMAL_95 * turn.gyro_u_deg
+        parts.append(f"gyro {format_uncertain(turn.gyro_deg, u, 'deg', sign=True)}")
+    if turn.gravity_deg is not None:
+        parts.append(f"gravity {signed(turn.gravity_deg, 2)}°")
+    return ", ".join(parts) or "not watched"
+
+
+def running_values(running: events.Running) -> list[str]:
+    """ΔK and Δφ by the dwells so far, each ± U (95 %)."""
+    known: Mapping[str, Any] = running.parameters
+    return [
+        f"{NAMES[name]} {format_uncertain(known[name]['value'], known[name]['U'], known[name]['unit'])}"
+        for name in ("delta_k", "delta_phi")
+        if name in known
+    ]
+
+
+def lines_of_result(event: events.Event) -> list[tuple[str, Level]]:
+    """Lines about the last turn and the result so far, which the screen shows beside the messages."""
+    if isinstance(event, events.TurnMeasured):
+        return [(f"last turn: {turn_text(event)}", "said")]
+    values = running_values(event) if isinstance(event, events.Running) else []
+    return [(f"so far: {', '.join(values)} (± U, 95 %)", "said")] if values else []
+
+
+def position_count(question: events.PositionAsked) -> str:
+    """Number of the position asked for, and the remaining time."""
+    minutes = round(question.time_left_s / 60)
+    left = f" (about {format_duration(60 * minutes)} left)" if minutes else ""
+    return f"{question.number} of {question.total}{left}"

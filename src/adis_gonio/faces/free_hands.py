@@ -1,0 +1,87 @@
+"""A simulated part that only the operator's keys move, to practise mistakes: `sim:?hands=free`.
+
+The part is on a simulated board (`adis_gonio.testing.open_board`), which lives in real time behind a serial
+port, as a real one does. The session sees a sensor without a stage.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+from urllib.parse import urlencode
+
+from adis_gonio.device.bus.opening import BusUrl
+
+if TYPE_CHECKING:
+    from adis_gonio.sim.testing.doubles import BoardStage
+
+OPTION, FREE = "hands", "free"
+FREE_RATE_HZ = 100.0
+"""Default rate of samples: the board runs in this process, so that a slow machine has to keep up."""
+BUMP_DEG = 2.0
+"""Turn of the part by a bump, forth and back."""
+
+
+class Hands:
+    """Moves the part of a simulated board; each move runs in its own thread while the session watches."""
+
+    def __init__(self, stage: BoardStage) -> None:
+        self._stage = stage
+        self._busy = threading.Lock()
+
+    def move(self, text: str) -> str:
+        """Turn the part by an angle in degrees, given as text; return a line for the operator."""
+        try:
+            by_deg = float(text.replace("−", "-").removesuffix("°"))
+        except ValueError:
+            return f"'{text}' is no angle: give degrees, such as -30"
+        if not abs(by_deg) <= 3600:
+            return "turn by at most 3600° at a time"
+        return self._start([by_deg])
+
+    def bump(self) -> str:
+        """Bump the part: turn it a little, forth and back; return a line for the operator."""
+        return self._start([BUMP_DEG, -BUMP_DEG])
+
+    def _start(self, turns_deg: list[float]) -> str:
+        if not self._busy.acquire(blocking=False):
+            return "the part is still turning"
+
+        def turn() -> None:
+            with self._busy_until_end():
+                for by_deg in turns_deg:
+                    self._stage.move_to(self._stage.angle_deg + by_deg)
+
+        threading.Thread(target=turn, name="hands", daemon=True).start()
+        return "turned" if len(turns_deg) == 1 else "bumped"
+
+    @contextmanager
+    def _busy_until_end(self) -> Iterator[None]:
+        try:
+            yield
+        finally:
+            self._busy.release()
+
+
+@contextmanager
+def free_hands(url: str) -> Iterator[tuple[str, Hands | None]]:
+    """Open the board of a URL with `hands=free`; yield the URL of its port and the hands that move it.
+
+    Any other URL is yielded unchanged, without hands.
+
+    Raises
+    ------
+    UsageError, CannotOpenError
+        As `adis_gonio.testing.open_board`.
+    """
+    parsed = BusUrl.parse(url)
+    if parsed.scheme != "sim" or parsed.options.get(OPTION) != FREE:
+        yield url, None
+        return
+    from adis_gonio.sim.testing.doubles import open_board
+
+    options = urlencode([pair for pair in parsed.options.items() if pair[0] != OPTION], safe=":=,;.")
+    with open_board(f"sim:?{options}" if options else "sim:") as board:
+        yield board.url, Hands(board.stage)

@@ -1,0 +1,151 @@
+"""The log of a recording or capture: register names, decoded words, broken rules of timing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from adis_gonio.base.errors import DataError
+from adis_gonio.device.bus import SpiTiming
+from adis_gonio.device.bus.capture import LogicCapture
+from adis_gonio.device.bus.recording import BusRecording, RecordingBus
+from adis_gonio.device.sensor import Adis16354
+from adis_gonio.device.sensor.frame_log import FrameLog, FrameRow
+from adis_gonio.device.sensor.variants import variant
+from adis_gonio.faces.cli import main
+from adis_gonio.sim import SimBus
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> Path:
+    path = tmp_path / "run.rec"
+    with Adis16354(RecordingBus(SimBus(seed=3), path)) as sensor:
+        sensor.read_all()
+        sensor.scan()
+        sensor.reset()
+        sensor.scan()
+    return path
+
+
+def rows_of(path: Path) -> list[FrameRow]:
+    return list(FrameLog(variant("adis16354")).rows(BusRecording(path)))
+
+
+def test_the_log_names_registers_and_decodes_words(recorded: Path) -> None:
+    rows = rows_of(recorded)
+    assert not any(row.problem for row in rows)
+    accel = [row for row in rows if row.register == "XACCL_OUT" and row.word is not None]
+    assert accel
+    for row in accel:
+        number = (row.word & 0x3FFF) - (0x4000 if row.word & 0x2000 else 0)
+        assert float(row.value.split()[0]) == pytest.approx(number * 0.4672, rel=1e-5)
+    written = [row for row in rows if row.action == "write"]
+    assert "COMMAND" in {row.register for row in written}
+    assert any("reset" in row.value for row in written)
+
+
+def test_the_log_finds_frames_that_break_a_rule_of_timing(tmp_path: Path) -> None:
+    path = tmp_path / "bad.rec"
+    bus = RecordingBus(SimBus(seed=1), path)
+    bus.exchange([0x3600, 0x0000])  # SMPL_PRD is 1: fast mode
+    bus.configure(SpiTiming(1e6, 9.0, 40.0))
+    bus.exchange([0xB60A, 0x0000])  # SMPL_PRD 0x0A: normal mode from here on
+    bus.exchange([0x0A00, 0x0000])
+    bus.configure(SpiTiming(250e3, 75.0, 160.0))
+    bus.exchange([0x0A00, 0xBE80])  # a reset …
+    bus.exchange([0x0C00, 0x0000])  # … and a frame at once
+    bus.sleep_s(0.3)
+    bus.exchange([0x0E00, 0x0000])
+    bus.close()
+    problems = {row.register: row.problem for row in rows_of(path) if row.frame}
+    assert "kHz" in problems["XACCL_OUT"] or not problems["XACCL_OUT"]
+    first_x = next(row for row in rows_of(path) if row.register == "XACCL_OUT")
+    assert "1000 kHz" in first_x.problem
+    assert "reset" in problems["YACCL_OUT"]
+    assert not problems["ZACCL_OUT"]
+
+
+def test_the_command_lists_and_filters_frames(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(recorded)
+    assert main(["frames", path, "--register", "SMPL_PRD"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines
+    assert all("SMPL_PRD" in line for line in lines)
+    assert max(map(len, lines)) <= 80
+    assert main(["frames", path, "--errors"]) == 0
+    assert capsys.readouterr().out == ""
+    Path(path).write_bytes(Path(path).read_bytes()[:-3])
+    assert main(["frames", path]) == 1
+    assert path in capsys.readouterr().err
+
+
+def write_vcd(path: Path, frames: list[tuple[float, float, int, int, int]], names: str) -> None:
+    """Write frames (begin in µs, clock in kHz, frame, reply, bits) in steps of 10 ns."""
+    cs, clock, mosi, miso = names.split()
+    lines = ["$timescale 10 ns $end", "$scope module top $end"]
+    lines += [
+        f"$var wire 1 {code} {name} $end"
+        for code, name in zip("!#%&", (cs, clock, mosi, miso), strict=True)
+    ]
+    lines += ["$upscope $end", "$enddefinitions $end", "$dumpvars", "1!", "1#", "0%", "z&", "$end"]
+    changes: list[tuple[int, str]] = []
+    for begin_us, khz, frame, reply, bits in frames:
+        half = 1e5 / khz / 2
+        at = begin_us * 100
+        changes.append((round(at), "0!"))
+        for k in range(bits):
+            down = at + 20 + 2 * half * k
+            changes += [(round(down), "0#"), (round(down) + 1, f"{frame >> (15 - k) & 1}%")]
+            changes += [(round(down) + 1, f"{reply >> (15 - k) & 1}&"), (round(down + half), "1#")]
+        changes += [
+            (round(at + 20 + 2 * half * bits) + 5, "1!"),
+            (round(at + 20 + 2 * half * bits) + 6, "z&"),
+        ]
+    for time, change in changes:
+        lines += [f"#{time}", change]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def test_a_capture_of_a_logic_analyser_is_decoded_and_judged_by_its_own_times(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "capture.VCD"
+    frames = [
+        (100, 1000, 0x3600, 0x0402, 16),  # read SMPL_PRD
+        (150, 1000, 0x0A00, 0x0001, 16),  # its word is 1: fast mode; read XACCL_OUT
+        (200, 1000, 0x0C00, 0x8852, 16),
+        (235, 1000, 0x0E00, 0x0000, 16),  # a period of 35 µs is too short
+        (300, 3000, 0x0200, 0x0000, 16),  # 3 MHz are too fast
+        (400, 1000, 0x1000, 0x0000, 15),  # one clock is missing
+        (500, 1000, 0x0000, 0x0000, 16),
+    ]
+    write_vcd(path, frames, "CS SCLK MOSI MISO")
+    assert main(["frames", str(path), "--json"]) == 1
+    document = json.loads(capsys.readouterr().out)
+    rows = document["frames"]
+    assert [row["frame"] for row in rows if row["register"] != "XTEMP_OUT"][:5] == [
+        f[2] for f in frames[:5]
+    ]
+    by_name = {row["register"]: row for row in rows}
+    assert by_name["SMPL_PRD"]["word"] == 1
+    assert by_name["XACCL_OUT"]["value"].startswith("995.136 mg")
+    assert by_name["XACCL_OUT"]["time_s"] == pytest.approx(150e-6)
+    for name in ("SMPL_PRD", "XACCL_OUT", "YACCL_OUT"):
+        assert not by_name[name]["problem"]
+    assert "period 35 µs" in by_name["ZACCL_OUT"]["problem"]
+    assert "3000 kHz" in by_name["SUPPLY_OUT"]["problem"]
+    assert sum("15 clocks" in row["problem"] for row in rows) == 1
+    assert document["problems"] == 3
+
+
+def test_a_capture_without_a_signal_names_the_signals_that_it_has(tmp_path: Path) -> None:
+    path = tmp_path / "capture.vcd"
+    write_vcd(path, [], "CS D1 MOSI MISO")
+    assert main(["frames", str(path)]) == 1
+    with pytest.raises(DataError, match=r"sclk.*d1"):
+        LogicCapture(path)
+    path.write_text("time,cs,sclk\n0,1,1\n")
+    with pytest.raises(DataError, match="no VCD file"):
+        LogicCapture(path)

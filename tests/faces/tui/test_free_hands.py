@@ -1,0 +1,78 @@
+"""A simulated part that only keys move: on the screen, in plain lines, and on its board."""
+
+from __future__ import annotations
+
+import io
+import sys
+import time
+
+import pytest
+
+pytest.importorskip("textual", reason="the extra 'bench' is not installed")
+
+from adis_gonio.faces.cli.line_prompts import PlainBench
+from adis_gonio.faces.free_hands import Hands, free_hands
+from faces.tui.screens import shown
+from faces.tui.states import THREE, asked, look
+from faces.tui.test_screen_keys import TypedRunner
+
+ASKED = [*THREE, asked(3), look(angle=180.0, target=180.0)]
+
+
+class Stage:
+    """A stage that notes where it goes."""
+
+    def __init__(self) -> None:
+        self.angle_deg = 10.0
+        self.gone: list[float] = []
+
+    def move_to(self, angle_deg: float, approach: int = 0) -> None:
+        self.gone.append(angle_deg)
+        self.angle_deg = angle_deg
+
+
+def wait_until(done) -> None:
+    end_s = time.monotonic() + 60
+    while not done():
+        assert time.monotonic() < end_s
+        time.sleep(0.01)
+
+
+def test_the_screen_turns_and_bumps_the_part_and_answers_nothing():
+    stage = Stage()
+    text, _, runner = shown(ASKED, keys=["m", *"-30", "enter"], hands=Hands(stage))
+    wait_until(lambda: stage.gone == [-20.0])
+    assert runner.told == []
+    assert "m move" in text
+    shown(ASKED, keys=["b"], hands=Hands(stage))
+    wait_until(lambda: len(stage.gone) == 3)
+    assert stage.angle_deg == -20.0, "a bump comes back"
+
+
+def test_without_such_a_part_the_keys_do_nothing():
+    text, _, runner = shown(ASKED, keys=["m", "b"])
+    assert runner.told == []
+    assert "m move" not in text
+    assert "Turn the part" not in text
+
+
+@pytest.mark.parametrize(("typed", "gone"), [("m 45", [55.0]), ("m", []), ("m far", []), ("m 1e9", [])])
+def test_plain_lines_turn_it_too(typed, gone, monkeypatch, capsys):
+    stage = Stage()
+    runner = TypedRunner([*THREE[:4], asked(3)])
+    monkeypatch.setattr("sys.stdin", io.StringIO(f"{typed}\n"))
+    PlainBench(runner, auto=False, hands=Hands(stage)).run()
+    wait_until(lambda: stage.gone == gone)
+    assert runner.told == ["stop"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a pty needs POSIX")
+def test_the_board_of_the_url_is_moved_and_any_other_url_is_left():
+    with free_hands("sim:?seed=1&hands=free&move_speed_dps=720") as (url, hands):
+        assert url.startswith("serial:")
+        assert hands is not None
+        hands.move("−30")
+        wait_until(lambda: abs(hands._stage.angle_deg + 30.0) < 1e-9)
+    for other in ("sim:?seed=1", "serial:"):
+        with free_hands(other) as opened:
+            assert opened == (other, None)
