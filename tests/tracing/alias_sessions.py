@@ -72,14 +72,3 @@ def worm(seed: int) -> Session:
     angles = np.mod(GOLDEN_DEG * np.arange(48), 360)
     size, phase = rng.uniform(0.01, 0.03), rng.uniform(0, 2 * np.pi)
     return planar(rng, angles, size * np.cos(36 * np.radians(angles) + phase))
-
-
-def by_hand(seed: int) -> Session:
-    """40 poses by hand in space, none of them wrong; the noise has tails (Student's t with 5 degrees)."""
-    rng = np.random.default_rng((seed, 5))
-    poses = rng.normal(size=(40, 3))
-    poses /= np.linalg.norm(poses, axis=1, keepdims=True)
-    matrix = np.eye(3) + np.tril(rng.normal(0, 0.004, (3, 3)))
-    readings = 1000 * poses @ matrix.T + rng.uniform(-30, 30, 3) + 0.11 * rng.standard_t(5, (40, 3))
-    dwells = [Dwell(k, np.array([12.0 * k]), readings[k : k + 1]) for k in range(40)]
-    return Session(tuple(dwells), accel_unit="mg", plane=None, reading_u_mg=0.12, sensor="generic")

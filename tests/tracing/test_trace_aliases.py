@@ -1,10 +1,7 @@
-"""Many cycles a turn that the plan folds onto something simpler, and outliers in the tail of the noise."""
-
-import dataclasses
+"""Many cycles a turn that the plan folds onto something simpler."""
 
 from adis_gonio.tracing.trace import trace
 from tracing.alias_sessions import (
-    by_hand,
     growing_eccentricity,
     loose_fixture,
     one_sided_eccentricity,
@@ -40,16 +37,3 @@ def test_a_worm_is_found_in_the_order_in_which_few_cycles_grow():
     for seed in range(4):
         found = {one.effect: one for one in trace(worm(seed)).found}
         assert found["stage_periodic"].probability > 0.95
-
-
-def test_the_tail_of_the_noise_is_no_outlier():
-    results = [trace(by_hand(seed)) for seed in range(20)]
-    assert sum("outlier_dwell" in names(result) for result in results) <= 1
-
-
-def test_an_outlier_of_its_usual_size_is_found_by_hand():
-    for seed in range(4):
-        session = by_hand(seed)
-        wrong = dataclasses.replace(session.dwells[17], accel=session.dwells[17].accel * 1.003)
-        session = dataclasses.replace(session, dwells=(*session.dwells[:17], wrong, *session.dwells[18:]))
-        assert "outlier_dwell" in names(trace(session))

@@ -73,17 +73,11 @@ class TestPrior:
         return prior(t for t in named_terms(data or self.data)[0] if t.name == name)
 
     @pytest.mark.number("effect_share")
-    @pytest.mark.parametrize("name", ["cubic", "warm_up", "stage_periodic", "position_slip", "backlash"])
+    @pytest.mark.parametrize("name", ["cubic", "warm_up", "stage_periodic", "outlier_dwell", "backlash"])
     def test_an_effect_is_there_in_seven_sessions_of_four_hundred_however_many_variants_it_has(
         self, name: str
     ) -> None:
         assert self.share(name) == pytest.approx(7 / 400)
-
-    def test_an_outlier_in_quiet_readings_is_rarer_as_its_size_is_physical(self) -> None:
-        quiet = replace(self.data, own_covariance=self.data.own_covariance / 100)
-        rarer = self.share("outlier_dwell") / self.share("outlier_dwell", quiet)
-        # One axis is ten times as rare, both axes a hundred times; each is a third of the variants.
-        assert 10 / 1.5 < rarer < 100
 
     @pytest.mark.number("nameless_share")
     def test_functions_without_a_name_have_three_tenths_together(self) -> None:

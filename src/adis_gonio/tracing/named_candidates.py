@@ -57,7 +57,6 @@ def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
         if kind.prior == "constant":
             whole = [len(effect.axes) == data.axes for effect, _ in variants]
             shares = np.where(whole, limits.bias_share, shares)
-        shares = shares / [_rarity(effect, data) for effect, _ in variants]
         for (effect, shapes), part in zip(variants, shares, strict=True):
             label = effect.name
             if effect.axes:
@@ -66,18 +65,6 @@ def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
             label += "".join(f"<{value:.4g}>" for _, value in shapes)
             terms.append(NamedTerm(label, kind.covariates, -math.log(part), effect, shapes))
     return terms, missing
-
-
-def _rarity(effect: Effect, data: Readings) -> float:
-    """Return by how much the usual size of an outlier exceeds the effects that the noise lets one see.
-
-    An outlier has a physical size, no multiple of the noise. The wider prior of its amplitudes has less
-    density at small ones, which compete with the tail of the noise. The result is 1 for all other effects.
-    """
-    if "dwell" not in effect.choices() or effect.enters is not Enters.READING:
-        return 1.0
-    usual = limits.prior_snr * float(np.sqrt(np.median(data.variance_of_mean)))
-    return math.prod(max(parameter.typical / usual, 1.0) for parameter in effect.parameters)
 
 
 def _variants(kind: type[Effect], data: Readings) -> Iterator[tuple[Effect, tuple[tuple[int, float], ...]]]:
