@@ -27,6 +27,7 @@ import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -63,6 +64,7 @@ class Case:
     bench: Bench
 
 
+@cache
 def cases(fixtures: Sequence[float] = FIXTURES_DEG, seed: int = 1) -> list[Case]:
     """The six plans of the target, and the evenly spaced ones that the best are compared with."""
     out = []

@@ -323,7 +323,7 @@ def judged(arguments: tuple[str, int, int, int, float, float, bool]) -> Outcome:
     kind, index, seed, units, share, size, scores = arguments
     if scores and kind in {"effect", "none"}:
         if seed not in _POOLS:
-            _POOLS[seed] = pool_of(seed)
+            _POOLS[seed] = pool_of(seed, min(POOL, 5 * units))
         truth, axes, sign, evidence = scored_population(kind, index, seed, units, share, size, _POOLS[seed])
     else:
         truth, axes, sign, evidence = population(kind, index, seed, units, share, size)

@@ -18,6 +18,8 @@ fi
 .venv/bin/ruff format --check .
 .venv/bin/mypy
 .venv/bin/python scripts/generate_protocol.py --check
+# Without stored bytecode each program that a test starts would compile the package again.
+unset PYTHONDONTWRITEBYTECODE
 # Threads of BLAS in addition to the workers would wait for one another on matrices of a hundred rows.
 export OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"
 # A worker that has run its tests takes half of the tests that another one still has.

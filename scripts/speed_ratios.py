@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
 import numpy as np
 
-from speed import fits, growth, selection, streams
+from speed import commands, fits, growth, selection, streams
 from speed.timing import DisagreementError, Row
 
 NEEDS = {"fit": ("lmfit", "imucal"), "trace": ("sklearn", "pysindy", "statsmodels")}
@@ -43,6 +43,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "archive": lambda seed, fast, samples: streams.archiving(np.random.default_rng(seed), fast=fast),
     "growth": lambda seed, fast, samples: growth.fitting(np.random.default_rng(seed), fast=fast),
     "segment": lambda seed, fast, samples: growth.segmenting(samples),
+    "commands": lambda seed, fast, samples: commands.run(fast=fast),
     "summary": lambda seed, fast, samples: growth.summarising(RESULTS_FAST if fast else RESULTS),
 }
 

@@ -15,9 +15,9 @@ HANDS, FEWER_HANDS = 500, 60
 
 def run(effort: Effort) -> Section:
     """Measure two turns; for fewer parts also a turn forth and back, and one turn."""
-    fewer = effort.sessions(FEWER_HANDS, 2)
+    fewer = effort.sessions(FEWER_HANDS, 1)
     return section_of(
-        hands.run(effort.sessions(HANDS, 2), effort.seed, effort.jobs, 2),
+        hands.run(effort.sessions(HANDS, 1), effort.seed, effort.jobs, 2),
         hands.run(fewer, effort.seed, effort.jobs, 2, returns=True),
         hands.run(fewer, effort.seed, effort.jobs, 1),
     )

@@ -15,7 +15,7 @@ HANDS = 500
 
 def run(effort: Effort) -> Section:
     """Measure simulated hands with five turns each way about each axis."""
-    return section_of(hands.run(effort.sessions(HANDS, 2), effort.seed, effort.jobs))
+    return section_of(hands.run(effort.sessions(HANDS, 1), effort.seed, effort.jobs))
 
 
 def section_of(rows: Sequence[Mapping[str, Any]]) -> Section:

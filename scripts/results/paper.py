@@ -13,7 +13,7 @@ def run(effort: Effort) -> Section:
         effort.seed,
         effort.sessions(20, 2),
         effort.jobs,
-        **({"draws": 200} if effort.fast else {}),
+        **({"draws": 100} if effort.fast else {}),
     )
     # Each part of the sessions is in the document of the command: here it would be a megabyte.
     document = {key: value for key, value in done.as_dict().items() if key not in ("parts", "command")}

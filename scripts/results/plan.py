@@ -13,7 +13,7 @@ CASE, CHIP_FIXTURE_DEG = "best 12", 0.05
 
 def run(effort: Effort) -> Section:
     """Measure all plans, the chip and the names."""
-    sessions = effort.sessions(1000, 20)
+    sessions = effort.sessions(1000, 4)
     fixtures = (0.05,) if effort.fast else statistics.FIXTURES_DEG
     lines = statistics.run(sessions, effort.seed, effort.jobs, fixtures)
     chip_sessions = effort.sessions(24, 1)

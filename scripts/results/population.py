@@ -15,7 +15,7 @@ def run(effort: Effort) -> Section:
     """A hundred populations with an effect and a hundred without, and some that may mislead."""
     from population_statistics import outcomes
 
-    units = effort.sessions(UNITS, 20)
+    units = effort.sessions(UNITS, 6)
     populations = effort.sessions(100, 1)
     return section_of(outcomes(populations, units, effort.seed, effort.jobs), units)
 

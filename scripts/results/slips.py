@@ -16,8 +16,8 @@ Row = Mapping[str, Any]
 
 def run(effort: Effort) -> Section:
     """Measure sessions with one fault and without, with gyros, and fewer without gyros."""
-    faulty, good = effort.sessions(FAULTY, 3), effort.sessions(GOOD, 1)
-    without = effort.sessions(FAULTY_WITHOUT, 3), effort.sessions(GOOD_WITHOUT, 1)
+    faulty, good = effort.sessions(FAULTY, 1), effort.sessions(GOOD, 1)
+    without = effort.sessions(FAULTY_WITHOUT, 1), effort.sessions(GOOD_WITHOUT, 1)
     return section_of(
         sessions.run(faulty, good, effort.seed, effort.jobs),
         sessions.run(*without, effort.seed, effort.jobs, gyros=False),

@@ -15,7 +15,7 @@ WAYS = ("gravity", *(f"{lag:g}" for lag in LAGS_S), "offline")
 
 def run(effort: Effort) -> Section:
     """Measure simulated hands with uncalibrated and with calibrated gyros."""
-    count = effort.sessions(HANDS, 2)
+    count = effort.sessions(HANDS, 1)
     lags = LAGS_S[:2] if effort.fast else LAGS_S
     return section_of(
         hands.run(count, effort.seed, effort.jobs, calibrated=False, lags_s=lags),

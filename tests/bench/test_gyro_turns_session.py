@@ -165,7 +165,7 @@ def test_each_whole_turn_is_three_hundred_and_sixty_degrees_by_its_mark(recorded
     found = rate_intervals(load_session(recorded[0]))
     angle = np.linalg.norm(found.rotation_dps * found.length_s[:, None], axis=1)[found.turn]
     assert angle == pytest.approx(np.full(6, 360.0))
-    assert set(np.array(found.references)[found.turn]) == {"whole turns"}
+    assert set(np.array(found.references)[found.turn]) == {"declared"}
     assert not found.refused
     axis = found.rotation_dps[found.turn] / np.linalg.norm(found.rotation_dps[found.turn], axis=1)[:, None]
     u = np.sqrt(np.einsum("ni,nij,nj->n", axis, found.rotation_covariance_dps2[found.turn], axis))

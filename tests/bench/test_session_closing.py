@@ -374,23 +374,19 @@ def test_what_no_position_decides_is_named_at_the_end(monkeypatch):
 # -- the loop as a whole --------------------------------------------------------------------------------
 
 
-def test_a_drift_that_one_turn_in_order_takes_for_something_else_is_found(tmp_path):
-    """In one turn in order time is angle; the positions that are asked for come back at another time."""
-    before, after, extra = 0, 0, []
-    for seed in (2, 3):
-        path = tmp_path / f"{seed}.session"
-        url = QUIET.format(seed) + "&effects=bias_drift:drift_x=2"
-        events = run(path, TraceAdvisor(), plan("mmpm"), url, settings=LONGER)
-        first, *_, last = of(events, Advised)
-        before += "bias_drift" in first.summary["found"]
-        after += "bias_drift" in last.summary["found"]
-        extra.append(len(read_session(path).dwells) - 9)
-        assert last.ended
-        assert last.positions == 0
-    assert before == 0
-    assert after == 2
-    assert min(extra) >= 1
-    assert max(extra) <= 24
+def test_a_drift_that_one_turn_in_order_takes_for_something_else_is_found(path):
+    """In one turn in order time is angle; the positions that are asked for come back at another time.
+
+    Over many sessions: scripts/trace_loop.py.
+    """
+    url = QUIET.format(3) + "&effects=bias_drift:drift_x=2"
+    events = run(path, TraceAdvisor(), plan("mmpm"), url, settings=LONGER)
+    first, *_, last = of(events, Advised)
+    assert "bias_drift" not in first.summary["found"]
+    assert "bias_drift" in last.summary["found"]
+    assert last.ended
+    assert last.positions == 0
+    assert 1 <= len(read_session(path).dwells) - 9 <= 24
 
 
 def test_a_session_that_answers_everything_asks_for_nothing(path):
@@ -423,7 +419,7 @@ def test_a_loop_that_is_killed_in_its_extension_resumes_to_the_same_session(tmp_
     assert process.stderr is not None
     dwells = 0
     for line in process.stderr:
-        dwells += "samples" in line and "mg" in line
+        dwells += " mg  " in line
         if dwells == 5:
             process.send_signal(signal.SIGKILL)
             break

@@ -67,7 +67,7 @@ def test_a_two_position_session_is_calibrated_over_the_real_firmware(make_rig, t
     )
     rig = make_rig(World(hidden, seed=SEED))
     rig.sleep_s(0.02)
-    settings = Settings(dwell_s=1.0, settle_s=0.1, registers=SEVEN)
+    settings = Settings(dwell_s=0.5, settle_s=0.1, registers=SEVEN)
     path = tmp_path / "rig.session"
     bus = open_serial(rig)
     bus.stage = RigStage(rig)
@@ -76,7 +76,7 @@ def test_a_two_position_session_is_calibrated_over_the_real_firmware(make_rig, t
     assert isinstance(events[-1], Finished)
     assert not [event for event in events if isinstance(event, Problem)]
     session = read_session(path)
-    assert all(len(dwell.time_s) >= 819 for dwell in session.dwells)
+    assert all(len(dwell.time_s) >= 409 for dwell in session.dwells)
     found = fit(session, method="two-position")
     # Without what an unseen bias may do: here there is none.
     u = {

@@ -13,7 +13,7 @@ from scipy.optimize import root
 from adis_gonio import fit
 from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.linked import LinkReport
-from adis_gonio.fitting.maximum_likelihood import _advice
+from adis_gonio.fitting.maximum_likelihood import advise_positions
 from adis_gonio.model.measurement import sensitivity
 from adis_gonio.model.records import Dwell, Session
 from fitting.test_uncertainty import FOUR, turn
@@ -37,7 +37,7 @@ from fitting.test_uncertainty import FOUR, turn
     ],
 )
 def test_positions_that_would_show_what_is_lost_are_named(lost: list[str], advice: str) -> None:
-    assert _advice(lost) == advice
+    assert advise_positions(lost) == advice
 
 
 @pytest.mark.parametrize(

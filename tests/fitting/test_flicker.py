@@ -1,9 +1,13 @@
 """Covariance of the means of dwells under 1/f noise: against the simulator's noise and against Barnes."""
 
+import math
+
 import numpy as np
 import pytest
 
+from adis_gonio.fitting import fit
 from adis_gonio.fitting.estimation.spectrum import MOST_MODES, covariance_of_means, modes, scatter_of_means
+from adis_gonio.model.records import Dwell, Session
 from adis_gonio.sim.noise import Flicker
 
 
@@ -79,3 +83,44 @@ def test_few_dwells_keep_all_modes_and_many_the_slowest() -> None:
     drift = begin - begin.mean()
     slow = drift @ factor
     assert slow @ slow == pytest.approx(drift @ covariance @ drift, rel=1e-4)
+
+
+BIAS_MG = np.array([12.0, -7.0])
+DWELLS, LENGTH_S, STEP_S, RATE_HZ = 24, 4.0, 7.5, 32.0
+
+
+def sessions_in_flicker(draws: int, seed: int) -> list[tuple[Session, np.ndarray, np.ndarray]]:
+    """Planar sessions, and their biases as means over twice the session and over the session itself."""
+    rng = np.random.default_rng(seed)
+    duration = (DWELLS - 1) * STEP_S + LENGTH_S
+    grid_s = (np.arange(round(2 * duration * 8)) + 0.5) / 8
+    flicker = Flicker(np.full(2 * draws, 0.2), rng, step_s=1 / 8).at(grid_s).reshape(-1, draws, 2)
+    theta = 2 * math.pi * np.arange(DWELLS) / DWELLS
+    within = (np.arange(round(LENGTH_S * RATE_HZ)) + 0.5) / RATE_HZ
+    made = []
+    for own in flicker.transpose(1, 0, 2):
+        dwells = []
+        for k, psi in enumerate(0.4 - theta + rng.normal(0, math.radians(0.02), DWELLS)):
+            time = k * STEP_S + within
+            noise = np.stack([np.interp(time, grid_s, own[:, axis]) for axis in (0, 1)], axis=1)
+            ideal = 1000 * np.array([math.cos(psi), math.sin(psi + 0.003)])
+            accel = ideal + BIAS_MG + noise + rng.normal(0, 1.0, noise.shape)
+            dwells.append(Dwell(k, time, accel, math.degrees(theta[k])))
+        session = Session(tuple(dwells), sensor="generic", accel_unit="mg", fixture_sigma_deg=0.02)
+        twice, once = own.mean(axis=0), own[: len(own) // 2].mean(axis=0)
+        made.append((session, BIAS_MG + twice, BIAS_MG + once))
+    return made
+
+
+def test_u_of_a_bias_is_for_its_mean_over_twice_the_session() -> None:
+    off, near = [], []
+    for session, twice, once in sessions_in_flicker(120, 7):
+        result = fit(session, method="ml")
+        for name, defined, own in zip(("bias_x", "bias_y"), twice, once, strict=True):
+            bias = result[name]
+            off.append(abs(bias.value - defined) / bias.U)
+            near.append((bias.value - own) / bias.u)
+    # 240 biases: the standard deviation of the share is 1.4 %.
+    assert np.mean(np.array(off) <= 1) == pytest.approx(0.95, abs=0.03)
+    # Sessions repeated at once scatter like the deviation from the mean over the session itself.
+    assert 0.3 < np.std(near) < 0.6

@@ -15,7 +15,7 @@ from adis_gonio.base.errors import FitError
 from adis_gonio.fitting import applicable_methods, fit
 from adis_gonio.fitting.answer import Answer
 from adis_gonio.fitting.free_turn import series_of
-from adis_gonio.fitting.free_turn_estimate import LeastSquaresProblem, Windows, _drifts, solve
+from adis_gonio.fitting.free_turn_estimate import LeastSquaresProblem, Windows, drift_functions, solve
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.sim import World, WorldSettings
 from adis_gonio.tracing.trace import trace
@@ -105,7 +105,7 @@ def test_drifts_have_the_variances_that_the_simulators_flicker_gives_them():
     """Its covariance is a sum of exponentials; the model's has been integrated for a pure 1/f."""
     step_s, length_s, floor = 1 / 16, 60.0, 0.7
     time_s = step_s * (np.arange(round(length_s / step_s)) + 0.5)
-    components, variance = _drifts(time_s, length_s, floor, 12)
+    components, variance = drift_functions(time_s, length_s, floor, 12)
     corners = 2.0**-15 * 2.0 ** np.arange(17)
     lag = np.abs(time_s[:, None] - time_s)
     flicker = sum(floor**2 / 2 * np.exp(-2 * np.pi * corner * lag) for corner in corners)

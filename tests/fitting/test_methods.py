@@ -9,6 +9,8 @@ import pytest
 
 from adis_gonio.base.errors import FitError, SingularError, UsageError
 from adis_gonio.fitting import METHODS, applicable_methods, fit
+from adis_gonio.fitting.estimation.readings import readings_of
+from adis_gonio.fitting.methods import fit_of
 from adis_gonio.model.measurement import axes_matrix
 from adis_gonio.model.records import Dwell, Session
 
@@ -140,10 +142,11 @@ def test_covariance_is_the_scatter_of_the_estimates(method):
     truth = {"alpha": 10.0, "phi": 0.2, "delta_k": 0.01, "sigma": sigma, "u": 0.3}
     exact = fit(planar(angles, **truth), method)
     estimates = []
-    for _ in range(400):
+    for _ in range(250):
         true = np.asarray(angles) - rng.normal(0, sigma, len(angles))
         noise = rng.normal(0, 0.3, (len(angles), 2))
-        result = fit(planar(angles, true_angles=true, noise=noise, **truth), method)
+        session = planar(angles, true_angles=true, noise=noise, **truth)
+        result = fit_of(readings_of(session), method)
         estimates.append([e.value for e in result.parameters])
     scatter = np.cov(np.array(estimates).T)
     stated = exact.covariance
@@ -368,7 +371,7 @@ def test_chi2_is_that_of_its_degrees_of_freedom():
             n = len(angles)
             true = np.asarray(angles) - rng.normal(0, 0.1, n)
             session = planar(angles, true_angles=true, noise=rng.normal(0, 0.3, (n, 2)), u=0.3, sigma=0.1)
-            result = fit(session, method)
+            result = fit_of(readings_of(session), method)
             ratio.append(result.chi2 / result.dof)
         assert np.mean(ratio) == pytest.approx(1, abs=4 * math.sqrt(2 / result.dof / 80)), method
 

@@ -10,20 +10,20 @@ import pytest
 
 from adis_gonio import fit, trace
 from adis_gonio.faces.cli import main
-from adis_gonio.fitting.noise_estimation import NoiseAssumptions, _equal_to_dof
+from adis_gonio.fitting.noise_estimation import NoiseAssumptions, scale_at_dof
 from fitting.test_uncertainty import NINE, turn
 
 
 @pytest.mark.parametrize("true", [0.0013, 0.02, 3.0, 80.0])
 def test_the_scale_at_which_chi2_is_its_degrees_of_freedom_is_found(true: float) -> None:
-    found = _equal_to_dof(lambda s: 7 * (true / s) ** 2, 7, 1e-3, 100.0)
+    found = scale_at_dof(lambda s: 7 * (true / s) ** 2, 7, 1e-3, 100.0)
     assert found == pytest.approx(true, rel=1e-3)
 
 
 def test_a_scale_beyond_the_range_is_its_end() -> None:
-    assert _equal_to_dof(lambda s: 7 * (1e-5 / s) ** 2, 7, 1e-3, 100.0) == 1e-3
-    assert _equal_to_dof(lambda s: 7 * (500.0 / s) ** 2, 7, 1e-3, 100.0) == 100.0
-    assert _equal_to_dof(lambda s: 0.0, 7, 1e-3, 100.0) == 1e-3
+    assert scale_at_dof(lambda s: 7 * (1e-5 / s) ** 2, 7, 1e-3, 100.0) == 1e-3
+    assert scale_at_dof(lambda s: 7 * (500.0 / s) ** 2, 7, 1e-3, 100.0) == 100.0
+    assert scale_at_dof(lambda s: 0.0, 7, 1e-3, 100.0) == 1e-3
 
 
 def test_what_is_assumed_changes_only_what_nothing_states() -> None:

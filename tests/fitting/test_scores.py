@@ -9,7 +9,13 @@ from scipy.optimize import least_squares
 
 from adis_gonio.base.errors import FitError
 from adis_gonio.fitting import fit, fit_readings
-from adis_gonio.fitting.method_comparison import DwellPrediction, Score, _folds, predicted, recommend
+from adis_gonio.fitting.method_comparison import (
+    DwellPrediction,
+    Score,
+    held_out_groups,
+    predicted,
+    recommend,
+)
 from adis_gonio.model.measurement import sensitivity
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.record.loading import load_session
@@ -252,7 +258,7 @@ def test_angles_of_free_attitudes_are_compared_with_the_mean_start_that_the_othe
 def test_every_dwell_is_left_out_once_and_those_that_took_no_part_together(used):
     rows = np.zeros(100, dtype=bool)
     rows[np.random.default_rng(1).permutation(100)[:used]] = True
-    folds = list(_folds(rows))
+    folds = list(held_out_groups(rows))
     np.testing.assert_array_equal(np.sort(np.concatenate(folds)), np.arange(100))
     np.testing.assert_array_equal(folds[0], np.flatnonzero(~rows))
     assert len(folds) - 1 == min(used, 40)

@@ -89,9 +89,9 @@ class Browser:
         self._browser = browser
 
     @contextmanager
-    def tab(self, path: Path, *, scheme: str = "light") -> Iterator[Tab]:
-        """Open a file, in a light or dark scheme."""
-        context = self._browser.new_context(viewport={"width": 1000, "height": 900}, color_scheme=scheme)
+    def tab(self, path: Path) -> Iterator[Tab]:
+        """Open a file in the light scheme."""
+        context = self._browser.new_context(viewport={"width": 1000, "height": 900}, color_scheme="light")
         try:
             yield Tab(context.new_page(), path)
         finally:

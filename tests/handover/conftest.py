@@ -1,9 +1,19 @@
+from collections.abc import Iterator
+
 import pytest
 
 from adis_gonio.handover.paper_study import reproduce
+from handover.browser import Browser, browser
 
 
 @pytest.fixture(scope="package")
 def small():
     """A study of two parts of each kind, in this process."""
     return reproduce(7, 2, jobs=1, draws=150)
+
+
+@pytest.fixture(scope="package")
+def chrome() -> Iterator[Browser]:
+    """One Chromium for all pages."""
+    with browser() as started:
+        yield started

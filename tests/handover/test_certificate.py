@@ -12,7 +12,7 @@ import pytest
 from adis_gonio.base.conformity import Tolerance
 from adis_gonio.base.errors import FitError
 from adis_gonio.calibrate import NotCorrected
-from adis_gonio.handover.certificate import certificate_text
+from adis_gonio.handover.certificate import SI_UNITS, certificate_text
 from adis_gonio.model.effects import BUILT_IN, effect
 from handover.calibrations import CURVED, EVERY, PLANE, SPACE, calibration, of_counts
 from handover.dcc_structure import DCC, SI, judge
@@ -110,13 +110,12 @@ def test_without_noise_there_is_no_uncertainty():
 
 
 def test_every_unit_of_the_catalogue_has_one_of_si_or_is_refused():
-    from adis_gonio.handover.certificate import _UNITS
     from adis_gonio.model.effects import catalogue
 
     correctable = [name for name, kind in catalogue("accelerometer").items() if kind.correctable]
 
     units = {p.unit for name in correctable for p in effect(name, **_most(name)).parameters}
-    assert units <= set(_UNITS)
+    assert units <= set(SI_UNITS)
     own = calibration(PLANE)
     odd = replace(own, parameters=(*own.parameters[:-1], replace(own.parameters[-1], unit="furlong")))
     with pytest.raises(FitError, match="furlong"):
@@ -126,11 +125,10 @@ def test_every_unit_of_the_catalogue_has_one_of_si_or_is_refused():
 def test_every_unit_is_read_by_the_reader_of_ptb():
     """dsiUnits parses the notation of D-SI; it gives the base units that the name of a unit means."""
     dsi_unit = pytest.importorskip("dsi_unit", reason="dsiunits is not installed (pip install '.[test]')")
-    from adis_gonio.handover.certificate import _UNITS
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it warns of its own notation
-        read = {name: dsi_unit.DsiUnit(unit) for name, (unit, _) in _UNITS.items()}
+        read = {name: dsi_unit.DsiUnit(unit) for name, (unit, _) in SI_UNITS.items()}
     assert [name for name, unit in read.items() if not unit.valid] == []
     meant = {"mg": "ms⁻²", "mg/g²": "m⁻¹s²", "mg/°C": "ms⁻²K⁻¹", "ppm/V": "V⁻¹", "dps": "°s⁻¹", "deg": "°"}
     assert {name: read[name].to_utf8() for name in meant} == meant

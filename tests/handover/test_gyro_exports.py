@@ -17,7 +17,7 @@ from adis_gonio.calibrate import GyroCalibration
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting import fit
 from adis_gonio.handover.c_header import c_header
-from adis_gonio.handover.certificate import _UNITS, certificate_text
+from adis_gonio.handover.certificate import SI_UNITS, certificate_text
 from adis_gonio.handover.fixed_point import (
     FIXED_UDPS,
     FLOAT_DPS,
@@ -235,7 +235,7 @@ def test_the_certificate_holds_every_parameter_in_si_units_and_keeps_its_structu
     assert found["gyro_bias_x"]["unit"] == r"\degree\second\tothe{-1}"
     assert found["gyro_bias_x"]["coverageProbability"] == "0.95"
     assert set(EVERY) <= set(found)
-    assert set(UNITS.values()) <= set(_UNITS)
+    assert set(UNITS.values()) <= set(SI_UNITS)
 
 
 def test_the_certificate_names_the_gyro_and_what_was_not_determined():
@@ -283,37 +283,39 @@ def test_registers_show_the_chip_s_offsets_beside_what_the_calibration_would_wri
 
 @pytest.fixture(scope="module")
 def two_sessions(tmp_path_factory):
-    """Accelerometers on a stage and gyros on a table, of one simulated part."""
+    """Accelerometers on a stage and gyros on a table, of one simulated part, and files of these gyros."""
     folder = tmp_path_factory.mktemp("two")
     for name, plan in (("stage", ["four-position"]), ("table", ["gyro-turns", "--turns", "1"])):
-        words = [
-            "calibrate",
-            "sim:?seed=4",
-            "--plan",
-            *plan,
-            "--auto",
-            "-o",
-            str(folder / f"{name}.session"),
-        ]
-        assert main([*words, "--serial", "A7"]) == 0
+        words = ["--auto", "--dwell", "4", "-o", str(folder / f"{name}.session"), "--serial", "A7"]
+        assert main(["calibrate", "sim:?seed=4", "--plan", *plan, *words]) == 0
+    assert main(["export", str(folder / "table.session"), "-o", str(folder / "exported.json")]) == 0
+    GyroCalibration.load(folder / "table.session").save(folder / "gyros.json")
     return folder
 
 
+@pytest.fixture(scope="module")
+def table(two_sessions):
+    return GyroCalibration.load(two_sessions / "table.session")
+
+
+@pytest.fixture(scope="module")
+def stage(two_sessions):
+    return Calibration.load(two_sessions / "stage.session")
+
+
 @pytest.mark.parametrize("name", ["table.session", "gyros.json", "exported.json"])
-def test_the_gyros_of_another_session_stand_beside_these_accelerometers(two_sessions, name):
-    table = GyroCalibration.load(two_sessions / "table.session")
-    table.save(two_sessions / "gyros.json", force=True)
-    made = ["export", str(two_sessions / "table.session"), "-o", str(two_sessions / "exported.json")]
-    assert main([*made, "--force"]) == 0
+def test_the_gyros_of_another_session_stand_beside_these_accelerometers(two_sessions, table, stage, name):
     assert GyroCalibration.load(two_sessions / "exported.json") == table
     out = two_sessions / "both.json"
-    words = ["export", str(two_sessions / "stage.session"), "--gyros", str(two_sessions / name)]
-    assert main([*words, "-o", str(out), "--force"]) == 0
+    words = ["--gyros", str(two_sessions / name), "--force", "-o"]
+    assert main(["export", str(two_sessions / "stage.session"), *words, str(out)]) == 0
     both = Calibration.load(out)
     assert both.gyro["gyro_scale_z"].value == table["gyro_scale_z"].value
-    assert both.parameters == Calibration.load(two_sessions / "stage.session").parameters
-    assert main([*words, "-o", str(two_sessions / "both.h"), "--force"]) == 0
+    assert both.parameters == stage.parameters
+    stage.save(two_sessions / "stage.json", force=True)
+    assert main(["export", str(two_sessions / "stage.json"), *words, str(two_sessions / "both.h")]) == 0
     text = (two_sessions / "both.h").read_text()
+    assert text == c_header(both)
     assert "gyro_scale_z: not determined" not in text
     assert "file: stage.session" in text
     assert "gyros: method gyro, file table.session" in text
@@ -323,8 +325,8 @@ def test_gyros_of_another_part_or_of_none_are_refused_in_one_line(two_sessions, 
     bare, other = two_sessions / "bare.json", two_sessions / "other.session"
     session = load_session(two_sessions / "stage.session")
     fit(session).calibration().save(bare, force=True)
-    words = ["calibrate", "sim:?seed=5", "--plan", "four-position", "--auto", "--serial", "B1"]
-    assert main([*words, "-o", str(other)]) == 0
+    words = ["--plan", "four-position", "--dwell", "2", "--auto", "--serial", "B1", "-o", str(other)]
+    assert main(["calibrate", "sim:?seed=5", *words]) == 0
     capsys.readouterr()
     for file, told in ((other, "its gyros are of B1, the accelerometers of A7"), (bare, "without gyros")):
         words = ["export", str(two_sessions / "stage.session"), "--gyros", str(file), "-o"]
@@ -344,12 +346,10 @@ def test_a_session_of_the_gyros_alone_says_how_they_are_handed_over(two_sessions
         Calibration.load(table)
 
 
-@pytest.mark.parametrize("name", ["table.session", "alone.json", "gyros alone.json"])
-def test_registers_stand_beside_the_offsets_of_gyros_that_are_calibrated_alone(two_sessions, name, capsys):
-    table = GyroCalibration.load(two_sessions / "table.session")
-    table.save(two_sessions / "gyros alone.json", force=True)
-    made = ["export", str(two_sessions / "table.session"), "-o", str(two_sessions / "alone.json")]
-    assert main([*made, "--force"]) == 0
+@pytest.mark.parametrize("name", ["table.session", "exported.json", "gyros.json"])
+def test_registers_stand_beside_the_offsets_of_gyros_that_are_calibrated_alone(
+    two_sessions, table, name, capsys
+):
     capsys.readouterr()
     words = [
         "registers",
@@ -367,11 +367,10 @@ def test_registers_stand_beside_the_offsets_of_gyros_that_are_calibrated_alone(t
     assert "calibration" not in accelerometer
 
 
-def test_names_of_where_the_gyros_come_from_survive_the_file_and_stand_in_every_export(two_sessions):
-    both = replace(
-        Calibration.load(two_sessions / "stage.session"),
-        gyro=GyroCalibration.load(two_sessions / "table.session"),
-    )
+def test_names_of_where_the_gyros_come_from_survive_the_file_and_stand_in_every_export(
+    two_sessions, table, stage
+):
+    both = replace(stage, gyro=table)
     assert both.gyro.source == "table.session"
     both.save(two_sessions / "named.json", force=True)
     assert Calibration.load(two_sessions / "named.json").gyro.source == "table.session"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from datetime import date, timedelta
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from adis_gonio.fleet.fleet_summary import summarise
 from adis_gonio.fleet.sensor_history import history_of
 from adis_gonio.fleet.session_record import FoundEffect, SessionRecord
 from fleet.sessions import quiet_rows, row
-from handover.browser import Browser, browser, missing
+from handover.browser import missing
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
 
@@ -80,12 +79,6 @@ PAGES = {
 }
 
 
-@pytest.fixture(scope="module")
-def chrome() -> Iterator[Browser]:
-    with browser() as started:
-        yield started
-
-
 @pytest.fixture(scope="module", params=PAGES)
 def page(request, tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("pages") / f"{request.param}.html"
@@ -93,12 +86,13 @@ def page(request, tmp_path_factory) -> Path:
     return path
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_a_page_is_silent_and_accessible(chrome, page, scheme):
-    with chrome.tab(page, scheme=scheme) as tab:
+def test_a_page_is_silent_and_accessible(chrome, page):
+    with chrome.tab(page) as tab:
         assert tab.axe() == []
         tab.open_folds()
         tab.tab.set_viewport_size({"width": 360, "height": 900})
+        assert tab.axe() == []
+        tab.tab.emulate_media(color_scheme="dark")
         assert tab.axe() == []
         assert tab.noise == []
 

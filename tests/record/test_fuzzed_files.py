@@ -1,4 +1,4 @@
-"""Forty files of `scripts/fuzz_files.py`, and its judgement of commands that misbehave."""
+"""Twenty files of `scripts/fuzz_files.py`, and its judgement of commands that misbehave."""
 
 import json
 import subprocess
@@ -57,13 +57,13 @@ def run_python(*words: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_strange_files_end_well_or_in_one_line():
-    done = run_python("fuzz_files.py", "--files", "40", "--seed", "5", "--jobs", "2")
+    done = run_python("fuzz_files.py", "--files", "20", "--seed", "5", "--jobs", "2")
     assert done.returncode == 0, done.stdout + done.stderr
     (*counts,) = map(int, done.stdout.splitlines()[-2].split()[1:])
     ok, told, noisy, *failures = counts
-    assert (sum(counts), noisy, failures) == (40, 0, [0, 0, 0]), done.stdout
-    assert ok > 2  # files that are refused at once reach nothing
-    assert told > 15
+    assert (sum(counts), noisy, failures) == (20, 0, [0, 0, 0]), done.stdout
+    assert ok > 1  # files that are refused at once reach nothing
+    assert told > 7
 
 
 def test_commands_that_misbehave_are_found():

@@ -296,7 +296,7 @@ def test_a_flipped_bit_in_the_samples_is_found(tmp_path):
     assert at > 0
     content[at + 7] ^= 4
     path.write_bytes(content)
-    with pytest.raises(DataError, match=r"damaged \(checksum of row 2 of table blocks\)"):
+    with pytest.raises(DataError, match=r"damaged \(checksum of row 1 of table blocks\)"):
         read_session(path)
 
 

@@ -29,7 +29,7 @@ FAMILIES = {
 }
 """Names by what drives them."""
 SESSIONS = {
-    "none": tuple(range(12)),
+    "none": tuple(range(6)),
     "one": (
         *(23, 24, 2, 49, 50, 74, 52, 53, 54, 9, 33, 80, 12, 59, 106, 38, 108, 86, 110, 111, 112, 90, 68),
     ),
@@ -39,9 +39,9 @@ SESSIONS = {
     ),
     "uncatalogued": (0, 20, 2, 60, 61, 62, 6, 64, 65, 85, 67, 11, 12, 32, 71, 72, 73, 36, 75),
     "beyond": (48, 65, 66, 19, 4, 5, 54, 71, 8, 57, 74, 75, 60, 77, 62, 31),
-    SPACE + "none": tuple(range(6)),
+    SPACE + "none": tuple(range(3)),
     SPACE + "one": (14, 29, 2, 31, 18, 33, 34, 63, 36, 37, 10, 53, 12, 69),
-    SPACE + "two": tuple(range(8)),
+    SPACE + "two": tuple(range(5)),
 }
 """One session of each name or form; of two effects every name and every pair of families.
 

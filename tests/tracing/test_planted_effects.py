@@ -19,9 +19,7 @@ SCRIPT = MEASURED / "plant_effect.py"
 EXP4 = RECORDINGS[0]
 
 
-@pytest.mark.parametrize(
-    "kind", ["quadratic", "asymmetry", "bias_drift", "step of the reading", "wave in time"]
-)
+@pytest.mark.parametrize("kind", ["quadratic", "bias_drift", "step of the reading"])
 def test_a_planted_effect_is_found_and_nothing_else(kind):
     outcome = planted(EXP4, kind, seed=300)
     assert outcome.found, outcome.document["sets"]

@@ -16,7 +16,7 @@ from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import NamelessTerm
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import MeanRate, PlanarTurn
-from adis_gonio.tracing.grammar import _knots, nameless_terms
+from adis_gonio.tracing.grammar import nameless_terms, step_places
 
 N = 30
 CONST = " + const"
@@ -432,10 +432,10 @@ def test_places_of_steps_part_the_values_that_were_seen() -> None:
 
 def test_of_many_values_steps_stand_at_even_quantiles_but_where_they_would_part_off_one_dwell() -> None:
     # 21 places between 22 values: of five each is five from the next.
-    assert _knots(np.arange(22.0), 5) == [5.5, 10.5, 15.5]
-    assert _knots(np.append(np.arange(22.0), [0.0, 21.0]), 5) == [0.5, 5.5, 10.5, 15.5, 20.5]
-    assert _knots(np.arange(4.0), 5) == [1.5]
-    assert _knots(np.zeros(4), 5) == []
+    assert step_places(np.arange(22.0), 5) == [5.5, 10.5, 15.5]
+    assert step_places(np.append(np.arange(22.0), [0.0, 21.0]), 5) == [0.5, 5.5, 10.5, 15.5, 20.5]
+    assert step_places(np.arange(4.0), 5) == [1.5]
+    assert step_places(np.zeros(4), 5) == []
 
 
 def test_forms_of_the_angle_the_position_before_and_the_reading_are_these() -> None:

@@ -46,7 +46,7 @@ from adis_gonio.tracing.trace import (
     restrict_candidates,
     with_positions,
 )
-from adis_gonio.tracing.trace_figures import Panel, _left_over, _uncertainty, views_of
+from adis_gonio.tracing.trace_figures import Panel, view_residual, view_uncertainty, views_of
 from adis_gonio.tracing.trace_result import ErrorFigures, Finding, TraceResult, Unnamed
 from tracing.small_problems import (
     G,
@@ -178,7 +178,7 @@ class TestFiguresOfSteps:
         off_deg = np.array([0.3, 170.0, -170.0, -0.2])
         turned = np.radians(off_deg + 360.0 * np.array([2, -1, 1, -3]))
         fit: Any = SimpleNamespace(data=self.data, angle_error_rad=lambda data: turned)
-        np.testing.assert_allclose(_left_over(fit, "angle"), off_deg, atol=1e-9)
+        np.testing.assert_allclose(view_residual(fit, "angle"), off_deg, atol=1e-9)
 
     def test_dwells_for_checking_are_drawn_beside_those_that_were_fitted(self) -> None:
         check = np.arange(24) % 6 == 5
@@ -235,7 +235,7 @@ class TestFiguresOfSteps:
     def test_of_a_dwell_without_a_declared_angle_the_noise_of_its_reading_is_drawn(self) -> None:
         angles = np.where(np.arange(24) == 7, np.nan, self.data.angle_rad)
         fit = Fit.begin(replace(self.data, angle_rad=angles, fixture_rad=2e-4)).refit()
-        told = _uncertainty(fit, "angle")
+        told = view_uncertainty(fit, "angle")
         expected = np.where(np.arange(24) == 7, U / G, math.hypot(U / G, 2e-4))
         np.testing.assert_allclose(told, np.degrees(expected), rtol=1e-3)
 

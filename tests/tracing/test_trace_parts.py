@@ -29,10 +29,18 @@ from adis_gonio.tracing import averaging, selection as choice
 from adis_gonio.tracing.averaging import AveragedTerm, average
 from adis_gonio.tracing.credible_sets import CredibleSet, Names
 from adis_gonio.tracing.grammar import nameless_terms
-from adis_gonio.tracing.linear_problem import LinearProblem, _project_off_base, orthonormal
-from adis_gonio.tracing.model_search import Model, ModelPosterior, Search, _Beam, _present, search, weigh
+from adis_gonio.tracing.linear_problem import LinearProblem, orthonormal, project_off_base
+from adis_gonio.tracing.model_search import (
+    Beam,
+    Model,
+    ModelPosterior,
+    Search,
+    presence_probabilities,
+    search,
+    weigh,
+)
 from adis_gonio.tracing.named_candidates import named_terms
-from adis_gonio.tracing.proposals import _columns, _hypothesis, _prior
+from adis_gonio.tracing.proposals import fitted_hypothesis, parameter_prior, whitened_columns
 from adis_gonio.tracing.selection import select
 from adis_gonio.tracing.smooth_candidates import RING, Process, evidence, processes
 from adis_gonio.tracing.trace import disagreement_of, refuse_too_few, weak_names
@@ -369,7 +377,7 @@ class TestDesign:
     def test_what_is_rounding_beside_the_columns_of_its_own_term_is_no_direction(self) -> None:
         # Terms of two, one and two columns: 1e-14 is nothing beside 1, and all that there is by itself.
         sizes = np.array([1.0, 1e-14, 1e-14, 1e-14, 1.0, 1.0, 1e-14])
-        columns, length = _project_off_base(np.zeros((7, 0)), np.diag(sizes), np.array([2, 1, 2, 2]))
+        columns, length = project_off_base(np.zeros((7, 0)), np.diag(sizes), np.array([2, 1, 2, 2]))
         seen = np.array([True, False, True, False, True, True, False])
         np.testing.assert_allclose(columns, np.diag(seen.astype(float)))
         np.testing.assert_allclose(length, np.where(seen, sizes, 1.0))
@@ -392,7 +400,7 @@ class TestSearch:
         labels = [*(f"outlier_dwell[x](dwell={k})" for k in (3, 7)), "quadratic[x]", "quadratic[y]"]
         terms = [*(function(name, lambda c: c.time_s) for name in "abcd"), *labelled(data, *labels)]
         problem = replace(names_only(*"abcdefgh"), terms=tuple(terms))
-        return _Beam(Search(problem, np.zeros(8)), 1, 3, count)._widest(scores, count)
+        return Beam(Search(problem, np.zeros(8)), 1, 3, count)._widest(scores, count)
 
     def test_of_single_terms_the_best_of_each_name_and_axes_are_extended_however_far_behind(self) -> None:
         scores: dict[Model, float] = {(k,): -9.0 * k for k in reversed(range(8))}
@@ -476,7 +484,7 @@ class TestPosterior:
         terms = [named("cubic"), wave, *(named(name) for name in "abc")]
         shares = {(0, 1): 0.2, (0, 1, 2): 0.4, (0, 1, 3): 0.3, (0, 1, 4): 0.1}
         assert sum(shares.values()) > 1
-        names, covariates = _present(terms, shares)
+        names, covariates = presence_probabilities(terms, shares)
         assert (names["cubic"], covariates[("angle",)]) == (1.0, 1.0)
         assert names["b"] == 0.3
 
@@ -1151,9 +1159,9 @@ def test_what_a_model_knows_of_its_values_is_not_lost_to_rounding_where_columns_
     widths = [term.columns(data.mean, data.conditions).shape[-1] for term in terms]
     fit = Fit.begin(data).refit()
     fit = fit.with_terms(terms, [term.start(np.zeros(w)) for term, w in zip(terms, widths, strict=True)])
-    told, evidence = _hypothesis(fit, 1.0, 1.0)
-    rows = _columns(fit, fit.whitener).reshape(-1, len(told.root))
-    _, precision = _prior(fit, rows)
+    told, evidence = fitted_hypothesis(fit, 1.0, 1.0)
+    rows = whitened_columns(fit, fit.whitener).reshape(-1, len(told.root))
+    _, precision = parameter_prior(fit, rows)
     scaled = rows / np.sqrt(precision)
     assert scaled.shape[1] > 13
     # XᵀX + 1 has the variances 1/(s² + 1) along X's right singular vectors.

@@ -11,27 +11,27 @@ import pytest
 from adis_gonio.base.numbers import format_duration
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing.advice import place, sentences
-from adis_gonio.tracing.proposals import _information, _Predicted, _separations
+from adis_gonio.tracing.proposals import PredictedDwells, expected_separations, information_nats
 from adis_gonio.tracing.trace import trace
 from adis_gonio.tracing.trace_result import NextDwell
 
 RNG = np.random.default_rng(11)
 
 
-def predicted(means: list[float], spreads: list[float]) -> _Predicted:
+def predicted(means: list[float], spreads: list[float]) -> PredictedDwells:
     """One row, one parameter a hypothesis."""
-    return _Predicted(
+    return PredictedDwells(
         [np.array([[mean]]) for mean in means], [np.array([[[spread]]]) for spread in spreads]
     )
 
 
-def nothing(count: int) -> _Predicted:
-    return _Predicted([np.zeros((0, 1))] * count, [np.zeros((0, 1, 1))] * count)
+def nothing(count: int) -> PredictedDwells:
+    return PredictedDwells([np.zeros((0, 1))] * count, [np.zeros((0, 1, 1))] * count)
 
 
 def information(weights: list[float], means: list[float], spreads: list[float]) -> float:
     dwells = predicted(means, spreads)
-    return float(_information(np.array(weights), nothing(len(means)), dwells)[0])
+    return float(information_nats(np.array(weights), nothing(len(means)), dwells)[0])
 
 
 def test_information_is_nothing_between_equals_and_all_there_is_between_strangers():
@@ -63,7 +63,7 @@ def test_the_separation_is_the_chi2_that_the_wrong_model_leaves():
     """Excess of χ² of hypothesis j where i is true, against draws."""
     roots = [np.array([[[0.5, 0.0]], [[0.3, 0.2]]]), np.array([[[2.0, 0.0]], [[0.0, 1.0]]])]
     means = [np.array([[0.0], [1.0]]), np.array([[3.0], [-1.0]])]
-    apart = _separations(_Predicted(means, roots))
+    apart = expected_separations(PredictedDwells(means, roots))
     flat = [root.reshape(2, 2) for root in roots]
     covariance = [root @ root.T + np.eye(2) for root in flat]
     for i, j in ((0, 1), (1, 0)):

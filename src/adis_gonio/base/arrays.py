@@ -26,6 +26,17 @@ def wrap_radians(angle_rad: Angle) -> Angle:
     return (angle_rad + np.pi) % (2 * np.pi) - np.pi
 
 
+def rotation_matrices(vector_rad: Floats) -> Floats:
+    """Rotation matrices (..., 3, 3) for rotation vectors (..., 3) in rad, by Rodrigues' formula."""
+    x, y, z = np.moveaxis(np.asarray(vector_rad), -1, 0)
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    cross = np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+    # sin(a)/a and (1 − cos(a))/a², which exist at zero; numpy's sinc has a factor of π.
+    turns = np.sqrt(x * x + y * y + z * z)[..., None, None] / np.pi
+    return np.asarray(np.eye(3) + np.sinc(turns) * cross + np.sinc(turns / 2) ** 2 / 2 * (cross @ cross))
+
+
 def mean_direction(angle_rad: Floats) -> float:
     """Mean of the angles (n,) in radians: the direction of the sum of their unit vectors."""
     return float(np.angle(np.exp(1j * angle_rad).sum()))

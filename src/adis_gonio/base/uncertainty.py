@@ -97,7 +97,6 @@ def factor_over(variances: Floats, dof: float) -> float:
     Each error has Student's distribution with `dof`; if the variances differ much, the mixture has longer
     tails than each of them.
     """
-    from scipy.optimize import brentq
     from scipy.special import stdtr
 
     mean = float(variances.mean())
@@ -106,10 +105,15 @@ def factor_over(variances: Floats, dof: float) -> float:
     spread = np.sqrt(np.maximum(variances, 1e-12 * mean) / mean)
     nu = min(max(dof, 1.0), 1e9)
 
-    def missing(k: float) -> float:
-        return float((1 - 2 * stdtr(nu, -k / spread)).mean()) - COVERED
-
-    return float(brentq(missing, 0.0, coverage_factor(dof) * float(spread.max())))
+    # Bisection: the covered share rises with k, and scipy.optimize takes long to import.
+    low, high = 0.0, coverage_factor(dof) * float(spread.max())
+    for _ in range(60):
+        k = (low + high) / 2
+        if float((1 - 2 * stdtr(nu, -k / spread)).mean()) < COVERED:
+            low = k
+        else:
+            high = k
+    return high
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,11 @@ from adis_gonio.fitting.estimation.readings import ACCELEROMETER, GYRO, known_pa
 from adis_gonio.fitting.gyros.gyro_fit import METHOD as GYRO_METHOD, GyroFit, fit_gyro
 from adis_gonio.model import Session
 from adis_gonio.record.loading import load_session
-from adis_gonio.tracing.trace import trace as _trace
-from adis_gonio.tracing.trace_result import TraceResult
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
+    from adis_gonio.tracing.trace_result import TraceResult
 
 
 @overload
@@ -107,7 +106,9 @@ def trace(
     DataError, FitError
         See `adis_gonio.tracing.trace`.
     """
-    return _trace(_load(session, "trace"), max_effects, time_limit, part)
+    from adis_gonio.tracing.trace import trace as trace_session
+
+    return trace_session(_load(session, "trace"), max_effects, time_limit, part)
 
 
 def _load_gyros(

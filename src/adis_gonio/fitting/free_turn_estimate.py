@@ -247,9 +247,9 @@ class LeastSquaresProblem:
             [series.integral(rate), -series.time_s, -series.integral(unit), rate]
         )
         # Means in the windows, which make the fastest drifts smaller.
-        drifts, self.drift_prior = _drifts(series.time_s, series.length_s, floor_mg, MOST_DRIFTS)
+        drifts, self.drift_prior = drift_functions(series.time_s, series.length_s, floor_mg, MOST_DRIFTS)
         self.drifts: Floats = mean(drifts)
-        gyro, self.gyro_prior = _drifts(
+        gyro, self.gyro_prior = drift_functions(
             series.time_s, series.length_s, math.radians(GYRO_INSTABILITY_DPS), GYRO_DRIFTS
         )
         self._gyro_drifts = -series.integral(gyro)
@@ -334,7 +334,7 @@ class LeastSquaresProblem:
         return variances.gyro * np.diff(self.windows.centre_s) + np.square(_GAP_RATE * gap)
 
 
-def _drifts(time_s: Floats, length_s: float, floor: float, most: int) -> tuple[Floats, Floats]:
+def drift_functions(time_s: Floats, length_s: float, floor: float, most: int) -> tuple[Floats, Floats]:
     """Functions of time (n, k) that describe a drift, and the variance (k,) of each from 1/f noise.
 
     The 1/f noise is given by its Allan deviation `floor`. Each function has the mean zero.

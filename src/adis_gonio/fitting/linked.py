@@ -147,9 +147,9 @@ def _linked(session: Session, gyros: GyroCalibration | None = None) -> tuple[Rea
             )
         return readings, None
     try:
-        judged = _Judged.of(readings.training, found)
+        judged = JudgedLinks.of(readings.training, found)
     except (np.linalg.LinAlgError, UsageError):  # with few poses the fit can run to impossible axes
-        judged = _Judged(None, found.refused, "a fit with them does not converge")
+        judged = JudgedLinks(None, found.refused, "a fit with them does not converge")
     report = judged.report(calibrated=gyros is not None)
     if judged.links is None:
         return readings, report
@@ -160,7 +160,7 @@ def _linked(session: Session, gyros: GyroCalibration | None = None) -> tuple[Rea
 
 
 @dataclass(frozen=True)
-class _Judged:
+class JudgedLinks:
     """Links of a session that agree with gravity, and the refused ones.
 
     Attributes
@@ -184,7 +184,7 @@ class _Judged:
     linked: Determination | None = None
 
     @classmethod
-    def of(cls, readings: Readings, found: GyroLinks) -> _Judged:
+    def of(cls, readings: Readings, found: GyroLinks) -> JudgedLinks:
         """Compare the gyros' links with gravity, and remove the worst link until the others agree with it.
 
         No link is accepted if too many disagree.
@@ -261,7 +261,7 @@ def _settled(found: GyroLinks, links: Links, data: Readings) -> tuple[Links, Det
     values = found.prior.values
     linked = determine(replace(data, links=links))
     for _ in range(_PASSES):
-        moved = _gyros_of(linked.fit, found.prior)
+        moved = probable_gyros(linked.fit, found.prior)
         if float(np.max(np.abs(moved - values) / size)) < _SETTLED:
             break
         values = moved
@@ -277,7 +277,7 @@ def _alike(found: Links, links: Links) -> Links:
     return found.only(np.array([pair in wanted for pair in pairs]))
 
 
-def _gyros_of(fit: Fit, prior: GyroPrior) -> Floats:
+def probable_gyros(fit: Fit, prior: GyroPrior) -> Floats:
     """Most probable parameters (21,) of the gyros, given the fit with links and the prior."""
     links, rows = fit.link_rows, fit.modes
     assert links is not None

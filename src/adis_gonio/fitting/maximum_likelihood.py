@@ -59,7 +59,7 @@ def fit_ml(readings: Readings) -> FitResult:
         directions = "; ".join(format_directions(null, names))
         raise SingularError(
             f"{counted(len(readings), 'position')} cannot determine {' or '.join(wanted[:2])}: they "
-            f"contain no information on {directions}; {_advice(lost)}"
+            f"contain no information on {directions}; {advise_positions(lost)}"
         )
     warnings = [*readings.notes, *noise.notes, *_warnings(determination, held, lost, reported)]
     sources = _sources(readings, settled)
@@ -116,16 +116,18 @@ def _warnings(
         step = "1 mg" if name.startswith("bias") else "0.1°"
         moved = f": {step} of it moves {', '.join(moves)}" if moves else ""
         warnings.append(
-            f"{name} cannot be seen in these positions and was taken as zero{moved}; {_advice([name])}"
+            f"{name} cannot be seen in these positions and was taken as zero{moved}; "
+            f"{advise_positions([name])}"
         )
     if determination.null.shape[1]:
         for direction in format_directions(determination.null, names):
             warnings.append(f"not determined by these positions: {direction}")
-        warnings.append(f"left out because not determined: {', '.join(lost)}; {_advice(lost)}")
+        warnings.append(f"left out because not determined: {', '.join(lost)}; {advise_positions(lost)}")
     return warnings
 
 
-def _advice(names: list[str]) -> str:
+def advise_positions(names: list[str]) -> str:
+    """Advice on positions that determine the parameters with these names."""
     if any(name.startswith("skew") for name in names) and not any(n.startswith("scale") for n in names):
         return "measure positions that share gravity between the two axes"
     axes = sorted({name[-1] for name in names if name.startswith(("bias", "scale"))})

@@ -298,7 +298,7 @@ def predicted(
     n = len(data)
     columns = 2 if data.planar else 1
     angle, residual = np.full(n, np.nan), np.full((n, columns), np.nan)
-    for left_out in _folds(used):
+    for left_out in held_out_groups(used):
         if used[left_out].any():
             try:
                 model = again(np.isin(np.arange(n), left_out))
@@ -338,7 +338,7 @@ def _shown(fit: Fit) -> Floats:
     return np.where(np.isfinite(fit.data.angle_rad), shown, np.nan)
 
 
-def _folds(used: NDArray[np.bool_]) -> Iterator[NDArray[np.intp]]:
+def held_out_groups(used: NDArray[np.bool_]) -> Iterator[NDArray[np.intp]]:
     """Yield the groups of dwells that cross-validation leaves out together.
 
     Dwells that the method does not use form one group.

@@ -108,7 +108,7 @@ def settle(readings: Readings) -> Settled:
     if dof > 0 and chi2 > chi2_quantile(dof, _EXCESS):
         low, high = 1e-7 * readings.gravity_mg, readings.gravity_mg
         # Solve χ²(extra) = dof for the additional standard deviation.
-        extra = _equal_to_dof(lambda s: follow(replace(noise, extra_mg=s)).chi2, dof, low, high)
+        extra = scale_at_dof(lambda s: follow(replace(noise, extra_mg=s)).chi2, dof, low, high)
         ratio = math.sqrt(chi2 / dof)
         note = (
             f"the residual is {ratio:.3g} times what the noise within the dwells explains (chi2 "
@@ -153,7 +153,7 @@ def _settle_unknown(readings: Readings, first: Settled) -> Settled:
     least = scale = max(math.sqrt(float(own.mean())), _LEAST_SCALE)
     if added > 0:
         follow, tested = _Follow(readings, determination), first.determination.fit.chi2
-        scale = _equal_to_dof(
+        scale = scale_at_dof(
             lambda s: follow(replace(first.noise, scale=s)).chi2 - tested, added, least, _LARGEST_SCALE
         )
     given = (
@@ -230,7 +230,7 @@ def _unknown_readings(
             "more positions"
         )
         return replace(noise, known=False, notes=tuple(notes))
-    scale = _equal_to_dof(lambda s: follow(replace(noise, scale=s)).chi2, dof, _LEAST_SCALE, _LARGEST_SCALE)
+    scale = scale_at_dof(lambda s: follow(replace(noise, scale=s)).chi2, dof, _LEAST_SCALE, _LARGEST_SCALE)
     if scale <= _LEAST_SCALE:
         notes.append(
             "the noise of a reading is unknown and the model fits all readings exactly: no "
@@ -288,7 +288,7 @@ def chi2_quantile(dof: int, level: float) -> float:
     return float(chdtri(dof, level))
 
 
-def _equal_to_dof(cost: Callable[[float], float], dof: int, low: float, high: float) -> float:
+def scale_at_dof(cost: Callable[[float], float], dof: int, low: float, high: float) -> float:
     """Standard deviation between `low` and `high` at which χ² equals its degrees of freedom.
 
     `cost` gives χ², which decreases. Without a solution, return an end of the range.

@@ -37,7 +37,7 @@ _G = STANDARD_GRAVITY_MPS2
 _PER_S2 = r"\metre\second\tothe{-2}"
 _DPS = r"\degree\second\tothe{-1}"
 # Unit of a result → unit of D-SI, and the conversion factor.
-_UNITS: dict[str, tuple[str, float]] = {
+SI_UNITS: dict[str, tuple[str, float]] = {
     "1": (r"\one", 1.0),
     "deg": (r"\degree", 1.0),
     "mg": (_PER_S2, _G / 1000),
@@ -357,9 +357,9 @@ def _label(name: str) -> str:
 
 
 def _real(parent: ET.Element, one: Coefficient) -> None:
-    if one.unit not in _UNITS:
+    if one.unit not in SI_UNITS:
         raise FitError(f"{one.name} is in {one.unit}: no SI unit for the certificate is known")
-    unit, factor = _UNITS[one.unit]
+    unit, factor = SI_UNITS[one.unit]
     real = _add(parent, "real", space=SI)
     _add(real, "value", repr(one.value * factor), SI)
     _add(real, "unit", unit, SI)

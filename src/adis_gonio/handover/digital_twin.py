@@ -328,6 +328,8 @@ def _settings(fit: Fit, gyro: GyroCalibration | None = None) -> WorldSettings:
 
 _OPENING_S = 5.0
 """Time of the world at which the session begins, after the driver has opened the sensor."""
+_BLOCK_SCANS = 4096
+"""Scans in a block: a simulated sensor takes long for each block, and none to fill it."""
 _REGISTERS = (*ACCEL_OUT, "XTEMP_OUT", "SUPPLY_OUT")
 
 
@@ -376,7 +378,7 @@ def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
             bus.sleep_s(max(start_s - bus.now_s(), settle_s, 0.5))
             length_s = float(dwell.time_s[-1] - dwell.time_s[0])
             count = max(2, round(length_s / period_s) + 1)
-            block = sensor.read_scans(count, names)
+            block = sensor.read_scans(count, names, block_scans=_BLOCK_SCANS)
             dwells.append(
                 replace(
                     dwell,

@@ -193,6 +193,7 @@ def turns_of_recording(recording: Dwell, dwells: Sequence[Dwell]) -> tuple[Turn,
                 _rows(recording.gyro, rows),
                 _rows(recording.temperature_c, rows),
                 _rows(recording.supply_v, rows),
+                turned_deg=after.turned_deg,
                 temperatures_c=_rows(recording.temperatures_c, rows),
             )
         )
@@ -319,6 +320,8 @@ class Dwell:
         Temperatures of the three gyros' dies, if all three were recorded.
     first_row : int or None
         First row of the dwell in the file, for messages.
+    turned_deg : float or None
+        Declared angle of the turn that led here from the dwell before; see `Turn`.
     """
 
     position: int
@@ -332,6 +335,7 @@ class Dwell:
     supply_v: Floats | None = None
     first_row: int | None = None
     temperatures_c: Floats | None = None
+    turned_deg: float | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -347,6 +351,7 @@ class Dwell:
             "time_s": self.time_s,
             "position": np.full(n, self.position),
             "angle_deg": np.full(n, np.nan if self.angle_deg is None else self.angle_deg),
+            "turned_deg": np.full(n, np.nan if self.turned_deg is None else self.turned_deg),
             "approach": np.full(n, self.approach),
             "use": np.full(n, self.use),
         }
@@ -392,7 +397,7 @@ class Session(ComputedOnce):
     cut_by_stillness : bool
         True if the dwells were cut out of a continuous recording, so that rest is not declared.
     recording : Dwell or None
-        The whole continuous recording, including the samples between dwells.
+        The whole recording of a file that has samples between its dwells.
     free_turn : bool
         True if the recording is one turn without declared angles; there may then be no dwells.
     facts : mapping
@@ -452,7 +457,7 @@ class Session(ComputedOnce):
     def turns(self) -> tuple[Turn, ...]:
         """Turns (samples between successive dwells); read from the file when first asked for.
 
-        Empty if the file has nothing between its dwells, as a samples CSV with positions.
+        Empty if the file has nothing between its dwells.
         """
         if self.turns_from is not None:
             here = {dwell.position for dwell in self.dwells}

@@ -237,12 +237,17 @@ class ArchiveView(Closing):
         DataError
             A block is missing or has a wrong checksum; the message names it.
         """
-        rows = self._rows("blocks", "sequence", "attempt", attempt.number)
-        if len(rows) != attempt.blocks:
+        of_phase = {} if phase is None else {"phase": phase}
+        rows = self._rows("blocks", "sequence", attempt=attempt.number, **of_phase)
+        with database.translated_errors(self.path):
+            (stored,) = self._connection.execute(
+                "SELECT COUNT(*) FROM blocks WHERE attempt = ?", (attempt.number,)
+            ).fetchone()
+        if stored != attempt.blocks:
             raise database.damaged(
-                self.path, f"{len(rows)} of {attempt.blocks} blocks of attempt {attempt.number}"
+                self.path, f"{stored} of {attempt.blocks} blocks of attempt {attempt.number}"
             )
-        return [self._block(attempt, row) for row in rows if phase in (None, row["phase"])]
+        return [self._block(attempt, row) for row in rows]
 
     def _block(self, attempt: StoredAttempt, row: JsonDict) -> Block:
         where = f"block {row['sequence']} of attempt {attempt.number}"
@@ -304,19 +309,20 @@ class ArchiveView(Closing):
         """Close the file; may be called twice."""
         self._connection.close()
 
-    def _rows(
-        self, table: str, order: str, column: str = "1", value: int = 1, kind: str | None = None
-    ) -> list[JsonDict]:
+    def _rows(self, table: str, order: str, kind: str | None = None, **where: int | str) -> list[JsonDict]:
         """Checked rows of a table, each by column name, without checksums.
+
+        `where` gives values of columns that the rows must have.
 
         All reads go through this method: it checks each value against the type and range that
         `archive_tables` declares, and parses JSON. Records of other kinds than `kind` are left out after
         their checksum was checked.
         """
         checked, characters = [], 0
+        conditions = " AND ".join(f"{column} = ?" for column in where) or "1"
         with database.translated_errors(self.path):
             rows = self._connection.execute(
-                f"SELECT * FROM {table} WHERE {column} = ? ORDER BY {order}", (value,)
+                f"SELECT * FROM {table} WHERE {conditions} ORDER BY {order}", tuple(where.values())
             )
             # One row at a time: a bad row is refused before the next row is read into memory.
             for number, row in enumerate(rows, start=1):

@@ -92,6 +92,16 @@ _GYRO_UNITS = {
     **_unit("counts", "count", "counts", "digit", "digits", "raw", "adc", "lsb"),
 }
 
+_ANGLE_UNITS = {
+    **_unit("deg", "deg", "°", "degree", "degrees"),
+    **_unit("rad", "rad", scale=(57.29577951308232, 1.0, 0.0)),
+}
+
+
+def _angle_text(angle_deg: float) -> str:
+    return "" if math.isnan(angle_deg) else number_text(angle_deg)
+
+
 COLUMNS: dict[str, SamplesColumn] = {
     "time_s": SamplesColumn(
         ("time", "t", "timestamp", "zeit", "elapsed", "seconds", "datetime", "date_time"),
@@ -106,15 +116,9 @@ COLUMNS: dict[str, SamplesColumn] = {
     ),
     "position": SamplesColumn(("pos", "dwell", "pose"), largest=1e9, per_dwell=True),
     "angle_deg": SamplesColumn(
-        ("angle", "theta", "θ", "winkel"),
-        {
-            **_unit("deg", "deg", "°", "degree", "degrees"),
-            **_unit("rad", "rad", scale=(57.29577951308232, 1.0, 0.0)),
-        },
-        largest=1e6,
-        per_dwell=True,
-        text=lambda angle: "" if math.isnan(angle) else number_text(angle),
+        ("angle", "theta", "θ", "winkel"), _ANGLE_UNITS, largest=1e6, per_dwell=True, text=_angle_text
     ),
+    "turned_deg": SamplesColumn(("turned",), _ANGLE_UNITS, largest=1e6, per_dwell=True, text=_angle_text),
     "approach": SamplesColumn(per_dwell=True, text=lambda sign: f"{sign:+d}" if sign else ""),
     **{f"a{axis}": _axis(axis, _ACCEL, _ACCEL_UNITS) for axis in "xyz"},
     **{f"g{axis}": _axis(axis, _GYRO, _GYRO_UNITS) for axis in "xyz"},

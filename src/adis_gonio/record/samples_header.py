@@ -646,6 +646,11 @@ class _Assignment:
         missing = [name for name in ("time_s", "ax", "ay") if name not in chosen]
         if not missing:
             return
+        if set(GYROS) <= set(chosen) and not set(AXES) & set(chosen):
+            raise self._fail(
+                "gyros without accelerometers: a fit of the gyros needs ax, ay and az too, for the vertical"
+                " and the g-sensitivity; add these columns"
+            )
         spare = [cell for cell in self.cells if cell and recognise_column(cell) is None]
         hint = ""
         if spare:

@@ -17,6 +17,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -510,8 +511,11 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
         raise DataError(f"{path.name}: column 'az' is missing; plane 'none' needs ax, ay and az")
     recording: Dwell | None = None
     free, notes = False, list[str]()
-    if "position" in table.runs:
+    by_position = "position" in table.runs
+    if by_position:
         numbers, slices = _dwells_by_position(table)
+        if sum(rows.stop - rows.start for rows in slices) < len(table):
+            recording = _dwell(table, 0, slice(0, len(table)))
     else:
         recording = _dwell(table, 0, slice(0, len(table)))
         slices, notes, free = _dwells_by_stillness(path.name, recording)
@@ -520,15 +524,19 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
     angle = _per_dwell(table, "angle_deg", slices, _angle, remarks)
     approach = _per_dwell(table, "approach", slices, _approach, remarks)
     use = _per_dwell(table, "use", slices, _use, remarks)
+    turned = _per_dwell(table, "turned_deg", slices, partial(_angle, name="turned_deg"), remarks)
     dwells = tuple(
-        _dwell(table, number, rows, angle_deg=angle[k], approach=approach[k] or 0, use=use[k] or "fit")
+        _dwell(
+            table, number, rows,
+            angle_deg=angle[k], approach=approach[k] or 0, use=use[k] or "fit", turned_deg=turned[k],
+        )
         for k, (number, rows) in enumerate(zip(numbers, slices, strict=True))
-    )
+    )  # fmt: skip
     session = Session(
         dwells=dwells,
         source=str(path),
         notes=(*table.notes, *notes, *remarks.notes(free=free)),
-        cut_by_stillness=recording is not None,
+        cut_by_stillness=not by_position,
         recording=recording,
         free_turn=free,
         **settings,
@@ -572,12 +580,18 @@ def _dwells_by_stillness(file: str, recording: Dwell) -> tuple[list[slice], list
 
 
 def _dwells_by_position(table: SamplesTable) -> tuple[list[int], list[slice]]:
+    """Number and rows of each dwell; rows without a position are the way from one dwell to the next."""
     numbers: list[int] = []
-    starts: list[int] = []
+    slices: list[slice] = []
     seen: dict[int, int] = {}
-    for row, text in table.runs["position"]:
+    runs = table.runs["position"]
+    ends = [*(row for row, _ in runs[1:]), len(table)]
+    for (row, text), end in zip(runs, ends, strict=True):
+        if not text.strip():
+            continue
         number = _position(table, row, text)
-        if numbers and numbers[-1] == number:
+        if numbers and numbers[-1] == number and slices[-1].stop == row:
+            slices[-1] = slice(slices[-1].start, end)
             continue
         if number in seen:
             raise table.fail(
@@ -589,9 +603,10 @@ def _dwells_by_position(table: SamplesTable) -> tuple[list[int], list[slice]]:
             raise table.fail(row, f"more than {counted(MOST_DWELLS, 'position')}: divide the file")
         seen[number] = table.line_of(row)
         numbers.append(number)
-        starts.append(row)
-    ends = [*starts[1:], len(table)]
-    return numbers, [slice(a, b) for a, b in zip(starts, ends, strict=True)]
+        slices.append(slice(row, end))
+    if not numbers:
+        raise table.fail(0, "column 'position' is empty: number the dwells, or remove the column")
+    return numbers, slices
 
 
 def _position(table: SamplesTable, row: int, text: str) -> int:
@@ -721,12 +736,12 @@ def _one_value(
     return value
 
 
-def _angle(table: SamplesTable, text: str) -> float:
+def _angle(table: SamplesTable, text: str, name: str = "angle_deg") -> float:
     try:
-        value = table.number("angle_deg", text)
+        value = table.number(name, text)
     except ValueError:
         raise ValueError("is not an angle in degrees") from None
-    if not abs(value) <= COLUMNS["angle_deg"].largest:
+    if not abs(value) <= COLUMNS[name].largest:
         raise ValueError("is no angle of a stage; leave it empty if it is unknown")
     return value
 

@@ -10,9 +10,9 @@ import gzip
 import json
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from itertools import chain
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any, Self
 
@@ -20,7 +20,7 @@ import numpy as np
 
 from adis_gonio.base.errors import DataError, OutputError, SessionError, UsageError
 from adis_gonio.base.output import ends_in, exists_error, replacing, write_utf8
-from adis_gonio.model.records import METADATA, STANDARD_GRAVITY_MPS2, AccelUnit, Dwell, Session
+from adis_gonio.model.records import METADATA, STANDARD_GRAVITY_MPS2, AccelUnit, Dwell, Session, Turn
 from adis_gonio.record.blocks import GENERIC, Block, session_columns
 from adis_gonio.record.plans import Plan
 from adis_gonio.record.samples_columns import COLUMNS, KEYS, without_formulas
@@ -30,7 +30,7 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
     """Write a session as samples CSV, gzipped if the name ends in `.gz`.
 
     Numbers are written with the fewest digits that give the same float again. Columns that no dwell has
-    are left out.
+    are left out. Samples between two dwells are rows without a position.
 
     Raises
     ------
@@ -41,15 +41,16 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
     dwells = session.sampled
     if not dwells:
         raise DataError(f"{path.name}: the session has no dwell to write")
+    turns = {turn.position: turn for turn in session.turns if len(turn)}
+    declared = {number: turn.turned_deg for number, turn in turns.items()}
+    dwells = tuple(replace(d, turned_deg=declared.get(d.position, d.turned_deg)) for d in dwells)
     names = _columns_to_write(dwells, path.name)
     if session.free_turn:  # without the column the file is one continuous recording
         names.remove("position")
     stated = {name: getattr(session, name, None) for name in KEYS}
     lines = _leading_lines({name: value for name, value in stated.items() if value not in (None, "")})
     lines += [f"# note: {without_formulas(' '.join(note.split()))}" for note in session.notes]
-    data = _file_text(lines, names, chain.from_iterable(_rows(names, dwell) for dwell in dwells)).encode(
-        "utf-8", "replace"
-    )
+    data = _file_text(lines, names, _all_rows(names, dwells, turns)).encode("utf-8", "replace")
     if ends_in(path, ".gz"):
         data = gzip.compress(data, compresslevel=6, mtime=0)
     path.write_bytes(data)
@@ -84,16 +85,37 @@ def _columns_to_write(dwells: tuple[Dwell, ...], file: str) -> list[str]:
     return names
 
 
-def _rows(names: list[str], dwell: Dwell) -> Iterator[tuple[str, ...]]:
-    """Yield the rows of a dwell as texts, one text for each named column."""
-    columns, texts = dwell.columns(), []
+def _all_rows(
+    names: list[str], dwells: Sequence[Dwell], turns: Mapping[int, Turn]
+) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of all dwells and of the turns between them, one after another."""
+    for before, dwell in zip([None, *dwells], dwells, strict=False):
+        if before is not None and dwell.position in turns:
+            part = _between(before, turns[dwell.position], dwell)
+            # A turn that lacks a column of the file, such as the gyros, is left out.
+            if set(names) <= part.columns().keys():
+                yield from _rows(names, part, between=True)
+        yield from _rows(names, dwell)
+
+
+def _rows(names: list[str], part: Dwell, *, between: bool = False) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of a dwell, or of samples between dwells, as texts, one for each named column."""
+    columns, texts = part.columns(), []
     for name in names:
         column, values = COLUMNS[name], columns[name].tolist()
         if column.per_dwell:
-            texts.append([column.text(values[0])] * len(values))
+            texts.append(["" if between else column.text(values[0])] * len(values))
         else:
             texts.append(list(map(column.text, values)))
     return zip(*texts, strict=True)
+
+
+def _between(before: Dwell, turn: Turn, after: Dwell) -> Dwell:
+    """Samples of a turn that lie between two dwells in time."""
+    inside = (turn.time_s > before.time_s[-1]) & (turn.time_s < after.time_s[0])
+    series = {n: getattr(turn, n) for n in ("time_s", "accel", "gyro", "temperature_c", "supply_v")}
+    cut: dict[str, Any] = {n: None if rows is None else rows[inside] for n, rows in series.items()}
+    return Dwell(0, **cut)
 
 
 # No line of help has a colon: it would be a key.

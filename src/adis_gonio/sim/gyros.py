@@ -17,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, rotation_matrices
 from adis_gonio.base.errors import UsageError
 from adis_gonio.device.sensor.registers import Confidence
 from adis_gonio.device.sensor.variants import Performance
@@ -226,15 +226,7 @@ def _sensitivity(settings: WorldSettings) -> Floats:
     own = np.sqrt(1 - beside)
     sensitivity = gains[:, None] * (misalignment + np.diag(own))
     turned = np.radians([getattr(settings, f"gyro_triad_{axis}_deg") for axis in AXES])
-    return np.asarray(sensitivity @ _rotation(turned).T if turned.any() else sensitivity)
-
-
-def _rotation(vector_rad: Floats) -> Floats:
-    """Rotation matrix (3, 3) for a rotation vector in rad, by Rodrigues' formula."""
-    angle = float(np.linalg.norm(vector_rad))
-    x, y, z = vector_rad / angle
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
+    return np.asarray(sensitivity @ rotation_matrices(turned).T if turned.any() else sensitivity)
 
 
 _OTHERS = tuple(a + b for a, b in itertools.permutations(AXES, 2))

@@ -312,7 +312,7 @@ def undecided(selection: Selection, count: int = 5) -> tuple[str, ...]:
     are included; the variants of a name are summed, each weighted by its share of the prior. The most
     probable comes first. None of these names is accepted.
     """
-    from scipy import stats
+    from scipy.special import fdtrc
 
     problem: LinearProblem = selection.problem
     basis, residual = span(problem, selection.verdict.best)
@@ -328,7 +328,7 @@ def undecided(selection: Selection, count: int = 5) -> tuple[str, ...]:
             continue
         # F statistic of the added columns; the noise is the remaining residual.
         left = max(chi2 - float(gains[k]), 1e-12 * chi2)
-        p = float(stats.f.sf(float(gains[k]) / width / (left / (dof - width)), width, dof - width))
+        p = float(fdtrc(width, dof - width, max(float(gains[k]), 0.0) / width / (left / (dof - width))))
         least_p = min(least_p, p)
         # Likelihood with the noise fitted, times the prior: (χ² after / χ² before)^(−dof/2) · exp(−price).
         price = float(problem.cost[k] + problem.column_price[k])

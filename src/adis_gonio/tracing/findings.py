@@ -65,7 +65,7 @@ def dof_of(selection: Selection) -> float:
 
 def finding_of(selection: Selection, name: str, averaged: Averaged | None = None) -> Finding:
     """Return the finding for a named effect of the chosen model: its parameters and its test."""
-    from scipy import stats
+    from scipy.special import chdtrc
 
     problem = selection.problem
     members = [k for k in selection.verdict.best if problem.terms[k].name == name]
@@ -96,7 +96,7 @@ def finding_of(selection: Selection, name: str, averaged: Averaged | None = None
     # The prior distributes the test level: a name has a far greater share of it than one of thousands
     # of unnamed functions (weighted Bonferroni; Genovese, Roeder and Wasserman, Biometrika 93, 2006).
     share = float(np.exp(-sum(problem.cost[k] for k in members)))
-    p = float(stats.chi2.sf(gain / selection.inflation, width)) / share
+    p = float(chdtrc(width, gain / selection.inflation)) / share
     same = [
         " + ".join(sorted({problem.terms[k].shown_as for k in m}))
         for m in selection.verdict.same.get(selection.verdict.best, [])
@@ -145,7 +145,7 @@ def _explained_chi2(selection: Selection, members: Sequence[int]) -> tuple[float
 
 def unnamed_of(selection: Selection, averaged: Averaged | None) -> Unnamed | None:
     """Return the unnamed part of the result, from the model's unnamed terms or the average of them."""
-    from scipy import stats
+    from scipy.special import chdtrc
 
     problem, verdict = selection.problem, selection.verdict
     members = [k for k in verdict.best if isinstance(problem.terms[k], NamelessTerm)]
@@ -160,7 +160,7 @@ def unnamed_of(selection: Selection, averaged: Averaged | None) -> Unnamed | Non
             form="; ".join(forms),
             explains=0.0,
             probability=min(verdict.covariates.get(term.covariates, 0.0) for term in terms),
-            p_value=min(1.0, float(stats.chi2.sf(gain / selection.inflation, width)) / share),
+            p_value=min(1.0, float(chdtrc(width, gain / selection.inflation)) / share),
         )
     if averaged is not None:
         smooth = averaged.smooth

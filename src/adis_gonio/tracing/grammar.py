@@ -393,7 +393,7 @@ def _scaled(values: Floats) -> tuple[float, float]:
     return float(middle), float(half)
 
 
-def _knots(values: Floats, count: int) -> list[float]:
+def step_places(values: Floats, count: int) -> list[float]:
     """Return values between the observed values of a covariate, as places for a step.
 
     They are at even quantiles, with at least two dwells on either side, because a step that separates a
@@ -483,7 +483,7 @@ def _of_scalar(
 
     for form, function in curves.items():
         yield from _both(family, form, about(function), named if function is line_shape else ())
-    yield from course.steps_and_knees(_knots(values, 12))
+    yield from course.steps_and_knees(step_places(values, 12))
     for rate in (-3.0, -1.5, 1.5, 3.0):
         yield from _both(family, f"exp({rate / half:+.3g} {letter})", course.inside(growth_shape(rate)))
     yield from course.bumps((0.2, 0.45), 2)
@@ -500,7 +500,7 @@ def _of_time(data: Readings) -> Iterator[_Made]:
     yield from _both("time", "t²", lambda c: (c.time_s / length) ** 2)
     yield from _both("time", "t³", lambda c: (c.time_s / length) ** 3)
     yield from _both("time", "√t", lambda c: np.sqrt(np.maximum(c.time_s, 0) / length))
-    yield from course.steps_and_knees(_knots(time, 60))
+    yield from course.steps_and_knees(step_places(time, 60))
     for tau in np.geomspace(0.1, 2.0, 6).tolist():
         decay, growth = (course.inside(approach_shape(tau, sign)) for sign in (-1.0, 1.0))
         yield from _both("time", f"exp(−t/{length * tau:.3g} s)", decay, ("bias",))

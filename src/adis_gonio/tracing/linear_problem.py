@@ -244,7 +244,7 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
     y = y - base @ (base.T @ y)
 
     raw, widths = fit.candidates(terms)
-    columns, length = _project_off_base(base, fit.white(raw), widths)
+    columns, length = project_off_base(base, fit.white(raw), widths)
     spread = amplitude_spreads(fit.data.model, terms, widths)
     chosen, width, together, back, prior = _orthonormal_blocks(columns, length, spread, widths)
     first = (np.cumsum(width) - width).astype(np.intp)
@@ -265,7 +265,7 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
     return free._with_prior(prior, 1.0)
 
 
-def _project_off_base(base: Floats, columns: Floats, widths: NDArray[np.intp]) -> tuple[Floats, Floats]:
+def project_off_base(base: Floats, columns: Floats, widths: NDArray[np.intp]) -> tuple[Floats, Floats]:
     """Return the part of columns outside the base model's span, scaled to unit length, and the lengths."""
     before = np.linalg.norm(columns, axis=0)
     # A column of rounding errors (the sixth harmonic's sine on a grid of 30°) is set to zero.

@@ -129,7 +129,7 @@ def search(
     found.scores[()] = 0.0
     found.promise = np.full(len(problem.terms), -np.inf)
     if problem.terms:
-        _Beam(found, spare, max_terms, beam).run()
+        Beam(found, spare, max_terms, beam).run()
     return found
 
 
@@ -142,7 +142,7 @@ class _Joining:
     products: Products
 
 
-class _Beam:
+class Beam:
     """A beam search for models, with its present state."""
 
     def __init__(self, found: Search, spare: int, max_terms: int, width: int) -> None:
@@ -335,7 +335,7 @@ def weigh(found: Search) -> ModelPosterior:
     each = posterior(found)
     same = _classes(found, list(each))
     weights = {m: sum(each[k] for k in (m, *others)) for m, others in same.items()}
-    names, covariates = _present(terms, weights)
+    names, covariates = presence_probabilities(terms, weights)
     # The result reports names and covariates: choose the best set of these, then its best model.
     skeletons: dict[Skeleton, float] = defaultdict(float)
     for model, weight in weights.items():
@@ -345,7 +345,7 @@ def weigh(found: Search) -> ModelPosterior:
     return ModelPosterior(best, weights, same, names, covariates)
 
 
-def _present(
+def presence_probabilities(
     terms: Sequence[Term], weights: Mapping[Model, float]
 ) -> tuple[dict[str, float], dict[tuple[str, ...], float]]:
     """Return the probability that each name is present, and for each set of covariates a function."""

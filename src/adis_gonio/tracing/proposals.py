@@ -223,7 +223,7 @@ def _rivals(selection: Selection) -> list[Hypothesis]:
             break
         together += weight[names]
         fit = selection.fit if names == ours else fit_model(problem, best[names], selection.fit)
-        out.append(_hypothesis(fit, weight[names], selection.inflation)[0])
+        out.append(fitted_hypothesis(fit, weight[names], selection.inflation)[0])
     return _normalised(out)
 
 
@@ -257,7 +257,7 @@ def _extended(
 
     The weights are the prior share times the evidence of the session.
     """
-    base, evidence = _hypothesis(selection.fit, 1.0, inflation)
+    base, evidence = fitted_hypothesis(selection.fit, 1.0, inflation)
     pairs = [(base, evidence)]
     chosen = selection.fit
     inside = set(base.labels)
@@ -266,7 +266,7 @@ def _extended(
             continue
         absent = term.start(np.zeros(len(term.amplitudes)))
         fit = chosen.with_terms((*chosen.terms, term), (*chosen.values.terms, absent))
-        pairs.append(_hypothesis(fit, UNSEEN, inflation))
+        pairs.append(fitted_hypothesis(fit, UNSEEN, inflation))
     top = max(found for _, found in pairs)
     return [replace(h, weight=h.weight * float(np.exp(found - top))) for h, found in pairs]
 
@@ -290,15 +290,15 @@ def widest_terms(terms: Sequence[Term]) -> dict[str, NamedTerm]:
     return out
 
 
-def _hypothesis(fit: Fit, weight: float, inflation: float) -> tuple[Hypothesis, float]:
+def fitted_hypothesis(fit: Fit, weight: float, inflation: float) -> tuple[Hypothesis, float]:
     """Return the hypothesis that a fitted model is true, and its log evidence.
 
     The posterior of the parameters assumes priors of physically plausible size.
     """
-    columns = _columns(fit, fit.whitener / np.sqrt(inflation))
+    columns = whitened_columns(fit, fit.whitener / np.sqrt(inflation))
     flat = columns.reshape(-1, columns.shape[2])
     left = fit.residual.ravel() / np.sqrt(inflation)
-    mean, precision = _prior(fit, flat)
+    mean, precision = parameter_prior(fit, flat)
     away = mean - fit.values.parameters
     # In units of the prior's standard deviations, so that the matrix is well scaled.
     unit = 1 / np.sqrt(precision)
@@ -314,7 +314,7 @@ def _hypothesis(fit: Fit, weight: float, inflation: float) -> tuple[Hypothesis, 
     return Hypothesis(_labels(fit.terms), weight, fit, unit * step, root, chi2), evidence
 
 
-def _prior(fit: Fit, flat: Floats) -> tuple[Floats, Floats]:
+def parameter_prior(fit: Fit, flat: Floats) -> tuple[Floats, Floats]:
     """Return the mean and inverse variance (p,) of the prior of each parameter.
 
     The prior is wide for base parameters, and has the typical physical size for effects.
@@ -340,7 +340,7 @@ def _prior(fit: Fit, flat: Floats) -> tuple[Floats, Floats]:
     return np.concatenate(means), 1 / np.concatenate(sigmas) ** 2
 
 
-def _columns(fit: Fit, whiten: Floats) -> Floats:
+def whitened_columns(fit: Fit, whiten: Floats) -> Floats:
     """Return the derivatives (n, rows, p) of the whitened readings with respect to all parameters."""
     columns = whiten @ fit.columns
     return np.clip(np.nan_to_num(columns, posinf=FAR, neginf=-FAR), -FAR, FAR)
@@ -355,7 +355,7 @@ def _normalised(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
 
 
 @dataclass(frozen=True)
-class _Predicted:
+class PredictedDwells:
     """Whitened readings of n dwells predicted by each hypothesis, with roots of their covariances.
 
     Per hypothesis the means are (n, rows) and the roots (n, rows, p).
@@ -364,12 +364,13 @@ class _Predicted:
     mean: list[Floats]
     root: list[Floats]
 
-    def of(self, k: int) -> _Predicted:
-        return _Predicted([m[k : k + 1] for m in self.mean], [r[k : k + 1] for r in self.root])
+    def of(self, k: int) -> PredictedDwells:
+        """Dwell k alone."""
+        return PredictedDwells([m[k : k + 1] for m in self.mean], [r[k : k + 1] for r in self.root])
 
-    def after(self, other: _Predicted) -> _Predicted:
+    def after(self, other: PredictedDwells) -> PredictedDwells:
         """Return the predictions of `other`, followed by these."""
-        return _Predicted(
+        return PredictedDwells(
             [np.concatenate(pair) for pair in zip(other.mean, self.mean, strict=True)],
             [np.concatenate(pair) for pair in zip(other.root, self.root, strict=True)],
         )
@@ -392,28 +393,28 @@ def _greedy(
         return places, out
     weights = np.array([h.weight for h in hypotheses])
     sizes, rows = [len(h.shift) for h in hypotheses], data.equations_each
-    set_of = _Predicted([np.zeros((0, rows)) for _ in sizes], [np.zeros((0, rows, p)) for p in sizes])
+    set_of = PredictedDwells([np.zeros((0, rows)) for _ in sizes], [np.zeros((0, rows, p)) for p in sizes])
     for count, place in enumerate(before):
         there = _predict(data, inflation, hypotheses, [place], before[:count])
         set_of = there.after(set_of)
-    known = float(_information(weights, set_of, None)[0])
+    known = float(information_nats(weights, set_of, None)[0])
     while len(out) < most:
         check()
         options = _options(data)
         predicted = _predict(data, inflation, hypotheses, options, places)
-        gain = _information(weights, set_of, predicted) - known
+        gain = information_nats(weights, set_of, predicted) - known
         effort = np.array([place.effort for place in options])
         # Another temperature or supply adds further effects: use it only if no position decides.
         conditions = np.array([place.conditions for place in options])
         ranked = np.argsort(-gain / effort)
-        apart_before = _separations(set_of)
+        apart_before = expected_separations(set_of)
         places_first = ranked[~conditions[ranked]][:20].tolist()
         for k in (*places_first, *(ranked[conditions[ranked]][:20].tolist() if heating else ())):
             # Skip gains near zero, whose ranking depends on the grid's order and on rounding.
             if gain[k] < LEAST_INFORMATION[purpose] * min(least / LEAST_SEPARATION, 1.0) ** 2:
                 continue
             with_it = predicted.of(k).after(set_of)
-            apart = _separations(with_it) - apart_before
+            apart = expected_separations(with_it) - apart_before
             worth = _separated_pair(weights, apart, options[k].conditions, least)
             if worth is not None:
                 break
@@ -454,7 +455,7 @@ def _separated_pair(
     return (int(one), int(two)) if weights[one] >= weights[two] else (int(two), int(one))
 
 
-def _information(weights: Floats, given: _Predicted, options: _Predicted | None) -> Floats:
+def information_nats(weights: Floats, given: PredictedDwells, options: PredictedDwells | None) -> Floats:
     """Return the expected information (n,) in nats about the true hypothesis, for each option.
 
     The dwells `given` are measured too. Without options the result (1,) is for these dwells alone.
@@ -484,7 +485,7 @@ def _information(weights: Floats, given: _Predicted, options: _Predicted | None)
     return np.asarray(-(weights[:, None] * np.log(np.maximum(mixed, 1e-300))).sum(axis=0))
 
 
-def _separations(dwells: _Predicted) -> Floats:
+def expected_separations(dwells: PredictedDwells) -> Floats:
     """Return how well dwells separate K hypotheses: expected excess χ² (K, K) of j if i is true."""
     count = len(dwells.mean)
     out = np.zeros((count, count))
@@ -565,7 +566,7 @@ def _predict(
     hypotheses: list[Hypothesis],
     options: list[ImaginedDwell],
     before: list[ImaginedDwell],
-) -> _Predicted:
+) -> PredictedDwells:
     """Predict the whitened readings of each option, if it is measured after the dwells `before`."""
     groups: dict[float | None, list[int]] = {}
     for k, place in enumerate(options):
@@ -577,22 +578,22 @@ def _predict(
     for warmth, members in groups.items():
         imagined = _imagined(data, [options[k] for k in members], before, warmth)
         pieces.append(_predict_rows(imagined, inflation, hypotheses))
-    return _Predicted(
+    return PredictedDwells(
         [np.concatenate([p.mean[i] for p in pieces])[back] for i in range(len(hypotheses))],
         [np.concatenate([p.root[i] for p in pieces])[back] for i in range(len(hypotheses))],
     )
 
 
-def _predict_rows(imagined: Readings, inflation: float, hypotheses: list[Hypothesis]) -> _Predicted:
+def _predict_rows(imagined: Readings, inflation: float, hypotheses: list[Hypothesis]) -> PredictedDwells:
     fits = [_imagining(h.fit, imagined) for h in hypotheses]
     whiten = fits[0].whitener / np.sqrt(inflation)
     means, roots = [], []
     for h, fit in zip(hypotheses, fits, strict=True):
-        columns = _columns(fit, whiten)
+        columns = whitened_columns(fit, whiten)
         mean = np.einsum("nrk,nk->nr", whiten, fit.predicted) + columns @ h.shift
         means.append(np.clip(np.nan_to_num(mean, posinf=FAR, neginf=-FAR), -FAR, FAR))
         roots.append(np.clip(columns @ h.root, -FAR, FAR))
-    return _Predicted(means, roots)
+    return PredictedDwells(means, roots)
 
 
 def _imagining(fit: Fit, imagined: Readings) -> Fit:

@@ -244,7 +244,7 @@ def _make_scatter(data: Readings, kind: Kind, size: float, chosen: Selection, lo
 
     The uncertainty follows from the curvature of the restricted likelihood.
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     step = 0.1
 
@@ -254,7 +254,7 @@ def _make_scatter(data: Readings, kind: Kind, size: float, chosen: Selection, lo
     none = _restricted(_fit_with(chosen.fit, data))
     ratio = 2 * max(height(0.0) - none, 0.0)
     # A variance is at the edge of its range under the null hypothesis: half of the distribution is zero.
-    p_value = min(1.0, 0.5 * float(chi2.sf(ratio, 1)) / limits.effect_share)
+    p_value = min(1.0, 0.5 * float(chdtrc(1, ratio)) / limits.effect_share)
     # Second derivative of the restricted likelihood by the logarithm of the size.
     curvature = -(height(step) - 2 * height(0.0) + height(-step)) / step**2
     relative = 1 / math.sqrt(curvature) if curvature > 0 else 1.0

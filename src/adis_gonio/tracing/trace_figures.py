@@ -189,24 +189,24 @@ def _panel(checking: Readings | None, covariate: str, quantity: str, before: Fit
         found = _values(rows.conditions, rows, covariate)
         return np.full(len(rows), np.nan) if found is None else found
 
-    was, now = _left_over(before, quantity), _left_over(after, quantity)
+    was, now = view_residual(before, quantity), view_residual(after, quantity)
     none = np.zeros(0)
     check_x, check_now = none, none
     if checking is not None:
-        check_x, check_now = abscissa(checking), _left_over(after, quantity, checking)
+        check_x, check_now = abscissa(checking), view_residual(after, quantity, checking)
     return Panel(
         covariate,
         quantity,
         abscissa(data),
         was,
         now,
-        _uncertainty(after, quantity) if data.noise_known else np.full(len(data), np.nan),
+        view_uncertainty(after, quantity) if data.noise_known else np.full(len(data), np.nan),
         check_x,
         check_now,
     )
 
 
-def _left_over(fit: Fit, quantity: str, others: Readings | None = None) -> Floats:
+def view_residual(fit: Fit, quantity: str, others: Readings | None = None) -> Floats:
     """Return the residual (n,) of an axis, the norm or the angle, for the fitted dwells or others."""
     data = fit.data if others is None else others
     if quantity == "angle":
@@ -225,7 +225,7 @@ def _along(data: Readings) -> Floats:
     return pose
 
 
-def _uncertainty(fit: Fit, quantity: str) -> Floats:
+def view_uncertainty(fit: Fit, quantity: str) -> Floats:
     """Return the standard uncertainty (n,) of an axis, the norm or the angle, for the fitted dwells."""
     data = fit.data
     if quantity == "angle":

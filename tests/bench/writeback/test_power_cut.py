@@ -12,9 +12,11 @@ from collections import Counter
 import pytest
 
 from adis_gonio.base.errors import AdisGonioError
-from adis_gonio.bench.writeback import OffsetWriter, WriteSettings
+from adis_gonio.bench.writeback import OffsetWriter, WriteSettings, offset_checks
 from adis_gonio.device.sensor import Adis16354
+from adis_gonio.fitting import fit
 from adis_gonio.record.archive import Archive
+from adis_gonio.record.provenance import digest_of
 from bench.writeback.rig import flash, new_bus, numbers
 
 SAVE = WriteSettings(save=True, dwell_s=0.05)
@@ -22,6 +24,22 @@ OLD, NEW = (0, 0, 0), (-32, -34, 0)
 SAVE_FRAME = 0xBE08
 DWELL_FRAMES = 100
 """Batches of at least so many frames are a dwell's."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _one_fit():
+    """Fit the session once: its copies have the same dwells, which no cut and no write changes."""
+    fits = {}
+
+    def remembered(session, *args, **options):
+        key = (digest_of(session), args, tuple(options.items()))
+        if key not in fits:
+            fits[key] = fit(session, *args, **options)
+        return fits[key]
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(offset_checks, "fit", remembered)
+        yield
 
 
 def writer(bus, path, settings=SAVE):

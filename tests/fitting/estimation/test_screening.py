@@ -12,9 +12,9 @@ from adis_gonio.base.errors import DataError
 from adis_gonio.base.numbers import name_positions
 from adis_gonio.fitting.estimation.screening import (
     Limit,
-    _at_limit,
-    _same_everywhere,
-    _still_against_others,
+    dwells_at_limit,
+    dwells_reading_alike,
+    dwells_too_still,
     limit_notes,
     longest_runs,
     refuse_dead_data,
@@ -47,15 +47,15 @@ def test_the_longest_run_is_the_longest_group_of_equal_words() -> None:
 def test_an_axis_that_stands_half_of_a_dwell_and_32_samples_is_stuck(n: int, run: int, stuck: bool) -> None:
     rng = np.random.default_rng(2)
     dwells = [noisy(rng, n, 1, 0), noisy(rng, n, run, 5), noisy(rng, n, 1, 6)]
-    assert _still_against_others(dwells) == ([5] if stuck else [])
-    assert _still_against_others(dwells[1:2]) == [], "there is no other to compare with"
+    assert dwells_too_still(dwells) == ([5] if stuck else [])
+    assert dwells_too_still(dwells[1:2]) == [], "there is no other to compare with"
 
 
 @pytest.mark.parametrize(("other", "stuck"), [(25, True), (26, False)])
 def test_a_dwell_is_stuck_if_it_stands_four_times_longer_than_any_other(other: int, stuck: bool) -> None:
     rng = np.random.default_rng(3)
     dwells = [noisy(rng, 150, other, 0), noisy(rng, 150, 103, 1), noisy(rng, 150, 1, 2)]
-    assert _still_against_others(dwells) == ([1] if stuck else [])
+    assert dwells_too_still(dwells) == ([1] if stuck else [])
 
 
 @pytest.mark.parametrize(
@@ -66,18 +66,18 @@ def test_the_same_words_at_two_angles_are_stuck_from_five_degrees(angle: float, 
     same = np.tile([2000.0, 100.0], (20, 1))
     moved = dwell(np.random.default_rng(1).normal(0, 9, (20, 2)), 9, 45.0)
     dwells = [dwell(same, 3, 0.0), dwell(same, 4, angle), moved]
-    assert _same_everywhere(dwells) == ([3, 4] if stuck else [])
+    assert dwells_reading_alike(dwells) == ([3, 4] if stuck else [])
     other = dwell(np.add(same, [0.0, 1.0]), 4, angle)
-    assert _same_everywhere([dwells[0], other, moved]) == []
+    assert dwells_reading_alike([dwells[0], other, moved]) == []
 
 
 def test_dwells_that_are_all_alike_are_stuck_unless_they_stand_at_one_angle() -> None:
     same = np.tile([2000.0, 100.0], (20, 1))
-    assert _same_everywhere([dwell(same, k) for k in range(3)]) == [0, 1, 2]
-    assert _same_everywhere([dwell(same, k) for k in range(2)]) == []
-    assert _same_everywhere([dwell(same, k, 30.0 + 360 * k) for k in range(3)]) == []
-    assert _same_everywhere([dwell(same[:1], k, 2.0 * k) for k in range(3)]) == [0, 1, 2]
-    assert _same_everywhere([dwell(same, 0, 0.0)]) == []
+    assert dwells_reading_alike([dwell(same, k) for k in range(3)]) == [0, 1, 2]
+    assert dwells_reading_alike([dwell(same, k) for k in range(2)]) == []
+    assert dwells_reading_alike([dwell(same, k, 30.0 + 360 * k) for k in range(3)]) == []
+    assert dwells_reading_alike([dwell(same[:1], k, 2.0 * k) for k in range(3)]) == [0, 1, 2]
+    assert dwells_reading_alike([dwell(same, 0, 0.0)]) == []
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_a_limit_that_several_reach_is_one_if_gravity_allows_the_reading(
     rows = np.tile([0.6 * length, 0.8 * length], (30, 1))
     limit = Limit(1, 0.8 * length, 30 * len(positions), 0, positions, positions)
     dwells = [dwell(rows, k) for k in (1, 2)] + [dwell(0.1 * rows, 3)]
-    assert _at_limit(dwells, [limit], gravity) == (set(positions) if allowed else set())
+    assert dwells_at_limit(dwells, [limit], gravity) == (set(positions) if allowed else set())
 
 
 def test_limits_are_told_with_their_samples_and_what_they_spoil() -> None:

@@ -223,12 +223,12 @@ def test_a_drift_that_force_follows_is_told_and_one_that_it_does_not_follow_is_n
     # The force along z nearly runs with time.
     along = np.column_stack([np.cos(7 * course), np.sin(7 * course), course + 0.3 * np.sin(11 * course)])
     drifting = at_rest(along, 0.001, beside=0.3 * course[:, None])
-    told = [line for line in fit_gyro_readings(drifting, scored=False).warnings if "in this order" in line]
+    told = [line for line in fit_gyro_readings(drifting).warnings if "in this order" in line]
     assert any("from a drift with time: with one in the model g_sensitivity_" in line for line in told)
     assert all(line.endswith("; repeat poses in another order") for line in told)
     again = np.concatenate([along, along[::-1]])
     quiet = at_rest(again, 0.001)
-    sure = [line for line in fit_gyro_readings(quiet, scored=False).warnings if "drift with time" in line]
+    sure = [line for line in fit_gyro_readings(quiet).warnings if "drift with time" in line]
     assert not sure
 
 

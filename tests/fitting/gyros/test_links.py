@@ -26,7 +26,7 @@ from adis_gonio.fitting.estimation.readings import Readings, from_means, reading
 from adis_gonio.fitting.gyros.gyro_fit import fit_gyro
 from adis_gonio.fitting.gyros.gyro_links import GyroPrior
 from adis_gonio.fitting.gyros.turn_integration import PARAMETERS, AssumedGyros, attitude
-from adis_gonio.fitting.linked import _gyros_of, _Judged, linked_readings
+from adis_gonio.fitting.linked import JudgedLinks, linked_readings, probable_gyros
 from adis_gonio.fitting.methods import fit_of, fit_readings
 from adis_gonio.fitting.uncertainty import by_rotation_of, response_of
 from adis_gonio.model.effects import Conditions
@@ -213,7 +213,7 @@ def test_links_are_least_squares_with_all_attitudes_unknown(poses: int) -> None:
     assert np.abs((own - values) / u).max() < 0.05
     stated = covariance(found.fisher, found.free, found.null)
     assert np.sqrt(np.diagonal(stated)) == pytest.approx(u, rel=0.02)
-    assert _gyros_of(found.fit, _Fixed(links).prior) == pytest.approx(modes, abs=0.02)
+    assert probable_gyros(found.fit, _Fixed(links).prior) == pytest.approx(modes, abs=0.02)
 
 
 def test_poses_that_gravity_alone_leaves_undetermined_are_determined_by_links() -> None:
@@ -304,7 +304,7 @@ def test_the_link_that_contradicts_gravity_and_the_others_is_left_out_by_the_num
 ):
     data, links = linked_part(9, np.random.default_rng(9))
     data = replace(data, position=10 + np.arange(9))
-    sound = _Judged.of(data, _Fixed(links))
+    sound = JudgedLinks.of(data, _Fixed(links))
     assert sound.links is not None
     assert len(sound.links) == 8
     assert sound.refused == ((7, 8, "saturated"),)
@@ -312,7 +312,7 @@ def test_the_link_that_contradicts_gravity_and_the_others_is_left_out_by_the_num
     assert sound.dof > 8
     turned = links.rotation.copy()
     turned[5] = Rotation.from_rotvec([0.05, -0.05, 0.05]).as_matrix() @ turned[5]
-    found = _Judged.of(data, _Fixed(replace(links, rotation=turned)))
+    found = JudgedLinks.of(data, _Fixed(replace(links, rotation=turned)))
     assert found.links is not None
     assert found.links.before.tolist() == [0, 1, 2, 3, 4, 6, 7]
     assert [(b, a) for b, a, _ in found.refused[1:]] == [(15, 16)]
@@ -331,7 +331,7 @@ def test_a_quarter_of_the_links_may_be_left_out_whatever_for(
         turned[k] = Rotation.from_rotvec([2.0, -1.0, 1.0]).as_matrix() @ turned[k]
     for k in odd:
         turned[k] = Rotation.from_rotvec([0.05, -0.05, 0.05]).as_matrix() @ turned[k]
-    found = _Judged.of(data, _Fixed(replace(links, rotation=turned)))
+    found = JudgedLinks.of(data, _Fixed(replace(links, rotation=turned)))
     if believed:
         assert found.links is not None
         assert found.links.before.tolist() == [k for k in range(8) if k not in (*far, *odd)]
@@ -345,7 +345,7 @@ def test_a_parameter_of_the_gyros_that_is_known_exactly_is_settled_at_once() -> 
     data, links = linked_part(6, np.random.default_rng(6))
     spread = np.array([1e-3, 1e-3, 0.0, 1e-3])
     found = _Fixed(replace(links, modes_rad=links.modes_rad * spread), spread)
-    settled = _Judged.of(data, found)
+    settled = JudgedLinks.of(data, found)
     assert settled.links is not None
     assert all(values[2] == 0.0 for values in found.asked)
 
@@ -366,10 +366,10 @@ class _Turning(_Fixed):
 def test_links_are_linearised_where_the_parameters_of_the_gyros_end_up() -> None:
     data, links = linked_part(9, np.random.default_rng(9))
     gyros = _Turning(replace(links, modes_rad=20 * links.modes_rad))
-    found = _Judged.of(data, gyros)
+    found = JudgedLinks.of(data, gyros)
     assert found.links is not None
     assert len(gyros.asked) > 2
-    ended = _gyros_of(found.linked.fit, gyros.prior)
+    ended = probable_gyros(found.linked.fit, gyros.prior)
     assert np.abs(ended - gyros.asked[-1]).max() < 0.05
     assert np.abs(ended - [2.0, -1.5, 1.0, 1.5]).max() < 0.3
 
@@ -378,18 +378,18 @@ def test_links_are_judged_by_what_they_add_to_chi2_where_the_noise_is_known() ->
     data, links = linked_part(11, np.random.default_rng(11))
     alone, linked = determine(data).fit.chi2, determine(replace(data, links=links)).fit.chi2
     assert alone > 0.5
-    assert _Judged.of(data, _Fixed(links)).chi2 == pytest.approx(linked - alone, rel=1e-3)
+    assert JudgedLinks.of(data, _Fixed(links)).chi2 == pytest.approx(linked - alone, rel=1e-3)
     few, links = linked_part(6, np.random.default_rng(6))
-    found = _Judged.of(replace(few, known=np.zeros(6, dtype=bool)), _Fixed(links))
+    found = JudgedLinks.of(replace(few, known=np.zeros(6, dtype=bool)), _Fixed(links))
     assert (found.links, found.why) == (None, "the noise of the poses is unknown")
 
 
 def test_one_link_of_three_poses_cannot_be_tested_and_two_can() -> None:
     data, links = linked_part(3, np.random.default_rng(3))
-    found = _Judged.of(data, _Fixed(links.only(np.array([0]))))
+    found = JudgedLinks.of(data, _Fixed(links.only(np.array([0]))))
     # Three norms and two equations of the link determine five parameters: none is left over.
     assert (found.links, found.why) == (None, "they are too few to be tested against gravity")
-    whole = _Judged.of(data, _Fixed(links))
+    whole = JudgedLinks.of(data, _Fixed(links))
     assert whole.links is not None
     assert whole.dof == 1
 
@@ -397,24 +397,24 @@ def test_one_link_of_three_poses_cannot_be_tested_and_two_can() -> None:
 def test_without_links_between_fitted_poses_the_reason_of_the_first_refusal_is_told() -> None:
     data, links = linked_part(5, np.random.default_rng(5))
     none = _Fixed(links.only(np.zeros(4, dtype=bool)))
-    assert _Judged.of(data, none).why == "saturated"
+    assert JudgedLinks.of(data, none).why == "saturated"
     none.refused = ()
-    assert _Judged.of(data, none).why == "none lies between two poses that are fitted"
+    assert JudgedLinks.of(data, none).why == "none lies between two poses that are fitted"
 
 
 def test_links_that_turn_gravity_elsewhere_are_left_out_and_many_of_them_are_false_gyros() -> None:
     data, links = linked_part(9, np.random.default_rng(9))
     turned = links.rotation.copy()
     turned[[2]] = Rotation.from_rotvec([2.0, -1.0, 1.0]).as_matrix() @ turned[[2]]
-    found = _Judged.of(data, _Fixed(replace(links, rotation=turned)))
+    found = JudgedLinks.of(data, _Fixed(replace(links, rotation=turned)))
     assert found.links is not None
     assert [(b, a) for b, a, why in found.refused[1:] if "wrong direction" in why] == [(2, 3)]
     turned[:4] = Rotation.from_rotvec([2.0, -1.0, 1.0]).as_matrix() @ turned[:4]
-    none = _Judged.of(data, _Fixed(replace(links, rotation=turned)))
+    none = JudgedLinks.of(data, _Fixed(replace(links, rotation=turned)))
     assert none.links is None
     assert "of 8 the gyros turn gravity" in none.why
     assert none.report(calibrated=False).used == 0
-    few = _Judged.of(data.rows(np.arange(9) < 2), _Fixed(links))
+    few = JudgedLinks.of(data.rows(np.arange(9) < 2), _Fixed(links))
     assert (few.links, few.why) == (None, "poses are too few to test them by")
 
 

@@ -442,13 +442,14 @@ class Adis16354(Closing):
         names: Sequence[str | Register] = DEFAULT_SCAN,
         *,
         data_ready: bool | None = None,
+        block_scans: int = 256,
     ) -> ScanBlock:
-        """Read `count` scans of new data, writing no register; `data_ready` as in `stream`."""
+        """Read `count` scans of new data, writing no register; other arguments as in `stream`."""
         if count < 1:
             raise UsageError(f"count is {count}: take 1 or more")
         blocks: list[ScanBlock] = []
         have = 0
-        size = min(count, 256)
+        size = min(count, block_scans)
         with self.stream(names, block_scans=size, leave_registers=True, data_ready=data_ready) as stream:
             for block in stream:
                 blocks.append(block)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy import fft, stats
+from scipy import fft, special
 
 from adis_gonio.base.arrays import Floats, solvable
 from adis_gonio.base.budget import current
@@ -467,7 +467,7 @@ def _slow(fitted: _Fitted) -> float:
     ratio = max(without - fitted.deviance, 0.0)
     if ratio <= 0:
         return 1.0
-    return float(0.5 * stats.chi2.sf(ratio, 1) + 0.5 * stats.chi2.sf(ratio, 2))
+    return float(0.5 * special.chdtrc(1, ratio) + 0.5 * special.chdtrc(2, ratio))
 
 
 def _ramp(fitted: _Fitted, slopes: list[float], period_s: float, unit: str) -> Value:

@@ -32,7 +32,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal, special, stats
+from scipy import fft, special
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord
@@ -231,7 +231,7 @@ def curve(
     times, deviation = overlapping([record[:, None] for record in records])
     lengths = [len(record) for record in records]
     expected, nu = np.array([_expected(m, lengths, squares, filter_m, period_s, rounding) for m in times]).T
-    low, high = (deviation[:, 0] * np.sqrt(nu / stats.chi2.ppf(q, nu)) for q in (0.975, 0.025))
+    low, high = (deviation[:, 0] * np.sqrt(nu / special.chdtri(nu, 1 - q)) for q in (0.975, 0.025))
     tau = period_s * np.array(times, dtype=float)
     return AllanCurve(tau, deviation[:, 0], low, high, nu, np.sqrt(expected))
 
@@ -251,7 +251,9 @@ def _expected(
     pairs = np.correlate(weights, weights, "full")  # lags −2m + 1 … 2m − 1
     reach = 2 * step - 1
     mirrored = np.concatenate([gamma[reach:0:-1], gamma])
-    covariance = -signal.fftconvolve(mirrored, pairs, "valid")
+    size = fft.next_fast_len(len(mirrored), real=True)
+    product = fft.irfft(fft.rfft(mirrored, size) * fft.rfft(pairs, size), size)
+    covariance = -product[len(pairs) - 1 : len(mirrored)]  # places where both overlap fully
     total = bends = 0.0
     for n in lengths:
         count = n - 2 * m + 1

@@ -13,14 +13,14 @@ boundary θ = 0, and the likelihood ratio has there the distribution ½χ²₀ +
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, optimize, signal, stats
+from scipy import fft, optimize, special
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord
@@ -89,7 +89,7 @@ def _peak(record: Floats, highest: float, taken: NDArray[np.bool_]) -> tuple[flo
     last = int(highest * n)
     if last - _LOWEST < 4 * _WIDTH:
         return None
-    lines = fft.rfft(record * signal.windows.hann(n, sym=False))[: last + 2]
+    lines = fft.rfft(record * np.hanning(n + 1)[:-1])[: last + 2]
     power = lines.real**2 + lines.imag**2
     level = _level(power[_LOWEST:last])
     # The rest of a subtracted sinusoid does not count again.
@@ -210,7 +210,7 @@ def ordinates(
     # Sums over the ordinates of each bin.
     weight = np.add.reduceat(kept.astype(np.float64), starts - 1)
     power = np.add.reduceat(square, starts - 1) / np.maximum(weight, 1.0)
-    rounded = grid.mean(ordinate_variances(rounding, n, grid.points))
+    rounded = _rounded(rounding.tobytes(), n, filter_m, period_s)
     singles = min(SINGLES, n - 1)
     number = np.arange(1, singles + 1)
     slope = np.where(kept[:singles], line(n, number.astype(np.float64)), 0.0)
@@ -272,6 +272,13 @@ def _grid(n: int, filter_m: int, period_s: float) -> _Grid:
     points = starts[owner] + (step + 0.5) / count[owner] * (stops - starts)[owner] - 0.5
     shapes = np.add.reduceat(variances(filter_m, n, points, period_s), first, axis=0) / count[:, None]
     return _Grid(starts, (stops - 1) / (2 * n), points, first, count, shapes)
+
+
+@lru_cache(maxsize=8)
+def _rounded(rounding: bytes, n: int, filter_m: int, period_s: float) -> Floats:
+    """Mean variance (b,) in each bin by the converter's rounding, from the bytes of its autocovariance."""
+    grid = _grid(n, filter_m, period_s)
+    return grid.mean(ordinate_variances(np.frombuffer(rounding), n, grid.points))
 
 
 def _bins(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -345,50 +352,59 @@ class Likelihood:
         self._has = np.array([k not in without for k in range(data.shapes.shape[1])])
         self._least = 1e-12 * float(np.max(data.power, initial=1e-300))
         typical = float(np.average(data.power, weights=data.weight))
+        # Bins with equal expectations, as those of records of equal length, count as one.
+        same = np.column_stack([data.shapes, data.rounding])
+        kinds, self._owner = np.unique(same, axis=0, return_inverse=True)
+        self._shapes, self._rounding = kinds[:, :-1], kinds[:, -1]
+        self._weight = np.bincount(self._owner, data.weight)
+        self._power = np.bincount(self._owner, data.weight * data.power) / np.maximum(self._weight, 1e-300)
         # Scales: each process alone would make up the whole power.
         self.scale = typical / np.average(data.shapes, axis=0, weights=data.weight)
+        # The single ordinates of all records, one after another: their bins and their records.
+        size = np.array([len(c) for _, c, _ in data.lines])
+        self._singles = self._owner[np.concatenate([np.arange(f, f + len(c)) for f, c, _ in data.lines])]
+        self._has_line = size > 0
+        self._starts = (np.cumsum(size) - size)[self._has_line]
+        self._record = np.repeat(np.arange(len(self._starts)), size[self._has_line])
+        self._c = np.concatenate([c for _, c, _ in data.lines])
+        self._d = np.concatenate([d for _, _, d in data.lines])
 
     def expected(self, theta: Floats) -> Floats:
-        """Expected variance (b,) in each bin for the squared coefficients θ."""
-        return np.asarray(
-            np.maximum(self._data.shapes @ theta + self._data.rounding, self._least), np.float64
-        )
+        """Expected variance (k,) in each kind of bin for the squared coefficients θ."""
+        return np.asarray(np.maximum(self._shapes @ theta + self._rounding, self._least), np.float64)
 
-    def _lines(self, v: Floats) -> Iterator[tuple[slice, Floats, Floats, float, float]]:
-        """Yield the sums for the weighted fit of a straight line to each record, if bins have variance v.
+    def _lines(self, v: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """Terms and sums for the weighted fit of a straight line to each of r records with ordinates.
 
-        Each item has the slice of single bins, the terms of Σ d²/v and Σ c d/v, and these two sums; c are
-        the ordinates of the record, and d the ordinates of a line of slope 1.
+        The bins have the variances v. The results are the terms (s,) of a = Σ d²/v and of b = Σ c d/v over
+        the single ordinates of all records, then a (r,) and b (r,); c are the ordinates of a record, and d
+        the ordinates of a line of slope 1. Records without a line have an infinite a.
         """
-        for first, c, d in self._data.lines:
-            here = slice(first, first + len(c))
-            square, product = d**2 / v[here], c * d / v[here]
-            yield here, square, product, float(np.sum(square)), float(np.sum(product))
+        square, product = self._d**2 / v[self._singles], self._c * self._d / v[self._singles]
+        a, b = np.add.reduceat(square, self._starts), np.add.reduceat(product, self._starts)
+        return square, product, np.where(a > 0, a, np.inf), b
 
     def deviance(self, theta: Floats) -> float:
         """Deviance, −2 log likelihood up to a constant, of the squared coefficients θ."""
         v = self.expected(theta)
-        total = float(self._data.weight @ (np.log(v) + self._data.power / v))
-        for _, _, _, a, b in self._lines(v):
-            if a > 0:
-                total += math.log(a) - b**2 / a
-        return total
+        total = float(self._weight @ (np.log(v) + self._power / v))
+        _, _, a, b = self._lines(v)
+        seen = np.isfinite(a)
+        return total + float((np.log(a[seen]) - b[seen] ** 2 / a[seen]).sum())
 
     def slope_and_information(self, theta: Floats) -> tuple[Floats, Floats]:
         """Gradient (4,) of the deviance by the squared coefficients θ, and Fisher information (4, 4)."""
-        data = self._data
         v = self.expected(theta)
-        relative = data.shapes / v[:, None]
-        slope = relative.T @ (data.weight * (1 - data.power / v))
-        information = relative.T @ (data.weight[:, None] * relative)
-        for here, square, product, a, b in self._lines(v):
-            if a <= 0:
-                continue
-            # Derivatives of ln a − b²/a, the REML term of the record's line.
-            shape = relative[here]
-            da, db = -shape.T @ square, -shape.T @ product
-            slope += da / a - 2 * b * db / a + b**2 * da / a**2
-            information += -2 * shape.T @ (square[:, None] * shape) / a + np.outer(da, da) / a**2
+        relative = self._shapes / v[:, None]
+        slope = relative.T @ (self._weight * (1 - self._power / v))
+        information = relative.T @ (self._weight[:, None] * relative)
+        square, product, a, b = self._lines(v)
+        # Derivatives of ln a − b²/a, the REML terms of the records' lines.
+        shape = relative[self._singles]
+        da = -np.add.reduceat(square[:, None] * shape, self._starts, axis=0) / a[:, None]
+        db = -np.add.reduceat(product[:, None] * shape, self._starts, axis=0)
+        slope += da.sum(axis=0) - 2 * (b / a) @ db + (b**2 / a) @ da
+        information += da.T @ da - 2 * shape.T @ ((square / a[self._record])[:, None] * shape)
         return slope, information / 2
 
     def maximum(self, start: Floats, fixed: dict[int, float] | None = None) -> tuple[Floats, float]:
@@ -455,8 +471,10 @@ class Likelihood:
 
     def slopes(self, theta: Floats) -> list[tuple[float, float]]:
         """Slope per sample of the straight line fitted to each record, and its standard uncertainty."""
-        sums = [(a, b) for _, _, _, a, b in self._lines(self.expected(theta))]
-        return [(b / a, 1 / math.sqrt(a)) if a > 0 else (0.0, math.inf) for a, b in sums]
+        _, _, a, b = self._lines(self.expected(theta))
+        slope, u = np.zeros(len(self._has_line)), np.full(len(self._has_line), np.inf)
+        slope[self._has_line], u[self._has_line] = b / a, np.where(np.isfinite(a), 1 / np.sqrt(a), np.inf)
+        return list(zip(slope.tolist(), u.tolist(), strict=True))
 
     def adequacy(self, theta: Floats) -> float:
         """p-value of the spectrum under the model θ: small if these noise processes do not explain it.
@@ -464,7 +482,7 @@ class Likelihood:
         The test compares the mean power in groups of neighbouring ordinates with the model.
         """
         data = self._data
-        v = self.expected(theta)
+        v = self.expected(theta)[self._owner]
         order = np.argsort(data.frequency, kind="stable")
         weight, ratio = data.weight[order], (data.power / v)[order]
         filled = np.cumsum(weight)
@@ -480,7 +498,7 @@ class Likelihood:
         mean = np.maximum(mean[kept], 1e-12)
         distance = float(np.sum(sums[kept] * (mean - 1 - np.log(mean))))
         dof = int(kept.sum()) - int((theta > 0).sum())
-        return float(stats.chi2.sf(distance, dof)) if dof > 0 else 1.0
+        return float(special.chdtrc(dof, distance)) if dof > 0 else 1.0
 
 
 def profile(likelihood: Likelihood, theta: Floats, least: float, index: int) -> Profile:
@@ -490,7 +508,7 @@ def profile(likelihood: Likelihood, theta: Floats, least: float, index: int) -> 
     """
     absent, deviance = likelihood.maximum(theta.copy(), {index: 0.0})
     ratio = max(deviance - least, 0.0)
-    p_value = 0.5 * float(stats.chi2.sf(ratio, 1)) if theta[index] > 0 else 1.0
+    p_value = 0.5 * float(special.chdtrc(1, ratio)) if theta[index] > 0 else 1.0
     u_squared = likelihood.u_squared(theta, index)
     sigma = math.sqrt(theta[index])
     u = u_squared / (2 * sigma) if sigma > 0 else math.nan

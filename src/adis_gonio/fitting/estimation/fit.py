@@ -238,13 +238,11 @@ class Fit:
         The first factor is A (rows, k), the shared modes. The second is V g(λ) Vᵀ (k, k) with Aᵀ A = V λ
         Vᵀ.
         """
-        rows = self.modes
-        if rows is None:
-            return None
-        values, vectors = np.linalg.eigh(rows.T @ rows)
-        # g(λ) = 1/(r (r + 1)) with r = √(1 + λ) gives the symmetric inverse root of 1 + A Aᵀ.
-        root = np.sqrt(1 + np.maximum(values, 0.0))
-        return rows, (vectors / (root * (root + 1))) @ vectors.T
+        if self.data.model.freedom == 0 and self.data.links is None:
+            return self.data.once(
+                _fixed_factors
+            )  # without an attitude, all fits to these readings share them
+        return _factors(self.modes)
 
     def white(self, columns: Floats) -> Floats:
         """Convert columns of readings (n, axes, d) to rows (rows, d) with unit covariance of the noise.
@@ -629,18 +627,32 @@ class Fit:
         )
 
 
+def _factors(modes: Floats | None) -> tuple[Floats, Floats] | None:
+    """Factors for `Fit._shared` of shared modes (rows, k)."""
+    if modes is None:
+        return None
+    values, vectors = np.linalg.eigh(modes.T @ modes)
+    # g(λ) = 1/(r (r + 1)) with r = √(1 + λ) gives the symmetric inverse root of 1 + A Aᵀ.
+    root = np.sqrt(1 + np.maximum(values, 0.0))
+    return modes, (vectors / (root * (root + 1))) @ vectors.T
+
+
+def _fixed_factors(data: Readings) -> tuple[Floats, Floats] | None:
+    return _factors(Fit.begin(data).modes)
+
+
 def adequacy(chi2: float, dof: float, noise_dof: float) -> float:
     """p-value of χ² for a model fitted with measured noise: small if the model does not explain the data.
 
     `noise_dof` is the number of degrees of freedom of the measured noise.
     """
-    from scipy import stats
+    from scipy.special import chdtrc, fdtrc
 
     if dof <= 0:
         return 1.0
     if np.isinf(noise_dof):
-        return float(stats.chi2.sf(chi2, dof))
-    return float(stats.f.sf(chi2 / dof, dof, max(noise_dof, 1.0)))
+        return float(chdtrc(dof, chi2))
+    return float(fdtrc(dof, max(noise_dof, 1.0), chi2 / dof))
 
 
 def nameless_spread(model: Measurement, term: Term) -> float:

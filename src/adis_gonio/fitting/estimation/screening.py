@@ -61,10 +61,12 @@ def refuse_dead_data(session: Session, limits: Sequence[Limit], mg_per_unit: flo
             f"{where}all-zero accelerations in {name_positions(zero)}; nothing drove the data line: "
             "check wiring and supply and record again"
         )
-    at_limit = _at_limit(dwells, limits, None if mg_per_unit is None else session.gravity_mg / mg_per_unit)
+    at_limit = dwells_at_limit(
+        dwells, limits, None if mg_per_unit is None else session.gravity_mg / mg_per_unit
+    )
     dwells = [dwell for dwell in dwells if dwell.position not in at_limit]
     sampled = [dwell for dwell in dwells if len(dwell) > 1]
-    stuck = _still_against_others(sampled) or _same_everywhere(dwells)
+    stuck = dwells_too_still(sampled) or dwells_reading_alike(dwells)
     if not stuck and session.accel_unit == "lsb" and sampled:
         whole = steps_of([dwell.accel for dwell in sampled]) <= 1
         stuck = [
@@ -94,7 +96,7 @@ def limit_notes(limits: Sequence[Limit], unit: str) -> list[str]:
     return lines
 
 
-def _at_limit(dwells: Sequence[Dwell], limits: Sequence[Limit], gravity: float | None) -> set[int]:
+def dwells_at_limit(dwells: Sequence[Dwell], limits: Sequence[Limit], gravity: float | None) -> set[int]:
     """Positions of dwells with a mean changed by a limit of the range, if gravity allows such a reading.
 
     The limit must be reached in two or more dwells.
@@ -123,7 +125,7 @@ def longest_runs(accel: Floats) -> Floats:
     return np.array(runs, dtype=float)
 
 
-def _still_against_others(dwells: Sequence[Dwell]) -> list[int]:
+def dwells_too_still(dwells: Sequence[Dwell]) -> list[int]:
     """Positions of the dwells in which an axis is suspiciously constant.
 
     It is constant for half of the dwell, and four times longer than in the other dwells.
@@ -151,7 +153,8 @@ def _is_lively(dwells: Sequence[Dwell], healthy: NDArray[np.bool_], axis: int) -
     return bool(deviations) and float(np.median(deviations)) > _LIVELY * min(steps)
 
 
-def _same_everywhere(dwells: Sequence[Dwell]) -> list[int]:
+def dwells_reading_alike(dwells: Sequence[Dwell]) -> list[int]:
+    """Positions of the constant dwells that read the same at different angles."""
     constant = [d for d in dwells if len(d) == 1 or not np.ptp(d.accel, axis=0).any()]
     if len(constant) < 2:
         return []
@@ -291,10 +294,10 @@ def _moves(share: float, n: int) -> bool:
     """
     if share >= 0.5:
         return True
-    from scipy import stats  # late: it takes half a second, and a bench that only records needs none
+    from scipy.special import ndtri  # late: a bench that only records needs no scipy
 
-    z = float(stats.norm.isf(share))
-    cut = float(stats.norm.pdf(z)) - z * share  # in standard deviations of a sample
+    z = -float(ndtri(share))
+    cut = math.exp(-(z**2) / 2) / math.sqrt(2 * math.pi) - z * share  # in standard deviations of a sample
     return cut > _HARMLESS / math.sqrt(n)
 
 

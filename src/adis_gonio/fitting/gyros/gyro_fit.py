@@ -1,10 +1,9 @@
 """Method `gyro`: weighted least squares for zero rates, g-sensitivity, scale factors and directions.
 
 The model is the gyros' base model (`MeanRate`) with the effects of a physical calibration:
-`g_sensitivity` if poses show it, `gyro_scale` and `gyro_misalignment` if turns show them. No parameter
-belongs to two gyros, so each gyro is determined alone. A parameter that the intervals do not determine is
-fixed at the value of a perfect gyro, and the result reports it. A result states gains and misalignments
-as K and D of rate = K D ω, however large they are.
+`g_sensitivity` if poses show it, `gyro_scale` and `gyro_misalignment` if turns show them. A parameter that
+the intervals do not determine is fixed at the value of a perfect gyro, and the result reports it. A result
+states gains and misalignments as K and D of rate = K D ω, however large they are.
 
 The directions D of the gyros (rows, in the accelerometers' frame) are a rotation of the whole triad and the
 misalignment of the three axes with one another: D = S R with a symmetric S (polar decomposition). The
@@ -331,15 +330,19 @@ def _fit_session(session: Session, readings: Readings | None = None) -> GyroFit:
 
 
 def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
-    """Fit the gyro model to readings; `scored=False` omits the scores, which take most of the time.
+    """Fit the gyro model to readings; `scored=False` omits the scores and the fits with a drift.
 
-    The scores are the prediction errors for dwells that are left out of the fit, one at a time.
+    The scores are the prediction errors for dwells that are left out of the fit, one at a time. Both take
+    most of the time.
     """
     if len(data) < 1:
         raise FitError("no dwell holds samples of the gyros")
     model = _Model.of(data, _EFFECTS)
-    fit = model.fit
     inflation = _inflation(model)
+    # A large residual may leave parameters undetermined that the noise alone would determine.
+    while (narrower := model.narrowed({axis: own for axis, (own, _) in inflation.items()})) is not model:
+        model, inflation = narrower, _inflation(narrower)
+    fit = model.fit
     factor = np.sqrt([inflation[_gyro_of(name)][0] for name in model.names])
     names, values, covariance = stated_parameters(
         model.names, fit.values.parameters, model.covariance * np.outer(factor, factor), model.free
@@ -363,7 +366,11 @@ def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
         residual_dps=fit.misfit,
         positions=tuple(data.position.tolist()),
         turns=turns,
-        warnings=(*data.notes, *_warnings(data, model, parameters, inflation)),
+        warnings=(
+            *data.notes,
+            *_warnings(data, model, inflation),
+            *(_drifting(data, model, parameters) if scored else ()),
+        ),
         undetermined=tuple(model.lost),
         inflation={axis: own for axis, (own, _) in inflation.items()},
         reference_temperature_c=None if temperature is None else float(temperature.mean()),
@@ -398,7 +405,15 @@ class _Model:
         terms = tuple(NamedTerm(one.name, (), 0.0, one) for one in seen)
         names = (*data.model.names, *(p.name for term in terms for p in term.effect.parameters))
         whole = cls(data, terms, names, np.ones(len(names), dtype=bool))
-        return replace(whole, free=whole._determined())
+        return whole.narrowed({})
+
+    def narrowed(self, inflation: Mapping[str, float]) -> _Model:
+        """Copy with only those free parameters that the readings determine; itself if these are all.
+
+        `inflation` has the factor on the noise variance of each gyro; 1 by default.
+        """
+        free = self._determined(inflation)
+        return self if (free == self.free).all() else replace(self, free=free)
 
     @cached_property
     def begun(self) -> Fit:
@@ -423,29 +438,28 @@ class _Model:
         """Names of the parameters that the readings do not determine, as a result names them."""
         return [_stated_name(name) for name, free in zip(self.names, self.free, strict=True) if not free]
 
-    def _determined(self) -> NDArray[np.bool_]:
-        """Mask (p,) of the parameters that the readings determine, found for each gyro separately.
+    def _determined(self, inflation: Mapping[str, float]) -> NDArray[np.bool_]:
+        """Mask (p,) of the parameters that the readings determine.
 
         The parameter with the largest uncertainty is fixed, and the others are examined again, until all
-        uncertainties are below `LIMIT`. The zero rate is always free, even if it is very uncertain.
+        uncertainties are below `LIMIT`. A fixed parameter may still be off by `LIMIT`, so that another one
+        is not determined either if only their sum is. The zero rates are always free. All gyros are
+        examined together, because the error of a turn's reference is common to them.
         """
-        free = np.ones(len(self.names), dtype=bool)
+        free = self.free.copy()
         # Columns scaled so that `LIMIT` holds for all of them alike.
         rows = self.begun.jacobian * _natural(self.names)
-        for axis in AXES:
-            own = np.array([_gyro_of(name) == axis for name in self.names])
-            base = len(self.data.model.parameters)
-            while True:
-                index = np.flatnonzero(own & free)
-                # Variances of the parameters are the diagonal of the inverse information, by its
-                # eigenvalues.
-                values, vectors = np.linalg.eigh(rows[:, index].T @ rows[:, index])
-                known = np.maximum(values, _NOTHING * max(float(values.max(initial=0.0)), 1.0))
-                u2 = np.where(index >= base, (vectors**2 / known).sum(axis=1), 0.0)
-                if not u2.max(initial=0.0) > LIMIT**2:
-                    break
-                free[index[int(u2.argmax())]] = False
-        return free
+        factor = np.array([inflation.get(_gyro_of(name), 1.0) for name in self.names])
+        examined = np.arange(len(self.names)) >= len(self.data.model.parameters)
+        while True:
+            held = np.where(free, 0.0, factor / LIMIT**2)
+            # Variances of the parameters are the diagonal of the inverse information, by its eigenvalues.
+            values, vectors = np.linalg.eigh(rows.T @ rows + np.diag(held))
+            known = np.maximum(values, _NOTHING * max(float(values.max(initial=0.0)), 1.0))
+            u2 = np.where(free & examined, factor * (vectors**2 / known).sum(axis=1), 0.0)
+            if not u2.max(initial=0.0) > LIMIT**2:
+                return free
+            free[int(u2.argmax())] = False
 
 
 def _lacks(data: Readings, name: str) -> bool:
@@ -579,7 +593,7 @@ def _left_out(model: _Model, rows: NDArray[np.intp]) -> GyroScore | None:
     for row in rows.tolist():
         kept = np.arange(len(data)) != row
         rest = replace(model, data=data.rows(kept))
-        if not (rest._determined() == model.free).all():
+        if rest.narrowed({}) is not rest:
             return None
         held = data.rows(~kept)
         residuals.append(replace(rest.fit, data=held, values=rest.fit.on(held).values).misfit[0])
@@ -590,9 +604,7 @@ def _left_out(model: _Model, rows: NDArray[np.intp]) -> GyroScore | None:
     )
 
 
-def _warnings(
-    data: Readings, model: _Model, parameters: dict[str, Value], inflation: dict[str, tuple[float, float]]
-) -> list[str]:
+def _warnings(data: Readings, model: _Model, inflation: dict[str, tuple[float, float]]) -> list[str]:
     warnings = []
     lost = [name for name in CALIBRATED if _lacks(data, name)] + _kinds(model.lost)
     if lost:
@@ -605,7 +617,7 @@ def _warnings(
             f"the residual is larger than the measured noise ({', '.join(large)} times):"
             " uncertainties are stated by the residual; trace --sensor-part gyro reports the missing effect"
         )
-    return warnings + _drifting(data, model, parameters)
+    return warnings
 
 
 def _kinds(names: Sequence[str]) -> list[str]:

@@ -46,8 +46,8 @@ from adis_gonio.fitting.gyros.turn_integration import (
 from adis_gonio.fitting.gyros.turn_references import (
     MARK_U_DEG,
     Reference,
+    reference_as_declared,
     reference_in_space,
-    reference_of_whole_turns,
     reference_on_stage,
     steady_force,
 )
@@ -131,7 +131,7 @@ class RateIntervals:
         True if the dwells show the 1/f noise, False if it is the variant's figure, an estimate.
     pooled : bool
     references : tuple of str
-        Reference of the rotation of each interval: `rest`, `gravity` or `whole turns`.
+        Reference of the rotation of each interval: `rest`, `gravity` or `declared`.
     refused : tuple of str
         Turns that are not used, with the reason.
     notes : tuple of str
@@ -393,7 +393,9 @@ def _interval_of_turn(
     if path is None or isinstance(integral, str):
         return str(integral)
     if turn.turned_deg is not None:
-        found = _whole(session, path, integral, triad, rests.sampling.delay_s, consecutive)
+        found = _declared(
+            session, turn.turned_deg, path, integral, triad, rests.sampling.delay_s, consecutive
+        )
     else:
         found = _by_gravity(integral, triad, (before.position, after.position))
     if isinstance(found, str):
@@ -419,19 +421,27 @@ def _interval_of_turn(
     )
 
 
-def _whole(
-    session: Session, path: Path, integral: Integral, triad: Triad, delay_s: float, consecutive: int
+def _declared(
+    session: Session,
+    declared_deg: float,
+    path: Path,
+    integral: Integral,
+    triad: Triad,
+    delay_s: float,
+    consecutive: int,
 ) -> Reference | str:
-    """True rotation in one or more whole turns about the vertical, or the reason why it is unknown."""
+    """True rotation by a declared angle about the vertical, or the reason why it is unknown."""
     steady, covariance = steady_force(path, integral.begin_s + delay_s, integral.end_s + delay_s)
     axis = covariance / max(float(steady @ steady), 1e-18)
     sigma = session.fixture_sigma_deg
     mark_u_deg = MARK_U_DEG if sigma is None or not math.isfinite(sigma) else sigma
-    found = reference_of_whole_turns(integral, triad.axes.direction(steady), mark_u_deg, axis, consecutive)
+    down = triad.axes.direction(steady)
+    found = reference_as_declared(integral, declared_deg, down, mark_u_deg, axis, consecutive)
     if isinstance(found, str):
         return found
-    # The upward direction is opposite to the accelerometers' reading.
-    return replace(found, modes_deg=-360.0 * found.turns * triad.axes.modes(steady))
+    # The rotation is upward, opposite to the accelerometers' reading.
+    size = -float(found.angle_deg @ down) / float(np.linalg.norm(down))
+    return replace(found, modes_deg=-size * triad.axes.modes(steady))
 
 
 def _by_gravity(integral: Integral, triad: Triad, positions: tuple[int, int]) -> Reference | str:

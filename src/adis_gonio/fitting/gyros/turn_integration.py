@@ -31,7 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, rotation_matrices
 from adis_gonio.fitting.estimation.readings import mg_per_unit
 from adis_gonio.model.records import Dwell, Session, Turn
 
@@ -225,7 +225,8 @@ def integrate(path: Path, sampling: Sampling) -> Integral | str:
     if wanted < end and _is_rest(path, sampling, wanted, end, path.zero_dps[1]):
         end = wanted
     edge = sampling.window // 2
-    head, tail = slice(begin, begin + edge), slice(end - edge + 1, end + 1)
+    # Both ends lie within the interval, which a gap may have made shorter than a window.
+    head, tail = slice(begin, min(begin + edge, end + 1)), slice(max(end - edge + 1, begin), end + 1)
     if _shows_another_attitude(path, path.force_g[head], 0) or _shows_another_attitude(
         path, path.force_g[tail], 1
     ):
@@ -461,13 +462,11 @@ def _to_end(steps_rad: Floats) -> Floats:
     The argument has the angles (n, 3) turned between samples. The products run within about √n blocks of
     about √n steps, all blocks at once, then over the blocks.
     """
-    from scipy.spatial.transform import Rotation
-
     n = len(steps_rad)
     size = max(1, math.isqrt(n))
     blocks = -(-n // size)
     turns = np.broadcast_to(np.eye(3), (blocks * size, 3, 3)).copy()
-    turns[:n] = Rotation.from_rotvec(-steps_rad).as_matrix()
+    turns[:n] = rotation_matrices(-steps_rad)
     turns = turns.reshape(blocks, size, 3, 3)
     # The last step acts last: Φ of a sample is the product of all later steps, the latest on the left.
     for k in range(size - 2, -1, -1):

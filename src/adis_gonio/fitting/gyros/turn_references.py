@@ -5,11 +5,12 @@ Gravity on both sides
     axis, up to whole turns, and the gyro counts these. On a stage (plane xy) the axis is z of the frame,
     and ψ decreases as the part turns forward; declared angles improve ψ by the fixture's uncertainty. In
     space the axis is the gyro's own, so the angle about it is measured and its direction is not.
-Whole turns
-    On a level table the axis is vertical, and gravity does not depend on the angle. From a mark back to the
-    mark the rotation is a whole number of turns: exact without any reference, up to the error of meeting
-    the mark. Along the axis the accelerometers' reading is constant during the turn: they read
-    c + a cos θ + b sin θ (the table's tilt) + d ω² + e dω/dt (a part away from the axis), c along it.
+Declared angle
+    On a level table the axis is vertical, and gravity does not depend on the angle. The operator declares
+    it: from a mark back to the mark the rotation is a whole number of turns, which is exact up to the error
+    of meeting the mark. The gyro counts the turns beyond the declared angle. Along the axis the
+    accelerometers' reading is constant during the turn: they read c + a cos θ + b sin θ (the table's tilt)
+    + d ω² + e dω/dt (a part away from the axis), c along it.
 
 A rotation vector equals the integral of the rate if the axis is constant in the part, as on a stage and
 on a table. In space a turn about an axis that wanders by more than `STRAIGHT` allows is refused.
@@ -29,8 +30,8 @@ from adis_gonio.fitting.gyros.turn_integration import Integral, Path
 
 MARK_U_DEG = 0.1
 """Standard uncertainty of setting a part against a mark or a stop (an estimate, D)."""
-NOT_WHOLE = 0.25
-"""Largest distance of a turn from a whole number of turns; a gain error of 2 % in ten turns is less."""
+FARTHEST_DEG = 90.0
+"""Largest distance from a declared angle; a gain error of 2 % in ten turns is less."""
 LEAST_REFERENCE_DEG = 20.0
 """Smallest turn, in degrees, from which a scale factor is determined."""
 LEAST_INCLINED = math.sin(math.radians(15))
@@ -42,25 +43,22 @@ _BLOCKS = 400
 
 @dataclass(frozen=True)
 class Reference:
-    """True rotation of the sensor in a turn, known from gravity or from whole turns.
+    """True rotation of the sensor in a turn, known from gravity or declared.
 
     Attributes
     ----------
-    kind : {"gravity", "whole turns"}
+    kind : {"gravity", "declared"}
     angle_deg : (3,) float
         Rotation vector, right-handed about the accelerometers' axes.
     covariance_deg2 : (3, 3) float
         Its covariance; an unobserved component has a standard uncertainty of `UNSEEN` times the angle.
-    turns : int
-        Number of whole turns in it, with their sign.
     modes_deg : (3, k) float or None
         Change of the rotation by one standard uncertainty of each of k errors that turns share.
     """
 
-    kind: Literal["gravity", "whole turns"]
+    kind: Literal["gravity", "declared"]
     angle_deg: Floats
     covariance_deg2: Floats
-    turns: int
     modes_deg: Floats | None = None
 
 
@@ -86,7 +84,7 @@ def reference_on_stage(integral: Integral, psi_deg: tuple[float, float], u_deg: 
         return f"the gyro turned {seen:.1f}°, by gravity {angle:.1f}°: not about the stage's axis"
     if abs(angle) < LEAST_REFERENCE_DEG:
         return f"a turn of {angle:.1f}° is too short; a gain needs {LEAST_REFERENCE_DEG:g}° or more"
-    return Reference("gravity", np.array([0.0, 0.0, angle]), np.diag([0.0, 0.0, u_deg**2]), turns)
+    return Reference("gravity", np.array([0.0, 0.0, angle]), np.diag([0.0, 0.0, u_deg**2]))
 
 
 def reference_in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad: float) -> Reference | str:
@@ -108,7 +106,7 @@ def reference_in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad
     across = [g / np.linalg.norm(g) - axis * (axis @ g) / np.linalg.norm(g) for g in gravity]
     inclined = min(float(np.linalg.norm(a)) for a in across)
     if inclined < LEAST_INCLINED:
-        return "the axis was upright, so gravity does not show the angle; declare whole turns"
+        return "the axis was upright, so gravity does not show the angle; declare it (turned_deg)"
     # A direction fixed in space moves backwards in the part: from the second direction to the first.
     part = math.degrees(
         math.atan2(float(axis @ np.cross(across[1], across[0])), float(across[1] @ across[0]))
@@ -121,16 +119,23 @@ def reference_in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad
     along = np.outer(axis, axis)
     # Along the axis the uncertainty by gravity, across it the large one of an unobserved component.
     covariance = u_deg**2 * along + (UNSEEN * angle) ** 2 * (np.eye(3) - along)
-    return Reference("gravity", angle * axis, covariance, turns)
+    return Reference("gravity", angle * axis, covariance)
 
 
-def reference_of_whole_turns(
-    integral: Integral, steady: Floats, u_mark_deg: float, axis_rad2: Floats, consecutive: int = 1
+def reference_as_declared(
+    integral: Integral,
+    declared_deg: float,
+    steady: Floats,
+    u_mark_deg: float,
+    axis_rad2: Floats,
+    consecutive: int = 1,
 ) -> Reference | str:
-    """True rotation for whole turns about the vertical, which end at the mark from which they began.
+    """True rotation about the vertical by a declared angle, such as whole turns from mark to mark.
 
     Parameters
     ----------
+    declared_deg : float
+        Angle, positive counter-clockwise seen from above, up to whole turns.
     steady : (3,) float
         Constant part of the calibrated accelerometers' reading during the turn: opposite to the upward
         axis, in any unit.
@@ -140,26 +145,30 @@ def reference_of_whole_turns(
         Covariance of that direction by errors of this turn alone; its component along the direction does
         not count.
     consecutive : int
-        Number of consecutive turns forward and back. One ends where the next begins, so an error of the
+        Number of consecutive declared turns. One ends where the next begins, so an error of the
         mark between them is in both, and twice in their difference.
     """
     up = -steady / np.linalg.norm(steady)
     seen = float(up @ integral.turned_deg)
-    turns = round(seen / 360.0)
-    if turns == 0 or abs(seen / 360.0 - turns) > NOT_WHOLE:
+    angle = declared_deg + 360.0 * round((seen - declared_deg) / 360.0)
+    if abs(angle) < LEAST_REFERENCE_DEG or abs(seen - angle) > min(
+        FARTHEST_DEG, max(10.0, 0.1 * abs(angle))
+    ):
+        where = (
+            "no whole number of turns" if declared_deg % 360 == 0 else f"not {declared_deg:g}° as declared"
+        )
         return (
-            f"the gyro turned {seen:.0f}° about the vertical, which is no whole number of turns: begin and"
-            " end at the mark"
+            f"the gyro turned {seen:.0f}° about the vertical, which is {where}: begin and end at the marks,"
+            " or correct turned_deg"
         )
     if float(np.linalg.norm(integral.turned_deg - seen * up)) > 0.2 * abs(seen):
         return "it was not turned about the vertical; leave it flat on the table"
-    angle = 360.0 * turns
     along = np.outer(up, up)
     across = np.eye(3) - along
     # Two marks per turn; a mark between consecutive turns counts in both.
     mark = 2 * u_mark_deg**2 * (2 - 1 / consecutive)
     covariance = mark * along + angle**2 * across @ axis_rad2 @ across
-    return Reference("whole turns", angle * up, covariance, turns)
+    return Reference("declared", angle * up, covariance)
 
 
 def steady_force(path: Path, begin_s: float, end_s: float) -> tuple[Floats, Floats]:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, stats
+from scipy import optimize, special
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import format_number
@@ -135,7 +135,7 @@ def _best(samples: Samples, usable: Usable) -> _Candidate | None:
             for axis in range(samples.axes):
                 if not alive[axis]:
                     continue
-                p = corrected(2 * float(stats.t.sf(abs(t[axis]), dof)), tests)
+                p = corrected(2 * float(special.stdtr(dof, -abs(t[axis]))), tests)
                 explained = float(slope[axis] ** 2 * energy[axis])
                 if p >= FOUND_WITHIN:
                     continue
@@ -215,7 +215,7 @@ def _significant_axes(samples: Samples, usable: Usable, best: _Candidate) -> lis
     slope = (g * z).sum(axis=0) / energy
     dof = int(usable.sum()) - 1
     residual = ((z - g * slope)[usable] ** 2).sum(axis=0) / dof
-    p = 2 * stats.t.sf(np.abs(slope) * np.sqrt(energy / np.maximum(residual, 1e-300)), dof)
+    p = 2 * special.stdtr(dof, -np.abs(slope) * np.sqrt(energy / np.maximum(residual, 1e-300)))
     return [
         axis for axis in range(samples.axes) if axis == best.axis or p[axis] < FOUND_WITHIN / samples.axes
     ]

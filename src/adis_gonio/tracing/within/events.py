@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from adis_gonio.base.arrays import MAD_TO_SD, Floats
 from adis_gonio.base.numbers import format_number
@@ -180,7 +180,7 @@ def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) 
         largest = np.maximum(largest - coarse[:, axis] * np.sqrt(stretch / 2), 0.0)
         if total >= _MANY:
             spread = MAD_TO_SD * float(np.median(np.abs(every[:, axis])))
-            own_p = np.asarray(stats.t.sf(largest / max(spread, 1e-12), _EFFICIENCY * total))
+            own_p = np.asarray(special.stdtr(_EFFICIENCY * total, -largest / max(spread, 1e-12)))
             spreads = np.full(len(largest), spread)
         else:
             known, weight = _without_outliers(np.nan_to_num(squares), weight)
@@ -188,7 +188,7 @@ def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) 
             # Variance from all other dwells, weighted by their independent places.
             others = (weight @ known - weight * known) / np.maximum(total - weight, 1e-12)
             spreads = np.sqrt(np.maximum(others, 1e-24))
-            own_p = np.asarray(stats.t.sf(largest / spreads, np.maximum(total - weight, 1e-12)))
+            own_p = np.asarray(special.stdtr(np.maximum(total - weight, 1e-12), -largest / spreads))
         noise[:, axis] = spreads
         for k in np.flatnonzero(largest > 0).tolist():
             value = corrected(2 * float(own_p[k]), tests)
@@ -212,8 +212,8 @@ def _without_outliers(squares: Floats, weight: Floats) -> tuple[Floats, Floats]:
     if use.sum() < _LEAST_DWELLS:
         return squares, weight
     dof = float(np.median(weight[use]))
-    upper = float(np.quantile(squares[use], 0.75)) / float(stats.chi2.ppf(0.75, dof))
-    far = use & (squares > upper * float(stats.chi2.isf(_RARE, dof)))
+    upper = float(np.quantile(squares[use], 0.75)) / float(special.chdtri(dof, 0.25))
+    far = use & (squares > upper * float(special.chdtri(dof, _RARE)))
     if far.sum() > _FEW * use.sum():
         return squares, weight
     return squares, np.where(far, 0.0, weight)

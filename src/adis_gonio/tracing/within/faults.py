@@ -28,7 +28,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, optimize, special, stats
+from scipy import ndimage, optimize, special
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import format_number
@@ -72,7 +72,7 @@ def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding
         Samples over which neighbours are correlated; a spike before the sensor's filter has this width.
     """
     total = int(samples.counts.sum()) * samples.axes
-    limit = float(stats.norm.isf(FOUND_WITHIN / (2 * total * SEARCHES)))
+    limit = -float(special.ndtri(FOUND_WITHIN / (2 * total * SEARCHES)))
     values = list(samples.values)
     places: list[Place] = []
     least_p = 1.0
@@ -93,7 +93,7 @@ def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding
                 continue
             for first, last in _groups(wild, 2 * reach + 1):
                 top = first + int(np.argmax(np.abs(away[first:last])))
-                p = corrected(2 * float(stats.norm.sf(size[top])), total)
+                p = corrected(2 * float(special.ndtr(-size[top])), total)
                 least_p = min(least_p, p)
                 low, high = max(0, first - 2 * reach), min(len(rows), last + 2 * reach)
                 cleaned = values[k].copy()
@@ -260,7 +260,7 @@ def saturation(session: Session, data: Readings) -> WithinFinding | None:
         )
     letters = tuple(sorted({"xyz"[limit.axis] for limit in limits}))
     positions = tuple(sorted({p for limit in limits for p in limit.positions}))
-    p = max(float(stats.binom.sf(m.samples - 1, m.samples + m.inside, 0.5)) for m in limits)
+    p = max(float(special.bdtrc(m.samples - 1, m.samples + m.inside, 0.5)) for m in limits)
     spread = (max(sizes) - min(sizes)) / 2
     step = float(data.converter.steps.max()) * abs(steps[0])
     limit_mg = Value(float(np.mean(sizes)), math.hypot(step / math.sqrt(12), spread), "mg")
@@ -336,7 +336,7 @@ def _coarse(samples: Samples, axis: int, reach: int) -> float:
 
     hiding = float(optimize.brentq(excess, 1e-3, 2.0))
     dof = float(np.sum(np.maximum(worth - 1, 1.0)))
-    return float(stats.chi2.cdf(dof * float(np.mean(variance)) / (step**2 * (hiding**2 + 1 / 12)), dof))
+    return float(special.chdtr(dof, dof * float(np.mean(variance)) / (step**2 * (hiding**2 + 1 / 12))))
 
 
 def _lost_bits(session: Session, samples: Samples, axis: int) -> float:

@@ -34,7 +34,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from scipy import optimize, special, stats
+from scipy import optimize, special
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.uncertainty import FOUND_WITHIN, Detectable
@@ -174,8 +174,8 @@ def _deviating_dwells(data: Readings, result: TraceResult) -> tuple[list[str], l
     residual, training = result.fits[-1].residual, result.fits[-1].data
     squares = (residual**2).sum(axis=1)
     rows = residual.shape[1]
-    usual = max(float(np.median(squares)) / float(stats.chi2.median(rows)), 1.0)
-    far = squares > usual * float(stats.chi2.isf(FOUND_WITHIN / len(squares), rows))
+    usual = max(float(np.median(squares)) / float(special.chdtri(rows, 0.5)), 1.0)
+    far = squares > usual * float(special.chdtri(rows, FOUND_WITHIN / len(squares)))
     # If many dwells deviate, the model is not adequate.
     if not far.any() or far.mean() > _MOST_OUT:
         return [], []
@@ -288,10 +288,10 @@ def _tone(samples: Samples, density: Density | None) -> Detectable:
     for axis in range(axes):
         effective = float(density.effective[axis])
         freedom = 2 * effective * float(np.median(density.width[searched])) / TAPER_LOSS
-        height = float(stats.f.isf(p, 2 * effective, freedom))
+        height = float(special.fdtri(2 * effective, freedom, 1 - p))
 
         def missing(excess: float, height: float = height) -> float:
-            power = stats.ncx2.sf(2 * dwells * height, 2 * dwells, 2 * dwells * excess)
+            power = 1 - special.chndtr(2 * dwells * height, 2 * dwells, 2 * dwells * excess)
             return float(power) - _POWER
 
         excess = float(optimize.brentq(missing, 1e-6, _LARGEST, xtol=1e-6))
@@ -314,7 +314,7 @@ def _noise_change(samples: Samples, density: Density | None) -> Detectable:
     for axis in range(samples.axes):
         own = levels_of(samples, density, axis)
         half = float(own.dof.sum()) / 2
-        ratio = float(stats.f.isf(p, half, half) / stats.f.isf(_POWER, half, half))
+        ratio = float(special.fdtri(half, half, 1 - p) / special.fdtri(half, half, 1 - _POWER))
         # The added noise scatters too, according to its degrees of freedom.
         chance = math.sqrt(float(special.polygamma(1, np.median(own.level_dof) / 2)) * 4 / dwells)
         away = _noncentral(p, dwells - 2) * max(step_of(own.course, own.level_dof, dwells // 2)[1], chance)
@@ -358,7 +358,7 @@ def _settling(samples: Samples) -> Detectable:
     tests = (len(constants) + 1) * 2 * samples.axes
     # Size in units of its u that exceeds the two-sided limit with a probability of 90 %.
     p = FOUND_WITHIN / SEARCHES / tests / 2
-    size = float(stats.t.isf(p, dwells - 1) + stats.t.isf(1 - _POWER, dwells - 1))
+    size = -float(special.stdtrit(dwells - 1, p) + special.stdtrit(dwells - 1, 1 - _POWER))
     slope = (norm[:, None] * z).sum(axis=0) / energy
     scatter = ((z - norm[:, None] * slope)[usable] ** 2).sum(axis=0) / (dwells - 1)
     return Detectable(float(np.sqrt(scatter.max() / energy)) * size, "mg", "settling")
@@ -369,9 +369,9 @@ def _noncentral(p: float, dof: int) -> float:
 
     The test is one-sided, at significance level `p`.
     """
-    limit = float(stats.t.isf(p, dof))
+    limit = -float(special.stdtrit(dof, p))
 
     def missing(size: float) -> float:
-        return float(stats.nct.sf(limit, dof, size)) - _POWER
+        return 1 - float(special.nctdtr(dof, size, limit)) - _POWER
 
     return float(optimize.brentq(missing, 0.0, 10 * limit + 50, xtol=1e-6))

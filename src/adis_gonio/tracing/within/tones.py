@@ -35,7 +35,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, ndimage, optimize, signal, stats
+from scipy import fft, ndimage, optimize, special
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import format_number
@@ -91,7 +91,7 @@ def _highest(density: Density) -> _Peak | None:
         effective = float(density.effective[axis])
         freedom = 2 * effective * width / TAPER_LOSS
         at = int(np.argmax(pooled[:, axis]))
-        p = corrected(float(stats.f.sf(pooled[at, axis], 2 * effective, freedom[at])), tests)
+        p = corrected(float(special.fdtrc(2 * effective, freedom[at], pooled[at, axis])), tests)
         if best is None or p < best.p_value:
             best = _Peak(at + searched.start, p, None)
         single = relative[:, :, axis]
@@ -101,7 +101,7 @@ def _highest(density: Density) -> _Peak | None:
         own = single[dwell, max(0, at - half) : at + half + 1]
         height = single[dwell, at] / max(1.0, float(np.median(own)) / np.log(2))
         rough = effective / d
-        p = corrected(float(stats.f.sf(height, 2, 2 * width[at] / TAPER_LOSS)) ** rough, tests * d)
+        p = corrected(float(special.fdtrc(2, 2 * width[at] / TAPER_LOSS, height)) ** rough, tests * d)
         if p < best.p_value:
             best = _Peak(at + searched.start, p, dwell)
     return best if best is not None and best.p_value < FOUND_WITHIN else None
@@ -258,7 +258,7 @@ def _sizes(squares: Floats, noise: Floats, excess: Floats) -> tuple[Floats, Floa
         own = np.maximum(own, spread)
     u = np.sqrt(own) / (2 * np.maximum(amplitude, 1e-300))
     u = np.minimum(u, np.sqrt(np.sqrt(own)))
-    shown = stats.gamma.sf(excess.sum(axis=0), d) < 1e-3
+    shown = special.gammaincc(d, excess.sum(axis=0)) < 1e-3
     return amplitude, u, np.asarray(shown)
 
 
@@ -366,7 +366,7 @@ class Density:
         pooled = (self.power[:, part] / self.level[:, None, :]).mean(axis=0) / self.base[part]
         low, high = np.quantile(np.log(pooled), [0.25, 0.75], axis=0)
         dwells = len(self.dwells)
-        above, below = (float(stats.gamma.ppf(share, dwells)) for share in (0.75, 0.25))
+        above, below = (float(special.gammaincinv(dwells, share)) for share in (0.75, 0.25))
         expected = math.log(above / below)
         shared = dwells * (expected / np.maximum(high - low, expected)) ** 2
         return np.asarray(np.maximum(shared, 1.0), dtype=np.float64)
@@ -616,6 +616,6 @@ def _expected(filter_m: int, counts: NDArray[np.intp], size: int) -> Floats:
 
 def _taper(n: int) -> Floats:
     """Return a Hann taper (n,), scaled so that its squares add up to 1."""
-    taper = signal.windows.hann(n + 2)[1:-1]
+    taper = np.hanning(n + 2)[1:-1]
     result: Floats = taper / np.sqrt(taper @ taper)
     return result

@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special, stats
+from scipy import special
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import format_number
@@ -280,7 +280,7 @@ def _varying(
         typical = float(np.median(own.variance))
         ratio = own.variance / typical
         spread = np.sqrt(2 / own.dof)
-        far = np.abs(np.log(ratio)) > stats.norm.isf(FOUND_WITHIN / (2 * d)) * spread
+        far = np.abs(np.log(ratio)) > -special.ndtri(FOUND_WITHIN / (2 * d)) * spread
         unusual |= far
         size, u = np.sqrt(own.variance), np.sqrt(own.variance / (2 * own.dof))
         places += [

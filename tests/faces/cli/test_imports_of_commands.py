@@ -1,0 +1,53 @@
+"""A command imports the libraries that it needs, and no library that takes longer than its work."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from adis_gonio.faces import cli
+from programs import LONGEST_S
+
+PROGRAM = """
+import json, sys
+from adis_gonio.faces.cli import main
+
+status = main(sys.argv[1:])
+print(json.dumps(sorted(sys.modules)), file=sys.stderr)
+sys.exit(status)
+"""
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("imports") / "turns.session"
+    line = ["calibrate", "sim:?seed=1", "--plan", "tumble", "--positions", "9", "--auto", "-o", str(path)]
+    assert cli.main(line) == 0
+    return path
+
+
+def imported_by(*arguments: str) -> set[str]:
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, *arguments],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=LONGEST_S,
+    )
+    return set(json.loads(done.stderr.splitlines()[-1]))
+
+
+def test_fit_imports_neither_statistics_nor_optimizers_nor_the_trace(session: Path) -> None:
+    modules = imported_by("fit", str(session))
+    assert "scipy.special" in modules  # the fit did run
+    heavy = {"scipy.stats", "scipy.optimize", "scipy.signal", "scipy.spatial", "matplotlib", "jinja2"}
+    assert not heavy & modules
+    assert "adis_gonio.tracing.trace" not in modules
+
+
+def test_report_imports_no_statistics_and_no_signal_processing(session: Path, tmp_path: Path) -> None:
+    modules = imported_by("report", str(session), "-o", str(tmp_path / "page.html"))
+    assert "adis_gonio.tracing.trace" in modules
+    assert not {"scipy.stats", "scipy.signal"} & modules
