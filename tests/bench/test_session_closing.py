@@ -419,7 +419,7 @@ def test_a_loop_that_is_killed_in_its_extension_resumes_to_the_same_session(tmp_
     assert process.stderr is not None
     dwells = 0
     for line in process.stderr:
-        dwells += "samples" in line and "mg" in line
+        dwells += " mg  " in line
         if dwells == 5:
             process.send_signal(signal.SIGKILL)
             break

@@ -29,7 +29,7 @@ PATIENCE_S = 120.0
 
 TESTS = Path(__file__).parents[1]
 GUARD_KEYS = {"retake": "r", "keep": "k", "skip": "s", "reverse": "v"}
-GUARD_WORDS = {"take the position again": "retake", "keep it as it is": "keep", "skip": "skip"}
+GUARD_WORDS = {"go back": "retake", "keep it as it is": "keep", "skip": "skip"}
 KEYS = {
     "confirm": "", "accept": "", "unpause": "", "decline": "n", "repeat": "r", "undo": "u", "pause": "p",
     "quit": "q", "skip": "s", "note": "n what is this?",
@@ -37,11 +37,11 @@ KEYS = {
 ASKED = re.compile(
     r"(?P<metadata>\(Enter: none\): $)"
     r"|(?P<note>  note: $)"
-    r"|(?P<paused>paused: .*, q ends: $)"
-    r"|(?P<again>an error or alarm occurred at .* q end\): $)"
-    r"|(?P<more>go on with 180° and 270°\? .*: $)"
-    r"|(?P<guard>  Enter: .*, n note\): $)"
-    r"|(?P<position>\d+ of \d+.*, n note\): $)",
+    r"|(?P<paused>paused: .* goes on: $)"
+    r"|(?P<again>  Repeat these dwells\? .* help\): $)"
+    r"|(?P<more>  Go on with 180°, 270°\? .* help\): $)"
+    r"|(?P<guard>  Enter: .*, n note, \? help\): $)"
+    r"|(?P<position>\d+ of \d+.*, n note, \? help\): $)",
 )
 
 
@@ -165,7 +165,7 @@ class Typist:
                 default = next(n for words, n in GUARD_WORDS.items() if f"Enter: {words}" in text)
                 self._outcome.guards.append("?")
                 return person.at_guard("?", answers, default, self._place)
-        todo = re.search(r"\d+ of \d+(?: \(about \d+ min left\))?: (.*) and press Enter", text)
+        todo = re.search(r"\d+ of \d+(?: \(about .* left\))?: (.*) and press Enter", text)
         assert todo is not None, text
         self._place = next(
             k

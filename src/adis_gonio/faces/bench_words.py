@@ -16,7 +16,7 @@ from adis_gonio.device.sensor.settings import compensations
 
 
 @dataclass(frozen=True)
-class Key:
+class BenchKey:
     """A key of both faces: its letter, a word for lists of keys, and an explanation."""
 
     letter: str
@@ -28,35 +28,35 @@ class Key:
 
 ENTER = "Enter"
 ANSWERS = {
-    "confirm": Key(ENTER, "take", "the part is at the position"),
-    "repeat": Key("r", "again", "take the last dwell again; the old one stays in the file"),
-    "retake": Key("r", "again", "go back: ask for the position again"),
-    "skip": Key("s", "skip", "skip this position"),
-    "undo": Key("u", "undo", "withdraw the last dwell, and ask for its position again"),
-    "keep": Key("k", "keep", "keep it as it is"),
-    "reverse": Key("v", "reverse", "the stage counts the other way: reverse the whole session"),
-    "accept": Key("y", "yes", "yes"),
-    "decline": Key("n", "no", "no"),
-    "stop": Key("q", "quit", "end here; the data stay, --resume goes on"),
+    "confirm": BenchKey(ENTER, "take", "the part is at the position"),
+    "repeat": BenchKey("r", "again", "take the last dwell again; the old one stays in the file"),
+    "retake": BenchKey("r", "again", "go back: ask for the position again"),
+    "skip": BenchKey("s", "skip", "skip this position"),
+    "undo": BenchKey("u", "undo", "withdraw the last dwell, and ask for its position again"),
+    "keep": BenchKey("k", "keep", "keep it as it is"),
+    "reverse": BenchKey("v", "reverse", "the stage counts the other way: reverse the whole session"),
+    "accept": BenchKey("y", "yes", "yes"),
+    "decline": BenchKey("n", "no", "no"),
+    "stop": BenchKey("q", "quit", "end here; the data stay, --resume goes on"),
 }
 """Keys of the answers to the runner's questions."""
 ON_TABLE = {
-    "retake": Key("r", "again", "go back to the mark and turn again"),
-    "reverse": Key("v", "reverse", "keep it, and turn the next one the other way"),
+    "retake": BenchKey("r", "again", "go back to the mark and turn again"),
+    "reverse": BenchKey("v", "reverse", "keep it, and turn the next one the other way"),
 }
 """Answers that have another meaning for whole turns on a table."""
-PAUSE = Key("p", "pause", "pause or go on; nothing is measured during a pause")
-NOTE = Key("n", "note", "add a note to the session")
-DRAW = Key("d", "draw", "draw how to hold the part, and the positive direction")
-HELP = Key("?", "help", "show this list")
-MOVE = Key("m", "move", "turn the simulated part by some degrees, such as -30")
-BUMP = Key("b", "bump", "bump the simulated part")
+PAUSE = BenchKey("p", "pause", "pause or go on; nothing is measured during a pause")
+NOTE = BenchKey("n", "note", "add a note to the session")
+DRAW = BenchKey("d", "draw", "draw how to hold the part, and the positive direction")
+HELP = BenchKey("?", "help", "show this list")
+MOVE = BenchKey("m", "move", "turn the simulated part by some degrees, such as -30")
+BUMP = BenchKey("b", "bump", "bump the simulated part")
 """Keys of a simulated part that only the operator's keys move (`sim:?hands=free`)."""
 
 Question = events.PositionAsked | events.GuardRaised | events.RepetitionOffered | events.ExtensionOffered
 
 
-def answers_to(question: Question) -> dict[str, Key]:
+def answers_to(question: Question) -> dict[str, BenchKey]:
     """Possible answers to a question, by name, in the order in which they are listed."""
     match question:
         case events.PositionAsked():

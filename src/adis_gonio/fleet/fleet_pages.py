@@ -252,25 +252,29 @@ def _section(track: Track, history: History) -> Section:
     return Section(track.label, words=sentences, figures=figures)
 
 
-def _years(track: Track) -> np.ndarray:
-    """Dates (n,) of the values as fractional calendar years, for a time axis."""
-    return 1970.0 + track.day / 365.2425
+def _dates(track: Track) -> dict[float, str]:
+    """Labels of a time axis in days: dates of at most four sessions, far enough apart to be read."""
+    shown: dict[float, str] = {}
+    for day in sorted(track.day.tolist()):
+        if not shown or day - max(shown) >= 0.3 * np.ptp(track.day):
+            shown[day] = sensor_history.date_of(day)
+    return shown
 
 
 def _over_time(track: Track) -> Figure:
-    x = _years(track)
+    x = track.day
     series = [Series(x, track.value, "session, with U", error=track.expanded, role="after")]
     if track.drift is not None:
         day = np.linspace(track.day.min(), track.day.max(), 50)
         line = track.drift.level.value + track.drift.slope.value / 365.25 * (
             day - track.drift.reference_day
         )
-        series.append(Series(1970.0 + day / 365.2425, line, "drift", role="before", style="line"))
+        series.append(Series(day, line, "drift", role="before", style="line"))
     if track.chart is not None:
         for limit, label in ((track.chart.low, "3σ limits"), (track.chart.high, "")):
             series.append(Series(x, limit, label, role="model", style="line"))
     name = track.label
-    drawn = plot(series, "year", name, title=f"{name} over time")
+    drawn = plot(series, "date", name, title=f"{name} over time", x_ticks=_dates(track))
     caption = "Value of each session with U" + (
         "; limits from all previous sessions." if track.chart else "."
     )

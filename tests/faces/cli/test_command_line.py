@@ -103,7 +103,7 @@ def test_calibrate_shows_truth_and_result_side_by_side_and_they_agree(capsys, tm
     out = capsys.readouterr().out
     assert "truth" in out
     rows = {line.split()[0]: line for line in out.splitlines() if line.strip()}
-    for name in ("delta_k", "delta_phi", "bias_x", "bias_y"):
+    for name in ("ΔK", "Δφ", "bias_x", "bias_y"):
         cells = [cell.replace("−", "-") for cell in rows[name].split()[1:] if cell not in ("mg", "°")]
         truth, value, u = map(float, cells[:3])
         assert abs(value - truth) < 4.5 * u + 1e-12, rows[name]
@@ -122,17 +122,17 @@ def test_calibrate_asks_about_a_fault_at_once_and_after_resuming_until_it_is_ans
     assert main(call) == 1
     told = capsys.readouterr().err
     assert "with an error or alarm" in told
-    assert "take the position again" in told
+    assert "ask for the position again" in told
     monkeypatch.setattr("sys.stdin", io.StringIO("\nk\nn\nn\n"))  # keep both, no extension
     assert main([*call, "--resume"]) == 0
     told = capsys.readouterr().err
-    assert "at 0°: repeat?" in told
+    assert "occurred at 0°" in told
     assert len([note for note in load_session(path).notes if "error or alarm" in note]) == 2
     monkeypatch.setattr("sys.stdin", io.StringIO("n\n"))
     assert main([*call, "--resume"]) == 0
     told = capsys.readouterr().err
-    assert "repeat?" not in told
-    assert "take the position again" not in told
+    assert "occurred at" not in told
+    assert "ask for the position again" not in told
 
 
 def test_calibrate_json_is_one_document_with_the_truth(capsys, tmp_path):
@@ -186,7 +186,7 @@ def test_fit_leads_with_one_answer_and_gives_the_others_a_line_each(capsys, reco
     assert [line.split()[0] for line in lines[scores + 1 : scores + 5]] == [
         "ml", "paper", "two-position", "four-position",
     ]  # fmt: skip
-    assert out.count("delta_phi") == 1
+    assert sum(line.split()[:1] == ["Δφ"] for line in lines) == 2
 
 
 def test_fit_all_shows_every_method_and_nothing_is_wider_than_80_columns(capsys, recorded, monkeypatch):
@@ -290,7 +290,7 @@ def test_simulated_poses_calibrate_three_axes(capsys, tmp_path):
 
 def test_registers_lists_reads_and_writes_with_units(capsys):
     assert main(["registers"]) == 0
-    assert "level with Z up, Z reads -1 g" in capsys.readouterr().out
+    assert "level with Z up, Z reads −1 g" in capsys.readouterr().out
     assert main(["registers", SIM, "XACCL_OFF=57.3mg", "zgyro_off=-100", "SMPL_PRD=0x09", "--json"]) == 0
     rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)["registers"]}
     assert rows["XACCL_OFF"]["number"] == round(57.3 / 0.4672)
@@ -498,7 +498,7 @@ def test_a_complete_session_is_resumed_by_showing_its_result(capsys, recorded):
     assert main(["calibrate", SIM, "--resume", "-o", str(recorded)]) == 0
     captured = capsys.readouterr()
     assert "nothing is left" in captured.err
-    assert "delta_phi" in captured.out
+    assert "Δφ" in captured.out
     assert recorded.read_bytes() == before
 
 

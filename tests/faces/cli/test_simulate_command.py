@@ -18,7 +18,7 @@ def interrupted(output, after: int) -> tuple[list[str], int]:
     with running(command, stderr=subprocess.PIPE) as program:
         for line in program.stderr:
             lines.append(line.rstrip("\n"))
-            seen += "noise at rest" in line or " mg   " in line
+            seen += "noise at rest" in line or " mg  " in line
             if seen == after:
                 program.send_signal(signal.SIGINT)
                 seen += 100
@@ -47,4 +47,4 @@ def test_ctrl_c_before_the_first_dwell_makes_no_csv_and_says_so(tmp_path):
 def test_a_whole_session_tells_its_dwells(capsys, tmp_path):
     path = tmp_path / "all.session"
     assert main(["simulate", "--plan", "two-position", "--dwell", "0.5", "-o", str(path)]) == 0
-    assert capsys.readouterr().err.splitlines()[-1] == f"{path}: 2 dwells"
+    assert capsys.readouterr().err.splitlines()[-1] == f"written: {path}, 2 dwells"

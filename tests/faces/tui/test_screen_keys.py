@@ -95,7 +95,7 @@ def test_a_guard_takes_its_answers_and_no_others(keys, told):
 class TypedRunner(PlayedRunner):
     """A runner for plain prompts, whose answers end the run."""
 
-    virtual_time, one_recording, fastest_dps = True, False, 180.0
+    virtual_time, one_recording, fastest_dps, replayed = True, False, 180.0, False
 
     def run(self):
         for step in self._script:

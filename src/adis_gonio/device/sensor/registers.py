@@ -162,9 +162,9 @@ SUPPLY_OUT 02 u12 r  supply       0000 0000 0000 A supply voltage
 XGYRO_OUT  04 s14 r  gyro         0000 0000 0000 A rate of turn about X
 YGYRO_OUT  06 s14 r  gyro         0000 0000 0000 A rate of turn about Y
 ZGYRO_OUT  08 s14 r  gyro         0000 0000 0000 A rate of turn about Z
-XACCL_OUT  0A s14 r  accel        0000 0000 0000 A acceleration along X; level with Z up, Z reads -1 g
-YACCL_OUT  0C s14 r  accel        0000 0000 0000 A acceleration along Y; level with Z up, Z reads -1 g
-ZACCL_OUT  0E s14 r  accel        0000 0000 0000 A acceleration along Z; level with Z up, Z reads -1 g
+XACCL_OUT  0A s14 r  accel        0000 0000 0000 A acceleration along X; level with Z up, Z reads −1 g
+YACCL_OUT  0C s14 r  accel        0000 0000 0000 A acceleration along Y; level with Z up, Z reads −1 g
+ZACCL_OUT  0E s14 r  accel        0000 0000 0000 A acceleration along Z; level with Z up, Z reads −1 g
 XTEMP_OUT  10 s12 r  temperature  0000 0000 0000 A temperature of the die of gyro X, 0 = 25 °C
 YTEMP_OUT  12 s12 r  temperature  0000 0000 0000 A temperature of the die of gyro Y, 0 = 25 °C
 ZTEMP_OUT  14 s12 r  temperature  0000 0000 0000 A temperature of the die of gyro Z, 0 = 25 °C

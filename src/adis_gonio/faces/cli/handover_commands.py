@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import sys
 import tempfile
+from contextlib import nullcontext
 from inspect import cleandoc
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -78,7 +79,9 @@ def export_command(
     source.check(kind)
     if output is None and BY_NAME[kind].holds == "samples":
         raise UsageError(f"--format {kind} needs -o FILE; -o - is standard output")
-    with report_progress(f"exporting {session.name}"):
+    shown = traced or sys.stderr.isatty()  # a log has no use for work of seconds
+    what = f"{'tracing' if traced else 'exporting'} {session.name}"
+    with report_progress(what) if shown else nullcontext():
         if output is not None and to_file:
             with replacing(output) as temporary:
                 remarks = source.write(kind, temporary)

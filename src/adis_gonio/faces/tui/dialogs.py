@@ -15,7 +15,7 @@ from textual.widgets import Input, Static
 
 from adis_gonio.bench import events
 from adis_gonio.faces import bench_words as words
-from adis_gonio.faces.bench_words import Key
+from adis_gonio.faces.bench_words import BenchKey
 from adis_gonio.faces.tui.screen_text import format_measured
 
 Result = TypeVar("Result")
@@ -40,7 +40,7 @@ class Dialog(_Finishing[str]):
     ----------
     heading, text : str
         The question and its reason.
-    choices : mapping of str to Key
+    choices : mapping of str to BenchKey
         Keys of the answers, by name.
     default : str
         Answer that is selected at first.
@@ -59,7 +59,7 @@ class Dialog(_Finishing[str]):
         self,
         heading: str,
         text: str,
-        choices: Mapping[str, Key],
+        choices: Mapping[str, BenchKey],
         default: str,
         rows: Sequence[tuple[str, str]] = (),
     ) -> None:
@@ -179,7 +179,10 @@ def offer_dialog(event: events.RepetitionOffered | events.ExtensionOffered, plan
     return Dialog(offer, reason, words.answers_to(event), words.default_of(event))
 
 
-QUIT = {"stop": Key("y", "yes", "quit here", also="q"), "stay": Key("n", "no", "go on with the session")}
+QUIT = {
+    "stop": BenchKey("y", "yes", "quit here", also="q"),
+    "stay": BenchKey("n", "no", "go on with the session"),
+}
 
 
 def quit_dialog(resume_by: str) -> Dialog:
