@@ -142,7 +142,7 @@ def test_covariance_is_the_scatter_of_the_estimates(method):
     truth = {"alpha": 10.0, "phi": 0.2, "delta_k": 0.01, "sigma": sigma, "u": 0.3}
     exact = fit(planar(angles, **truth), method)
     estimates = []
-    for _ in range(250):
+    for _ in range(400):
         true = np.asarray(angles) - rng.normal(0, sigma, len(angles))
         noise = rng.normal(0, 0.3, (len(angles), 2))
         session = planar(angles, true_angles=true, noise=noise, **truth)

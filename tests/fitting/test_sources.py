@@ -103,7 +103,7 @@ def test_a_coefficient_of_temperature_is_as_large_as_the_sheet_and_the_session_a
         )
     assert own.u == pytest.approx(math.sqrt(np.mean(np.square(spread))))
     assert own.u < figure
-    assert own.note == "dwells from 20.0 to 30.0 °C"
+    assert own.note == "dwells at 20.0 to 30.0\u00a0°C"
     without = source(fit(replace(turn(NINE), sensor="adis16354"), "ml"), TEMPERATURE)
     assert without.note == "temperature not recorded"
     assert without.u == pytest.approx(figure)

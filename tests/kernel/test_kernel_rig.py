@@ -25,7 +25,7 @@ GUEST = Path(__file__).parent / "guest"
 PYTEST = (
     *("-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:hypothesispytest"),
     *("--color=no", "-v", "-rA", "--durations=0", "-o", "junit_family=legacy"),
-    "--assert=plain",  # to rewrite the package's asserts takes the guest a minute
+    "--assert=plain",  # to rewrite asserts takes the guest seconds
 )
 GUEST_TIME_S = 1200
 """An idle host needs a quarter of it; a busy one shall not fail for that."""

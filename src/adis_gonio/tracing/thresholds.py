@@ -35,7 +35,8 @@ class Limits:
     # Prior
     effect_share: float = number(0.0175, "measured", "prior share of an effect (scripts/trace_level.py)")
     nameless_share: float = number(0.3, "chosen", "prior share of all unnamed functions together")
-    bias_weight: float = number(6.0, "chosen", "prior weight of a bias: every sensor has one")
+    bias_share: float = number(0.9, "physical", "prior share of a bias of all axes: every part has one")
+    bias_weight: float = number(6.0, "chosen", "prior weight of a bias of some axes, and in a fleet")
     quadratic_weight: float = number(1.5, "chosen", "prior weight of a curvature, a common effect")
     g_weight: float = number(4.0, "chosen", "prior weight of a g-sensitivity, as common as a drift")
     family_weight: float = number(0.7, "chosen", "prior weight of supply, approach, memory and products")

@@ -83,7 +83,7 @@ def test_greek_letters_are_said_by_their_names(name):
         (["simulate", "--list-settings"], "delta_k"),
         (["fit", "SESSION"], "dphi"),
         (["bringup", "sim:?seed=1"], "No fault was found"),
-        (["calibrate", "sim:?seed=1", "--auto", "--dwell", "1", "-o", "OUT"], "delta_phi"),
+        (["calibrate", "sim:?seed=1", "--auto", "--dwell", "1", "-o", "OUT"], "dphi"),
     ],
     ids=lambda value: value[0] if isinstance(value, list) else "",
 )

@@ -47,7 +47,7 @@ def test_right_positions_raise_nothing(sense, seed):
 def test_a_guard_says_how_far_off_the_part_stands_and_by_what(sense):
     some = stands([*ASKED[:5], 203.5], ASKED, sense=sense)
     guard = add_diagnosis(OFF, diagnose_positions(some, SPREAD, sense), some, sense)
-    assert "by gravity and gyro the part is +3." in guard.message
+    assert "by gravity and gyro the part is (+3." in guard.message
     assert guard.values["found_deg"] == pytest.approx(3.5, abs=0.3)
     assert guard.values["off_deg"] == 1.0
 

@@ -28,8 +28,8 @@ def test_a_slip_is_said_at_the_bench_and_by_the_fit_and_mended_by_its_advice(tmp
     path = tmp_path / "slips.session"
     said = calibrated(capsys, SLIPPING, path)
     assert "off 90° " in said
-    assert "by gravity and gyro the part is +4." in said
-    assert "positions 3 to 11 are +4.0" in said
+    assert "by gravity and gyro the part is (+4." in said
+    assert "positions 3 to 11 are (+4.0" in said
 
     document = fitted(capsys, path)
     (found,) = document["positions"]

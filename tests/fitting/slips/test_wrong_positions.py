@@ -85,8 +85,8 @@ def test_an_error_of_the_first_position_may_be_a_slip_after_it_and_the_set_says_
     said = {(named.name, named.positions) for named in one.names}
     assert {("misset", (0,)), ("slipped", (1,))} <= said
     assert one.finding == "slipped"
-    assert "positions 1 to 11 are -5.2" in one.sentence
-    assert "before position 1, or position 0 alone by +5.2" in one.sentence
+    assert "positions 1 to 11 are (−5.2" in one.sentence
+    assert "before position 1, or position 0 alone by (+5.2" in one.sentence
 
 
 def test_a_stage_that_counts_the_other_way_from_somewhere_on():
