@@ -372,6 +372,7 @@ def _noncentral(p: float, dof: int) -> float:
     limit = -float(special.stdtrit(dof, p))
 
     def missing(size: float) -> float:
-        return 1 - float(special.nctdtr(dof, size, limit)) - _POWER
+        # Far beyond the limit the function returns NaN instead of 0.
+        return 1 - float(np.nan_to_num(special.nctdtr(dof, size, limit))) - _POWER
 
     return float(optimize.brentq(missing, 0.0, 10 * limit + 50, xtol=1e-6))
