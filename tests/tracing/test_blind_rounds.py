@@ -95,8 +95,9 @@ def test_trace_names_what_is_there_and_nothing_else(kind: str, pools: Pools) -> 
     elif kind == "two":
         assert pairs_of_families(verdicts) == 26  # of 28: two by supply or by approach are too rare
         assert hidden == set(NAMES)
-        # A slip beside an outlier: the slip alone is said; a warm-up beside a gain that drifts: the latter.
-        assert missed(v.exact for v in verdicts) <= 2, told(verdicts)
+        # A slip beside an outlier: the slip alone is said; a warm-up beside a gain that drifts: a function.
+        # A curvature or an asymmetry, where no model is adequate: neither is said, but their set.
+        assert missed(v.exact for v in verdicts) <= 3, told(verdicts)
     else:
         # A jump of the stage is said to follow the temperature, a window of time the time and the supply.
         assert missed(v.covariate for v in verdicts) <= 1, told(verdicts)
