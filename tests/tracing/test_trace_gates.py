@@ -77,9 +77,9 @@ def test_a_cause_that_is_there_but_has_two_names_is_a_set_and_no_finding() -> No
     assert {finding.effect for finding in result.found} == {"bias", "quadratic"}
     (open_,) = [one for one in result.sets if "outlier_dwell" in one.names]
     assert set(open_.names) == {"outlier_dwell", "position_slip"}
-    assert open_.present > 0.9
+    assert open_.present > 0.85
     assert sum(open_.probability) > 0.95
-    assert result.as_dict()["sets"][-1] == open_.as_dict()
+    assert open_.as_dict() in result.as_dict()["sets"]
 
 
 @pytest.mark.parametrize("slip_deg", [2.0, 5.0])

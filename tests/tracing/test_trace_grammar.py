@@ -255,6 +255,12 @@ def read(form: str, axis: int, driven: Floats) -> list[Floats]:
             lambda top: [f(k * before) for k in range(1, int(top) + 1) for f in (np.sin, np.cos)],
         ),
         (
+            r"(.+) × \(sin (\d)θ, cos \dθ\)",
+            lambda x, k: [
+                (factor(x)[0] - factor(x)[1]) * f(int(k) * C.angle_rad) for f in (np.sin, np.cos)
+            ],
+        ),
+        (
             r"(.+) × (.+), centred",
             lambda x, y: [unit(factor(x)[0]) * unit(factor(y)[0])],
         ),
@@ -561,6 +567,8 @@ def test_each_family_enters_where_no_name_of_the_catalogue_stands() -> None:
             assert where == {"bias", "gain", "angle"}, form
         elif form.startswith("a bump at θ"):
             assert where == {"bias", "angle"}, form
+        elif re.search(r"× \(sin \dθ", form):
+            assert where == {"angle"}, form
         elif re.match(r"a step at|a knee at|a bump at [tTV]|exp\(|.*×", form):
             assert where == everywhere, form
 

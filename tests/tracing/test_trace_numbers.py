@@ -84,13 +84,17 @@ class TestPrior:
         assert prior(nameless_terms(self.data)) == pytest.approx(0.3)
         assert sum(math.exp(-process.price) for process in processes(self.data)) == pytest.approx(0.3)
 
+    @pytest.mark.number("bias_share")
     @pytest.mark.number("bias_weight")
+    def test_nine_parts_in_ten_have_a_bias_on_all_axes_and_few_on_one_alone(self) -> None:
+        biases = {term.label: term for term in named_terms(self.data)[0] if term.name == "bias"}
+        assert prior([biases["bias[xy]"]]) == pytest.approx(0.9)
+        # Six effects' share in three variants, of which two are a single axis.
+        assert prior([biases["bias[x]"]]) == pytest.approx(self.share("cubic") * 6 / 3)
+
     @pytest.mark.number("quadratic_weight")
-    @pytest.mark.parametrize(("name", "times"), [("bias", 6.0), ("quadratic", 1.5)])
-    def test_a_bias_is_six_times_and_a_curvature_half_again_as_likely_as_a_cubic(
-        self, name: str, times: float
-    ) -> None:
-        assert self.share(name) / self.share("cubic") == pytest.approx(times)
+    def test_a_curvature_is_half_again_as_likely_as_a_cubic(self) -> None:
+        assert self.share("quadratic") / self.share("cubic") == pytest.approx(1.5)
 
     @pytest.mark.number("g_weight")
     def test_a_gyro_that_feels_gravity_is_four_times_as_likely_as_one_that_drifts(self) -> None:

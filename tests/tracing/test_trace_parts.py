@@ -27,14 +27,12 @@ from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import MeanRate
 from adis_gonio.tracing import averaging, selection as choice
 from adis_gonio.tracing.averaging import AveragedTerm, average
-from adis_gonio.tracing.credible_sets import CredibleSet, Names
+from adis_gonio.tracing.credible_sets import CredibleSet, Names, probability_of
 from adis_gonio.tracing.grammar import nameless_terms
 from adis_gonio.tracing.linear_problem import LinearProblem, orthonormal, project_off_base
 from adis_gonio.tracing.model_search import (
-    Beam,
     Model,
     ModelPosterior,
-    Search,
     presence_probabilities,
     search,
     weigh,
@@ -384,38 +382,15 @@ class TestDesign:
 
 
 class TestSearch:
-    def test_more_models_of_a_size_are_extended_than_the_first_six(self) -> None:
+    def test_every_pair_that_scores_near_the_best_one_is_scored(self) -> None:
         rows = np.eye(30)
         terms = [named(letter, 1.0) for letter in "abcdefghi"]
-        target = np.concatenate([np.arange(20.0, 11.0, -1.0), np.zeros(21)])
+        target = np.concatenate([np.linspace(4.0, 3.5, 9), np.zeros(21)])
         problem = single(target, rows[:9], terms)
         pairs = set(itertools.combinations(range(9), 2))
         assert {model for model in search(problem, 2).scores if len(model) == 2} == pairs
         with within(Budget(left_out=["the time is over"])):
             assert set(map(len, search(problem, 2).scores)) == {0, 1}
-
-    def widest(self, count: int, scores: dict[Model, float]) -> list[Model]:
-        """Of models of four functions, two outliers and two curvatures those that are extended."""
-        data = noisy(surroundings(), 43)
-        labels = [*(f"outlier_dwell[x](dwell={k})" for k in (3, 7)), "quadratic[x]", "quadratic[y]"]
-        terms = [*(function(name, lambda c: c.time_s) for name in "abcd"), *labelled(data, *labels)]
-        problem = replace(names_only(*"abcdefgh"), terms=tuple(terms))
-        return Beam(Search(problem, np.zeros(8)), 1, 3, count)._widest(scores, count)
-
-    def test_of_single_terms_the_best_of_each_name_and_axes_are_extended_however_far_behind(self) -> None:
-        scores: dict[Model, float] = {(k,): -9.0 * k for k in reversed(range(8))}
-        assert self.widest(2, scores) == [(0,), (1,), (4,), (6,), (7,)]
-
-    def test_of_larger_models_a_third_has_names_only(self) -> None:
-        ahead: list[Model] = [(0, 1), (0, 6), (6, 7), (1, 2), (1, 6), (2, 6)]
-        behind: list[Model] = [(2, 7), (4, 6), (3, 7), (4, 7), (0, 2)]
-        scores = {model: -9.0 * k for k, model in enumerate([*ahead, *behind])}
-        assert self.widest(6, scores) == [*ahead, (4, 6)]
-        assert self.widest(9, scores) == [*ahead, *behind[:4]]
-        assert self.widest(3, scores) == ahead[:3]
-        assert self.widest(1, scores) == ahead[:1]
-        named_first = dict(zip([(5, 7), (4, 6), (4, 7), *ahead], np.arange(9.0, 0.0, -1.0), strict=False))
-        assert self.widest(3, named_first) == [(5, 7), (4, 6), (4, 7)]
 
     def exhaustive(self, problem: LinearProblem, prices: np.ndarray, most: int) -> dict[Model, float]:
         """Score of every model by least squares."""
@@ -484,8 +459,8 @@ class TestPosterior:
         terms = [named("cubic"), wave, *(named(name) for name in "abc")]
         shares = {(0, 1): 0.2, (0, 1, 2): 0.4, (0, 1, 3): 0.3, (0, 1, 4): 0.1}
         assert sum(shares.values()) > 1
-        names, covariates = presence_probabilities(terms, shares)
-        assert (names["cubic"], covariates[("angle",)]) == (1.0, 1.0)
+        names = presence_probabilities(terms, shares)
+        assert names["cubic"] == 1.0
         assert names["b"] == 0.3
 
     def test_the_model_is_the_best_of_the_names_that_are_most_probable_together(self) -> None:
@@ -567,7 +542,7 @@ class TestSelection:
         selection = chosen(data, terms, ((0, 1), 0.6), ((0, 2), 0.2), ((0, 3), 0.15), ((0,), 0.05))
         told = selection.without_functions([wave])
         assert {term.label for term in told.terms} == {"bias[xy]", "line"}
-        assert told.verdict.covariates == pytest.approx({("time",): 0.75})
+        assert probability_of(told, "unnamed: time") == pytest.approx(0.75)
 
     def test_a_bias_that_is_far_larger_than_the_rest_is_taken_out_before_forms_with_a_constant(
         self,
@@ -610,7 +585,7 @@ class TestSelection:
         self, monkeypatch: pytest.MonkeyPatch, worse: str, taken: int
     ) -> None:
         shares = (0.35, 0.02, 0.2, 0.3, 0.1, 0.03)
-        verdict: Any = ModelPosterior((1,), {(k,): share for k, share in enumerate(shares)}, {}, {}, {})
+        verdict: Any = ModelPosterior((1,), {(k,): share for k, share in enumerate(shares)}, {}, {})
         problem: Any = SimpleNamespace()
         about: Any = SimpleNamespace()
 

@@ -112,7 +112,7 @@ def _replacements(selection: Selection) -> list[tuple[str, ...]]:
     """Return groups of names that replace each other in probable or equivalent models."""
     verdict = selection.verdict
     best = verdict.best
-    top = verdict.weights[best]
+    top = verdict.weights.get(best, max(verdict.weights.values()))
     out: list[tuple[str, ...]] = []
     rivals = [m for m, w in verdict.weights.items() if m != best and w >= limits.near * top]
     rivals += [m for m in verdict.same.get(best, []) if len(m) <= len(best)]
@@ -170,7 +170,7 @@ class CredibleSet(JsonRecord):
 
 def credible_sets(selection: Selection, averaged: Averaged | None = None) -> tuple[CredibleSet, ...]:
     """Return the credible set of each cause of the chosen model, in the order of the model's terms."""
-    causes = dict.fromkeys(map(_cause_name, selection.terms))
+    causes = dict.fromkeys(map(cause_name, selection.terms))
     return tuple(set_of(selection, cause, averaged) for cause in causes)
 
 
@@ -224,8 +224,14 @@ def votes(
     if averaged is not None and _may_be_piece(selection, cause, averaged):
         piece = weight[cause] * averaged.weight
         weight[cause] -= piece
-        weight[_cause_name(averaged.smooth)] += piece
+        weight[cause_name(averaged.smooth)] += piece
     return {word: w / total for word, w in weight.items()}, total / (total + none)
+
+
+def probability_of(selection: Selection, cause: str, averaged: Averaged | None = None) -> float:
+    """Return the probability that a cause is present and has this name."""
+    share, present = votes(selection, cause, averaged)
+    return min(share.get(cause, 0.0) * present, 1.0)
 
 
 @dataclass(frozen=True)
@@ -252,10 +258,10 @@ class _Place:
     @classmethod
     def of(cls, selection: Selection, cause: str) -> _Place:
         problem, best = selection.problem, selection.verdict.best
-        rest = [k for k in best if _cause_name(problem.terms[k]) != cause]
+        rest = [k for k in best if cause_name(problem.terms[k]) != cause]
         # The residual without the cause minus the residual with it is its contribution.
         added = span(problem, rest)[1] - span(problem, best)[1]
-        ours = frozenset(_cause_name(problem.terms[k]) for k in best)
+        ours = frozenset(cause_name(problem.terms[k]) for k in best)
         return cls(problem, cause, ours, added / max(float(np.linalg.norm(added)), 1e-300))
 
     def choice(self, model: Model) -> dict[str, float]:
@@ -265,22 +271,22 @@ class _Place:
         cause's contribution that they reproduce.
         """
         terms = [self.problem.terms[k] for k in model]
-        mine = [term for term in terms if _cause_name(term) == self.cause]
+        mine = [term for term in terms if cause_name(term) == self.cause]
         if mine:
             unknown = [u for u in terms if u.name is None and any(t.name and related(t, u) for t in mine)]
-            words = set(map(_cause_name, unknown)) or {self.cause}
+            words = set(map(cause_name, unknown)) or {self.cause}
             return dict.fromkeys(words, 1 / len(words))
-        fresh = [k for k in model if _cause_name(self.problem.terms[k]) not in self.ours]
+        fresh = [k for k in model if cause_name(self.problem.terms[k]) not in self.ours]
         kept = [k for k in model if k not in fresh]
-        words = {_cause_name(self.problem.terms[k]) for k in fresh}
-        lost = self.ours - set(map(_cause_name, terms))
+        words = {cause_name(self.problem.terms[k]) for k in fresh}
+        lost = self.ours - set(map(cause_name, terms))
         # If the model lacks several causes, its additional terms vote only for the reproduced part.
         whole = self._explained(fresh, kept) if fresh and len(lost) > 1 else 1.0
         if len(words) <= 1:
             return dict.fromkeys(words, whole)
         part: dict[str, float] = defaultdict(float)
         for k in fresh:
-            part[_cause_name(self.problem.terms[k])] += self._explained([k], kept) + 1e-12
+            part[cause_name(self.problem.terms[k])] += self._explained([k], kept) + 1e-12
         return {word: whole * share / sum(part.values()) for word, share in part.items()}
 
     def _explained(self, fresh: Sequence[int], kept: Sequence[int]) -> float:
@@ -300,7 +306,8 @@ def _may_be_piece(selection: Selection, cause: str, averaged: Averaged) -> bool:
     )
 
 
-def _cause_name(term: Term) -> str:
+def cause_name(term: Term) -> str:
+    """Return the name of an effect, or the covariates of an unnamed function in words."""
     return term.name or f"unnamed: {join_words(term.covariates)}"
 
 

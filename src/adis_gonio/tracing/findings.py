@@ -42,7 +42,7 @@ from adis_gonio.fitting.fit_result import outputs_of
 from adis_gonio.model.effects import AXES, Conditions, catalogue, effect
 from adis_gonio.model.effects.stage_terms import StagePeriodic, alike
 from adis_gonio.tracing.averaging import Averaged, AveragedFit, AveragedTerm
-from adis_gonio.tracing.credible_sets import votes
+from adis_gonio.tracing.credible_sets import cause_name, probability_of
 from adis_gonio.tracing.linear_problem import LinearProblem, amplitudes, span
 from adis_gonio.tracing.model_search import Model, Search, posterior
 from adis_gonio.tracing.scatter import Scatter
@@ -63,8 +63,16 @@ def dof_of(selection: Selection) -> float:
     return float(dof)
 
 
-def finding_of(selection: Selection, name: str, averaged: Averaged | None = None) -> Finding:
-    """Return the finding for a named effect of the chosen model: its parameters and its test."""
+def finding_of(
+    selection: Selection, name: str, averaged: Averaged | None = None, judged: Selection | None = None
+) -> Finding:
+    """Return the finding for a named effect of the chosen model: its parameters and its test.
+
+    Parameters
+    ----------
+    judged : Selection, optional
+        Selection with the posterior that gives the probability; by default `selection`.
+    """
     from scipy.special import chdtrc
 
     problem = selection.problem
@@ -74,7 +82,6 @@ def finding_of(selection: Selection, name: str, averaged: Averaged | None = None
     axes: list[str] = []
     cause = ""
     amplitude_of, mixture = effect_mixture(selection, name)
-    voted, present = votes(selection, name, averaged)
     dof = dof_of(selection)
     fit = selection.fit
     for index, (term, values) in enumerate(zip(fit.terms, fit.values.terms, strict=True)):
@@ -108,7 +115,7 @@ def finding_of(selection: Selection, name: str, averaged: Averaged | None = None
         parameters=parameters,
         p_value=min(p, 1.0),
         explains=0.0,  # set by `with_shares` when the steps are known
-        probability=min(voted.get(name, 0.0) * present, 1.0),
+        probability=probability_of(judged or selection, name, averaged),
         equivalents=tuple(dict.fromkeys(same))[:5],
         cause=cause,
     )
@@ -143,12 +150,18 @@ def _explained_chi2(selection: Selection, members: Sequence[int]) -> tuple[float
     return without - with_all, int(sum(selection.problem.width[k] for k in members))
 
 
-def unnamed_of(selection: Selection, averaged: Averaged | None) -> Unnamed | None:
-    """Return the unnamed part of the result, from the model's unnamed terms or the average of them."""
+def unnamed_of(
+    selection: Selection, averaged: Averaged | None, judged: Selection | None = None
+) -> Unnamed | None:
+    """Return the unnamed part of the result, from the model's unnamed terms or the average of them.
+
+    Its probability is that of the credible sets: of the least probable function, by the posterior of
+    `judged` if given.
+    """
     from scipy.special import chdtrc
 
-    problem, verdict = selection.problem, selection.verdict
-    members = [k for k in verdict.best if isinstance(problem.terms[k], NamelessTerm)]
+    problem = selection.problem
+    members = [k for k in selection.verdict.best if isinstance(problem.terms[k], NamelessTerm)]
     if members:
         terms = [problem.terms[k] for k in members]
         gain, width = _explained_chi2(selection, members)
@@ -159,7 +172,9 @@ def unnamed_of(selection: Selection, averaged: Averaged | None) -> Unnamed | Non
             covariates=covariates,
             form="; ".join(forms),
             explains=0.0,
-            probability=min(verdict.covariates.get(term.covariates, 0.0) for term in terms),
+            probability=min(
+                probability_of(judged or selection, cause_name(term), averaged) for term in terms
+            ),
             p_value=min(1.0, float(chdtrc(width, gain / selection.inflation)) / share),
         )
     if averaged is not None:

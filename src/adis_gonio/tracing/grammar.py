@@ -3,9 +3,9 @@
 Places: the bias of an axis, its gain, its misalignment against the other axes, the true angle. Functions:
 a power, modulus or sign of the reading; a harmonic of the stage; of temperature, time, supply, approach,
 previous position, rate of the temperature, or a product of two, a line, a power, a step, a knee, an
-exponential, a lag, an oscillation or a bump. Smooth functions (polynomials of increasing degree) cover
-dependences without a formula. The measurement decides which covariates replace the reading
-(`Measurement.driven_by`): for a gyro force and rotation.
+exponential, a lag, an oscillation or a bump; few cycles of the stage times one of these covariates. Smooth
+functions (polynomials of increasing degree) cover dependences without a formula. The measurement decides
+which covariates replace the reading (`Measurement.driven_by`): for a gyro force and rotation.
 
 Covariates are normalised: centred on the middle of the session's range and scaled to ±1, unless their zero
 has a meaning (25 °C, 5 V, start of the session). A function with an arbitrary zero is also a candidate with
@@ -612,6 +612,26 @@ def _products(data: Readings) -> Iterator[_Made]:
     moving = [f for f in _factors(conditions) if np.ptp(f.get(conditions)) > least.get(f.name, 0.0)]
     for one, two in itertools.combinations(moving, 2):
         yield from _product(one, two, conditions)
+    if conditions.angle_rad is not None:
+        for factor in moving:
+            if factor.name in {"time", "temperature", "approach"}:
+                yield from _cycles_times(factor, conditions)
+
+
+def _cycles_times(factor: _Factor, conditions: Conditions) -> Iterator[_Made]:
+    """Yield errors of the stage with few cycles a turn whose size follows another covariate.
+
+    In some orders of positions they equal many cycles a turn of constant size.
+    """
+    _, half = _scaled(factor.get(conditions))
+    for cycles in (1, 2, 3):
+
+        def columns(c: Conditions, cycles: int = cycles) -> Floats:
+            waves = harmonics((cycles,))(c.covariate("angle_rad"))
+            return np.asarray(waves * (factor.get(c) - factor.zero)[:, None] / half)
+
+        form = f"{factor.letter} × (sin {cycles}θ, cos {cycles}θ)"
+        yield _formula("products", form, columns, ("angle",), covariates=(factor.name, "angle"))
 
 
 def _product(one: _Factor, two: _Factor, conditions: Conditions) -> Iterator[_Made]:

@@ -13,8 +13,9 @@ amplitude.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,8 @@ from adis_gonio.tracing.thresholds import limits
 _RANK = 1e-7
 """A column is dropped if its squared length, after projection off the other columns of its term, is
 smaller."""
+_TINY = 1e-8
+"""Least squared part of a column outside a model; a smaller one is a rounding error."""
 
 
 @dataclass(frozen=True)
@@ -88,37 +91,75 @@ class LinearProblem:
 
     def gains_from_products(self, z: Floats, inside: Floats) -> Floats:
         """Compute `gains` from the products of all columns with the residual (P,) and the basis (k, P)."""
-        first, k = self.first, len(inside)
-        if not len(first):
+        if not len(self.first):
             return np.zeros(0)
-        square: Floats = np.add.reduceat(z**2, first)
+        k = len(inside)
         if not k:
-            return square
+            return np.asarray(np.add.reduceat(z**2, self.first))
         # With A = basisᵀ · block, the gain of a block is zᵀ H z, H = ((1 + ε) 1 − AᵀA)⁻¹. The ridge ε
         # replaces a rank decision: along a direction inside the model z is zero too. The ridge loses 1e-4
         # of the gain, more than any price if the gain is a bias of hundreds of uncertainties; the
-        # refinement step zᵀ(H + εH²)z reduces the loss to 1e-8. By Woodbury's identity the inverse needs
-        # only (1 + ε) 1 − AAᵀ, of the size of the model instead of the block.
-        along = np.add.reduceat(inside * z, first, axis=1)
-        gram = np.add.reduceat((inside[:, None] * inside).reshape(k * k, -1), first, axis=1)
-        least = 1 + limits.independent
-        solved = _solve_small_systems(least * np.eye(k)[:, :, None] - gram.reshape(k, k, -1), along)
-        both = square + (along * solved).sum(axis=0)
-        twice = (both + least * (solved**2).sum(axis=0)) / least**2
-        gain: Floats = both / least + limits.independent * twice
-        return gain
+        # refinement step zᵀ(H + εH²)z reduces the loss to 1e-8.
+        gains = []
+        least, wide = 1 + limits.independent, len(self.first)
+        for members, places, size in self._groups:
+            if size >= k:
+                wide = members.start
+                break
+            own = inside[:, places].reshape(k, -1, size)
+            gram = least * np.eye(size)[:, :, None] - np.einsum("knv,knw->vwn", own, own)
+            along = z[places].reshape(-1, size).T
+            solved = _solve_small_systems(gram, along)
+            gains.append((along * solved + limits.independent * solved**2).sum(axis=0))
+        if wide < len(self.first):
+            gains.append(_gains_of_wide_blocks(z, inside, self.first[wide:]))
+        return np.concatenate(gains)
+
+    def pair_gains(self, z: Floats, inside: Floats, gram: Floats) -> Floats:
+        """Return the χ² (M, M) that each two terms together explain of a model's residual.
+
+        The products of all columns with the residual, the model's basis and each other are (P,), (k, P) and
+        (P, P). Only entries above the diagonal are valid; −∞ if the first term lies in the model.
+        """
+        # Orthonormalise the part of each block outside the model.
+        z, left = z.copy(), gram - inside.T @ inside
+        alone = np.zeros(len(self.first))
+        halves = []
+        for members, places, size in self._groups:
+            outside = inside[:, places].reshape(len(inside), members.stop - members.start, size)
+            own = (1 + _TINY) * np.eye(size) - np.einsum("knv,knw->nvw", outside, outside)
+            root = np.linalg.cholesky(own)
+            seen = (np.diagonal(root, axis1=1, axis2=2) ** 2 > limits.independent).all(axis=1)
+            halves.append(np.linalg.inv(root))
+            turned = halves[-1] @ z[places].reshape(-1, size, 1)
+            z[places] = turned.ravel()
+            alone[members] = np.where(seen, (turned**2).sum(axis=(1, 2)), -np.inf)
+        for _ in range(2):  # rows, then columns
+            for (_, places, size), half in zip(self._groups, halves, strict=True):
+                left[places] = (half @ left[places].reshape(-1, size, len(z))).reshape(-1, len(z))
+            left = np.ascontiguousarray(left.T)
+        # The gain of both is the gain of one, and of the other beyond it.
+        both = np.full((len(self.first), len(self.first)), -np.inf)
+        for members, places, size in self._groups:
+            along = left[places, places.start :].reshape(-1, size, len(z) - places.start).transpose(1, 0, 2)
+            own = z[places].reshape(-1, size).T[:, :, None]
+            rest = z[places.start :] - (own * along).sum(axis=0)
+            first = self.first[members.start :] - places.start
+            both[members, members.start :] = _gains_of_wide_blocks(rest, along, first)
+        return both + alone[:, None]
 
     def subset(self, chosen: NDArray[np.intp]) -> LinearProblem:
         """Return the problem restricted to the terms with these numbers, in ascending order."""
-        index = np.concatenate(
-            [np.arange(self.first[k], self.first[k] + self.width[k]) for k in chosen]
-        ).astype(np.intp)
+        index = np.array(
+            [column for k in chosen for column in range(self.first[k], self.first[k] + self.width[k])],
+            dtype=np.intp,
+        )
         width = self.width[chosen]
         return replace(
             self,
             terms=tuple(self.terms[k] for k in chosen),
             columns=np.ascontiguousarray(self.columns[:, index]),
-            first=np.concatenate([[0], np.cumsum(width)[:-1]]).astype(np.intp),
+            first=(np.cumsum(width) - width).astype(np.intp),
             width=width,
             back=tuple(self.back[k] for k in chosen),
             cost=self.cost[chosen],
@@ -136,29 +177,40 @@ class LinearProblem:
         factor = inflation / self.inflation
         return self._with_prior([factor * own for own in self.prior], inflation)
 
+    def with_covariance(self, features: Floats) -> LinearProblem:
+        """Return the problem with the covariance F Fᵀ of features F (rows, k) added to the noise."""
+        values, vectors = np.linalg.eigh(features @ features.T)
+        white = (vectors / np.sqrt(1 + np.maximum(values, 0.0))) @ vectors.T
+        # The prior of an amplitude does not change.
+        moved = replace(self, columns=white @ self.columns, target=white @ self.target)
+        return moved._with_prior(self.prior, self.inflation)
+
     def _with_prior(self, prior: Sequence[Floats], inflation: float) -> LinearProblem:
         """Return the problem with other prior Gram matrices, one for each of the M terms."""
         columns = np.empty_like(self.columns)
         back: list[Floats] = []
         turned: list[Floats] = []
-        for members, places, stack in self._by_width():
+        for members, places, size in self._groups:
+            stack = self.columns[:, places].reshape(len(columns), -1, size).transpose(1, 0, 2)
             # Orthonormalise each block again, together with its new prior rows.
             held = np.array(prior[members])
-            gram = np.eye(stack.shape[2]) - np.array(self.prior[members]) + held
+            gram = stack.transpose(0, 2, 1) @ stack + held
             turn = np.linalg.inv(np.linalg.cholesky(gram)).transpose(0, 2, 1)
             columns[:, places] = (stack @ turn).transpose(1, 0, 2).reshape(len(columns), -1)
             back.extend(own @ half for own, half in zip(self.back[members], turn, strict=True))
             turned.extend(turn.transpose(0, 2, 1) @ held @ turn)
         return replace(self, columns=columns, back=tuple(back), prior=tuple(turned), inflation=inflation)
 
-    def _by_width(self) -> Iterator[tuple[slice, slice, Floats]]:
-        """Yield the terms in groups of equal width: numbers, column range, columns (m, rows, width)."""
+    @cached_property
+    def _groups(self) -> tuple[tuple[slice, slice, int], ...]:
+        """The terms in groups of equal width: their numbers, their columns and the width."""
+        groups = []
         begin = 0
         for size, count in zip(*np.unique(self.width, return_counts=True), strict=True):
-            members = slice(begin, begin + int(count))
-            places = slice(int(self.first[begin]), int(self.first[begin] + size * count))
-            yield members, places, self.columns[:, places].reshape(-1, count, size).transpose(1, 0, 2)
-            begin = members.stop
+            start, end = int(self.first[begin]), begin + int(count)
+            groups.append((slice(begin, end), slice(start, start + int(size * count)), int(size)))
+            begin = end
+        return tuple(groups)
 
     def gain(self, model: Sequence[int]) -> float:
         """Return the decrease of χ² by a model, minus the χ² of its amplitudes under the prior."""
@@ -179,6 +231,24 @@ class LinearProblem:
             gram[own, own] = np.eye(int(self.width[k]))
             start = own.stop
         return columns, gram
+
+
+def _gains_of_wide_blocks(z: Floats, inside: Floats, first: NDArray[np.intp]) -> Floats:
+    """Compute `LinearProblem.gains` (…, M) by systems of the size k of the model.
+
+    By Woodbury's identity the inverse needs only (1 + ε) 1 − AAᵀ. Products with the residual are (…, P),
+    with the basis (k, …, P); `first` (M,) are the first columns of the blocks.
+    """
+    k, start = len(inside), int(first[0])
+    z, inside, first = z[..., start:], inside[..., start:], first - start
+    square = np.add.reduceat(z**2, first, axis=-1)
+    along = np.add.reduceat(inside * z, first, axis=-1).reshape(k, -1)
+    gram = np.add.reduceat(inside[:, None] * inside, first, axis=-1).reshape(k, k, -1)
+    least = 1 + limits.independent
+    solved = _solve_small_systems(least * np.eye(k)[:, :, None] - gram, along)
+    both = square + (along * solved).sum(axis=0).reshape(square.shape)
+    twice = both + least * (solved**2).sum(axis=0).reshape(square.shape)
+    return np.asarray(both / least + limits.independent * twice / least**2)
 
 
 def _solve_small_systems(gram: Floats, right: Floats) -> Floats:
@@ -227,6 +297,16 @@ class Products:
         else:
             along = problem.target @ problem.block(model[0])
         return problem.chi2 - float(along @ along), self._target - along @ inside, inside
+
+    def pairs(self, model: Sequence[int]) -> tuple[float, int, Floats]:
+        """Return the χ² of a model's residual, its columns, and the χ² (M, M) that two terms explain."""
+        chi2, z, inside = self.of_model(model)
+        return chi2, len(inside), self._joining.pair_gains(z, inside, self._gram)
+
+    @cached_property
+    def _gram(self) -> Floats:
+        columns = self._joining.columns
+        return columns.T @ columns
 
 
 def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:

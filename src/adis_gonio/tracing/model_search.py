@@ -1,4 +1,4 @@
-"""Search over models by a beam with exchange moves, and the posterior of the scored models.
+"""Search over models by moves from the best one, and the posterior of the scored models.
 
 Score of a model
     The score is ½ (explained χ²) − price of its columns − price of its terms. The price of a column is
@@ -11,7 +11,16 @@ Score of a model
     cases, and its 99 % quantile is −0.7 (−1.4 to −0.2 by session; scripts/trace_level.py). The prior thus
     keeps the family-wise error rate at 1 %.
 
-    Models are sets of terms and each set is scored once, so the search cannot cycle.
+Search
+    A model's neighbours are all models that it becomes without up to two of its terms, with or without a
+    bias in addition, and then with up to one term of any kind or two named terms. They contain every model
+    with a term added, dropped or exchanged, with two terms merged into one, with a term split into two
+    names, and with a function replaced by a bias and two names. When the search ends, all neighbours of its
+    best model have been scored, and none has a higher score. (A time limit ends it earlier; scores far
+    below the best are not stored.) The search starts at the best single terms and at the best
+    model of names alone, scores the neighbours of the best model, and repeats this for each better model.
+    The nearest neighbours of a few other good models are scored too, for the posterior. Each set of terms
+    is one model, so the search cannot cycle.
 
 Posterior
     Scores are log evidences, so models near the best have posterior odds. Models with equal predictions in
@@ -22,10 +31,11 @@ Posterior
 
 from __future__ import annotations
 
+import heapq
 import itertools
 import math
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -33,7 +43,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import spent
-from adis_gonio.fitting.estimation.terms import NamedTerm, Term
+from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.tracing.linear_problem import LinearProblem, Products, span
 from adis_gonio.tracing.thresholds import limits
 
@@ -53,17 +63,14 @@ class Search:
         Factor on the noise variance (greater than 1 if no model is adequate).
     scores : dict of model to float
         Scores against the base model, whose score is 0; a model is a sorted tuple of term numbers.
-    opened : dict of model to float
-        χ² of the models that were extended by every other term, with all extensions scored.
     promise : (M,) float
-        Best score of any model that adds this term to a fully opened model.
+        Largest rise of the score by this term, added to any model that every term extended.
     """
 
     problem: LinearProblem
     prices: Floats
     inflation: float = 1.0
     scores: dict[Model, float] = field(default_factory=dict)
-    opened: dict[Model, float] = field(default_factory=dict)
     promise: Floats = field(default_factory=lambda: np.zeros(0))
 
     @property
@@ -80,14 +87,6 @@ class Search:
         """Return half of the χ² that a scored model explains (its score without the prices)."""
         return self.scores[model] + float(sum(self.prices[k] for k in model))
 
-    def hope(self, model: Model) -> float:
-        """Return an upper limit for the rise of a model's score by further terms.
-
-        The limit is half of the residual's χ² in excess of its degrees of freedom.
-        """
-        left = self.problem.chi2 / self.inflation - 2 * self.explained(model)
-        return 0.5 * max(left - self.problem.dof, 0.0)
-
 
 def price(problem: LinearProblem) -> Floats:
     """Return the price (M,) in nats that each term subtracts from a model's score.
@@ -102,20 +101,17 @@ def search(
     problem: LinearProblem,
     max_terms: int,
     inflation: float = 1.0,
-    beam: int = limits.beam,
+    explored: int = limits.explored,
     spare: int | None = None,
 ) -> Search:
     """Search for models of up to `max_terms` terms that explain the target.
-
-    The best models of each size are extended by every term. The other models of the beam are extended by
-    all named terms, and by the unnamed terms that reached the best scores so far.
 
     Parameters
     ----------
     inflation : float
         Factor on the noise variance (greater than 1 if no model is adequate).
-    beam : int
-        Number of models of each size that are extended by another term; twice as many for single terms.
+    explored : int
+        Number of the best models whose neighbours are all scored.
     spare : int
         Degrees of freedom that must remain; by default half of the base model's degrees of freedom, since a
         model with more columns than remaining readings could not fail. A single named effect with at most
@@ -129,69 +125,149 @@ def search(
     found.scores[()] = 0.0
     found.promise = np.full(len(problem.terms), -np.inf)
     if problem.terms:
-        Beam(found, spare, max_terms, beam).run()
+        _Climb(found, spare, max_terms, explored).run()
     return found
 
 
-@dataclass(frozen=True)
 class _Joining:
-    """Terms with which models are extended, their numbers in the whole problem, and products."""
+    """Terms with which models are extended, their numbers in the whole problem, and products.
 
-    problem: LinearProblem
-    number: NDArray[np.intp]
-    products: Products
+    `opened` are the models that were extended by each of these terms.
+    """
+
+    def __init__(self, problem: LinearProblem, number: NDArray[np.intp]) -> None:
+        self.number = number
+        self.problem = problem if len(number) == len(problem.terms) else problem.subset(number)
+        self.products = Products(problem, self.problem)
+        self.opened: set[Model] = set()
 
 
-class Beam:
-    """A beam search for models, with its present state."""
+class _Climb:
+    """A search that scores the neighbours of the best models until the best ones do not change."""
 
-    def __init__(self, found: Search, spare: int, max_terms: int, width: int) -> None:
-        problem = found.problem
-        self.found, self.spare, self.max_terms, self.width = found, spare, max_terms, width
-        self.every = _Joining(problem, np.arange(len(problem.terms)), Products(problem, problem))
-        self.named = np.array([term.name is not None for term in problem.terms])
+    def __init__(self, found: Search, spare: int, max_terms: int, explored: int) -> None:
+        problem, terms = found.problem, found.problem.terms
+        self.found, self.spare, self.max_terms, self.explored = found, spare, max_terms, explored
+        self.named = np.array([term.name is not None for term in terms])
+        self.every = _Joining(problem, np.arange(len(terms)))
+        self.names = _Joining(problem, np.flatnonzero(self.named))
+        self.paired: set[Model] = set()
+        biases = [k for k, term in enumerate(terms) if term.constant]
+        self.bias = max(biases, key=lambda k: int(problem.width[k]), default=None)
         self.nameless = frozenset(np.flatnonzero(~self.named).tolist())
-        biases = (int(w) for w, t in zip(problem.width, problem.terms, strict=True) if t.constant)
-        self.bias_width = max(biases, default=0)
+        # The best of all models and of those with names only, by their names and covariates.
+        kinds = {key: i for i, key in enumerate(dict.fromkeys((t.name, t.covariates) for t in terms))}
+        self.kind = [kinds[term.name, term.covariates] for term in terms]
+        nothing: dict[frozenset[int], tuple[float, Model]] = {frozenset(): (0.0, ())}
+        self.leads = nothing, dict(nothing)
         self.top = 0.0
 
     def run(self) -> None:
-        """Search: extend models size by size, then try exchanging a term in the best models."""
-        level: list[Model] = [()]
-        for size in range(1, self.max_terms + 1):
-            if size > 1 and spent():
-                return
-            fresh: dict[Model, float] = {}
-            for model in level[: limits.widest]:
-                fresh.update(self.open(model, self.every))
-            if len(level) > limits.widest:
-                active = self._active()
-                for model in level[limits.widest :]:
-                    if spent():
-                        break
-                    fresh.update(self.open(model, active))
-            level = self._next_level(fresh, size)
-            if not level:
+        """Extend the best single terms, then climb with the named terms alone, then with every term."""
+        ends: list[Model] = [()] if self.bias is None else [(), (self.bias,)]
+        for model in ends:
+            self.open(model, self.every)
+            self.score_pairs(model, start=True)
+        starts = limits.starts if self.explored > 1 else limits.fold_starts
+        for model in heapq.nlargest(starts, self.found.scores, key=self.found.scores.__getitem__):
+            if spent():
                 break
-        self._exchange()
+            self.open(model, self.every)
+        if self.named.any():
+            self._climb(self.names, 1)
+        self._climb(self.every, self.explored)
 
-    def open(self, model: Model, joining: _Joining) -> dict[Model, float]:
-        """Score all models that extend a model by one of the `joining` terms; return them with scores."""
+    def _climb(self, joining: _Joining, explored: int) -> None:
+        """Score the neighbours of the best models of these terms until the best ones do not change."""
+        leads = self.leads[joining is self.names]
+        done: set[tuple[Model, bool]] = set()
+        while not spent():
+            (_, best), *others = heapq.nlargest(explored, leads.values())
+            if len(self.every.opened) >= limits.openings:
+                others = []
+            # A model, and whether its farther neighbours are scored.
+            steps = [(best, False), (best, True), *((model, False) for _, model in others)]
+            if joining is self.names:
+                del steps[1]
+            step = next((step for step in steps if step not in done), None)
+            if step is None:
+                break
+            done.add(step)
+            model, far = step
+            for rest in self._reduced(model, far):
+                self.open(rest, joining)
+                if far:
+                    self.score_pairs(rest)
+
+    def _reduced(self, model: Model, far: bool) -> Iterator[Model]:
+        """Yield a model without up to one of its terms; if `far`, up to two, and also with a bias."""
+        for dropped in range(min(len(model), 1 + far) + 1):
+            for rest in itertools.combinations(model, len(model) - dropped):
+                yield rest
+                biased = any(self.found.problem.terms[k].constant for k in rest)
+                if far and self.bias is not None and not biased:
+                    yield tuple(sorted((*rest, self.bias)))
+
+    def score_pairs(self, model: Model, *, start: bool = False) -> None:
+        """Score all models that extend a model by two named terms.
+
+        At the start of a search the best pairs are stored, later only those that score near the best model.
+        """
+        found, problem, joining = self.found, self.found.problem, self.names
+        if model in self.paired or len(model) + 2 > self.max_terms or len(joining.number) < 2:
+            return
+        self.paired.add(model)
+        chi2, rank, gains = joining.products.pairs(model)
+        here = self._score(model, chi2)
+        prices, width = found.prices[joining.number], joining.problem.width
+        scores = here + 0.5 * gains / found.inflation - prices - prices[:, None]
+        room = problem.dof - rank - width - width[:, None] >= self.spare
+        new = np.isin(joining.number, model, invert=True)
+        scores = np.where(np.triu(room & new & new[:, None], 1), scores, -np.inf)
+        top = float(scores.max()) if start else self.top
+        wanted = np.isfinite(scores) & (scores >= top - limits.window)
+        self._keep(model, joining.number[np.argwhere(wanted)], scores[wanted])
+
+    def _keep(self, model: Model, added: NDArray[np.intp], scores: Floats) -> None:
+        """Store the scores (n,) of a model extended by terms, given by their numbers (n, k)."""
+        wider = np.empty((len(added), len(model) + added.shape[1]), dtype=np.intp)
+        wider[:, : len(model)], wider[:, len(model) :] = model, added
+        wider.sort(axis=1)
+        fresh: dict[Model, float] = dict(zip(map(tuple, wider.tolist()), scores.tolist(), strict=True))
+        self.found.scores.update(fresh)
+        self.top = max(self.top, float(scores.max(initial=-np.inf)))
+        for one, score in fresh.items():
+            kinds = frozenset([self.kind[k] for k in one])
+            for leads in self.leads if self.nameless.isdisjoint(one) else self.leads[:1]:
+                if kinds not in leads or score > leads[kinds][0]:
+                    leads[kinds] = score, one
+
+    def _score(self, model: Model, chi2: float) -> float:
+        found = self.found
+        explained = 0.5 * (found.problem.chi2 - chi2) / found.inflation
+        return explained - sum(float(found.prices[k]) for k in model)
+
+    def open(self, model: Model, joining: _Joining) -> None:
+        """Score a model and all models that extend it by one of the `joining` terms."""
         found, problem = self.found, self.found.problem
-        if model in found.opened:
-            return {}
+        if model in joining.opened:
+            return
+        joining.opened.add(model)
         chi2, z, inside = joining.products.of_model(model)
-        found.opened[model] = chi2
+        here = self._score(model, chi2)
+        if problem.dof - len(inside) >= self.spare:
+            self._keep(model, np.zeros((1, 0), dtype=np.intp), np.array([here]))
+        if len(model) == self.max_terms:
+            return
         number, width = joining.number, joining.problem.width
         gains = joining.problem.gains_from_products(z, inside)
         gained = 0.5 * gains / found.inflation - found.prices[number]
-        here = 0.5 * (problem.chi2 - chi2) / found.inflation - sum(float(found.prices[k]) for k in model)
         room = problem.dof - len(inside) - width >= self.spare
         if not model:
-            room |= self.named[number] & (width <= min(self.bias_width, problem.dof))
+            widest = 0 if self.bias is None else int(problem.width[self.bias])
+            room |= self.named[number] & (width <= min(widest, problem.dof))
         gained = np.where(room & (gains > 1e-9), gained, -np.inf)
-        for k in model:
-            gained[number == k] = -np.inf
+        gained[np.isin(number, model)] = -np.inf
         if joining is self.every:
             found.promise = np.maximum(found.promise, gained)
         few = min(limits.scored, len(gained))
@@ -202,91 +278,9 @@ class Beam:
         wanted = gained >= floor
         if not model:
             # A single name may score far below many unnamed terms that replace two names at once.
-            wanted |= self.named
+            wanted |= self.named[number]
         kept = np.flatnonzero(wanted & np.isfinite(gained))
-        wider = np.empty((len(kept), len(model) + 1), dtype=np.intp)
-        wider[:, :-1], wider[:, -1] = model, number[kept]
-        wider.sort(axis=1)
-        fresh: dict[Model, float] = dict(
-            zip(map(tuple, wider.tolist()), (here + gained[kept]).tolist(), strict=True)
-        )
-        found.scores.update(fresh)
-        self.top = max(self.top, *fresh.values()) if fresh else self.top
-        return fresh
-
-    def _next_level(self, fresh: dict[Model, float], size: int) -> list[Model]:
-        """Return the models to be extended next: the best of this size that may reach the best score."""
-        if not fresh:
-            return []
-        wide = self._widest(fresh, 2 * self.width if size == 1 else self.width)
-        level = [m for m in wide if fresh[m] + self.found.hope(m) > self.top - limits.behind]
-        if size > 2 and max(fresh.values()) < self.top - limits.behind:
-            # One unnamed surface may score above two names that need a third one.
-            level = [m for m in level if self._all_named(m)]
-        return level
-
-    def _active(self) -> _Joining:
-        """Return the terms for extending models: all named terms, and unnamed terms with good scores."""
-        found = self.found
-        number = np.union1d(np.flatnonzero(self.named), np.argsort(-found.promise)[: limits.active])
-        problem = found.problem.subset(number)
-        return _Joining(problem, number, Products(found.problem, problem))
-
-    def _widest(self, fresh: dict[Model, float], count: int) -> list[Model]:
-        """Return the `count` best models and, among single terms, the best of each name and axes."""
-        terms = self.found.problem.terms
-        ranked = sorted(fresh, key=fresh.__getitem__, reverse=True)
-        kept, rest = ranked[:count], ranked[count:]
-        wanted = max(count // limits.names_only - sum(map(self._all_named, kept)), 0)
-        kept += itertools.islice(filter(self._all_named, rest), wanted)
-        if len(ranked[0]) == 1:
-            seen = {_face(terms[m[0]]) for m in kept}
-            for model in rest:
-                face = _face(terms[model[0]])
-                if face is not None and face not in seen:
-                    seen.add(face)
-                    kept.append(model)
-        return kept
-
-    def _all_named(self, model: Model) -> bool:
-        return self.nameless.isdisjoint(model)
-
-    def _exchange(self) -> None:
-        """Try to exchange each term of the best models for another, until the best model does not change.
-
-        Each model is extended again after one of its terms was removed.
-        """
-        for _ in range(limits.exchanges):
-            best = self.found.best
-            for model in _different(self.found, limits.exchanged):
-                if spent():
-                    return
-                for k in range(len(model)):
-                    self.open((*model[:k], *model[k + 1 :]), self.every)
-                if len(model) < self.max_terms:
-                    self.open(model, self.every)
-            if self.found.best == best:
-                return
-
-
-def _face(term: Term) -> tuple[str, tuple[str, ...]] | None:
-    """Return the name and axes of a term; None for an unnamed term."""
-    return (term.effect.name, term.effect.axes) if isinstance(term, NamedTerm) else None
-
-
-def _different(found: Search, count: int) -> list[Model]:
-    """Return up to `count` of the best models, no two with equal names and covariates."""
-    seen = set()
-    kept: list[Model] = []
-    for model in sorted(found.near(limits.voting), key=lambda m: -found.scores[m]):
-        terms = [found.problem.terms[k] for k in model]
-        face = frozenset((term.name, term.covariates) for term in terms)
-        if face not in seen:
-            seen.add(face)
-            kept.append(model)
-        if len(kept) == count:
-            break
-    return kept
+        self._keep(model, number[kept, None], here + gained[kept])
 
 
 Skeleton = tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]
@@ -306,15 +300,12 @@ class ModelPosterior:
         The other models of each class.
     names : dict of str to float
         Posterior probability that each effect is present.
-    covariates : dict of tuple of str to float
-        Posterior probability that an unnamed term with these covariates is present.
     """
 
     best: Model
     weights: dict[Model, float]
     same: dict[Model, list[Model]]
     names: dict[str, float]
-    covariates: dict[tuple[str, ...], float]
 
 
 def posterior(found: Search) -> dict[Model, float]:
@@ -330,38 +321,28 @@ def posterior(found: Search) -> dict[Model, float]:
 
 
 def weigh(found: Search) -> ModelPosterior:
-    """Return the posterior probabilities of the models, of names and of covariates."""
-    terms = found.problem.terms
+    """Return the posterior probabilities of the models and of names."""
     each = posterior(found)
     same = _classes(found, list(each))
     weights = {m: sum(each[k] for k in (m, *others)) for m, others in same.items()}
-    names, covariates = presence_probabilities(terms, weights)
+    names = presence_probabilities(found.problem.terms, weights)
     # The result reports names and covariates: choose the best set of these, then its best model.
     skeletons: dict[Skeleton, float] = defaultdict(float)
     for model, weight in weights.items():
         skeletons[skeleton(found, model)] += weight
     likely = max(skeletons, key=lambda s: skeletons[s])
     best = max((m for m in weights if skeleton(found, m) == likely), key=lambda m: weights[m])
-    return ModelPosterior(best, weights, same, names, covariates)
+    return ModelPosterior(best, weights, same, names)
 
 
-def presence_probabilities(
-    terms: Sequence[Term], weights: Mapping[Model, float]
-) -> tuple[dict[str, float], dict[tuple[str, ...], float]]:
-    """Return the probability that each name is present, and for each set of covariates a function."""
+def presence_probabilities(terms: Sequence[Term], weights: Mapping[Model, float]) -> dict[str, float]:
+    """Return the probability that each name is present."""
     names: dict[str, float] = defaultdict(float)
-    covariates: dict[tuple[str, ...], float] = defaultdict(float)
     for model, weight in weights.items():
-        for name in {terms[k].name for k in model}:
-            if name is not None:
-                names[name] += weight
-        for which in {terms[k].covariates for k in model if terms[k].name is None}:
-            covariates[which] += weight
+        for name in {terms[k].name for k in model} - {None}:
+            names[str(name)] += weight
     # A sum of weights may exceed 1 by rounding.
-    return (
-        {name: min(weight, 1.0) for name, weight in names.items()},
-        {which: min(weight, 1.0) for which, weight in covariates.items()},
-    )
+    return {name: min(weight, 1.0) for name, weight in names.items()}
 
 
 def _classes(found: Search, models: list[Model]) -> dict[Model, list[Model]]:

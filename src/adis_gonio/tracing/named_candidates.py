@@ -33,8 +33,9 @@ def prior_weight(kind: type[Effect]) -> float:
 def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
     """Return the candidate terms of all named effects, and the reason why each other effect is none.
 
-    Each effect has a fixed share of the prior. Its variants (axes, dwell, degree, shape) divide it evenly;
-    its numbers of cycles n divide it as 1/n, so that every octave has the same probability.
+    A bias of all axes has nearly the whole prior, since each axis of a real part has a bias. Each other
+    effect has a fixed share. Its variants (axes, dwell, degree, shape) divide it evenly; its numbers of
+    cycles n divide it as 1/n, so that every octave has the same probability.
     """
     terms: list[NamedTerm] = []
     missing: dict[str, str] = {}
@@ -53,6 +54,9 @@ def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
         variants = list(_variants(kind, data))
         parts = np.array([1 / getattr(effect, "cycles", 1) for effect, _ in variants])
         shares = limits.effect_share * prior_weight(kind) * parts / parts.sum()
+        if kind.prior == "constant":
+            whole = [len(effect.axes) == data.axes for effect, _ in variants]
+            shares = np.where(whole, limits.bias_share, shares)
         for (effect, shapes), part in zip(variants, shares, strict=True):
             label = effect.name
             if effect.axes:

@@ -171,8 +171,8 @@ def _select_with(
     data: Readings, kind: Kind, size: float, terms: Sequence[Term], max_effects: int
 ) -> Selection:
     """Select a model of the readings with a scatter component of this size added to their noise."""
-    beam, rounds = limits.scatter_beam, limits.fold_rounds
-    found = select(_add_component(data, kind, size), terms, max_effects, beam=beam, rounds=rounds)
+    few, rounds = limits.fold_explored, limits.fold_rounds
+    found = select(_add_component(data, kind, size), terms, max_effects, explored=few, rounds=rounds)
     check()
     return found
 

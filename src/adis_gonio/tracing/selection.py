@@ -107,7 +107,7 @@ def select(
     data: Readings,
     terms: Sequence[Term],
     max_terms: int,
-    beam: int = limits.beam,
+    explored: int = limits.explored,
     rounds: int = limits.rounds,
 ) -> Selection:
     """Choose the terms of the model of these readings, which must not contain `check` dwells."""
@@ -127,7 +127,7 @@ def select(
                 # linearisation error.
                 about = apart()
             problem = linearise(about, terms)
-        found, inflation = _search_with_noise(data, problem, max_terms, beam, inflation)
+        found, inflation = _search_with_noise(data, problem, max_terms, explored, inflation)
         problem = found.problem
         verdict, fit = _refit_best(problem, weigh(found), about, base.chi2)
         labels = tuple(sorted(term.label for term in fit.terms))
@@ -188,14 +188,14 @@ def _refit_best(
 
 
 def _search_with_noise(
-    data: Readings, problem: LinearProblem, max_terms: int, beam: int, inflation: float
+    data: Readings, problem: LinearProblem, max_terms: int, explored: int, inflation: float
 ) -> tuple[Search, float]:
     """Search; if even the best model is not adequate, search again with more noise.
 
     The unexplained part is then treated as noise of unknown origin (Birge's ratio), so that a name must be
     significant against it.
     """
-    found = search(problem, max_terms, inflation, beam)
+    found = search(problem, max_terms, inflation, explored)
     for _ in range(4):
         best = found.best
         basis, residual = span(found.problem, best)
@@ -207,7 +207,7 @@ def _search_with_noise(
         elif abs(ratio / inflation - 1) < 0.05:
             return found, inflation
         inflation = max(ratio, 1.0) if data.noise_known else max(ratio, 1e-12)
-        again = search(problem, max_terms, inflation, beam)
+        again = search(problem, max_terms, inflation, explored)
         if again.best == best:
             return again, inflation
         found = again

@@ -57,7 +57,16 @@ from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.scatter import Scatter, with_scatter
 from adis_gonio.tracing.selection import Selection, select
 from adis_gonio.tracing.thresholds import limits
-from adis_gonio.tracing.trace_result import ErrorFigures, Finding, NextDwell, Step, Stopped, TraceResult
+from adis_gonio.tracing.trace_result import (
+    ErrorFigures,
+    Finding,
+    NextDwell,
+    Step,
+    Stopped,
+    TraceResult,
+    Unnamed,
+)
+from adis_gonio.tracing.unknown_cause import beside_unknown_cause
 from adis_gonio.tracing.validation import (
     Fold,
     disagreement_p_value,
@@ -210,6 +219,13 @@ class TraceRun:
         """The selection that the result reports: the chosen model, or the average that replaces it."""
         return self.selection if self.averaged is None else self.selection.with_fit(self.averaged.fit)
 
+    @property
+    def judged(self) -> Selection:
+        """The chosen model with the posterior by which its causes are judged."""
+        judge, best = self.weighed, self.selection.verdict.best
+        verdict = replace(judge.verdict, best=best)
+        return replace(self.selection, problem=judge.problem, found=judge.found, verdict=verdict)
+
     def search(self) -> None:
         """Choose a model of the readings; include dwell-to-dwell scatter if this is more probable."""
         self.selection, self.scatter = search_model(self.measured, self.terms, self.max_effects)
@@ -221,12 +237,20 @@ class TraceRun:
         """Remove unnamed functions that make the prediction of held-out dwells worse, and choose again.
 
         A removed function has no posterior probability any more, so the names that it competed with gain.
+        If the model without the functions predicts held-out dwells worse than the shorter model with them,
+        the functions stay, and the model will be shortened.
         """
         self.nest(self.selection)
         while gone := refuted_functions(self.selection, self.fits, self.errors):
             if current().left_out:
                 break
+            before = dict(vars(self))
+            least = min((error for error in self.errors if error is not None), default=math.inf)
             self.nest(self.selection.without_functions(gone))
+            after = self.errors[-1] if self.errors else None
+            if after is not None and after > limits.worse * least:
+                vars(self).update(before)
+                break
 
     def nest(self, selection: Selection) -> None:
         """Store a selection, and compute the nested models of its terms and their held-out errors."""
@@ -246,7 +270,14 @@ class TraceRun:
 
         If the model is not adequate, also list the effects that could explain the unexplained part.
         """
-        self.names = reject_unchecked(judge(self.selection, self.averaged), self.selection)
+        self.weighed = self.selection
+        if self.scatter is None and not self.final.adequate:
+            self.weighed = attempt(
+                "an unknown cause beside the models",
+                lambda: beside_unknown_cause(self.selection, self.max_effects),
+                self.selection,
+            )
+        self.names = reject_unchecked(judge(self.weighed, self.averaged), self.selection)
         if self.scatter is not None or not self.selection.adequate:
             could = undecided(self.selection)
             if len(could) > 1:
@@ -279,9 +310,15 @@ class TraceRun:
     def judge_findings(self) -> None:
         """Make the findings of the accepted names, reject weak ones, and test the model on check dwells."""
         final, noise_known = self.final, self.measured.noise_known
-        findings = [finding_of(final, name, self.averaged) for name in self.names.accepted]
-        places = credible_sets(self.selection, self.averaged)
-        self.sets = tuple(one for one in places if one.present >= limits.certain)
+        judged = self.judged
+        findings = [finding_of(final, name, self.averaged, judged) for name in self.names.accepted]
+        places = credible_sets(judged, self.averaged)
+        known = {term.name for term in self.terms}
+        self.sets = tuple(
+            one
+            for one in places
+            if one.present >= limits.certain and (one.names[0] in known or self.functions_checked)
+        )
         self.likelier = likelier_functions(self.sets, self.terms)
         at_middle = [bias_at_middle(final, finding) for finding in findings]
         weak = weak_names(at_middle, self.figures[-1], self.likelier, places)
@@ -289,11 +326,26 @@ class TraceRun:
         self.reasons = {**self.names.rejected, **self.reasons}
         self.findings = [finding for finding in findings if finding.effect not in weak]
         self.notes = list(notes_of(self.selection, self.scatter))
-        self.adequate = final.adequate and self.scatter is None and (final.fit.dof > 0 or not noise_known)
+        plain = all(term.constant for term in final.terms)
+        tested = final.fit.dof >= (1 if plain else limits.least_checks) or not noise_known
+        self.adequate = final.adequate and self.scatter is None and tested
         if self.adequate and self.checking is not None and self.averaged is None and noise_known:
             disagreement = disagreement_of(final, self.checking)
             self.notes += disagreement
             self.adequate = not disagreement
+
+    @property
+    def functions_checked(self) -> bool:
+        """False if the dwells are too few to choose an unnamed function without some of them."""
+        return len(self.measured) >= limits.least_choice
+
+    @property
+    def unnamed(self) -> Unnamed | None:
+        """The unnamed part of the model; one that no fold could check has at most the limit of names."""
+        found = unnamed_of(self.selection, self.averaged, self.judged)
+        if found is None or self.functions_checked:
+            return found
+        return replace(found, probability=min(found.probability, limits.certain))
 
     def finished(self) -> TraceResult:
         """Return the result of a completed trace, with advice for the next session."""
@@ -316,7 +368,7 @@ class TraceRun:
             found=seen,
             sets=merge_by_function(self.sets, self.likelier),
             confounded=self.names.confounded,
-            unnamed=unnamed_with_share(unnamed_of(selection, self.averaged), of_step),
+            unnamed=unnamed_with_share(self.unnamed, of_step),
             detectable={
                 **detectable(selection.found, selection.verdict.best, self.missing, part),
                 **({"bias": ZERO_OF_COUNTS} if len(zeros) == self.data.axes else {}),

@@ -303,7 +303,7 @@ class Fold:
     def chosen_anew(self, rows: Readings) -> Chosen:
         """Choose and fit a model of the dwells that are not held out."""
         chosen = select(
-            rows, self.terms, self.max_effects, beam=limits.fold_beam, rounds=limits.fold_rounds
+            rows, self.terms, self.max_effects, explored=limits.fold_explored, rounds=limits.fold_rounds
         )
         if self.averaged is not None:
             again = average(chosen, self.averaged.candidates)

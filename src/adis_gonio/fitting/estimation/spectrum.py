@@ -630,10 +630,8 @@ def modes(covariance: Floats) -> tuple[Floats, Floats]:
 
     The modes are its eigenvectors with the largest eigenvalues, which vary slowly in time.
     """
-    from scipy.linalg import eigh
-
-    n = len(covariance)
-    values, vectors = eigh(covariance, subset_by_index=(max(n - MOST_MODES, 0), n - 1))
+    values, vectors = np.linalg.eigh(covariance)
+    values, vectors = values[-MOST_MODES:], vectors[:, -MOST_MODES:]
     kept = values > 1e-12 * max(float(values[-1]), 1e-300)
     factor = vectors[:, kept] * np.sqrt(values[kept])
     left = np.diagonal(covariance) - (factor**2).sum(axis=1)

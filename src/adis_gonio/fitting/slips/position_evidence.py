@@ -171,9 +171,7 @@ class Whitened:
 
     @cached_property
     def _inverse(self) -> Floats:
-        from scipy.linalg import solve_triangular  # late: a bench that only records starts without it
-
-        return np.asarray(solve_triangular(self.root, np.eye(len(self.root)), lower=True))
+        return np.asarray(np.linalg.inv(self.root), np.float64)
 
     def white(self, values: Floats) -> Floats:
         """Whiten columns (m, …): scale and mix the rows so that their covariance is the identity."""

@@ -1,0 +1,39 @@
+"""Many cycles a turn that the plan folds onto something simpler."""
+
+from adis_gonio.tracing.trace import trace
+from tracing.alias_sessions import (
+    growing_eccentricity,
+    loose_fixture,
+    one_sided_eccentricity,
+    worm,
+)
+
+
+def names(result) -> set[str]:
+    return {one.effect for one in result.found}
+
+
+def test_an_eccentricity_that_grows_with_time_is_not_fifty_five_cycles():
+    results = [trace(growing_eccentricity(seed)) for seed in range(6)]
+    assert not any("stage_periodic" in names(result) for result in results)
+    by_time = [any(one.names[0] == "unnamed: time and angle" for one in result.sets) for result in results]
+    assert sum(by_time) >= 5
+
+
+def test_cycles_that_equal_an_eccentricity_of_one_side_share_its_set():
+    results = [trace(one_sided_eccentricity(seed)) for seed in range(6)]
+    assert not any("stage_periodic" in names(result) for result in results)
+    both = {"unnamed: approach and angle", "stage_periodic"}
+    assert sum(any(both <= set(one.names) for one in result.sets) for result in results) >= 5
+
+
+def test_scatter_of_the_fixture_is_not_many_cycles():
+    results = [trace(loose_fixture(seed)) for seed in range(8)]
+    assert not any("stage_periodic" in names(result) for result in results)
+    assert sum("fixture_scatter" in names(result) for result in results) >= 6
+
+
+def test_a_worm_is_found_in_the_order_in_which_few_cycles_grow():
+    for seed in range(4):
+        found = {one.effect: one for one in trace(worm(seed)).found}
+        assert found["stage_periodic"].probability > 0.95
