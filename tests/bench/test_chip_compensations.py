@@ -27,7 +27,7 @@ def test_a_session_and_its_report_say_what_the_chip_compensates_and_nothing_wher
         runner = SessionRunner.begin(sensor, path, plan("two-position"), Settings(dwell_s=1.0), auto=True)
         (seen,) = [event for event in runner.run() if isinstance(event, Configured)]
     said = [line for line in configuration_lines(seen) if "compensates" in line]
-    assert said == ([f"  the chip compensates {', '.join(SAID[bit] for bit in bits)}"] if bits else [])
+    assert said == ([f"the chip compensates {', '.join(SAID[bit] for bit in bits)}"] if bits else [])
     session = load_session(path)
     assert {name: session.facts["configuration"][name] for name in SAID} == {
         name: name in bits for name in SAID

