@@ -449,6 +449,8 @@ class Session(ComputedOnce):
         for dwell in self.sampled:
             for name, rows in dwell.columns().items():
                 columns.setdefault(name, []).append(rows)
+        if all(dwell.turned_deg is None for dwell in self.sampled):
+            columns.pop("turned_deg", None)
         return frame(
             {name: np.concatenate(rows) for name, rows in columns.items() if len(rows) == len(self.sampled)}
         )
