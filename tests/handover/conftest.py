@@ -12,8 +12,8 @@ def small():
     return reproduce(7, 2, jobs=1, draws=150)
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def chrome() -> Iterator[Browser]:
-    """One Chromium for all pages."""
+    """One Chromium for all pages of a module; while it runs, its event loop runs in this thread."""
     with browser() as started:
         yield started

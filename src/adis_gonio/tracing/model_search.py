@@ -167,7 +167,8 @@ class _Climb:
         ends: list[Model] = [()] if self.bias is None else [(), (self.bias,)]
         for model in ends:
             self.open(model, self.every)
-            self.score_pairs(model, start=True)
+            if not spent():
+                self.score_pairs(model, start=True)
         starts = limits.starts if self.explored > 1 else limits.fold_starts
         for model in heapq.nlargest(starts, self.found.scores, key=self.found.scores.__getitem__):
             if spent():
