@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 
 import pytest
 
@@ -50,7 +51,7 @@ def test_an_operator_is_asked_and_may_end_it(capsys, path, monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO("\n\n\n\nn\n"))
     assert main([*SHORT, "-o", str(path)]) == 0
     out, err = capsys.readouterr()
-    assert "Go on? (Enter yes, n no: end the session here)" in err
+    assert re.search(r"Go on with .*\(y yes, n no", " ".join(err.split()))
     assert len(load_session(path).dwells) == 4
     assert "further positions were declined" in out
     # Asked again when the session is resumed with --trace; without it there is nothing to do.

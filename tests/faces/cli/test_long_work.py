@@ -191,7 +191,7 @@ def test_a_command_ends_with_130_though_its_first_ctrl_c_was_lost(
 def test_ctrl_c_in_the_midst_of_a_trace_leaves_everything_as_it_was(tmp_path, command):
     session, page = turn(tmp_path / "turn.csv", 200), tmp_path / "page.html"
     page.write_text("old", encoding="utf-8")
-    more = ["-o", str(page)] if command == "report" else []
+    more = ["-o", str(page), "--force"] if command == "report" else []
     with program([command, str(session), *more]) as process:
         assert process.stderr is not None
         first = process.stderr.readline()  # after a second of work

@@ -111,7 +111,7 @@ def test_from_start_to_result_with_wrong_moves_a_retake_a_quit_and_a_resume(oper
     operator.sees("turn [+−]1[78]")
     terminal.press("Enter")
     operator.sees(r"v  the stage counts the other way")
-    terminal.press("v")
+    terminal.press("r")
     operator.take(2, 90)
     # Taken again.
     operator.is_asked(3, 180)
