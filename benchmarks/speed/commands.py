@@ -14,7 +14,10 @@ from speed.timing import Row, quartiles
 PYTHON = (sys.executable, "-c")
 BASELINE = "import numpy, scipy.optimize"
 SESSION = ("calibrate", "sim:?seed=1", "--plan", "tumble", "--auto", "-o", "first.session")
-COMMANDS = {"fit": ("fit", "first.session"), "report": ("report", "first.session", "-o", "first.html")}
+COMMANDS = {
+    "fit": ("fit", "first.session"),
+    "report": ("report", "first.session", "-o", "first.html", "--force"),
+}
 
 
 def run(*, fast: bool) -> list[Row]:
