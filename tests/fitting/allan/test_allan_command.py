@@ -69,7 +69,7 @@ def test_the_page_and_the_plot_stand_alone(recording, capsys, tmp_path):
     for name in ("noise.html", "noise.svg"):
         status, _, err = run(capsys, "allan", recording, "-o", tmp_path / name)
         assert status == 0
-        assert f"{name}: " in err
+        assert f"{name}, " in err
     page = (tmp_path / "noise.html").read_text("utf-8")
     assert "gyros of left alone" in page
     assert page.count("<svg") == 3

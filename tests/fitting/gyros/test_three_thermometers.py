@@ -113,5 +113,5 @@ def test_a_session_with_one_thermometer_has_one_temperature(tmp_path):
 def test_samples_are_exported_with_the_columns_of_the_format(session):
     assert not set(session.dwells[0].columns()) - {
         *("time_s", "position", "angle_deg", "approach", "use", "ax", "ay", "az", "gx", "gy", "gz"),
-        *("temp_c", "supply_v"),
+        *("temp_c", "supply_v", "turned_deg"),
     }
