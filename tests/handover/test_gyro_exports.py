@@ -200,7 +200,7 @@ def test_the_offsets_take_the_zero_rates_of_a_simulated_part_away(capsys):
     assert np.abs(before - list(ZERO.values())).max() < 0.05
     assert np.abs(after).max() < 0.05
     assert main(["registers", "sim:?seed=1", *(f"{name}={number}" for name, number in lines.items())]) == 0
-    assert "-66" in capsys.readouterr().out
+    assert "−66" in capsys.readouterr().out
 
 
 def test_offsets_that_stood_already_are_kept_in_the_sum_and_rounding_leaves_half_an_lsb():
@@ -268,7 +268,7 @@ def test_registers_show_the_chip_s_offsets_beside_what_the_calibration_would_wri
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     (row,) = [line for line in lines if line[0] == "XGYRO_OFF"]
     assert row[2:5] == ["12", "0.21978", "°/s"]
-    assert row[5:10] == ["-66", "=", "-1.209", "°/s", "(u"]
+    assert row[5:10] == ["-66", "=", "−1.209", "°/s", "(u"]
     assert main(["registers", "sim:?seed=1", "--cal", str(path), "--json"]) == 0
     rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)["registers"]}
     assert rows["YGYRO_OFF"]["calibration"] == {

@@ -164,7 +164,7 @@ class _Climb:
 
     def run(self) -> None:
         """Extend the best single terms, then climb with the named terms alone, then with every term."""
-        ends: list[Model] = [()] if self.bias is None else [(), (self.bias,)]
+        ends: list[Model] = [()] if self.bias is None or not self.max_terms else [(), (self.bias,)]
         for model in ends:
             self.open(model, self.every)
             if not spent():
