@@ -206,7 +206,7 @@ class _Climb:
             for rest in itertools.combinations(model, len(model) - dropped):
                 yield rest
                 biased = any(self.found.problem.terms[k].constant for k in rest)
-                if far and self.bias is not None and not biased:
+                if far and self.bias is not None and not biased and len(rest) < self.max_terms:
                     yield tuple(sorted((*rest, self.bias)))
 
     def score_pairs(self, model: Model, *, start: bool = False) -> None:

@@ -247,7 +247,7 @@ def places(folder, session):
         "no folder": (folder / "none" / "page.html", 1, "there is no folder"),
         "a folder": (folder / "taken", 2, "is a folder"),
         "a file for a folder": (session / "page.html", 1, "there is no folder"),
-        "the input": (session, 2, "is the session itself"),
+        "the input": (session, 2, "exists already"),
     }
 
 
@@ -280,7 +280,7 @@ def test_no_simulation_begins_where_its_file_could_not_be_written(capsys, monkey
 def test_a_full_disk_leaves_the_old_page(tmp_path, two):
     page = tmp_path / "page.html"
     page.write_text("old", encoding="utf-8")
-    with program(["report", str(two), "-o", str(page)], room=2000) as process:
+    with program(["report", str(two), "-o", str(page), "--force"], room=2000) as process:
         said = process.communicate(timeout=600)[1]
     assert process.returncode == 1
     assert said.splitlines()[-1] == f"adis-gonio: {page}: cannot be written: File too large"
@@ -291,7 +291,7 @@ def test_a_full_disk_leaves_the_old_page(tmp_path, two):
 
 def test_a_full_disk_leaves_the_old_page_of_a_board(tmp_path):
     (tmp_path / "a.html").write_text("old", encoding="utf-8")
-    arguments = ["bringup", "sim:?seed=1", "-o", str(tmp_path / "a.html")]
+    arguments = ["bringup", "sim:?seed=1", "-o", str(tmp_path / "a.html"), "--force"]
     with program(arguments, room=30000) as process:  # room for the JSON, not for the page
         said = process.communicate(timeout=600)[1]
     assert process.returncode == 1
