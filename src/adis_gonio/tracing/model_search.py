@@ -164,7 +164,7 @@ class _Climb:
 
     def run(self) -> None:
         """Extend the best single terms, then climb with the named terms alone, then with every term."""
-        ends: list[Model] = [()] if self.bias is None or not self.max_terms else [(), (self.bias,)]
+        ends: list[Model] = [()] if self.bias is None else [(), (self.bias,)]
         for model in ends:
             self.open(model, self.every)
             if not spent():
@@ -206,7 +206,7 @@ class _Climb:
             for rest in itertools.combinations(model, len(model) - dropped):
                 yield rest
                 biased = any(self.found.problem.terms[k].constant for k in rest)
-                if far and self.bias is not None and not biased and len(rest) < self.max_terms:
+                if far and self.bias is not None and not biased:
                     yield tuple(sorted((*rest, self.bias)))
 
     def score_pairs(self, model: Model, *, start: bool = False) -> None:
@@ -251,7 +251,7 @@ class _Climb:
     def open(self, model: Model, joining: _Joining) -> None:
         """Score a model and all models that extend it by one of the `joining` terms."""
         found, problem = self.found, self.found.problem
-        if model in joining.opened:
+        if model in joining.opened or len(model) > self.max_terms:
             return
         joining.opened.add(model)
         chi2, z, inside = joining.products.of_model(model)
