@@ -62,19 +62,21 @@ class AveragedFit(Fit):
 
     Attributes
     ----------
-    mixed_covariance : (p, p) float
-        Covariance of base and named parameters.
+    joint_covariance : (p + axes, p + axes) float
+        Covariance of base and named parameters, and of the averaged term's reading on each axis without
+        acceleration at the middle of the session (`middle_s`), if it depends on nothing but time.
     mixed_used : float
         Degrees of freedom used by base, named terms and members, averaged with the members' weights.
     """
 
-    mixed_covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    joint_covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     mixed_used: float = 0.0
 
     @property
     def covariance(self) -> Floats:
-        """Covariance of the base and named parameters, equal to `mixed_covariance`."""
-        return self.mixed_covariance
+        """Covariance of the base and named parameters, (p, p)."""
+        p = len(self.values.parameters)
+        return self.joint_covariance[:p, :p]
 
     @property
     def used(self) -> float:
@@ -172,7 +174,7 @@ def _average(selection: Selection, candidates: Sequence[Process] | None) -> Aver
     weight = float(weights[: len(promising)].sum())
     # A fixed function has no parameters, but the degrees of freedom of its members are used.
     spent = AveragedFit(
-        fit.data, fit.terms, fit.values, fit.with_prior, mixed_covariance=covariance, mixed_used=used
+        fit.data, fit.terms, fit.values, fit.with_prior, joint_covariance=covariance, mixed_used=used
     )
     return Averaged(spent, promising[0].term, weight, promising)
 
@@ -226,13 +228,14 @@ def _fit_members(
     pool: Sequence[tuple[float, tuple[NamelessTerm, ...]]],
     weights: Floats,
 ) -> tuple[list[Member], Floats, float]:
-    """Fit each member; return members, covariance (k, k) of the fixed parameters, degrees of freedom.
+    """Fit each member; return members, `AveragedFit.joint_covariance`, and used degrees of freedom.
 
-    The fixed parameters are the base and named ones. Their covariance contains the uncertainty within each
+    The fixed parameters are the base and named ones. The covariance contains the uncertainty within each
     member and the differences between members. The used degrees of freedom are a weighted mean.
     """
     members: list[Member] = []
-    means, within, used = [], np.zeros((fixed.shape[1], fixed.shape[1])), 0.0
+    size = fixed.shape[1] + selection.data.axes
+    means, within, used = [], np.zeros((size, size)), 0.0
     likely = np.flatnonzero(weights).tolist()
     solutions = {k: _solve_ridge(selection, fixed, target, pool[k][1]) for k in likely}
     # Members that base and named terms could imitate are dropped, unless this would drop all of them.
@@ -244,8 +247,11 @@ def _fit_members(
         weight, terms = float(weights[k]), pool[k][1]
         solved, covariance, freedom, _ = solutions[k]
         used += float(weight) * freedom
-        means.append((weight, solved[: fixed.shape[1]]))
-        within += weight * covariance[: fixed.shape[1], : fixed.shape[1]]
+        stated = np.zeros((size, len(solved)))  # fixed parameters and readings at the middle
+        stated[: fixed.shape[1], : fixed.shape[1]] = np.eye(fixed.shape[1])
+        stated[fixed.shape[1] :, fixed.shape[1] :] = _at_middle(selection.fit, terms)
+        means.append((weight, stated @ solved))
+        within += weight * stated @ covariance @ stated.T
         cut = fixed.shape[1]
         for term in terms:
             width = term.columns(selection.fit.ideal, selection.fit.data.conditions).shape[-1]
@@ -254,6 +260,26 @@ def _fit_members(
     mean = np.sum([w * m for w, m in means], axis=0)
     between = np.sum([w * np.outer(m - mean, m - mean) for w, m in means], axis=0)
     return members, within + between / selection.inflation, used
+
+
+def middle_s(fit: Fit) -> float:
+    """Return the time halfway between the first and last dwell, in s since the start of the session."""
+    time_s = fit.data.conditions.time_s
+    return float(time_s.min() + time_s.max()) / 2
+
+
+def _at_middle(fit: Fit, terms: Sequence[NamelessTerm]) -> Floats:
+    """Derivative (axes, k) of the readings without acceleration at the middle by the terms' amplitudes.
+
+    It is zero for functions of the angle, and for terms that depend on more than time.
+    """
+    middle, still = Conditions(time_s=np.array([middle_s(fit)])), np.zeros((1, fit.data.axes))
+    rows = []
+    for term in terms:
+        width = term.columns(fit.ideal, fit.data.conditions).shape[-1]
+        clock = term.covariates == ("time",) and not term.enters_angle
+        rows.append(term.columns(still, middle)[0] if clock else np.zeros((fit.data.axes, width)))
+    return np.concatenate([np.zeros((fit.data.axes, 0)), *rows], axis=1)
 
 
 def _solve_ridge(
