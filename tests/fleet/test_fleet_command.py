@@ -96,8 +96,8 @@ def test_the_tables_on_the_terminal_say_what_the_json_says(tmp_path, capsys):
         (["."], "there is no session in .: give files, or folders with .session, .csv, .csv.gz"),
         (["a.csv", "--workers", "2", "--scheduler", "tcp://x:1"], "--workers and --scheduler"),
         (["a.csv", "--workers", "0"], "0 is not in the range"),
-        (["a.csv", "-o", "a.csv"], ".parquet, .json, .html"),
-        (["a.json", "-o", "a.json"], "is one of the sessions"),
+        (["a.csv", "-o", "b.csv"], ".parquet, .json, .html"),
+        (["a.json", "-o", "a.json", "--force"], "is one of the sessions"),
     ],
 )
 def test_wrong_usage_is_one_line_and_status_2(arguments, said, tmp_path, monkeypatch, capsys):

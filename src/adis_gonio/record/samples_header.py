@@ -51,7 +51,7 @@ _HTML = re.compile(
     re.IGNORECASE | re.DOTALL,
 )
 """The first tag of a page, after comments and an XML declaration."""
-LONGEST_LINE = 1 << 20
+LONGEST_LINE = 1 << 19
 """Limit of characters in a line; rows have hundreds, the certificate of a stage may have 10⁵.
 
 A file without line ends would fill the memory.
