@@ -32,7 +32,7 @@ from adis_gonio.calibrate.coefficients import (
 from adis_gonio.model.effects import AXES, Conditions, Effect
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn
 from adis_gonio.model.records import METADATA, MG_PER_MPS2
-from adis_gonio.record.provenance import Covered, Provenance
+from adis_gonio.record.loading import Covered, Provenance
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
@@ -352,7 +352,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         UsageError
             The contents of the registers are unknown, or the sensor has no such registers.
         """
-        from adis_gonio.device.sensor.variants import VARIANTS
+        from adis_gonio.device.sensor.registers import VARIANTS
 
         then = self.provenance.offsets_lsb
         if then is None or self.provenance.sensor not in VARIANTS or self.provenance.counts:

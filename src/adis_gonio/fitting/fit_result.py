@@ -30,7 +30,7 @@ from adis_gonio.fitting.uncertainty import FIXTURE, BudgetRow, ShownAngle, Sourc
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn
 from adis_gonio.model.records import MG_PER_MPS2
-from adis_gonio.record.provenance import Provenance
+from adis_gonio.record.loading import Provenance
 from adis_gonio.record.write_journal import INTERRUPTED
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ from adis_gonio.fitting.estimation.readings import ACCELEROMETER, GYRO
 from adis_gonio.fitting.slips.position_diagnosis import PositionFinding, listed
 from adis_gonio.model.effects import catalogue
 from adis_gonio.model.effects.sensor_terms import REFERENCE_C
-from adis_gonio.record.provenance import Provenance
+from adis_gonio.record.loading import Provenance
 from adis_gonio.tracing.credible_sets import CredibleSet
 from adis_gonio.tracing.within.samples import WithinFinding
 

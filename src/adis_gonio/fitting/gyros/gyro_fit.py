@@ -30,7 +30,7 @@ from adis_gonio.base.tables import Entries, ParameterTable
 from adis_gonio.base.uncertainty import INADEQUATE, Value
 from adis_gonio.calibrate.coefficients import NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit, adequacy
 from adis_gonio.fitting.estimation.readings import GYRO, Readings, readings_of_part
 from adis_gonio.fitting.estimation.terms import NamedTerm
@@ -38,7 +38,7 @@ from adis_gonio.fitting.gyros.turn_integration import gyro_directions
 from adis_gonio.model.effects import AXES, Effect, effect
 from adis_gonio.model.measurement import SKEW_AXES
 from adis_gonio.model.records import Session
-from adis_gonio.record.provenance import Provenance, provenance_of
+from adis_gonio.record.loading import Provenance, provenance_of
 from adis_gonio.record.write_journal import INTERRUPTED
 
 if TYPE_CHECKING:
