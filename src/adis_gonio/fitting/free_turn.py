@@ -215,9 +215,9 @@ class FreeTurnResult(FitResult):
 
     @cached_property
     def _shown(self) -> Floats:
-        """Derivative (places, p), in degrees, of the angle after calibration by each of the p parameters.
+        """Derivative (m, p) of the calibrated angle by the p parameters, in degrees.
 
-        The places are angles around a full turn.
+        The m angles are spread over a full turn.
         """
         at = {one.name: k for k, one in enumerate(self.parameters)}
         k_x, k_y = self["scale_x"].value, self["scale_y"].value
@@ -374,9 +374,10 @@ def series_of(session: Session) -> TurnRecording:
 
 
 def _outputs(solution: Solution, windows: Windows) -> tuple[list[str], list[float], Floats, list[str]]:
-    """Names, values, gradients (p, 12 + m) and units of the p parameters that the result reports.
+    """Names, values, gradients (p, 12 + m) and units of the p reported parameters.
 
-    The names are those that a planar session has. The gradients are by the values of the solution.
+    The names are those that a planar session has. The gradients are by the 12 common parameters and m
+    angles of the solution.
     """
     size = len(solution.covariance)
     common = dict(zip(NAMES, np.eye(size), strict=False))

@@ -176,7 +176,10 @@ def _applicable(angles: Floats, *, planar: bool, free: bool, known_zero: bool) -
 
 @dataclass(frozen=True)
 class _Dwells:
-    """Counts of the dwells of a planar session; `held` has True for 0°, 90°, 180°, 270° if measured."""
+    """Numbers of dwells of a planar session.
+
+    `held` has True for each of 0°, 90°, 180°, 270° that is measured.
+    """
 
     count: int
     declared: int

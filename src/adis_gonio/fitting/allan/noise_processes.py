@@ -80,7 +80,7 @@ def ordinate_variances(autocovariance: Floats, n: int, k: Floats) -> Floats:
 
 
 def line(n: int, k: Floats) -> Floats:
-    """DCT-II coefficients of the samples 0, 1, … n − 1 (a straight line), at the indices k.
+    """DCT-II coefficients, at the indices k, of the straight line 0, 1, … n − 1.
 
     Coefficients with an even index are zero.
     """
@@ -128,7 +128,7 @@ def _cin(x: NDArray[np.floating[Any]]) -> Floats:
 
 @lru_cache(maxsize=1)
 def _edge_table() -> Floats:
-    """Variances of the DCT-II coefficients 1 … `_TABLE` of flicker noise, times their frequency.
+    """Variances of the DCT-II coefficients 1 … `_TABLE` of flicker noise, each multiplied by its frequency.
 
     They include the effect of the ends of a record, and come from the variogram 2h Cin(πl) of noise with
     density h/|f| below half the sampling rate. The record is so long that its length has no effect.
@@ -271,7 +271,7 @@ def _expected(
 def _variogram(
     squares: Floats, filter_m: int, lags: int, period_s: float, coarse: int, rounding: Floats
 ) -> Floats:
-    """Half the mean squared difference of two means over `coarse` samples, at each distance, for a model.
+    """Half the mean squared difference of two means of `coarse` samples, by their distance.
 
     The distances are 0, 1, … `lags` − 1 such means. `squares` are the squared coefficients of the model.
     """

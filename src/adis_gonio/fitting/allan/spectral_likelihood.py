@@ -276,7 +276,10 @@ def _grid(n: int, filter_m: int, period_s: float) -> _Grid:
 
 @lru_cache(maxsize=8)
 def _rounded(rounding: bytes, n: int, filter_m: int, period_s: float) -> Floats:
-    """Mean variance (b,) in each bin by the converter's rounding, from the bytes of its autocovariance."""
+    """Mean variance (b,) in each frequency bin that the converter's rounding causes.
+
+    `rounding` are the bytes of the autocovariance of the rounding errors.
+    """
     grid = _grid(n, filter_m, period_s)
     return grid.mean(ordinate_variances(np.frombuffer(rounding), n, grid.points))
 
@@ -370,7 +373,7 @@ class Likelihood:
         self._d = np.concatenate([d for _, _, d in data.lines])
 
     def expected(self, theta: Floats) -> Floats:
-        """Expected variance (k,) in each kind of bin for the squared coefficients θ."""
+        """Expected variance (k,) in each distinct frequency bin for the squared coefficients θ."""
         return np.asarray(np.maximum(self._shapes @ theta + self._rounding, self._least), np.float64)
 
     def _lines(self, v: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -550,7 +553,7 @@ def _root_below(beyond: Callable[[float], float], top: float) -> float:
 
 
 def _detectable(likelihood: Likelihood, absent: Floats, index: int) -> float:
-    """Smallest coefficient that nine of ten such records would detect.
+    """Smallest coefficient that nine of ten records like this one would detect.
 
     `absent` (4,) is the best model without this process.
     """

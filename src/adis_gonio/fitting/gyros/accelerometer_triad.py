@@ -108,7 +108,7 @@ class Axes:
         return _direction(self.values, force_g)
 
     def modes(self, force_g: Floats) -> Floats:
-        """Change (3, k) of the unit direction computed from a reading, by each column of `factor`."""
+        """Change (3, k) of the direction that a reading shows, by each column of `factor`."""
 
         def unit(values: Floats) -> Floats:
             vector = _direction(values, force_g)
@@ -117,9 +117,9 @@ class Axes:
         return central_differences(unit, self.values, _STEP, self.factor.T)
 
     def u_rad(self) -> float:
-        """Standard uncertainty in rad of a direction, for each of the two ways across it.
+        """Standard uncertainty in rad of a direction, along each of the two axes perpendicular to it.
 
-        It is the mean over the three axes.
+        It is the mean over directions along the three axes.
         """
         # A direction has two components across it, so half of the squared length counts for each.
         sizes = [np.linalg.norm(self.modes(row)) for row in np.eye(3)]
@@ -233,7 +233,7 @@ def _triad_in_space(session: Session, *sources: Source, noise_mg: float = 0.0) -
 
 
 def _with_declared(readings: Readings, psi: Floats, u: Floats) -> dict[int, tuple[float, float]]:
-    """Average the angle ψ of each dwell with its declared angle, weighted by their uncertainties.
+    """Average declared angle and angle ψ by gravity of each dwell, weighted by uncertainties.
 
     Both are angles of one stage: ψ + θ is the start angle α for all dwells, apart from errors. Angles that
     disagree are not averaged.

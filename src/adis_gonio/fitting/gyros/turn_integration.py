@@ -316,9 +316,12 @@ def smooth_blocks(rate: Floats, window: int) -> Floats:
 
 
 def _bridges(time: Floats, rate: Floats, sampling: Sampling) -> tuple[Floats, int] | None:
-    """Covariance (3, 3) in deg² of the error by linear interpolation over lost samples, and their number.
+    """Uncertainty that gaps in the samples add to the integrated angle, and the number of lost samples.
 
-    None if too few samples around a gap show that error.
+    The rate is interpolated linearly over a gap. The covariance (3, 3) in deg² comes from the error that
+    such an interpolation makes in complete samples near the gap.
+
+    None if there are too few complete samples.
     """
     period = sampling.period_s
     lost = np.rint(np.diff(time) / period).astype(int) - 1
@@ -389,7 +392,7 @@ def gyro_directions(misalignment_deg: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Attitude:
-    """Rotation over a turn, as its effect on a direction that is fixed in space.
+    """Rotation of the sensor over a turn, with its derivatives by the gyro parameters.
 
     Attributes
     ----------

@@ -123,7 +123,7 @@ class Pattern:
 
 
 def patterns_of(rows: Rows, before_rad: Floats) -> list[Pattern]:
-    """All patterns of error that one further fault can cause.
+    """All patterns of errors that one further fault could cause.
 
     `before_rad` (n,) are the errors of the positions by the faults already accepted.
     """
@@ -233,7 +233,7 @@ def _gyro(rows: Rows, zero: float) -> Iterator[Pattern]:
 
 
 def _any_size(estimate: Floats, u: Floats) -> Floats:
-    """Ln of the evidence of a slip without a known size, from its estimate and u in rad.
+    """Log evidence of a slip of unknown size, from its estimate and u in rad.
 
     Each order of magnitude of the slip is equally probable, up to half a turn.
     """
@@ -249,7 +249,7 @@ def _slip_after_rests(halts: Halts, estimate: Floats, u: Floats) -> Floats:
 
 
 def _typing_error(listed_rad: Floats, declared_deg: float, estimate: Floats, u: Floats) -> Floats:
-    """Ln of the evidence of a wrongly typed angle, from the estimated error and its u in rad.
+    """Log evidence of a wrongly typed angle, from the estimated error and its u in rad.
 
     The intended angle is on the list of usual angles, a whole degree, or any angle.
     """

@@ -62,7 +62,7 @@ class Halts:
     turned_rad: float
 
     def log_odds(self, error_rad: Floats, u_rad: Floats) -> Floats:
-        """Log likelihood ratio (g,) of a slip in this turn, for g sizes of it, by the gyro's rests.
+        """Log likelihood ratio (g,) of a slip in this turn, for g sizes, by the rests that the gyro shows.
 
         Parameters
         ----------
@@ -281,7 +281,10 @@ def common_zero(angle_rad: Floats) -> float:
 
 @dataclass(frozen=True)
 class _Local:
-    """Model of the readings, linearised at each reading, along and across the circle of readings."""
+    """Model of the readings, linearised at each reading.
+
+    Changes have components along and across the circle of readings.
+    """
 
     psi_rad: Floats
     along: Floats

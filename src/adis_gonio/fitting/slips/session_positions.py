@@ -106,7 +106,7 @@ def _increments(session: Session, readings: Readings) -> Increments | None:
 
 
 def _noted(session: Session) -> dict[tuple[int, int], tuple[float, float]]:
-    """Turn about z and its u, in degrees, by the numbers of the two dwells, as `bench` recorded it.
+    """Turns about z that were noted while the session ran, with u, in degrees, by the two dwells.
 
     The u includes the g-sensitivity.
     """
