@@ -201,8 +201,8 @@ def _labels(model: Sequence[Term]) -> tuple[str, ...]:
 def _rivals(selection: Selection) -> list[Hypothesis]:
     """Return hypotheses that compete: the chosen model, and the best model of each other set of names.
 
-    Together they have most of the posterior probability. The probability of a model that contains the
-    chosen model is added to the chosen model, which is adequate without the additional terms.
+    Together they have most of the posterior probability. An adequate model has rivals that contain it: with
+    few dwells an effect can be too faint to be found and yet as probable as its absence.
     """
     found, problem = selection.found, selection.problem
     near = found.near(7.0)
@@ -212,7 +212,6 @@ def _rivals(selection: Selection) -> list[Hypothesis]:
     best: dict[tuple[str, ...], tuple[int, ...]] = {ours: selection.verdict.best}
     for numbers in sorted(near, key=lambda m: -near[m]):
         names = _labels([problem.terms[k] for k in numbers])
-        names = ours if set(ours) <= set(names) else names
         weight[names] = weight.get(names, 0.0) + float(np.exp(near[numbers] - top))
         best.setdefault(names, numbers)
     total = sum(weight.values())
