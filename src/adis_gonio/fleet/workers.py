@@ -126,7 +126,10 @@ class _StoppedError(Exception):
 
 
 class _Hand(threading.Thread):
-    """Thread that gives jobs to one worker process; a job that ended its process is given to a new one."""
+    """Thread that gives jobs to one worker process.
+
+    A job that ends its process is given to a new process, at most `ATTEMPTS` times in total.
+    """
 
     def __init__(
         self,

@@ -88,7 +88,7 @@ LEAST_GAIN, MOST_GAIN = 0.5, 2.0
 
 @dataclass(frozen=True)
 class Scaled:
-    """A constant as the integer `number` times 2^−`shift`."""
+    """A constant of the C header as the integer `number` times 2^−`shift`."""
 
     number: int
     shift: int
@@ -259,7 +259,7 @@ def _condition(constants: tuple[int, Scaled], given: Whole | None, n: int) -> Wh
 
 
 def _row(entries: Sequence[Scaled], columns: Sequence[Whole]) -> Whole:
-    """Sum of entry · column (n,) over a row of the matrix."""
+    """Matrix row times vector: sum of entry · column (n,), in fixed point."""
     total = np.zeros(len(columns[0]), dtype=np.int64)
     for entry, column in zip(entries, columns, strict=False):
         if entry.number:

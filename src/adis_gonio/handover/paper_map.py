@@ -165,7 +165,7 @@ _SEARCHED_DEG = (1e-3, 10.0)
 
 @dataclass(frozen=True)
 class Point:
-    """A point of the map: the standard deviations of three random errors of a session.
+    """A point of the map: standard deviations of the three random errors of a simulated session.
 
     They are the errors of a stage angle (degrees), of the bias of an axis (mg) and of a reading (mg).
     """

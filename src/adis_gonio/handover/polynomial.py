@@ -67,7 +67,7 @@ class Monomial:
 
 @dataclass(frozen=True)
 class Input:
-    """Scaling of temperature or supply for the polynomial: t or v = (number − zero) · step."""
+    """Conversion of temperature or supply for the polynomial: t or v = (number − zero) · step."""
 
     zero: int
     step: float

@@ -159,7 +159,7 @@ class SmoothedAngle:
 
 @dataclass(frozen=True)
 class Kept:
-    """A filtered time step that the live reading no longer needs, kept for `smooth`."""
+    """A filtered time step that the live angle no longer needs, stored for `smooth`."""
 
     time_s: float
     drift_deg: float
@@ -168,7 +168,7 @@ class Kept:
 
 @dataclass(frozen=True)
 class _Seen:
-    """A time step, and gravity rotated back by the turn measured since the last gap."""
+    """A time step, with its gravity vector rotated back by the turn measured since the last gap."""
 
     turned: Turned
     level: complex

@@ -135,7 +135,7 @@ class SmoothedMeter:
         self._smoother.restart()
 
     def take_rest(self, mean_mg: Floats, temperature_c: float | None) -> None:
-        """Compare the length of a reading (3,) in mg at rest with gravity by the calibration."""
+        """Check the calibration at rest: compare the length of a reading (3,) in mg with local gravity."""
         calibration = self._calibration
         if calibration is None:
             return

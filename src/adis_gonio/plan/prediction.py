@@ -408,7 +408,7 @@ def predict_uncertainty(plan: Plan, bench: Bench) -> PlanUncertainty:
 
 
 def _reach_off(plan: Plan, bench: Bench, off_deg: Floats) -> PlanUncertainty | None:
-    """Return the uncertainties if the stage angles are wrong by `off_deg` (n,); None if no fit succeeds."""
+    """Predict the uncertainties if stage angles are wrong by `off_deg` (n,); None if no fit succeeds."""
     try:
         return _reach(fit_readings(expected_readings(plan, bench, off_deg).training))
     except FitError:
