@@ -75,7 +75,7 @@ class LinearProblem:
 
     @property
     def chi2(self) -> float:
-        """χ² of the base model."""
+        """χ² of the residual of the base model."""
         return float(self.target @ self.target)
 
     def block(self, term: int) -> Floats:

@@ -219,7 +219,7 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
         advice=advice,
         reasons=reasons,
         notes=(
-            *(["the zero moves without a recorded cause: " + ", ".join(uncaused)] if uncaused else []),
+            *(["the bias changes without a recorded cause: " + ", ".join(uncaused)] if uncaused else []),
             "one pose, traced sample by sample; adequacy cannot be tested, since the noise of neighbouring "
             "samples is not independent",
             "held-out rms by axis: "
@@ -559,7 +559,7 @@ def _shares(problem: _Problem, model: Model, candidates: Sequence[_Candidate]) -
 
 
 def _uncaused(problem: _Problem, model: Model) -> list[str]:
-    """Return the axes on which the zero moves without a recorded cause, one line of text each."""
+    """Return the axes on which the bias changes without a recorded cause, one line of text each."""
     from scipy.special import softmax
 
     out = []

@@ -364,7 +364,7 @@ class PredictedDwells:
     root: list[Floats]
 
     def of(self, k: int) -> PredictedDwells:
-        """Dwell k alone."""
+        """Predicted readings of the dwell number k alone."""
         return PredictedDwells([m[k : k + 1] for m in self.mean], [r[k : k + 1] for r in self.root])
 
     def after(self, other: PredictedDwells) -> PredictedDwells:

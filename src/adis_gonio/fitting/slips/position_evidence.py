@@ -37,7 +37,7 @@ LARGER = (1.0, 8.0)
 LARGER_PRIOR = (0.7, 0.3)
 WANDERS = ((math.radians(0.1), 0.0), (math.radians(0.5), 0.0), (0.0, 0.002))
 """Rotation of a part that turns slowly in its mount at the end of a session (standard deviation of a
-random walk), and drift of the zero of an axis, in g."""
+random walk), and drift of the bias of an axis, in g."""
 WANDERS_PRIOR = 0.02
 """Prior probability of each entry of `WANDERS`."""
 NEGLIGIBLE = 40.0

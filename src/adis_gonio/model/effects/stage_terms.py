@@ -210,10 +210,10 @@ class PositionSlip(StageEffect):
 
 
 class Hysteresis(LinearAxisEffect):
-    """The zero depends on the direction of approach; half of the loop's width to either side."""
+    """The bias depends on the direction of approach; half of the loop's width to either side."""
 
     name = "hysteresis"
-    cause = "Stress of the last move stays in the sensor or its mount and shifts the zero of an axis."
+    cause = "Stress of the last move stays in the sensor or its mount and shifts the bias of an axis."
     formula = "a_i += hysteresis_i · approach/2"
     separated_by = (
         "`backlash` turns the part and so moves a reading only if it changes with the angle: approach "
