@@ -28,7 +28,7 @@ Member = tuple[float, NamelessTerm, Floats]
 
 @dataclass(frozen=True)
 class AveragedTerm(NamelessTerm):
-    """Weighted mean of fitted unnamed functions, as a term that has no parameters to fit.
+    """Weighted mean of fitted unnamed functions, as a fixed term without parameters.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class AveragedFit(Fit):
 
 @dataclass(frozen=True)
 class Averaged:
-    """A model with named effects, and with the mean of several possible unnamed functions.
+    """A model with named effects and an average over unnamed functions.
 
     Attributes
     ----------
@@ -111,14 +111,13 @@ class Averaged:
 
 
 def average(selection: Selection, candidates: Sequence[Process] | None = None) -> Averaged | None:
-    """Return a model with the mean of unnamed functions in addition to the named effects.
+    """Return a model with the average of unnamed functions in addition to the named effects.
 
-    None if the named effects explain the readings.
+    None if the named effects are enough.
 
-    The candidates (formulas and Gaussian processes) are first weighed with the measured noise. If their
-    mean does not agree with this noise, they are weighed again with the larger noise that the best formula
-    leaves. This is not done first, because with the larger noise a wrong formula may outweigh the right
-    process.
+    The candidates (formulas and processes) are first weighed with the measured noise. If their average does
+    not agree with this noise, they are weighed again with the larger noise that the best formula leaves.
+    This is not done first, because with the larger noise a wrong formula may outweigh the right process.
 
     Parameters
     ----------
@@ -188,7 +187,7 @@ def _named_columns(fit: Fit) -> list[Floats]:
 
 
 def _covered_by_process(term: NamelessTerm, covered: set[tuple[Where, tuple[str, ...]]]) -> bool:
-    """Return True if a term approximates a function that a Gaussian process also describes.
+    """Return True if a term is a polynomial approximation of a function that a process also describes.
 
     Both fit the readings equally well, but outside their range a polynomial diverges.
     """
@@ -201,7 +200,7 @@ def _formulas(
     """Return the unnamed terms of each probable model that has exactly these named terms.
 
     Each comes with its log evidence minus the log evidence of the model with the named terms alone. Terms
-    that approximate a function which a process also describes are omitted.
+    that a process covers are omitted.
     """
     problem, found = selection.problem, selection.found
 
@@ -227,11 +226,10 @@ def _fit_members(
     pool: Sequence[tuple[float, tuple[NamelessTerm, ...]]],
     weights: Floats,
 ) -> tuple[list[Member], Floats, float]:
-    """Fit each function to average; return the functions with their weights, a covariance and a number.
+    """Fit each member; return members, covariance (k, k) of the fixed parameters, degrees of freedom.
 
-    The covariance (k, k) is that of the fixed parameters, which belong to the base model and the named
-    effects. It contains the uncertainty within each member and the differences between members. The number
-    is the weighted mean of the degrees of freedom that the functions use.
+    The fixed parameters are the base and named ones. Their covariance contains the uncertainty within each
+    member and the differences between members. The used degrees of freedom are a weighted mean.
     """
     members: list[Member] = []
     means, within, used = [], np.zeros((fixed.shape[1], fixed.shape[1])), 0.0
@@ -261,10 +259,11 @@ def _fit_members(
 def _solve_ridge(
     selection: Selection, fixed: Floats, target: Floats, terms: Sequence[NamelessTerm]
 ) -> tuple[Floats, Floats, float, float]:
-    """Fit terms with priors (ridge regression); return values, covariance, used degrees of freedom, share.
+    """Solve a ridge regression; return values, covariance, used degrees of freedom and visible share.
 
-    The covariance is in units of the noise. The share is the part of the terms' contribution that the fixed
-    columns cannot reproduce. It is 1 without terms and for processes, since their priors keep them small.
+    The covariance is in units of the noise. The visible share is the share of the terms' contribution that
+    the fixed columns could not reproduce. It is 1 without terms and for processes, since their priors keep
+    them small.
     """
     fit = selection.fit
     blocks = [fit.white(fit.candidate(term)) for term in terms]
