@@ -379,7 +379,7 @@ def test_a_drift_that_one_turn_in_order_takes_for_something_else_is_found(path):
 
     Over many sessions: scripts/trace_loop.py.
     """
-    url = QUIET.format(3) + "&effects=bias_drift:drift_x=4"
+    url = QUIET.format(3) + "&effects=bias_drift:drift_x=2"
     events = run(path, TraceAdvisor(), plan("mmpm"), url, settings=LONGER)
     first, *_, last = of(events, Advised)
     assert "bias_drift" not in first.summary["found"]

@@ -53,7 +53,7 @@ KEYED_BY_NAME = {"keyed_by_name": True}
 
 
 def key(name: str) -> dict[str, str]:
-    """Metadata for a dataclass field that has the key `name` in the JSON document."""
+    """Metadata of a dataclass field that sets its key in the JSON document to `name`."""
     return {"key": name}
 
 

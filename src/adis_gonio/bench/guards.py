@@ -528,7 +528,7 @@ def _diagnosis_text(
 
 @dataclass(frozen=True)
 class _Taken:
-    """A recorded dwell: position, mean reading (3,) in mg, and if a guard was overruled (`doubted`)."""
+    """A recorded dwell: position, mean reading (3,) in mg, and `doubted` if a guard was overruled."""
 
     place: int
     position: Position
@@ -606,7 +606,7 @@ class Judge:
         return TurnMeasured(place, self._asked_deg(position), by_gyro, u_deg, gravity)
 
     def done(self, place: int, position: Position, scans: Block, *, doubted: bool) -> None:
-        """Learn from a complete dwell; of a doubted dwell only the position is used."""
+        """Take a complete dwell into account; of a doubted dwell only the position is used."""
         mean = np.asarray(scans.accel_mg.mean(axis=0))
         self._taken.append(_Taken(place, position, mean, doubted, *self._turned))
         self._turned = (None, None)

@@ -167,7 +167,7 @@ class SessionBench:
 
     @property
     def sets_conditions(self) -> bool:
-        """True if the program can set the sensor's temperature and supply."""
+        """True if the program can set the temperature and the supply of the sensor."""
         return isinstance(self.world, ControlledWorld)
 
     @staticmethod
@@ -241,7 +241,7 @@ class SessionBench:
 
     @property
     def scanning(self) -> JsonDict:
-        """How scans are read: texts `how` and `caveat`; empty before the first scan."""
+        """Method by which scans are read, as texts `how` and `caveat`; empty before the first scan."""
         return dict(self._scanning)
 
     def close(self) -> None:

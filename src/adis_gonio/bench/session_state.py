@@ -79,7 +79,7 @@ class Ledger:
         return problem
 
     def scanning(self, now: dict[str, Any]) -> None:
-        """Write to the archive how scans are read, if that has changed."""
+        """Write the method by which scans are read to the archive, if it has changed."""
         if now != self._scanning:
             self._scanning = now
             self.note("scanning", now)

@@ -501,7 +501,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
 
 
 def _solved(free: Floats, terms: Sequence[tuple[Effect, Floats]], conditions: Conditions) -> Floats:
-    """Find the ideal readings a (n, axes) for which a plus the effects at a gives `free`.
+    """Find the ideal readings a (n, axes) that give the readings `free`: a plus the effects at a.
 
     A row is NaN if the iteration does not converge.
     """

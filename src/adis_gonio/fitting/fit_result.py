@@ -425,7 +425,7 @@ _RANK = {name: rank for rank, name in enumerate(_FIRST)}
 
 
 def variances(outputs: Sequence[Output], natural: Floats) -> Floats:
-    """Covariance (m, m) of reported quantities, from the covariance (p, p) of the natural parameters."""
+    """Covariance (m, m) of m reported quantities, from the covariance (p, p) of the natural parameters."""
     gradients = np.stack([output.gradient for output in outputs])
     return np.asarray(gradients @ natural @ gradients.T)
 

@@ -281,7 +281,7 @@ class LeastSquaresProblem:
         self.prior = self._prior()
 
     def _prior(self) -> tuple[Floats, Floats]:
-        """Prior mean and variance of all values except the angles; the variance is inf without a prior."""
+        """Prior mean and variance of the 12 common parameters; the variance is inf without a prior."""
         g = math.radians(G_SENSITIVITY_DPS)
         sigma = [SENSOR_SPREAD, SENSOR_SPREAD, SENSOR_SPREAD, np.inf, np.inf, LEVER_MM, LEVER_MM,
                  GYRO_GAIN, np.inf, g, g, LATENCY_S]  # fmt: skip
@@ -345,7 +345,7 @@ class LeastSquaresProblem:
         return self.reading - linear, -(steps @ values), jacobian, steps
 
     def walk(self, variances: Variances) -> Floats:
-        """Variance (m - 1,) in rad² of the gyro's angle between neighbouring windows, from its noise."""
+        """Variance (m - 1,) in rad² that gyro noise adds to the angle between neighbouring windows."""
         gap = self.windows.gap_s
         return variances.gyro * np.diff(self.windows.centre_s) + np.square(_GAP_RATE * gap)
 
@@ -355,9 +355,9 @@ def drift_functions(time_s: Floats, length_s: float, floor: float, most: int) ->
 
     The 1/f noise is given by its Allan deviation `floor`. Each function has the mean zero.
 
-    They are the principal components of the noise among cosines of half a cycle per recording and its
-    multiples. A density h/f has, up to a constant, the covariance −h ln|t − s|; `_of_cosines` has its
-    integrals over cosines. A section of a longer recording is no sum of independent cosines, and the
+    They are principal components of the noise. Each is a sum of cosines with a whole number of half cycles
+    in the recording. A density h/f has, up to a constant, the covariance −h ln|t − s|; `_of_cosines` has
+    its integrals over cosines. A section of a longer recording is no sum of independent cosines, and the
     slowest ones have less variance than their density.
     """
     count = min(most, int(DRIFT_HZ * 2 * length_s)) if floor > 0 else 0
@@ -721,9 +721,9 @@ class FreeTurnResult(FitResult):
 
     @cached_property
     def _shown(self) -> Floats:
-        """Derivative (places, p), in degrees, of the angle after calibration by each of the p parameters.
+        """Derivative (m, p) of the calibrated angle by the p parameters, in degrees.
 
-        The places are angles around a full turn.
+        The m angles are spread over a full turn.
         """
         at = {one.name: k for k, one in enumerate(self.parameters)}
         k_x, k_y = self["scale_x"].value, self["scale_y"].value
@@ -880,9 +880,10 @@ def series_of(session: Session) -> TurnRecording:
 
 
 def _outputs(solution: Solution, windows: Windows) -> tuple[list[str], list[float], Floats, list[str]]:
-    """Names, values, gradients (p, 12 + m) and units of the p parameters that the result reports.
+    """Names, values, gradients (p, 12 + m) and units of the p reported parameters.
 
-    The names are those that a planar session has. The gradients are by the values of the solution.
+    The names are those that a planar session has. The gradients are by the 12 common parameters and m
+    angles of the solution.
     """
     size = len(solution.covariance)
     common = dict(zip(NAMES, np.eye(size), strict=False))

@@ -74,7 +74,7 @@ _LEAST_READING = 1e-6
 
 @dataclass(frozen=True)
 class _Linear:
-    """Result of a linear fit: natural parameters (6,) and their derivative (6, n, 2) by the readings."""
+    """Result of a linear fit: natural parameters (6,), and their derivative (6, n, 2) by the readings."""
 
     beta: Floats
     derivative: Floats
@@ -126,13 +126,13 @@ def fit_mmpm(readings: Readings) -> FitResult:
 
 
 def refit_mmpm(readings: Readings, made: Origin) -> Fit:
-    """Fit the model of the method `mmpm` again to other readings, or to a subset of the dwells."""
+    """Repeat the fit of the method `mmpm` on other readings, or on a subset of the dwells."""
     chosen = readings.rows(np.flatnonzero(np.isfinite(readings.angle_rad)))
     return _fit(readings, _linear(chosen, np.eye(len(chosen)), bias=True).beta, bias=True)
 
 
 def refit_four(readings: Readings, made: Origin) -> Fit:
-    """Fit the model of the method `four-position` again to other readings, or to a subset of the dwells.
+    """Repeat the fit of the method `four-position` on other readings, or on a subset of the dwells.
 
     Dwells at three of the four positions suffice.
     """
@@ -143,7 +143,7 @@ def refit_four(readings: Readings, made: Origin) -> Fit:
 
 
 def refit_two(method: str, readings: Readings, made: Origin) -> Fit:
-    """Fit `paper` or `two-position` again to other readings, at the first two positions 90° apart.
+    """Repeat the fit of `paper` or `two-position` on other readings, at the first two positions 90° apart.
 
     Raises
     ------
@@ -219,9 +219,9 @@ def fit_paper(readings: Readings) -> FitResult:
 
 
 def _by_paper(chosen: Readings, weights: Floats, exact: _Linear) -> tuple[_Linear, Floats]:
-    """Parameters by the paper's equations 5 to 12, with start angle and scale of X by the closed form.
+    """Natural parameters by the method `paper`, and (ΔK, Δφ) alone.
 
-    Also returns (ΔK, Δφ).
+    ΔK and Δφ follow from equations 5 to 12; start angle and scale of X from the closed form.
 
     Raises
     ------
@@ -320,7 +320,7 @@ def _grouped(readings: Readings, method: str, angles_deg: tuple[int, ...]) -> tu
 
 
 def _linear(chosen: Readings, weights: Floats, *, bias: bool) -> _Linear:
-    """Fit cosine, sine and (with `bias`) a constant to each axis, to the mean reading at each angle."""
+    """Fit cosine, sine and (with `bias`) a constant to the mean readings of each axis at each angle."""
     natural = chosen.mean / chosen.gravity_mg
     # Mean declared angle of each group, as the direction of the mean unit vector.
     turn = weights @ np.exp(1j * chosen.angle_rad)
@@ -392,7 +392,7 @@ def _sources(data: Readings, linear: _Linear, noise: NoiseAssumptions) -> Source
 
 
 def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> list[str]:
-    """Warning that a bias changes the result of two positions, with advice against it."""
+    """Warn that an unknown bias changes a result from two positions, and advise measurements against it."""
     # A bias of 1 mg adds to all readings of an axis.
     moved = linear.derivative.sum(axis=1) / chosen.gravity_mg
     phi = np.degrees(moved[DELTA_PHI])
@@ -450,7 +450,7 @@ def _bias_of_four(readings: Readings, chosen: Readings) -> str | None:
 
 
 def _pair(delta_k: float, delta_phi_deg: float) -> str:
-    """Format changes of both results, such as `Δφ by −0.058° and ΔK by +0.00097`."""
+    """Format the changes of both results, such as `Δφ by −0.058° and ΔK by +0.00097`."""
     return f"Δφ by {signed(delta_phi_deg, digits=2)}° and ΔK by {signed(delta_k, digits=2)}"
 
 
@@ -627,7 +627,10 @@ def _applicable(angles: Floats, *, planar: bool, free: bool, known_zero: bool) -
 
 @dataclass(frozen=True)
 class _Dwells:
-    """Counts of the dwells of a planar session; `held` has True for 0°, 90°, 180°, 270° if measured."""
+    """Numbers of dwells of a planar session.
+
+    `held` has True for each of 0°, 90°, 180°, 270° that is measured.
+    """
 
     count: int
     declared: int

@@ -24,7 +24,7 @@ ENDINGS = (".session", ".csv", ".csv.gz")
 
 
 def files_of(given: Iterable[str | Path]) -> list[str]:
-    """The given files, and the session files in each given folder and below it, sorted, each name once.
+    """List the given files, and the session files in given folders and below, sorted, each once.
 
     Raises
     ------
@@ -98,7 +98,7 @@ class ThisProcess:
 
 
 class Repeated(JsonRecord):
-    """A file that has the data of another file; only the other file is counted."""
+    """A file with the same data as another file, which is counted instead."""
 
     path: str
     same_as: str

@@ -222,7 +222,7 @@ def _comment(text: str) -> str:
 
 
 def _factor(factor: str) -> str:
-    """Format a factor in C: a variable, or the absolute value of a variable."""
+    """Format a factor of the polynomial in C: a variable, or the absolute value of a variable."""
     letter = factor.strip("|")
     return f"({letter} < 0 ? -{letter} : {letter})" if factor.startswith("|") else factor
 

@@ -195,7 +195,7 @@ class AngleTerm(TermEffect):
 
 
 class LikeWorld(World):
-    """A simulated world with the model, the noise and the surroundings of a measured session.
+    """A simulated world that imitates a measured session: its model, its noise and its conditions.
 
     Parameters
     ----------

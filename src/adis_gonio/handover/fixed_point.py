@@ -93,7 +93,7 @@ class Monomial:
 
 @dataclass(frozen=True)
 class Input:
-    """Scaling of temperature or supply for the polynomial: t or v = (number − zero) · step."""
+    """Conversion of temperature or supply for the polynomial: t or v = (number − zero) · step."""
 
     zero: int
     step: float
@@ -291,7 +291,7 @@ LEAST_GAIN, MOST_GAIN = 0.5, 2.0
 
 @dataclass(frozen=True)
 class Scaled:
-    """A constant as the integer `number` times 2^−`shift`."""
+    """A constant of the C header as the integer `number` times 2^−`shift`."""
 
     number: int
     shift: int
@@ -462,7 +462,7 @@ def _condition(constants: tuple[int, Scaled], given: Whole | None, n: int) -> Wh
 
 
 def _row(entries: Sequence[Scaled], columns: Sequence[Whole]) -> Whole:
-    """Sum of entry · column (n,) over a row of the matrix."""
+    """Matrix row times vector: sum of entry · column (n,), in fixed point."""
     total = np.zeros(len(columns[0]), dtype=np.int64)
     for entry, column in zip(entries, columns, strict=False):
         if entry.number:

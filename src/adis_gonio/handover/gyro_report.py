@@ -103,7 +103,7 @@ def _cell(result: GyroFit, name: str) -> str:
 
 
 def _every(result: GyroFit) -> list[Table]:
-    """Tables of all gyro parameters, and of the orientation of the gyro axes to the accelerometers."""
+    """Tables of all gyro parameters, and of the rotation of the gyro axes against the accelerometers."""
     captions = (
         "First letter: gyro, second letter: axis of the accelerometers. u: standard uncertainty; U = k·u.",
         "Rotation of the gyros' triad against the accelerometers', and 90° minus its own angles.",

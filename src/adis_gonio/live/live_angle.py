@@ -126,7 +126,7 @@ class AngleMeter:
         self._resume_s = self._last_s = 0.0
 
     def feed(self, block: Block) -> LiveAngle | None:
-        """Add a block of samples; return a reading if they complete a span, else None."""
+        """Add a block of samples; return a reading if the block completes a span, else None."""
         self._lost += block.lost
         if not len(block):
             return None

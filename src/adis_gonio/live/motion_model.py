@@ -537,7 +537,7 @@ def smooth_lagged(state: StateEstimate, later: Sequence[Passed]) -> StateEstimat
 
 
 class _Adjoint:
-    """Vector and matrix that carry the information of later observations back to earlier states."""
+    """Vector and matrix that carry the information from later observations back to earlier states."""
 
     def __init__(self, size: int) -> None:
         self._vector, self._matrix = np.zeros(size), np.zeros((size, size))
@@ -584,7 +584,7 @@ _MG_PER_MM = 1.0 / STANDARD_GRAVITY_MPS2
 
 @dataclass(frozen=True)
 class Turned:
-    """A time step with corrected readings, in the form that the linear model needs.
+    """A time step with corrected readings, as input of the linear model.
 
     Attributes
     ----------

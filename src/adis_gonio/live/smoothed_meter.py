@@ -179,7 +179,7 @@ class SmoothedAngle:
 
 @dataclass(frozen=True)
 class Kept:
-    """A filtered time step that the live reading no longer needs, kept for `smooth`."""
+    """A filtered time step that the live angle no longer needs, stored for `smooth`."""
 
     time_s: float
     drift_deg: float
@@ -188,7 +188,7 @@ class Kept:
 
 @dataclass(frozen=True)
 class _Seen:
-    """A time step, and gravity rotated back by the turn measured since the last gap."""
+    """A time step, with its gravity vector rotated back by the turn measured since the last gap."""
 
     turned: Turned
     level: complex
@@ -574,7 +574,7 @@ class SmoothedMeter:
         self._smoother.restart()
 
     def take_rest(self, mean_mg: Floats, temperature_c: float | None) -> None:
-        """Compare the length of a reading (3,) in mg at rest with gravity by the calibration."""
+        """Check the calibration at rest: compare the length of a reading (3,) in mg with local gravity."""
         calibration = self._calibration
         if calibration is None:
             return

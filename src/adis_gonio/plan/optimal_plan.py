@@ -646,7 +646,7 @@ def _starts(ground: Candidates, positions: int, rng: np.random.Generator) -> lis
 
 
 def _gain(ours: Prediction, figure: float, other: Plan, ground: Candidates, criterion: Criterion) -> Gain:
-    """Return the improvement of the best plan over another plan in criterion and uncertainties.
+    """Compare the best plan with another plan: ratio of the criterion and of each uncertainty.
 
     The criterion of the other plan is computed at the nearest angles of the grid.
     """

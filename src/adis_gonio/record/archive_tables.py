@@ -336,7 +336,7 @@ _SUMMARY = fields(
 
 
 def _summary(value: Any) -> None:
-    """Raise an error unless the value is an advisor's summary of a session; it may be empty."""
+    """Check the summary of a session that an advisor stored; it may be empty."""
     if value not in (None, {}):
         _SUMMARY(value)
 
@@ -390,7 +390,7 @@ RECORDS: Mapping[str, Shape] = {
 
 
 def _aim(value: Any) -> None:
-    """Raise an error unless the value is a move's aim: null, a direction in space, or a turn."""
+    """Check the stored target of a move: null, a direction in space, or a turn."""
     if isinstance(value, dict):
         fields({"turned_deg": _ANGLE})(value)
     else:

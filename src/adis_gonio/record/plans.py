@@ -577,7 +577,7 @@ class Expectation:
 
     @property
     def begun(self) -> bool:
-        """True after the first dwell was added; the start angle comes from that dwell."""
+        """True after the first dwell, from which the start angle is known."""
         return self._start_rad is not None
 
     def add(self, accel_mg: Floats, angle_deg: float) -> None:
@@ -634,7 +634,7 @@ def turned_deg(before_mg: Floats, now_mg: Floats, sense: int = 1) -> float:
 
 
 def _angle_row(psi: float) -> Floats:
-    """Derivatives (6,) of the angle φ of a reading at angle ψ by the model's parameters.
+    """Derivatives (6,) of the angle that a reading at angle ψ shows, by the model's parameters.
 
     They are the start angle, gains of X and Y, Δφ, and biases of X and Y in units of G.
     """

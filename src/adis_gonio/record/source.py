@@ -250,7 +250,7 @@ class SampleSource(Closing):
 
     @abstractmethod
     def identity(self, registers: Mapping[str, Any], measuring: Mapping[str, Any]) -> dict[str, Any]:
-        """Facts about the sensor and its configuration that must be unchanged when a session is resumed."""
+        """Facts about the sensor that must not change before a session is resumed."""
 
     @abstractmethod
     def expected_noise_mg(self, measuring: Measuring) -> float:
@@ -304,7 +304,7 @@ class ChipSource(SampleSource):
         self.sensor.bus.sleep_s(seconds)
 
     def witness(self, name: str, observe: Callable[[], T]) -> T:
-        """Return the value that the bus returns."""
+        """Observe a value through the bus, which may record or replay it, and return the value."""
         return self.sensor.bus.witness(name, observe)
 
     def configure(self, settings: Settings) -> Configuration:

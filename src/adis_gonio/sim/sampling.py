@@ -113,7 +113,7 @@ def taps(m: int) -> int:
 
 
 def history_rows(m: int) -> int:
-    """Number of earlier samples on which the filter's output depends: 2N − 2."""
+    """Number of earlier samples that the filter's output depends on: 2N − 2."""
     return 2 * taps(m) - 2
 
 

@@ -227,7 +227,7 @@ class Stopped(JsonRecord):
 
 
 class Rival(JsonRecord):
-    """The terms of a model of high posterior probability; one entry of `rivals` in the JSON."""
+    """The terms of another probable model; one entry of `rivals` in the JSON."""
 
     terms: tuple[str, ...]
     probability: float

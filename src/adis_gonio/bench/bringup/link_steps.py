@@ -56,7 +56,7 @@ _CONSTANT = tuple(
 
 
 def legal(row: Register, word: int) -> bool:
-    """True if a register can have this content: no bit is set outside its number or its fields."""
+    """True if a register can contain this word: no bit is set outside its number or its fields."""
     if row.name == "ENDURANCE":
         return word < 1 << 15
     if row.name == "SMPL_PRD":
@@ -181,7 +181,7 @@ def _frame_s(bench: BringupBench, count: int) -> float:
 
 
 def _too_quick(frame_us: float, timing: SpiTiming) -> list[str]:
-    """Message if a frame takes less time than the bridge reports; its clock error is allowed for."""
+    """Message if a frame takes less time than the bridge reports; the error of its clock is allowed for."""
     least_us = 1e6 * timing.frame_s
     if frame_us < least_us * (1 - np.sqrt(3) * BOARD_CLOCK_U):
         return [f"a frame takes {frame_us:.1f} µs, the part needs {least_us:.0f}: the stall is not kept"]
@@ -270,7 +270,7 @@ class BitErrors(BringupStep):
 
 
 def _offered(bench: BringupBench, most_hz: float, limit: SpiTiming) -> list[float]:
-    """Clocks in Hz that the bridge offers within the limits of the mode, slowest first."""
+    """Clocks in Hz that the bridge offers within the limits of the sensor's mode, slowest first."""
     found = set()
     for asked in CLOCKS_HZ:
         if asked <= most_hz:
@@ -422,5 +422,5 @@ def _tolerance(part: Variant, warm_c: float) -> float:
 
 
 def _gain(bench: BringupBench) -> float:
-    """Ratio of the noise after the present filter to the noise before it, rms, for white noise."""
+    """Factor by which the present filter reduces the rms of white noise."""
     return white_noise_gain(BY_NAME["SENS_AVG"].field("m").of(bench.sensor.read("SENS_AVG")))

@@ -141,7 +141,7 @@ class Noise(BringupStep):
 
 
 class _Judged:
-    """Noise of the six axes in LSB, as before the filter, with the axes that deviate."""
+    """Noise of the six axes in LSB, converted to noise before the filter, and the deviating axes."""
 
     def __init__(self, sigma: Floats, u: Floats) -> None:
         self.sigma = sigma
@@ -243,7 +243,7 @@ def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, e
 
 
 def _answer_noise(found: StepResult, names: Sequence[str], off: Sequence[bool]) -> None:
-    """Answer the questions on noise by the six first figures, one per axis."""
+    """Answer the questions on noise by the first six figures of the step, one for each axis."""
     for question, first, unit in (("accel_noise", 0, "mg"), ("gyro_noise", 3, "°/s")):
         axes = slice(first, first + 3)
         pairs = zip(names[axes], found.figures[axes], strict=True)

@@ -416,7 +416,7 @@ class AutonullFound(JsonRecord):
 
     @property
     def by(self) -> str:
-        """The differences that exceed the limit, as text."""
+        """Text with the differences that exceed the limit, one for each gyro."""
         return ", ".join(
             f"{axis.upper()} {signed(off, 3)} °/s (u {u:.2g} °/s)"
             for axis, off, u in zip(AXES, self.off_dps, self.u_dps, strict=True)
@@ -645,7 +645,7 @@ class Gyros:
 def part_of(
     session: Session, *, gyros: bool, method: str | None = None, angle_deg: float | None = None
 ) -> Accelerometers | Gyros:
-    """Return the gyros or the accelerometers of a session, as the half of the sensor to write.
+    """Return the object that plans and checks the offsets of a session: of its gyros or its accelerometers.
 
     Raises
     ------

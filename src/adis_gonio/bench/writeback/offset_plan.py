@@ -137,7 +137,7 @@ class WritePlan(JsonRecord):
 
     @property
     def carried_out(self) -> WritePlan:
-        """The plan after the write: the planned numbers are the present numbers."""
+        """Copy of the plan for the state after the write: the planned numbers are the present ones."""
         return replace(self, axes=tuple(replace(axis, now=axis.new) for axis in self.axes))
 
     @property
@@ -232,7 +232,7 @@ def _plan(
     method: str,
     doubts: Sequence[str],
 ) -> WritePlan:
-    """Make the plan from biases and their u, given by the name of the register."""
+    """Make the plan from biases with their standard uncertainties, `found` by name of the register."""
     axes = []
     for name, (bias, u) in found.items():
         row = BY_NAME[name]
@@ -265,7 +265,7 @@ def _lacks(session: Session, result: FitResult) -> list[str]:
 
 
 def _unsure(axis: AxisPlan) -> list[str]:
-    """Reason why the bias of an axis is too uncertain to be written, as a list; empty if it is not."""
+    """Reason why the bias of an axis is too uncertain to be written, as a list; else an empty list."""
     unit = UNITS[axis.unit]
     name = f"bias_{axis.axis}" if axis.unit == "mg" else f"gyro_bias_{axis.axis}"
     if axis.u != axis.u:

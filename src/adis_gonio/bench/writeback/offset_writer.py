@@ -219,12 +219,12 @@ class OffsetWriter:
 
     @property
     def known(self) -> tuple[Operation, ...]:
-        """Earlier writes in the journal to the registers of this half of the sensor."""
+        """Earlier writes in the journal to the registers that this object writes."""
         return operations_of(self.session, self._part.registers)
 
     @property
     def others(self) -> tuple[Operation, ...]:
-        """Earlier writes in the journal to the registers of the other half of the sensor."""
+        """Earlier writes in the journal to the registers that this object does not write."""
         return operations_of(self.session, self._part.others)
 
     def standing(self) -> HeldOffsets:
@@ -546,7 +546,10 @@ class OffsetWriter:
         return {name: numbers[name] for name in names}, numbers["ENDURANCE"]
 
     def _beside(self) -> dict[str, int]:
-        """Read the offsets of the other half of the sensor, which a flash update also saves."""
+        """Read the offsets of the sensors not written here (gyros or accelerometers).
+
+        A flash update saves these registers too.
+        """
         rows = registers(self._part.others)
         words = self.sensor.read_words(rows)
         return {row.name: row.number(word) for row, word in zip(rows, words, strict=True)}

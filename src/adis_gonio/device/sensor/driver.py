@@ -719,7 +719,7 @@ class Adis16354(Closing):
         return after
 
     def _follow(self) -> None:
-        """Read the configuration and adapt the SPI timing and the gyro scale to it."""
+        """Read the configuration of the chip again, and adapt the SPI timing and the gyro scale to it."""
         now = self.configuration()
         self._gyro_range = now.gyro_range_dps
         self.bus.configure(timing_for(now.smpl_prd))

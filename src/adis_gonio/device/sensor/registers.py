@@ -340,7 +340,7 @@ FAST_UP_TO = 0x09
 
 
 def timing_for(smpl_prd: int) -> SpiTiming:
-    """SPI timing that the chip needs at a value of SMPL_PRD; the whole byte counts, not only N."""
+    """SPI timing that the chip needs at a value of SMPL_PRD; the whole byte counts, not N alone."""
     return FAST if (smpl_prd & 0xFF) <= FAST_UP_TO else NORMAL
 
 

@@ -393,7 +393,10 @@ class StreamedScans(ScanStream):
 
 
 class PolledScans(ScanStream):
-    """Stream of scans made by reading all the time and keeping new data (ND); see the module's text."""
+    """Stream of scans made by polling: the host reads all the time and keeps new data (flag ND).
+
+    The module's text describes the method.
+    """
 
     def __init__(
         self,
@@ -456,7 +459,7 @@ class PolledScans(ScanStream):
         )
 
     def _heed_counter(self) -> None:
-        """Correct the number of missed updates by the edge counter; it takes effect in the next block."""
+        """Correct the number of missed updates by the edge counter of the bus, from the next block on."""
         if self._edges is None or self._last_s is None:
             return
         begin_s = self._bus.now_s()

@@ -190,7 +190,7 @@ class ShownStream:
         self._scans = self._lost = self._dropped = self._alarms = 0
 
     def run(self, stream: SampleStream, seconds: float | None) -> None:
-        """Read blocks and show them until the time is over, the stream ends, or Ctrl-C."""
+        """Read blocks and show their values until the time is over, the stream ends, or Ctrl-C."""
         begin: float | None = None
         end = False
         with Interrupt() as interrupt:
@@ -414,7 +414,7 @@ def _show_angles(angles: Iterator[LiveAngle], line: _AngleLine, last_s: float) -
 
 
 class _AngleLine:
-    """Output of angles: a line that changes in place on a terminal, else one line per angle."""
+    """Printer of angles: on a terminal one line that changes in place, else one line for each angle."""
 
     def __init__(self, *, as_json: bool) -> None:
         self._as_json = as_json

@@ -193,7 +193,7 @@ def loop_lines(summary: Mapping[str, Any]) -> list[str]:
 
 
 def print_loop(session: Session, result: TraceResult) -> None:
-    """Show the results before and after the proposed further positions, and why no more were proposed.
+    """Show the result before and after the further positions that the trace proposed, and why it ended.
 
     Nothing is printed if the advisor was never asked.
 

@@ -159,9 +159,9 @@ _READ = 1 << 16
 
 
 class ClientSession:
-    """Answers one client until it leaves.
+    """Answers the requests of one client until it disconnects.
 
-    One task reads the network and another one answers, so that a client that leaves is noticed while an
+    One task reads the network and another one answers, so that a disconnected client is noticed while an
     answer waits for scans. A client that does not read its answers holds up nothing but itself.
 
     Attributes
@@ -511,7 +511,7 @@ class IioServer:
                 )
 
     def _end_idlest(self) -> bool:
-        """End the connection that has been idle for the longest time; False if all are in use."""
+        """End the connection that has been idle for the longest time; False if no connection is idle."""
         idlest = max(self._clients, key=lambda client: client.idle_s)
         if idlest.idle_s < IDLE_S:
             return False

@@ -355,7 +355,7 @@ class BenchApp(App[None]):
             self._open(dialog, lambda text: self._tell(hands.move(text)) if text else None)
 
     def action_bump(self) -> None:
-        """Bump a simulated part without a stage."""
+        """Turn a simulated sensor without a stage a little, forth and back, as by a bump."""
         if self._hands is not None:
             self._tell(self._hands.bump())
 

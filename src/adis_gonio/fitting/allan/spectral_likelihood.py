@@ -95,7 +95,7 @@ def ordinate_variances(autocovariance: Floats, n: int, k: Floats) -> Floats:
 
 
 def line(n: int, k: Floats) -> Floats:
-    """DCT-II coefficients of the samples 0, 1, … n − 1 (a straight line), at the indices k.
+    """DCT-II coefficients, at the indices k, of the straight line 0, 1, … n − 1.
 
     Coefficients with an even index are zero.
     """
@@ -143,7 +143,7 @@ def _cin(x: NDArray[np.floating[Any]]) -> Floats:
 
 @lru_cache(maxsize=1)
 def _edge_table() -> Floats:
-    """Variances of the DCT-II coefficients 1 … `_TABLE` of flicker noise, times their frequency.
+    """Variances of the DCT-II coefficients 1 … `_TABLE` of flicker noise, each multiplied by its frequency.
 
     They include the effect of the ends of a record, and come from the variogram 2h Cin(πl) of noise with
     density h/|f| below half the sampling rate. The record is so long that its length has no effect.
@@ -286,7 +286,7 @@ def _expected(
 def _variogram(
     squares: Floats, filter_m: int, lags: int, period_s: float, coarse: int, rounding: Floats
 ) -> Floats:
-    """Half the mean squared difference of two means over `coarse` samples, at each distance, for a model.
+    """Half the mean squared difference of two means of `coarse` samples, by their distance.
 
     The distances are 0, 1, … `lags` − 1 such means. `squares` are the squared coefficients of the model.
     """
@@ -548,7 +548,10 @@ def _grid(n: int, filter_m: int, period_s: float) -> _Grid:
 
 @lru_cache(maxsize=8)
 def _rounded(rounding: bytes, n: int, filter_m: int, period_s: float) -> Floats:
-    """Mean variance (b,) in each bin by the converter's rounding, from the bytes of its autocovariance."""
+    """Mean variance (b,) in each frequency bin that the converter's rounding causes.
+
+    `rounding` are the bytes of the autocovariance of the rounding errors.
+    """
     grid = _grid(n, filter_m, period_s)
     return grid.mean(ordinate_variances(np.frombuffer(rounding), n, grid.points))
 
@@ -642,7 +645,7 @@ class Likelihood:
         self._d = np.concatenate([d for _, _, d in data.lines])
 
     def expected(self, theta: Floats) -> Floats:
-        """Expected variance (k,) in each kind of bin for the squared coefficients θ."""
+        """Expected variance (k,) in each distinct frequency bin for the squared coefficients θ."""
         return np.asarray(np.maximum(self._shapes @ theta + self._rounding, self._least), np.float64)
 
     def _lines(self, v: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -822,7 +825,7 @@ def _root_below(beyond: Callable[[float], float], top: float) -> float:
 
 
 def _detectable(likelihood: Likelihood, absent: Floats, index: int) -> float:
-    """Smallest coefficient that nine of ten such records would detect.
+    """Smallest coefficient that nine of ten records like this one would detect.
 
     `absent` (4,) is the best model without this process.
     """

@@ -67,7 +67,7 @@ rate."""
 
 @dataclass(frozen=True)
 class _Interval:
-    """One row of `RateIntervals`; each field is an entry of the column with its name."""
+    """One row of `RateIntervals`; each field is named like the column that it goes to."""
 
     mean_dps: Floats
     covariance_dps2: Floats
@@ -329,9 +329,9 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
 
 
 def _consecutive(turns: Sequence[Turn]) -> dict[int, int]:
-    """For each dwell in which a whole turn ends, the number of such turns in a row without other moves.
+    """Number of consecutive whole turns, by the dwell in which the last of them ends.
 
-    Turns in a row share the error of the direction of their axis.
+    Such turns have no other move between them and share the error of the direction of their axis.
     """
     consecutive = {turn.position: 1 for turn in turns}
     group: list[int] = []
@@ -345,7 +345,7 @@ def _consecutive(turns: Sequence[Turn]) -> dict[int, int]:
 
 
 def _surroundings(part: Dwell | Turn) -> dict[str, Any]:
-    """Mean temperature, supply voltage and three gyro die temperatures of a dwell or turn, by name.
+    """Mean temperature, supply voltage and temperatures of the three gyro dies in a dwell or turn, by name.
 
     NaN if not recorded.
     """

@@ -358,9 +358,12 @@ def smooth_blocks(rate: Floats, window: int) -> Floats:
 
 
 def _bridges(time: Floats, rate: Floats, sampling: Sampling) -> tuple[Floats, int] | None:
-    """Covariance (3, 3) in deg² of the error by linear interpolation over lost samples, and their number.
+    """Uncertainty that gaps in the samples add to the integrated angle, and the number of lost samples.
 
-    None if too few samples around a gap show that error.
+    The rate is interpolated linearly over a gap. The covariance (3, 3) in deg² comes from the error that
+    such an interpolation makes in complete samples near the gap.
+
+    None if there are too few complete samples.
     """
     period = sampling.period_s
     lost = np.rint(np.diff(time) / period).astype(int) - 1
@@ -431,7 +434,7 @@ def gyro_directions(misalignment_deg: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Attitude:
-    """Rotation over a turn, as its effect on a direction that is fixed in space.
+    """Rotation of the sensor over a turn, with its derivatives by the gyro parameters.
 
     Attributes
     ----------
@@ -783,7 +786,7 @@ class Axes:
         return _direction(self.values, force_g)
 
     def modes(self, force_g: Floats) -> Floats:
-        """Change (3, k) of the unit direction computed from a reading, by each column of `factor`."""
+        """Change (3, k) of the direction that a reading shows, by each column of `factor`."""
 
         def unit(values: Floats) -> Floats:
             vector = _direction(values, force_g)
@@ -792,9 +795,9 @@ class Axes:
         return central_differences(unit, self.values, _STEP, self.factor.T)
 
     def u_rad(self) -> float:
-        """Standard uncertainty in rad of a direction, for each of the two ways across it.
+        """Standard uncertainty in rad of a direction, along each of the two axes perpendicular to it.
 
-        It is the mean over the three axes.
+        It is the mean over directions along the three axes.
         """
         # A direction has two components across it, so half of the squared length counts for each.
         sizes = [np.linalg.norm(self.modes(row)) for row in np.eye(3)]
@@ -908,7 +911,7 @@ def _triad_in_space(session: Session, *sources: Source, noise_mg: float = 0.0) -
 
 
 def _with_declared(readings: Readings, psi: Floats, u: Floats) -> dict[int, tuple[float, float]]:
-    """Average the angle ψ of each dwell with its declared angle, weighted by their uncertainties.
+    """Average declared angle and angle ψ by gravity of each dwell, weighted by uncertainties.
 
     Both are angles of one stage: ψ + θ is the start angle α for all dwells, apart from errors. Angles that
     disagree are not averaged.

@@ -338,7 +338,7 @@ def _search(rows: Rows, grid: Sequence[ScatterPoint]) -> tuple[list[Pattern], We
 def _weigh_others(
     rows: Rows, grid: Sequence[ScatterPoint], accepted: Sequence[Pattern]
 ) -> tuple[list[Pattern], Weighed]:
-    """Return the faults that are possible in addition to the accepted ones, and their probabilities."""
+    """List the faults that are possible in addition to the accepted ones, with their probabilities."""
     known = KnownFaults.of(rows, accepted)
     taken = {(p.name, p.dwells) for p in accepted}
     patterns = [p for p in patterns_of(rows, known.error_rad) if (p.name, p.dwells) not in taken]
@@ -434,7 +434,7 @@ class _Account:
     def error(self) -> tuple[Floats, float]:
         """Error (n,) of each position by the accepted faults, in rad, and u of the size of this fault.
 
-        The u is 0 if the size of this fault is not one free number.
+        The u is 0 unless the size of this fault is a single free number.
         """
         error, first = self.known.error_rad.copy(), len(self.rows.prior_mean)
         mean, covariance = self.posterior
@@ -505,7 +505,7 @@ class _Account:
         return None
 
     def _stated(self, e: float, row: int, variance: float) -> Angle:
-        """Convert an error in rad to degrees with u.
+        """Convert an error in rad to an `Angle` in degrees with its standard uncertainty.
 
         The u combines `variance` with the uncertainty of the calibration at one row of the linear model.
         """
@@ -645,7 +645,7 @@ def _increments(session: Session, readings: Readings) -> Increments | None:
 
 
 def _noted(session: Session) -> dict[tuple[int, int], tuple[float, float]]:
-    """Turn about z and its u, in degrees, by the numbers of the two dwells, as `bench` recorded it.
+    """Turns about z that were noted while the session ran, with u, in degrees, by the two dwells.
 
     The u includes the g-sensitivity.
     """

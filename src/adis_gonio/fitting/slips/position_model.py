@@ -80,7 +80,7 @@ class Halts:
     turned_rad: float
 
     def log_odds(self, error_rad: Floats, u_rad: Floats) -> Floats:
-        """Log likelihood ratio (g,) of a slip in this turn, for g sizes of it, by the gyro's rests.
+        """Log likelihood ratio (g,) of a slip in this turn, for g sizes, by the rests that the gyro shows.
 
         Parameters
         ----------
@@ -299,7 +299,10 @@ def common_zero(angle_rad: Floats) -> float:
 
 @dataclass(frozen=True)
 class _Local:
-    """Model of the readings, linearised at each reading, along and across the circle of readings."""
+    """Model of the readings, linearised at each reading.
+
+    Changes have components along and across the circle of readings.
+    """
 
     psi_rad: Floats
     along: Floats
@@ -565,7 +568,7 @@ class Pattern:
 
 
 def patterns_of(rows: Rows, before_rad: Floats) -> list[Pattern]:
-    """All patterns of error that one further fault can cause.
+    """All patterns of errors that one further fault could cause.
 
     `before_rad` (n,) are the errors of the positions by the faults already accepted.
     """
@@ -675,7 +678,7 @@ def _gyro(rows: Rows, zero: float) -> Iterator[Pattern]:
 
 
 def _any_size(estimate: Floats, u: Floats) -> Floats:
-    """Ln of the evidence of a slip without a known size, from its estimate and u in rad.
+    """Log evidence of a slip of unknown size, from its estimate and u in rad.
 
     Each order of magnitude of the slip is equally probable, up to half a turn.
     """
@@ -691,7 +694,7 @@ def _slip_after_rests(halts: Halts, estimate: Floats, u: Floats) -> Floats:
 
 
 def _typing_error(listed_rad: Floats, declared_deg: float, estimate: Floats, u: Floats) -> Floats:
-    """Ln of the evidence of a wrongly typed angle, from the estimated error and its u in rad.
+    """Log evidence of a wrongly typed angle, from the estimated error and its u in rad.
 
     The intended angle is on the list of usual angles, a whole degree, or any angle.
     """

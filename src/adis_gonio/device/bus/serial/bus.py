@@ -252,7 +252,7 @@ class SerialLink:
     ) -> tuple[B | wire.Error | None, int]:
         """Send a request until it is answered; return the reply or refusal, and the number of copies sent.
 
-        The answer is None without one. `again(copies sent)` decides if one more copy may be sent.
+        The reply is None if no answer came. `again(copies sent)` decides if one more copy may be sent.
         """
         sent = 0
         while again(sent):
