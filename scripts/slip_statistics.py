@@ -31,8 +31,8 @@ import numpy as np
 from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.device.sensor.registers import GYRO_LSB_DPS
 from adis_gonio.fitting.slips import Diagnosis, PositionFinding
-from adis_gonio.fitting.slips.position_diagnosis import positions_of
 from adis_gonio.fitting.slips.position_model import possible_entries
+from adis_gonio.fitting.slips.session_positions import positions_of
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.sim import World, WorldSettings
 from adis_gonio.sim.gyros import realistic_gyros

@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from adis_gonio.fitting.estimation.readings import ACCELEROMETER, readings_of_part
 from adis_gonio.fitting.noise_estimation import state_noise
-from adis_gonio.fitting.slips.position_diagnosis import positions_of
+from adis_gonio.fitting.slips.session_positions import positions_of
 from adis_gonio.model.records import Session
 from adis_gonio.record.loading import load_session
 from adis_gonio.tracing.model_search import Model, Search

@@ -15,7 +15,7 @@ from adis_gonio.calibrate import Coefficient, EffectTerm
 from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.methods import fit_readings
 from adis_gonio.model.effects import effect
-from adis_gonio.record.loading import Covered, Provenance
+from adis_gonio.record.provenance import Covered, Provenance
 from calibrate.sessions import (
     directions,
     planar_session,

@@ -20,7 +20,8 @@ from adis_gonio.device.sensor import Adis16354
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.gyros.gyro_fit import estimates_of_gyro_fit, gains_and_directions
 from adis_gonio.handover.session_export import ExportSource
-from adis_gonio.record.loading import load_session, provenance_of
+from adis_gonio.record.loading import load_session
+from adis_gonio.record.provenance import provenance_of
 from adis_gonio.record.samples_writer import write_csv
 from adis_gonio.tracing.trace_calibrations import gyro_calibration_of, load_gyro_calibration, with_gyros
 from bench.writeback.gyro_rig import FAULTS, gyro_numbers

@@ -16,7 +16,8 @@ from adis_gonio import __version__
 from adis_gonio.faces.cli import main
 from adis_gonio.fleet.fleet_run import files_of, session_files
 from adis_gonio.fleet.session_record import Options, work
-from adis_gonio.record.loading import digest_of_file, load_session
+from adis_gonio.record.loading import load_session
+from adis_gonio.record.provenance import digest_of_file
 from adis_gonio.record.samples_writer import export_csv
 from fleet.sessions import kept_in, write_fleet
 from programs import running

@@ -14,7 +14,7 @@ from adis_gonio.fleet.fleet_run import run_fleet, survey
 from adis_gonio.fleet.session_record import Options, work
 from adis_gonio.fleet.store import IN_MEMORY, Store
 from adis_gonio.fleet.workers import LocalPool
-from adis_gonio.record.loading import digest_of_file
+from adis_gonio.record.provenance import digest_of_file
 from fleet.mortal_worker import work_or_die
 from fleet.sessions import write_fleet
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from adis_gonio.calibrate import Calibration, Coefficient, EffectTerm
 from adis_gonio.model.effects import effect
-from adis_gonio.record.loading import Covered, Provenance
+from adis_gonio.record.provenance import Covered, Provenance
 
 PLANE = {
     "alpha": 31.25,

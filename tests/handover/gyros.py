@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from adis_gonio.calibrate import Calibration, GyroCalibration
-from adis_gonio.record.loading import Covered
+from adis_gonio.record.provenance import Covered
 
 AXES = "xyz"
 ZERO = {"gyro_bias_x": 1.21, "gyro_bias_y": -0.73, "gyro_bias_z": 0.38}

@@ -20,7 +20,7 @@ from adis_gonio.base.numbers import counted, format_uncertain, signed
 from adis_gonio.base.uncertainty import NORMAL_95
 from adis_gonio.bench.events import GuardKind, TurnMeasured
 from adis_gonio.fitting.slips import Angles, Diagnosis, Increments, PositionFinding, diagnose
-from adis_gonio.fitting.slips.position_diagnosis import LARGEST, MEANINGS
+from adis_gonio.fitting.slips.session_positions import LARGEST, MEANINGS
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.record.blocks import Block, session_columns, session_series

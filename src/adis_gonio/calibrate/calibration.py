@@ -32,7 +32,7 @@ from adis_gonio.calibrate.coefficients import (
 from adis_gonio.model.effects import AXES, Conditions, Effect
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn
 from adis_gonio.model.records import METADATA, MG_PER_MPS2
-from adis_gonio.record.loading import Covered, Provenance
+from adis_gonio.record.provenance import Covered, Provenance
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration

@@ -30,7 +30,7 @@ from adis_gonio.device.sensor.registers import BY_NAME
 from adis_gonio.model.effects import AXES, effect
 from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.records import SENSORS
-from adis_gonio.record.loading import Covered, Provenance
+from adis_gonio.record.provenance import Covered, Provenance
 
 Made = TypeVar("Made", Calibration, GyroCalibration)
 

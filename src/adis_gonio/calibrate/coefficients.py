@@ -18,7 +18,7 @@ from adis_gonio.base.output import check_output, replacing, write_utf8
 from adis_gonio.base.tables import ParameterTable
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
-from adis_gonio.record.loading import Provenance
+from adis_gonio.record.provenance import Provenance
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration

@@ -34,7 +34,7 @@ from adis_gonio.calibrate.coefficients import (
 from adis_gonio.device.sensor.registers import VARIANTS, Kind
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
-from adis_gonio.record.loading import Covered
+from adis_gonio.record.provenance import Covered
 
 GYRO_OFFSET_DPS = VARIANTS["adis16354"].lsb(Kind.GYRO_OFFSET)[0]
 """Size in °/s of the LSB of the registers XGYRO_OFF …, equal at every range (DS, A)."""

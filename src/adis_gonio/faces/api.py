@@ -120,7 +120,7 @@ def _load_gyros(
     """
     if not isinstance(given, str | PathLike):
         return given
-    from adis_gonio.record.loading import provenance_of
+    from adis_gonio.record.provenance import provenance_of
     from adis_gonio.tracing.trace_calibrations import load_gyro_calibration
 
     if session.source and Path(given).resolve() == Path(session.source).resolve():

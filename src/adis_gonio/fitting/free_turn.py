@@ -49,7 +49,7 @@ from adis_gonio.fitting.method_comparison import MethodComparison, Recommendatio
 from adis_gonio.fitting.uncertainty import BudgetRow, gradient_of_base
 from adis_gonio.model.measurement import SENSOR_SPREAD
 from adis_gonio.model.records import MG_PER_MPS2, STANDARD_GRAVITY_MPS2, Session, Sweeps
-from adis_gonio.record.loading import provenance_of
+from adis_gonio.record.provenance import provenance_of
 
 HOP_S = 0.25
 """Distance between the centres of windows; each window has twice this length."""

@@ -45,10 +45,10 @@ from adis_gonio.fitting.fit_result import (
 from adis_gonio.fitting.linked import linked_readings
 from adis_gonio.fitting.maximum_likelihood import fit_ml, refit_ml
 from adis_gonio.fitting.noise_estimation import NoiseAssumptions, settle
-from adis_gonio.fitting.slips.position_diagnosis import failure_message, positions_of
+from adis_gonio.fitting.slips.session_positions import failure_message, positions_of
 from adis_gonio.fitting.uncertainty import Sources, Unseen, sources_of
 from adis_gonio.model.records import Session
-from adis_gonio.record.loading import provenance_of
+from adis_gonio.record.provenance import provenance_of
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration

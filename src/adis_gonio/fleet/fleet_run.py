@@ -17,7 +17,7 @@ from adis_gonio.base.output import ends_in
 from adis_gonio.fleet.session_record import Job, Options, SessionRecord, lost, once, record_of
 from adis_gonio.fleet.store import Store
 from adis_gonio.record.archive import is_archive
-from adis_gonio.record.loading import digest_of_file
+from adis_gonio.record.provenance import digest_of_file
 
 ENDINGS = (".session", ".csv", ".csv.gz")
 """Endings of session files; archives are also recognised by their content."""

@@ -18,7 +18,7 @@ from adis_gonio.base import __version__
 from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.uncertainty import Value, finite_or_none
-from adis_gonio.record.loading import digest_of_file, provenance_of
+from adis_gonio.record.provenance import digest_of_file, provenance_of
 
 if TYPE_CHECKING:
     from adis_gonio.fitting.answer import Answer

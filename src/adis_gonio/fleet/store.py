@@ -27,7 +27,7 @@ from adis_gonio.base.errors import DataError, OutputError
 from adis_gonio.base.jsonable import finite
 from adis_gonio.base.numbers import counted
 from adis_gonio.fleet.session_record import Job, Options, SessionRecord, once
-from adis_gonio.record.loading import digest_of_file
+from adis_gonio.record.provenance import digest_of_file
 
 NAME = "adis-gonio.index"
 """File name of the store in the first folder."""

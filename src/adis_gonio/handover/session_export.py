@@ -22,7 +22,8 @@ from adis_gonio.handover.c_header import DEFAULT_NAME
 from adis_gonio.handover.formats import BY_NAME
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.record.loading import Overrides, changed_registers, load_session
+from adis_gonio.record.loading import Overrides, load_session
+from adis_gonio.record.provenance import changed_registers
 from adis_gonio.record.samples_writer import session_dict
 from adis_gonio.record.session_reader import describe_later_writes
 from adis_gonio.tracing.trace_calibrations import (

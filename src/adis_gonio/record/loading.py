@@ -1,198 +1,24 @@
-"""The origin of a session, and loading it from any file.
-
-Provenance of a calibration: the facts of its session that a result keeps with the parameters.
-
-A session from a file (`load_session`), and corrections of the file's metadata (`Overrides`).
-"""
+"""A session from a file (`load_session`), and corrections of the file's metadata (`Overrides`)."""
 
 from __future__ import annotations
 
-import hashlib
 import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError, UsageError
-from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.device.sensor.registers import ACCEL_OFF, GYRO_OFF
 from adis_gonio.model.records import (
     ACCEL_UNITS,
-    METADATA,
     SENSORS,
     AccelUnit,
     Dwell,
-    Plane,
     Session,
     StageCurve,
     checked_gravity_mps2,
 )
-
-
-def digest_of_file(path: str | Path) -> str:
-    """SHA-256 digest of a file in hexadecimal digits.
-
-    Raises
-    ------
-    OSError
-        It cannot be read.
-    """
-    with Path(path).open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-class Covered(JsonRecord):
-    """Mean, minimum and maximum of a condition (temperature or supply) over the dwells of a session."""
-
-    mean: float
-    low: float
-    high: float
-
-
-@dataclass(frozen=True)
-class Provenance:
-    """Origin of a result: the facts of its session and of the program.
-
-    Attributes
-    ----------
-    sensor : str
-        Variant, as in `Session`.
-    plane : {"xy", "none"}
-    gravity_mps2 : float
-    counts : bool
-        True if readings are counts of unknown scale, False if they are in mg.
-    title, serial, operator, stage, laboratory, customer : str
-        Free text, or empty.
-    source : str
-        Name of the file, without its folder.
-    sha256 : str
-        Checksum of the dwells' data, independent of the kind of file.
-    recorded_utc : str
-        Begin of the session (ISO 8601); empty if the file does not state it.
-    software : str
-        Program that made the result.
-    temperature_c, supply_v : Covered or None
-        Statistics over all samples; None if not recorded.
-    offsets_lsb : tuple of int or None
-        Numbers in XACCL_OFF, YACCL_OFF, ZACCL_OFF during the recording; None if the file does not state
-        them.
-    written_lsb : tuple of int or None
-        Numbers that were written there later; None if nothing was written.
-    write_open : bool
-        True if a write was interrupted, so that only the sensor has the present numbers.
-    gyro_offsets_lsb, gyro_written_lsb, gyro_write_open
-        The corresponding facts of XGYRO_OFF, YGYRO_OFF, ZGYRO_OFF.
-    """
-
-    sensor: str
-    plane: Plane
-    gravity_mps2: float
-    counts: bool = False
-    title: str = ""
-    serial: str = ""
-    operator: str = ""
-    stage: str = ""
-    laboratory: str = ""
-    customer: str = ""
-    source: str = ""
-    sha256: str = ""
-    recorded_utc: str = ""
-    software: str = ""
-    temperature_c: Covered | None = None
-    supply_v: Covered | None = None
-    offsets_lsb: tuple[int, int, int] | None = None
-    written_lsb: tuple[int, int, int] | None = None
-    write_open: bool = False
-    gyro_offsets_lsb: tuple[int, int, int] | None = None
-    gyro_written_lsb: tuple[int, int, int] | None = None
-    gyro_write_open: bool = False
-
-
-_FROM_SESSION = ("sensor", "plane", "gravity_mps2", "title", *METADATA)
-
-
-def provenance_of(session: Session) -> Provenance:
-    """Return the provenance of a session: data source, conditions, software; computed only once."""
-    return session.once(_provenance)
-
-
-def _provenance(session: Session) -> Provenance:
-    from adis_gonio.base import __version__
-
-    return Provenance(
-        **{name: getattr(session, name) for name in _FROM_SESSION},
-        counts=session.accel_unit == "counts",
-        source=PurePath(session.source).name,
-        sha256=digest_of(session),
-        recorded_utc=str(session.facts.get("started_utc") or ""),
-        temperature_c=_coverage([dwell.temperature_c for dwell in session.dwells]),
-        supply_v=_coverage([dwell.supply_v for dwell in session.dwells]),
-        software=f"adis-gonio {__version__}",
-        offsets_lsb=_offsets(session.facts, ACCEL_OFF),
-        **_later_writes(session, ACCEL_OFF),
-        gyro_offsets_lsb=_offsets(session.facts, GYRO_OFF),
-        **{f"gyro_{name}": value for name, value in _later_writes(session, GYRO_OFF).items()},
-    )
-
-
-def changed_registers(session: Session) -> list[str]:
-    """Messages about registers that changed during the recording, so that its biases mix two states."""
-    doubts = session.facts.get("doubts") or []
-    return [str(doubt["message"]) for doubt in doubts if doubt["kind"] == "registers"]
-
-
-def digest_of(session: Session) -> str:
-    """SHA-256 digest in hexadecimal digits of a session's data: sensor, unit, plane and all dwells.
-
-    An archive and the CSV exported from it have the same digest.
-    """
-    digest = hashlib.sha256(f"{session.sensor} {session.accel_unit} {session.plane}".encode())
-    for dwell in session.dwells:
-        digest.update(f"{dwell.angle_deg!r} {dwell.approach} {dwell.use} {len(dwell)}".encode())
-        for series in (dwell.time_s, dwell.accel, dwell.temperature_c, dwell.supply_v):
-            if series is not None:
-                digest.update(np.ascontiguousarray(series, dtype="<f8").data)
-    return digest.hexdigest()
-
-
-def _coverage(series: list[Floats | None]) -> Covered | None:
-    rows = [one for one in series if one is not None and len(one)]
-    if not rows or len(rows) != len(series):
-        return None
-    means = [float(one.mean()) for one in rows]
-    low, high = min(float(one.min()) for one in rows), max(float(one.max()) for one in rows)
-    return Covered(float(np.mean(means)), low, high) if np.isfinite([*means, low, high]).all() else None
-
-
-def _later_writes(session: Session, registers: tuple[str, ...]) -> dict[str, Any]:
-    held = _offsets(session.facts, registers)
-    if held is None or not session.facts.get("offset_writes"):
-        return {}
-    from adis_gonio.record.write_journal import operations_of
-
-    known = operations_of(session, registers)
-    if not known:
-        return {}
-    last = known[-1]
-    if last.open:
-        return {"write_open": True}
-    pairs = zip(registers, held, strict=True)
-    return {"written_lsb": tuple(last.target.get(name, number) for name, number in pairs)}
-
-
-def _offsets(facts: Mapping[str, Any], registers: tuple[str, ...]) -> tuple[int, int, int] | None:
-    held = ((facts.get("registers") or {}).get("configured")) or {}
-    numbers = [held.get(name) for name in registers]
-    if any(not isinstance(number, int) for number in numbers):
-        return None
-    x, y, z = (int(number) for number in numbers if number is not None)
-    return x, y, z
-
 
 _REPLACED = ("gravity_mps2", "fixture_sigma_deg", "accel_unit", "sensor", "laboratory", "customer")
 _OPTIONS = re.compile(r"--(columns|unit|sensor|gravity|fixture|reverse)\b")

@@ -30,9 +30,9 @@ from adis_gonio.fitting.estimation.readings import ACCELEROMETER, Readings, know
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.fitting.noise_estimation import state_noise
 from adis_gonio.fitting.slips import Diagnosis, PositionFinding
-from adis_gonio.fitting.slips.position_diagnosis import failure_message, positions_of
+from adis_gonio.fitting.slips.session_positions import failure_message, positions_of
 from adis_gonio.model.records import Session
-from adis_gonio.record.loading import provenance_of
+from adis_gonio.record.provenance import provenance_of
 from adis_gonio.tracing.averaging import average
 from adis_gonio.tracing.credible_sets import CredibleSet, credible_sets, judge, merge_by_function, undecided
 from adis_gonio.tracing.findings import (

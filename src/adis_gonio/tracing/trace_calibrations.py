@@ -41,7 +41,7 @@ from adis_gonio.fitting.gyros.gyro_fit import (
 from adis_gonio.model.effects import AXES, catalogue, effect
 from adis_gonio.model.measurement import BaseParameter
 from adis_gonio.model.records import MG_PER_G, MG_PER_MPS2, Session
-from adis_gonio.record.loading import Provenance, provenance_of
+from adis_gonio.record.provenance import Provenance, provenance_of
 from adis_gonio.tracing.findings import clock_at_middle, follows_clock, middle_s
 from adis_gonio.tracing.trace_result import TraceResult
 

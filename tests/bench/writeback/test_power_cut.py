@@ -16,7 +16,7 @@ from adis_gonio.bench.writeback import OffsetWriter, WriteSettings, offset_check
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.fitting import fit
 from adis_gonio.record.archive import Archive
-from adis_gonio.record.loading import digest_of
+from adis_gonio.record.provenance import digest_of
 from bench.writeback.rig import flash, new_bus, numbers
 
 SAVE = WriteSettings(save=True, dwell_s=0.05)

@@ -13,7 +13,7 @@ from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.estimation.readings import readings_of
-from adis_gonio.fitting.slips.position_diagnosis import angles_of, failure_message, positions_of
+from adis_gonio.fitting.slips.session_positions import angles_of, failure_message, positions_of
 from adis_gonio.record.loading import AngleChange, Overrides
 from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.trace import correct_slips, restrict_candidates

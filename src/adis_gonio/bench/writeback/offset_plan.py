@@ -23,7 +23,7 @@ from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF, VARIANTS, variant
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Session
-from adis_gonio.record.loading import changed_registers
+from adis_gonio.record.provenance import changed_registers
 from adis_gonio.record.write_journal import INTERRUPTED, Numbers, operations_of
 
 if TYPE_CHECKING:

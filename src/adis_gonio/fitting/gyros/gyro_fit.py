@@ -38,7 +38,7 @@ from adis_gonio.fitting.gyros.turn_integration import gyro_directions
 from adis_gonio.model.effects import AXES, Effect, effect
 from adis_gonio.model.measurement import SKEW_AXES
 from adis_gonio.model.records import Session
-from adis_gonio.record.loading import Provenance, provenance_of
+from adis_gonio.record.provenance import Provenance, provenance_of
 from adis_gonio.record.write_journal import INTERRUPTED
 
 if TYPE_CHECKING:

@@ -53,7 +53,7 @@ from adis_gonio.fitting.gyros.turn_integration import (
 from adis_gonio.model.effects import AXES, Conditions
 from adis_gonio.model.measurement import MeanRate
 from adis_gonio.model.records import Dwell, Session, Turn
-from adis_gonio.record.loading import provenance_of
+from adis_gonio.record.provenance import provenance_of
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration
