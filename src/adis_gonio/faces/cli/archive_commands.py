@@ -121,10 +121,6 @@ def _archive_cells(row: Mapping[str, Any]) -> list[str]:
 @click.argument("serial")
 @option.places
 @option.output("Write a page with figures (extra: report).")
-@click.option(
-    "--run-length", type=click.FloatRange(min=10), metavar="N",
-    help="Mean number of sessions between false alarms of the CUSUM (default: 465, from h = 5 σ).",
-)  # fmt: skip
 @option.index
 @option.json
 def history_command(
@@ -132,7 +128,6 @@ def history_command(
     serial: str,
     places: tuple[Path, ...],
     output: Path | None,
-    run_length: float | None,
     index_path: Path | None,
     trace: bool,
     as_json: bool,
@@ -143,12 +138,10 @@ def history_command(
     scatter between sessions), and lists the effects found each time.
     """
     from adis_gonio.fleet import sensor_history
-    from adis_gonio.fleet.control_charts import CUSUM_H, limit_for
 
     show.check_page(output)
-    h = CUSUM_H if run_length is None else limit_for(run_length)
     with _indexed(places, index_path, trace=trace) as (store, _):
-        found = sensor_history.history_of(serial, _records_of(store, serial), h=h)
+        found = sensor_history.history_of(serial, _records_of(store, serial))
     if output is not None:
         from adis_gonio.fleet.fleet_pages import history_page
 
