@@ -1,6 +1,6 @@
 """Readings of the gyros: mean rates over dwells and turns, with the true rotation of the sensor.
 
-Nothing rotates in a dwell, and a turn counts if its true rotation is known (`turn_references`). Both are
+Nothing rotates in a dwell, and a turn counts if its true rotation is known (`turn_integration`). Both are
 means over time. Everything linear in the rate (gain, direction of the axis, zero rate, g-sensitivity)
 depends on the mean alone, however uneven a hand turns. The mean of |rate| (`abs_dps`) is kept for the
 asymmetry of the gain, which is not linear. Turns beyond the range are refused.
@@ -94,7 +94,7 @@ class RateIntervals:
         Covariance of `rotation_dps` that is independent in each turn; 0 for dwells.
     rotation_modes_dps : (n, 3, k) float or None
         Change of `rotation_dps` by one standard uncertainty of each of k errors of the accelerometers,
-        which all turns share (`accelerometer_triad`).
+        which all turns share (`turn_integration.Axes`).
     force_g : (n, 3) float
         Mean reading of the accelerometers in g; z is 0 without a Z accelerometer.
     abs_dps : (n, 3) float

@@ -291,7 +291,7 @@ class Diagnosis:
 def diagnose(angles: Angles) -> Diagnosis:
     """Compute the probability of every fault at every position, and report the certain faults.
 
-    The faults are listed in `position_faults`.
+    The faults are listed in `position_model`.
     """
     declared = int(np.isfinite(angles.declared_rad).sum())
     watched = angles.turns is not None and bool(np.isfinite(angles.turns.angle_rad).any())
