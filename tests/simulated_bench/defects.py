@@ -20,7 +20,7 @@ from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.bench.writeback import offset_writer
 from adis_gonio.device.bus.contract import SpiBus
 from adis_gonio.faces.cli import calibrate_command
-from adis_gonio.record import archive, database
+from adis_gonio.record import archive
 from adis_gonio.record.source import ChipSource
 
 
@@ -45,11 +45,11 @@ def _not_durable(connection: sqlite3.Connection) -> None:
 
 def _connect_strictly(path: Path, *, write: bool) -> sqlite3.Connection:
     """Without the second try that rolls back the journal of a killed writer."""
-    connection = database._open(path, "rw" if write else "ro")
-    with database.translated_errors(path):
-        database._check_content(path, connection)
+    connection = archive._open(path, "rw" if write else "ro")
+    with archive.translated_errors(path):
+        archive._check_content(path, connection)
         if write:
-            database.make_durable(connection)
+            archive.make_durable(connection)
     return connection
 
 
@@ -157,14 +157,14 @@ DEFECTS: dict[str, Defect] = {
         "the replies of a bus are not counted", SpiBus, "_checked", _unchecked
     ),
     "not durable": Defect(
-        "a dwell is announced before it is on the disk", database, "make_durable", _not_durable
+        "a dwell is announced before it is on the disk", archive, "make_durable", _not_durable
     ),
     "hot journal": Defect(
         "the journal of a killed program makes the file unreadable",
-        database, "connect", _connect_strictly
+        archive, "connect", _connect_strictly
     ),
     "journal orphaned": Defect(
-        "a session set aside loses its journal", database, "set_aside", _set_aside
+        "a session set aside loses its journal", archive, "set_aside", _set_aside
     ),
     "samples lost": Defect(
         "the row of a dwell is written without its samples",

@@ -146,7 +146,7 @@ def calibrate_command(
     measures them until the model is adequate or no position is expected to show more.
     """
     from adis_gonio.bench.advisor import MOST_EXTRA, TraceAdvisor
-    from adis_gonio.record.database import set_aside
+    from adis_gonio.record.archive import set_aside
     from adis_gonio.record.loading import load_session
     from adis_gonio.record.plans import GYRO_TURNS
     from adis_gonio.record.source import refuse_chip_options
