@@ -236,7 +236,7 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
     if result.before.heldout_by_axis is not None and not result.fits:
         return (
             f"{what or 'No condition was found that the readings follow.'} One pose does not show whether"
-            " zero or gain changes. Adequacy cannot be tested, since the noise of neighbouring samples is"
+            " bias or gain changes. Adequacy cannot be tested, since the noise of neighbouring samples is"
             " correlated."
         )
     if not result.tested:
