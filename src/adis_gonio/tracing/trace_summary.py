@@ -311,7 +311,7 @@ def confounded(result: TraceResult, most: int = 4) -> list[str]:
         listed = named[:most] + nameless[:1]
         if listed:
             more = len(named[most:]) + len(nameless[1:])
-            kind = "more" if named[most:] else f"other form{'s' * (more > 1)} without a name"
+            kind = "more" if named[most:] else f"other unnamed form{'s' * (more > 1)}"
             text = f"{first} — or {', or '.join(listed)}" + (f" (or {more} {kind})" if more else "")
         reason = result.reasons.get(first)
         lines.append(f"{text}: {reason}" if reason else text)

@@ -76,7 +76,7 @@ def print_trace(session: Session, result: TraceResult) -> None:
     _print_found(screen, result)
     _print_errors(screen, result)
     _print_list(screen, "What this session cannot tell apart", summary.confounded(result))
-    _print_list(screen, "Without a name", [summary.unnamed(result)] if result.unnamed else [])
+    _print_list(screen, "Unnamed cause", [summary.unnamed(result)] if result.unnamed else [])
     _print_list(screen, "Looked like something, but not called found", summary.open_names(result))
     _print_list(screen, "Inside the dwells", summary.within(result))
     seen = summary.sight(result)
