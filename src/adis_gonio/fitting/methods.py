@@ -125,7 +125,7 @@ def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
         raise FitError(f"method {method} needs a plane of rotation; this session has none: use method ml")
     if method != "ml" and readings.free:
         raise FitError(
-            f"method {method} needs declared angles and fixture_sigma_deg is free here: use method ml"
+            f"method {method} needs declared angles and here fixture_sigma_deg is free: use method ml"
         )
     return METHOD_TABLE[method].fit(readings)
 

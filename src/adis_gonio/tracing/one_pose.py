@@ -152,7 +152,7 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
         )
     if dwell.temperature_c is None:
         raise FitError(
-            f"{where}one position only and no temperature: nothing that the readings could follow; record"
+            f"{where}one position only and no temperature: there is nothing to trace; record"
             " the temperature with the samples (temp_c), or measure at least two positions"
         )
     conditions = series_conditions(dwell)

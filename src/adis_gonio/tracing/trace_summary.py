@@ -294,7 +294,7 @@ def gains(result: TraceResult) -> str:
 
 
 def confounded(result: TraceResult, most: int = 4) -> list[str]:
-    """Return the groups of effects that the session cannot distinguish, one line per first name."""
+    """Return the groups of effects that the session cannot distinguish, one line for each group."""
     groups: dict[str, list[str]] = {}
     for names in result.confounded:
         if len(names) == 1:
