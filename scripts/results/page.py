@@ -122,7 +122,7 @@ def paper(found: Document) -> str:
             "![Error of the paper's method over MMPM's](paper-ratio.svg)",
             "The paper's method is better than MMPM in ΔK if the fixture is worse than "
             f"{crossing[0.0]:.3f}° (no bias) or {crossing[10.0]:.1f}° (10 mg), because two positions "
-            "hardly feel the fixture in the gains. In Δφ its error is at least "
+            "hardly show fixture errors in the gains. In Δφ its error is at least "
             f"{found['map']['least_ratio_of_delta_phi']:.1f} times as large. With biases of 10 mg, it is "
             f"off by {bias['error_deg']['paper']:.2f}° in Δφ, {bias['multiple']:.0f} times as far as `ml` "
             f"(95 %: {bias['low']:.0f} to {bias['high']:.0f}). "
