@@ -31,7 +31,7 @@ from adis_gonio.model.records import Session
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.plans import Plan, Position, plan
 from adis_gonio.record.session_reader import read_session
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 from adis_gonio.tracing.trace_result import NextDwell
 
 SHORT = Settings(dwell_s=1.0, settle_s=0.1)

@@ -32,8 +32,7 @@ from adis_gonio.bench.guards import (
 )
 from adis_gonio.bench.recorder import BROKEN_STREAM, Recorder, why_broken_off
 from adis_gonio.bench.session_state import vector
-from adis_gonio.device.sensor.decoding import ScanBlock
-from adis_gonio.device.sensor.settings import Status
+from adis_gonio.device.sensor.settings import ScanBlock, Status
 from adis_gonio.record.archive_tables import Attempt, Move, Outcome, Phase
 from adis_gonio.record.blocks import (
     SUPPLY_LIMITS_V,

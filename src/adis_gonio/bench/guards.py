@@ -20,21 +20,21 @@ from adis_gonio.base.numbers import counted, format_uncertain, signed
 from adis_gonio.base.uncertainty import NORMAL_95
 from adis_gonio.bench.events import GuardKind, TurnMeasured
 from adis_gonio.fitting.slips import Angles, Diagnosis, Increments, PositionFinding, diagnose
-from adis_gonio.fitting.slips.position_diagnosis import LARGEST, MEANINGS
+from adis_gonio.fitting.slips.session_positions import LARGEST, MEANINGS
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.record.blocks import Block, session_columns, session_series
-from adis_gonio.record.expectation import (
+from adis_gonio.record.plans import (
     GAIN_LIMIT,
     UNMODELLED_MG,
     UNSTATED_FIXTURE_DEG,
     Expectation,
     K,
     Off,
+    Position,
     PriorKnowledge,
     turned_deg,
 )
-from adis_gonio.record.plans import Position
 from adis_gonio.record.stillness import SHIFT_MG
 
 if TYPE_CHECKING:

@@ -53,8 +53,7 @@ from adis_gonio.record.archive import Archive
 from adis_gonio.record.archive_tables import Header
 from adis_gonio.record.plans import GYRO_TURNS, Plan, Position, blindness, extended, extension
 from adis_gonio.record.session_reader import FREE_TURN, read_session
-from adis_gonio.record.settings import Settings, expected_each_s
-from adis_gonio.record.source import SampleSource
+from adis_gonio.record.source import SampleSource, Settings, expected_each_s
 from adis_gonio.record.stillness import NoiseMeter
 
 RECORDERS: dict[str, type[Recorder]] = {GYRO_TURNS: GyroTurnsRecorder, FREE_TURN: FreeTurnRecorder}

@@ -19,8 +19,7 @@ from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
 from adis_gonio.record.archive import Archive
 from adis_gonio.record.archive_tables import Header
 from adis_gonio.record.blocks import Block, join, session_columns
-from adis_gonio.record.expectation import PriorKnowledge
-from adis_gonio.record.plans import Plan, Position
+from adis_gonio.record.plans import Plan, Position, PriorKnowledge
 from adis_gonio.record.stillness import (
     SETTLINGS_PER_WINDOW,
     StillnessLimits,

@@ -31,8 +31,7 @@ from adis_gonio.calibrate.coefficients import (
     checked_offsets,
     finite_numbers,
 )
-from adis_gonio.device.sensor.registers import Kind
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS, Kind
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
 from adis_gonio.record.provenance import Covered

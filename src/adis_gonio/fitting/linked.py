@@ -19,7 +19,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.uncertainty import LINK_REFUSED
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.determination import (
     Determination,
     covariance,

@@ -30,7 +30,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord, key
 from adis_gonio.base.numbers import format_span
 from adis_gonio.base.uncertainty import effective_dof
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm

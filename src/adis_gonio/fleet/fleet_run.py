@@ -16,7 +16,7 @@ from adis_gonio.base.numbers import counted, format_duration
 from adis_gonio.base.output import ends_in
 from adis_gonio.fleet.session_record import Job, Options, SessionRecord, lost, once, record_of
 from adis_gonio.fleet.store import Store
-from adis_gonio.record.database import is_archive
+from adis_gonio.record.archive import is_archive
 from adis_gonio.record.provenance import digest_of_file
 
 ENDINGS = (".session", ".csv", ".csv.gz")

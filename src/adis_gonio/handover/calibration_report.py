@@ -35,7 +35,7 @@ from adis_gonio.fitting import FitResult
 from adis_gonio.fitting.answer import Answer, format_dof, format_share
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.slips import PositionFinding
-from adis_gonio.fitting.slips.position_diagnosis import Angle
+from adis_gonio.fitting.slips.session_positions import Angle
 from adis_gonio.model.records import METADATA, Session
 from adis_gonio.page.document import Figure, KeyFigure, Section, Table, render
 from adis_gonio.page.svg import Role, Series, Style, plot

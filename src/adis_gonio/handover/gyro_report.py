@@ -17,7 +17,7 @@ from adis_gonio.base.numbers import (
     join_words,
     signed,
 )
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.allan import AllanResult, AxisNoise, allan_result, fit_allan
 from adis_gonio.fitting.gyros.gyro_fit import GyroFit, fit_gyro, gains_in
 from adis_gonio.handover.register_offsets import gyro_offset_words

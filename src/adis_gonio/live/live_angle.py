@@ -21,8 +21,7 @@ from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, GYRO_OFF, G
 from adis_gonio.device.sensor.settings import Configuration, white_noise_gain
 from adis_gonio.live.smoothed_meter import Smoothed, SmoothedMeter, corrected_angle, sensing_of
 from adis_gonio.record.blocks import Block, session_columns
-from adis_gonio.record.settings import Settings
-from adis_gonio.record.source import ChipSource, Measuring, SampleStream, open_source
+from adis_gonio.record.source import ChipSource, Measuring, SampleStream, Settings, open_source
 from adis_gonio.record.stillness import limits_from_noise, window_samples
 
 if TYPE_CHECKING:

@@ -28,8 +28,8 @@ from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import join_words
 from adis_gonio.base.uncertainty import Detectable, Value
+from adis_gonio.device.sensor.registers import VARIANTS, Variant, variant
 from adis_gonio.device.sensor.settings import filter_settling_samples, sample_period_s
-from adis_gonio.device.sensor.variants import VARIANTS, Variant, variant
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, flicker_parts, from_means, quantized_means
 from adis_gonio.fitting.estimation.terms import NamedTerm
@@ -41,7 +41,7 @@ from adis_gonio.model.effects.base import did_you_mean
 from adis_gonio.model.measurement import PlanarTurn
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.record.plans import Plan
-from adis_gonio.record.settings import TURN_S, Settings, expected_each_s
+from adis_gonio.record.source import TURN_S, Settings, expected_each_s
 from adis_gonio.tracing.findings import detectable
 from adis_gonio.tracing.linear_problem import LinearProblem, linearise, span
 from adis_gonio.tracing.model_search import Search, price

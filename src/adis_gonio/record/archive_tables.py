@@ -34,8 +34,7 @@ from adis_gonio.base.shapes import (
     truth_value,
     whole,
 )
-from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF
-from adis_gonio.device.sensor.variants import GYRO_LSB_DPS, VARIANTS
+from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_LSB_DPS, GYRO_OFF, VARIANTS
 from adis_gonio.model.records import METADATA
 from adis_gonio.record.blocks import GENERIC, UNITS, Block
 from adis_gonio.record.plans import MOST_POSITIONS, Plan, Position

@@ -19,8 +19,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats, rotation_matrices
 from adis_gonio.base.errors import UsageError
-from adis_gonio.device.sensor.registers import Confidence
-from adis_gonio.device.sensor.variants import Performance
+from adis_gonio.device.sensor.registers import Confidence, Performance
 from adis_gonio.model.effects.base import AXES, lagged
 from adis_gonio.sim.noise import RateWalk
 from adis_gonio.sim.sampling import Electronics

@@ -23,11 +23,10 @@ from numpy.typing import NDArray
 from adis_gonio.base.jsonable import INLINE, JsonRecord, key
 from adis_gonio.device.bus import Capability, SpiBus, SpiTiming, Words
 from adis_gonio.device.bus.forwarding import ForwardingBus
-from adis_gonio.device.sensor.decoding import ScanBlock, join
 from adis_gonio.device.sensor.driver import Adis16354
-from adis_gonio.device.sensor.registers import BY_NAME, EA, IDLE, Register, register, registers
+from adis_gonio.device.sensor.registers import BY_NAME, EA, IDLE, VARIANTS, Register, register, registers
 from adis_gonio.device.sensor.scanning import PolledScans, ScanLayout, ScanStream
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.settings import ScanBlock, join
 
 _PART = VARIANTS["adis16354"]
 _FIGURES = _PART.performance

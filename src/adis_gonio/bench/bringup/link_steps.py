@@ -19,7 +19,6 @@ from adis_gonio.bench.bringup.bringup_step import (
     at_most,
 )
 from adis_gonio.device.bus import SpiTiming, Words
-from adis_gonio.device.sensor.decoding import scales
 from adis_gonio.device.sensor.driver import PLAUSIBLE
 from adis_gonio.device.sensor.registers import (
     ACCEL_OFF,
@@ -28,15 +27,18 @@ from adis_gonio.device.sensor.registers import (
     FAST,
     FAST_UP_TO,
     IDLE,
+    LEAST_M,
     NORMAL,
+    RANGE_CODE,
     REGISTERS,
     TEMP_OUT,
+    VARIANTS,
     Register,
+    Variant,
     read_frames,
     registers,
 )
-from adis_gonio.device.sensor.settings import Status, white_noise_gain
-from adis_gonio.device.sensor.variants import LEAST_M, RANGE_CODE, VARIANTS, Variant
+from adis_gonio.device.sensor.settings import Status, scales, white_noise_gain
 
 CLOCKS_HZ = (2e6, 1.5e6, 1e6, 750e3, 500e3, 250e3, 125e3, 62.5e3, 31.25e3)
 """Clocks to try: steps of the bridges within the limits of the chip's modes."""

@@ -18,16 +18,15 @@ from adis_gonio.bench.bringup.bringup_step import (
     SideEffect,
     StepResult,
 )
-from adis_gonio.device.sensor.decoding import scales
-from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, registers
+from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, Variant, registers
 from adis_gonio.device.sensor.settings import (
     filter_response,
     filter_weights,
     rounding_spectrum,
+    scales,
     sens_avg_word,
     white_noise_gain,
 )
-from adis_gonio.device.sensor.variants import Variant
 
 _SCANS = 4096
 _FEW = 512

@@ -17,9 +17,8 @@ from adis_gonio.bench.bringup.bringup_step import (
     SideEffect,
     StepResult,
 )
-from adis_gonio.device.sensor.decoding import scales
 from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, BY_NAME, GYRO_OUT, registers
-from adis_gonio.device.sensor.settings import Alarm, sens_avg_word
+from adis_gonio.device.sensor.settings import Alarm, scales, sens_avg_word
 
 _SCANS = 512
 _STEP = 1000

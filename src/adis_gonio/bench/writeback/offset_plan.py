@@ -20,8 +20,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import SessionError
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF
-from adis_gonio.device.sensor.variants import VARIANTS, variant
+from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF, VARIANTS, variant
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import changed_registers

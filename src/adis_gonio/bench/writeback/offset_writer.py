@@ -34,12 +34,11 @@ from adis_gonio.bench.writeback.offset_plan import UNITS, WritePlan, recorded_of
 from adis_gonio.device.sensor.driver import FLASH_LIFE, FLASH_UPDATE_S, Adis16354, Undo
 from adis_gonio.device.sensor.registers import registers
 from adis_gonio.model.records import Session
-from adis_gonio.record.archive import Archive, ArchiveView
+from adis_gonio.record.archive import Archive, ArchiveView, is_archive
 from adis_gonio.record.blocks import SUPPLY_LIMITS_V
-from adis_gonio.record.database import is_archive
 from adis_gonio.record.plans import Position
 from adis_gonio.record.session_reader import read_session
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 from adis_gonio.record.write_journal import (
     KIND,
     HeldOffsets,

@@ -317,7 +317,7 @@ def _report_page(session: Session, time_limit: float | None, tolerance: Toleranc
 
 def _twin_sections(session: Session, traced: TraceResult) -> list[Section]:
     """Section of the report on the digital twin, as a list; empty if no twin is possible."""
-    from adis_gonio.handover.twin_comparison import twin_section
+    from adis_gonio.handover.digital_twin import twin_section
     from adis_gonio.page.document import Section
 
     try:

@@ -23,13 +23,17 @@ from adis_gonio.faces.serve.iio_device import (
     DEBUG_ATTRIBUTES,
     DEVICE_ATTRIBUTES,
     OFFSET_OF,
+    QUEUE_S,
     WRITABLE,
+    Buffer,
+    FreshScans,
+    Hub,
+    Sampler,
     ScanFormat,
     ServedDevice,
     filter_for,
 )
 from adis_gonio.faces.serve.iiod_protocol import Errno, Parser, Refused, Request, Target
-from adis_gonio.faces.serve.scan_sampler import QUEUE_S, Buffer, FreshScans, Hub, Sampler
 
 T = TypeVar("T")
 

@@ -15,20 +15,22 @@ from adis_gonio.base.budget import current
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.uncertainty import INADEQUATE, NORMAL_95, SLOW_NOISE, Value
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.device.sensor.settings import (
     filter_response,
     filter_weights,
     rounding_covariance,
     white_noise_gain,
 )
-from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.allan.allan_result import PARTS, AllanResult, AxisNoise, Part, notes_of, parameters
-from adis_gonio.fitting.allan.noise_processes import KINDS, Kind, curve
 from adis_gonio.fitting.allan.spectral_likelihood import (
+    KINDS,
+    Kind,
     Likelihood,
     Ordinates,
     Profile,
     SpectralLine,
+    curve,
     ordinates,
     profile,
     subtract_sinusoids,

@@ -41,10 +41,10 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import current
-from adis_gonio.base.computed_once import ComputedOnce
 from adis_gonio.base.errors import DataError, FitError, UsageError
+from adis_gonio.base.jsonable import ComputedOnce
 from adis_gonio.base.numbers import counted, name_positions
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.links import Links
 from adis_gonio.fitting.estimation.screening import (
     Converter,

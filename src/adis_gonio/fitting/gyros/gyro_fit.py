@@ -30,7 +30,7 @@ from adis_gonio.base.tables import Entries, ParameterTable
 from adis_gonio.base.uncertainty import INADEQUATE, Value
 from adis_gonio.calibrate.coefficients import NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit, adequacy
 from adis_gonio.fitting.estimation.readings import GYRO, Readings, readings_of_part
 from adis_gonio.fitting.estimation.terms import NamedTerm

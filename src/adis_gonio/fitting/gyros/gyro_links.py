@@ -26,7 +26,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats, central_differences
 from adis_gonio.base.errors import DataError
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.links import Links
 from adis_gonio.fitting.estimation.spectrum import covariance_of_means
 from adis_gonio.fitting.gyros.gyro_readings import GyroDwells, gyro_dwells_of

@@ -26,30 +26,29 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.numbers import format_ranges
-from adis_gonio.device.sensor.variants import GYRO_LSB_DPS, VARIANTS
+from adis_gonio.device.sensor.registers import GYRO_LSB_DPS, VARIANTS
 from adis_gonio.fitting.estimation.readings import Readings, Unit, flicker_parts, quantization_variance
 from adis_gonio.fitting.estimation.screening import steps_of
 from adis_gonio.fitting.estimation.spectrum import MeanNoise, noise_of_means, spans
-from adis_gonio.fitting.gyros.accelerometer_triad import Triad, triad_of
 from adis_gonio.fitting.gyros.turn_integration import (
+    MARK_U_DEG,
     NOT_RECORDED,
     Integral,
     Path,
+    Reference,
     Sampling,
+    Triad,
     dps_per_unit,
     g_per_unit,
     integrate,
     path_between,
     period_of,
-    three_axes,
-)
-from adis_gonio.fitting.gyros.turn_references import (
-    MARK_U_DEG,
-    Reference,
     reference_as_declared,
     reference_in_space,
     reference_on_stage,
     steady_force,
+    three_axes,
+    triad_of,
 )
 from adis_gonio.model.effects import AXES, Conditions
 from adis_gonio.model.measurement import MeanRate

@@ -20,8 +20,7 @@ from functools import cached_property
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_radians
-from adis_gonio.fitting.slips.position_faults import PUSH_MG, Name, Pattern, patterns_of
-from adis_gonio.fitting.slips.position_model import Rows, common_zero
+from adis_gonio.fitting.slips.position_model import PUSH_MG, Name, Pattern, Rows, common_zero, patterns_of
 
 NOWHERE_RAD = 10.0
 """Standard deviation of the error of an undeclared angle."""

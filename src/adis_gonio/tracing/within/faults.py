@@ -33,7 +33,7 @@ from scipy import ndimage, optimize, special
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import format_number
 from adis_gonio.base.uncertainty import FOUND_WITHIN, Value
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.readings import Readings, quantization_variance
 from adis_gonio.model.records import Session
 from adis_gonio.tracing.within.samples import (
