@@ -111,8 +111,8 @@ def test_the_page_is_well_formed_and_loads_nothing(page):
 def test_the_page_answers_every_question(page):
     wanted = {
         "Summary", "Results by method", "Effects found", "Error before and after",
-        "Residual, step by step", "Remaining residual", "Rivals", "Smallest detectable amplitudes",
-        "What to measure next", "Data and configuration",
+        "Residual, step by step", "Remaining residual", "Other probable models",
+        "Smallest detectable amplitudes", "What to measure next", "Data and configuration",
     }  # fmt: skip
     assert wanted <= set(outline(page).headings)
 

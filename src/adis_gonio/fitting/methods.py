@@ -414,7 +414,7 @@ def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> lis
             else "measure 180° and 270° too and use method four-position"
         )
     return [
-        "a bias cannot be seen in two positions: 1 mg of it on X moves"
+        "a bias cannot be seen in two positions: 1 mg on X moves"
         f" {_pair(k[0], phi[0])}, on Y {_pair(k[1], phi[1])}, and {stated}; {remedy}"
     ]
 

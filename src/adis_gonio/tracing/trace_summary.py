@@ -365,8 +365,8 @@ def sight(result: TraceResult) -> SightWords:
 def absent(result: TraceResult) -> str:
     """Return the statement about effects that the session could show but that were not found."""
     if result.adequate and result.unnamed is None:
-        return "not there: it would have shown"
-    return "not recognised; it would have shown alone"
+        return "absent: it would have been found"
+    return "not found: without other effects it would have been found"
 
 
 def amplitude(entry: Detectable) -> str:
