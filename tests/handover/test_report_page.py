@@ -279,7 +279,7 @@ def test_nothing_is_called_absent_that_cannot_be_told_from_others(curved):
 def test_nothing_is_called_absent_beside_an_inadequate_model(curved):
     from adis_gonio.tracing.trace_summary import absent
 
-    assert absent(curved[1]).startswith("not there")
+    assert absent(curved[1]).startswith("absent")
     assert not absent(replace(curved[1], adequate=False)).startswith("not there")
 
 
