@@ -280,7 +280,7 @@ def test_nothing_is_called_absent_beside_an_inadequate_model(curved):
     from adis_gonio.tracing.trace_summary import absent
 
     assert absent(curved[1]).startswith("absent")
-    assert not absent(replace(curved[1], adequate=False)).startswith("not there")
+    assert not absent(replace(curved[1], adequate=False)).startswith("absent")
 
 
 def test_effects_of_what_was_not_recorded_are_said_to_be_unseen(curved):
