@@ -786,4 +786,4 @@ class Archive(ArchiveView):
     def _require_own_run(self) -> None:
         (latest,) = self._connection.execute("SELECT max(run) FROM runs").fetchone()
         if not self._run or latest != self._run:
-            raise SessionError(f"{self.path}: another program has resumed this session; this one stops")
+            raise SessionError(f"{self.path}: another program has resumed this session; this program stops")
