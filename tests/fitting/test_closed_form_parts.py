@@ -13,19 +13,22 @@ import pytest
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import FitError, SingularError
-from adis_gonio.fitting import closed_form as module
-from adis_gonio.fitting.closed_form import (
-    as_printed,
-    fit_mmpm,
-    fit_paper,
-    fit_positions,
-    rows_at,
-    turn_parameters,
-)
+from adis_gonio.fitting import methods as module
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, Unit, from_means
 from adis_gonio.fitting.fit_result import Origin
-from adis_gonio.fitting.methods import METHOD_TABLE, applicable_to, default_method, fit_readings
+from adis_gonio.fitting.methods import (
+    METHOD_TABLE,
+    applicable_to,
+    as_printed,
+    default_method,
+    fit_mmpm,
+    fit_paper,
+    fit_positions,
+    fit_readings,
+    rows_at,
+    turn_parameters,
+)
 from adis_gonio.fitting.noise_estimation import NoiseAssumptions
 from adis_gonio.fitting.uncertainty import ShownAngle, gradient_of_base
 from adis_gonio.model.effects import Conditions
@@ -333,7 +336,7 @@ def test_one_position_is_no_calibration(angles: tuple[float, ...]) -> None:
     lost = replace(turned(angles[:1]), angle_rad=np.full(1, np.nan))
     with pytest.raises(FitError, match="one position only"):
         fit_readings(lost)
-    with pytest.raises(FitError, match="needs declared angles and fixture_sigma_deg is free here"):
+    with pytest.raises(FitError, match="needs declared angles and here fixture_sigma_deg is free"):
         fit_readings(turned((0.0, 90.0), fixture_rad=math.inf), "two-position")
 
 

@@ -34,8 +34,7 @@ from adis_gonio.bench.iio_devices import (
 from adis_gonio.device.bus.host import UrlOptions
 from adis_gonio.device.bus.opening import BusUrl, Device
 from adis_gonio.record.blocks import GENERIC, ValueBlock
-from adis_gonio.record.settings import Settings
-from adis_gonio.record.source import KnownPart, Measuring, SampleSource
+from adis_gonio.record.source import KnownPart, Measuring, SampleSource, Settings
 
 TYPICAL_NOISE_MG = 5.0
 """Estimate for a sample of an unknown accelerometer; ten times this estimate counts as motion."""
@@ -120,7 +119,7 @@ class IioSource(SampleSource):
             raise CannotOpenError(f"{url}: {facts.name} has no buffer for all of its axes: add ?poll=HZ")
         rate = poll_hz or rate_hz or facts.rate_hz
         if rate is None:
-            raise CannotOpenError(f"{url}: {facts.name} does not say its sampling_frequency: add ?rate=HZ")
+            raise CannotOpenError(f"{url}: {facts.name} lacks sampling_frequency: add ?rate=HZ")
         low, high = RATES_HZ
         if not low <= rate <= high:
             raise CannotOpenError(

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 def fit_ml(readings: Readings) -> FitResult:
-    """Maximum likelihood of the base model and a bias.
+    """Fit the base model and a bias of each axis by maximum likelihood (method `ml`).
 
     Raises
     ------
@@ -57,9 +57,12 @@ def fit_ml(readings: Readings) -> FitResult:
     wanted = ("delta_k", "delta_phi") if readings.planar else names
     if not any(o.name in wanted for o in reported):
         directions = "; ".join(format_directions(null, names))
+        advice = advise_positions(lost)
+        if readings.planar and not np.isfinite(readings.angle_rad).any():
+            advice = "declare the stage's angle of each position (column angle_deg)"
         raise SingularError(
             f"{counted(len(readings), 'position')} cannot determine {' or '.join(wanted[:2])}: they "
-            f"contain no information on {directions}; {advise_positions(lost)}"
+            f"contain no information on {directions}; {advice}"
         )
     warnings = [*readings.notes, *noise.notes, *_warnings(determination, held, lost, reported)]
     sources = _sources(readings, settled)
@@ -139,7 +142,7 @@ def advise_positions(names: list[str]) -> str:
 
 
 def refit_ml(readings: Readings, made: Origin) -> Fit:
-    """Fit the model of the method `ml` again to other readings of all or some of its dwells.
+    """Repeat the fit of the method `ml` on other readings, or on a subset of the dwells.
 
     The fit starts from the values of the original fit.
     """

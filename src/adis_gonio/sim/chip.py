@@ -47,8 +47,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
-from adis_gonio.device.sensor.registers import BY_NAME, EA, GYRO_OFF, ND
-from adis_gonio.device.sensor.variants import Variant, variant
+from adis_gonio.device.sensor.registers import BY_NAME, EA, GYRO_OFF, ND, Variant, variant
 from adis_gonio.sim.memory import (
     FLASH_S,
     SELF_TEST_S,
@@ -370,7 +369,7 @@ class SimulatedChip:
             The frame lies before the last one.
         """
         if start_s < self._last_start or start_s < self._time_s - TOLERANCE_S:
-            raise UsageError(f"frame at {start_s} s: the chip has already lived until {self._time_s} s")
+            raise UsageError(f"frame at {start_s} s: the chip is already simulated until {self._time_s} s")
         self._advance(start_s)
         rise = start_s + bits / clock_hz + cs_hold_s
         stall, period = start_s - self._last_rise, start_s - self._last_start

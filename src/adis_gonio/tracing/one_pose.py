@@ -54,7 +54,7 @@ _RIDGE = 1e-12
 
 @dataclass(frozen=True)
 class _Variant:
-    """One degree and time constant of an effect.
+    """One variant of an effect: a degree of its polynomial and a time constant.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ class _Problem:
 
 @dataclass(frozen=True)
 class _Noise:
-    """A kind of slow noise, and averages over short intervals that are whitened for R sizes of this noise.
+    """One kind of slow noise, with averaged samples that are whitened for R sizes of this noise.
 
     A jump of the zero at any time competes as one more column: a step between two averages.
 
@@ -152,7 +152,7 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
         )
     if dwell.temperature_c is None:
         raise FitError(
-            f"{where}one position only and no temperature: nothing that the readings could follow; record"
+            f"{where}one position only and no temperature: there is nothing to trace; record"
             " the temperature with the samples (temp_c), or measure at least two positions"
         )
     conditions = series_conditions(dwell)
@@ -170,7 +170,7 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
         none = 1 - sum(share.values())
         if chosen is None or none > limits.certain:
             reasons = {
-                one.effect.name: f"a jump or slow noise of the zero is in its place with {none:.0%}"
+                one.effect.name: f"a jump or slow noise of the bias is more probable ({none:.0%})"
                 for one in share
                 if share[one] > 1 - limits.set_level
             }
@@ -195,12 +195,12 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
     uncaused: list[str] = attempt("movements without a cause", partial(_uncaused, problem, model), [])
     one_way = _one_way(conditions)
     advice: tuple[str, ...] = (
-        "one pose cannot tell a change of zero from a change of gain: repeat the cycle with the part "
+        "one pose does not show whether bias or gain changes: repeat the cycle with the sensor "
         "turned over (each axis once up and once down)",
     )
     if one_way:
         advice = (
-            "the temperature only went one way, so that it cannot be told from time: let it come back",
+            "the temperature only rose or only fell, so its effect looks like a drift: let it come back",
             *advice,
         )
     return TraceResult(
@@ -219,7 +219,7 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
         advice=advice,
         reasons=reasons,
         notes=(
-            *(["the zero moves without a recorded cause: " + ", ".join(uncaused)] if uncaused else []),
+            *(["the bias changes without a recorded cause: " + ", ".join(uncaused)] if uncaused else []),
             "one pose, traced sample by sample; adequacy cannot be tested, since the noise of neighbouring "
             "samples is not independent",
             "held-out rms by axis: "
@@ -347,11 +347,7 @@ def _labels(made: Effect, count: int) -> tuple[tuple[str, ...], tuple[str, ...]]
 
 
 def _choices(model: Model) -> list[tuple[int, ...]]:
-    """Return the combinations of the variants of a model's effects.
-
-    If several effects have a time constant, only every third one is used. A lagging element has a
-    polynomial of its temperature, so this effect and the temperature effect have equal degrees.
-    """
+    """Return all combinations of one variant for each effect of a model."""
     lists = []
     several = sum(len(candidate.variants) > len(DEGREES) for candidate in model) > 1
     for candidate in model:
@@ -374,7 +370,7 @@ def _columns(model: Model, choice: tuple[int, ...]) -> list[int]:
 
 
 def _solve_with_ridge(gram: Floats, cross: Floats) -> Floats:
-    """Return the solution (…, p, axes) of normal equations with a ridge too small to change the result.
+    """Solve normal equations with a ridge too small to change the result; return (…, p, axes).
 
     The ridge only makes the equations solvable if columns are equal.
     """
@@ -385,7 +381,7 @@ def _solve_with_ridge(gram: Floats, cross: Floats) -> Floats:
 
 
 def _fits(problem: _Problem, model: Model) -> tuple[list[tuple[int, ...]], Floats, Floats, Floats]:
-    """Fit every combination of variants to all blocks of time except one, leaving out each in turn.
+    """Fit each combination of variants to all time blocks but one, leaving out each block in turn.
 
     Returns
     -------
@@ -417,7 +413,7 @@ def _fits(problem: _Problem, model: Model) -> tuple[list[tuple[int, ...]], Float
 
 
 def _squares(square: Floats, cross: Floats, gram: Floats, solution: Floats) -> Floats:
-    """Return the residual sum of squares (BLOCKS, axes) for coefficients (BLOCKS, p, axes)."""
+    """Return the residual sums of squares (BLOCKS, axes) for given coefficients (BLOCKS, p, axes)."""
     # |y − Xb|² = yᵀy − 2 bᵀXᵀy + bᵀXᵀX b, from the sums of each block.
     quadratic = np.einsum("bia,bij,bja->ba", solution, gram, solution)
     left: Floats = np.maximum(square - 2 * (cross * solution).sum(axis=1) + quadratic, 0.0)
@@ -547,9 +543,10 @@ def _log_odds(problem: _Problem, model: Model, simpler: Model) -> float:
 
 
 def _shares(problem: _Problem, model: Model, candidates: Sequence[_Candidate]) -> dict[_Candidate, float]:
-    """Return the probability of each further effect of a model; the rest is that there is none.
+    """Return for each further effect the probability that it belongs to the model.
 
-    The odds against none are 1 to the number of candidates before the measurement.
+    The probability that none does is the rest. The prior odds of each against none are 1 to the number of
+    candidates.
     """
     from scipy.special import softmax
 
@@ -562,7 +559,7 @@ def _shares(problem: _Problem, model: Model, candidates: Sequence[_Candidate]) -
 
 
 def _uncaused(problem: _Problem, model: Model) -> list[str]:
-    """Return the movement of the zero on each axis for which no recorded condition is a cause."""
+    """Return the axes on which the bias changes without a recorded cause, one line of text each."""
     from scipy.special import softmax
 
     out = []

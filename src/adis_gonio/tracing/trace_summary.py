@@ -166,13 +166,13 @@ def uncertain_steps(result: TraceResult) -> list[str]:
 
 
 def ordered(result: TraceResult) -> list[Finding]:
-    """Return the findings in the order in which the effects were added to the model."""
+    """Return the findings in the order in which the model got their effects."""
     order = [step.effect for step in result.steps]
     return sorted(result.found, key=lambda f: order.index(f.effect) if f.effect in order else len(order))
 
 
 def inside_only(result: TraceResult) -> list[Finding]:
-    """Return the findings from samples inside the dwells that the model of the readings lacks."""
+    """Return the findings inside dwells that are not among the effects of the model."""
     steps = {step.effect for step in result.steps}
     seen = {finding.effect for finding in result.within}
     return [finding for finding in result.found if finding.effect in seen - steps]
@@ -236,7 +236,7 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
     if result.before.heldout_by_axis is not None and not result.fits:
         return (
             f"{what or 'No condition was found that the readings follow.'} One pose does not show whether"
-            " zero or gain changes. Adequacy cannot be tested, since the noise of neighbouring samples is"
+            " bias or gain changes. Adequacy cannot be tested, since the noise of neighbouring samples is"
             " correlated."
         )
     if not result.tested:
@@ -257,7 +257,7 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
 
 
 def exact(result: TraceResult) -> bool:
-    """Return True if the final model passes exactly through every reading."""
+    """Return True if the final model passes exactly through every reading, so that it cannot be tested."""
     return bool(result.steps) and result.after.residual_rms < 1e-9 * result.before.residual_rms
 
 
@@ -294,7 +294,7 @@ def gains(result: TraceResult) -> str:
 
 
 def confounded(result: TraceResult, most: int = 4) -> list[str]:
-    """Return the groups of effects that the session cannot distinguish, one line per first name."""
+    """Return the groups of effects that the session cannot distinguish, one line for each group."""
     groups: dict[str, list[str]] = {}
     for names in result.confounded:
         if len(names) == 1:
@@ -311,7 +311,7 @@ def confounded(result: TraceResult, most: int = 4) -> list[str]:
         listed = named[:most] + nameless[:1]
         if listed:
             more = len(named[most:]) + len(nameless[1:])
-            kind = "more" if named[most:] else f"other form{'s' * (more > 1)} without a name"
+            kind = "more" if named[most:] else f"other unnamed form{'s' * (more > 1)}"
             text = f"{first} — or {', or '.join(listed)}" + (f" (or {more} {kind})" if more else "")
         reason = result.reasons.get(first)
         lines.append(f"{text}: {reason}" if reason else text)
@@ -319,7 +319,7 @@ def confounded(result: TraceResult, most: int = 4) -> list[str]:
 
 
 def open_names(result: TraceResult) -> list[str]:
-    """Return the other rejected effects, which are in none of these groups, each with its reason."""
+    """Return the rejected effects outside these groups, each with its reason."""
     grouped = {names[0] for names in result.confounded}
     return [f"{name}: {reason}" for name, reason in result.reasons.items() if name not in grouped]
 
@@ -365,8 +365,8 @@ def sight(result: TraceResult) -> SightWords:
 def absent(result: TraceResult) -> str:
     """Return the statement about effects that the session could show but that were not found."""
     if result.adequate and result.unnamed is None:
-        return "not there: it would have shown"
-    return "not recognised; it would have shown alone"
+        return "absent: it would have been found"
+    return "not found: without other effects it would have been found"
 
 
 def amplitude(entry: Detectable) -> str:

@@ -285,7 +285,7 @@ def test_a_model_that_lacks_something_is_refused_unless_told(tmp_path):
         return PowerBus(world=world, url="sim:?seed=3")
 
     path = record(tmp_path / "bent.session", bent(), "tumble", fixture_sigma_deg=0.02)
-    refused(bent(), path, SessionError, "no sound base .*chi2")
+    refused(bent(), path, SessionError, "not reliable enough .*chi2")
     told = WriteSettings(dwell_s=0.5, doubtful=True)
     plan = writer(bent(), path, told).plan()
     assert plan.changes
@@ -553,7 +553,7 @@ def test_an_unfinished_session_goes_on_as_if_nothing_had_been_once_it_is_undone(
     from adis_gonio.bench.events import DwellDone
     from adis_gonio.bench.runner import SessionRunner
     from adis_gonio.record.plans import plan
-    from adis_gonio.record.settings import Settings
+    from adis_gonio.record.source import Settings
 
     whole = record(tmp_path / "whole.session", new_bus(3))
     path = tmp_path / "part.session"

@@ -112,7 +112,7 @@ def _by_clock(bench: BringupBench, expected_s: float, updates: int) -> Period | 
 
 
 def nearest_code(period_s: float) -> int:
-    """Value of SMPL_PRD with the nominal period nearest to a period in s, by ratio."""
+    """Value of SMPL_PRD with the nominal period that is nearest to the given one, by ratio."""
     return min(_CODES, key=lambda n: abs(math.log(period_s / sample_period_s(n))))
 
 
@@ -173,7 +173,7 @@ class _Edges:
 
     @property
     def slack(self) -> float:
-        """Tolerance of `surplus`: one edge at either end, and the error of the bridge's clock."""
+        """Tolerance of `surplus`: one edge at each end, and the error of the bridge's clock."""
         return 2 + _BENT * self.expected
 
     @property
@@ -385,7 +385,7 @@ def _jitter(time_s: Floats, period_s: float) -> tuple[float, float]:
 
 
 def _delay_us(edges: _Edges, period_s: float, bench: BringupBench) -> tuple[float, float]:
-    """Earliest and latest time in µs from a data-ready edge to the sample update; negative if before it.
+    """Earliest and latest time in µs from a data-ready edge to the update; negative before the edge.
 
     A word is taken at the end of its frame, so that the update lies between the ends of the read with ND
     and the read before it, which may be the last read of the scan before.

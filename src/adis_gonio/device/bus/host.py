@@ -116,7 +116,7 @@ class HostBus(SpiBus):
         self._clock.sleep_s(seconds)
 
     def take_over(self, opened: contextlib.ExitStack) -> Self:
-        """Release these resources when the bus is closed; return the bus."""
+        """Add resources to release when the bus is closed; return the bus."""
         self._resources = opened.pop_all()
         return self
 
@@ -200,7 +200,7 @@ class UsbOptions:
         used = [cs, *([] if reset_gpio is None else [reset_gpio]), *([event_pin] if event_counter else [])]
         if len(set(used)) != len(used):
             raise UsageError(
-                f"{options.url.text}: cs, reset_gpio and the event counter ({event_name}) need pins apart"
+                f"{options.url.text}: cs, reset_gpio and event counter ({event_name}) need different pins"
             )
         return cls(cs, reset_gpio, event_counter, timeout_ms / 1000)
 

@@ -75,9 +75,9 @@ def print_trace(session: Session, result: TraceResult) -> None:
     screen.print(summary.gains(result))
     _print_found(screen, result)
     _print_errors(screen, result)
-    _print_list(screen, "What this session cannot tell apart", summary.confounded(result))
-    _print_list(screen, "Without a name", [summary.unnamed(result)] if result.unnamed else [])
-    _print_list(screen, "Looked like something, but not called found", summary.open_names(result))
+    _print_list(screen, "What this session cannot distinguish", summary.confounded(result))
+    _print_list(screen, "Unnamed cause", [summary.unnamed(result)] if result.unnamed else [])
+    _print_list(screen, "Rejected effects", summary.open_names(result))
     _print_list(screen, "Inside the dwells", summary.within(result))
     seen = summary.sight(result)
     weak = ", ".join(f"{name} from {text}" for name, text in seen.weak)
@@ -193,7 +193,7 @@ def loop_lines(summary: Mapping[str, Any]) -> list[str]:
 
 
 def print_loop(session: Session, result: TraceResult) -> None:
-    """Show the results before and after the proposed further positions, and why no more were proposed.
+    """Show the result before and after the further positions that the trace proposed, and why it ended.
 
     Nothing is printed if the advisor was never asked.
 
@@ -317,7 +317,7 @@ def _report_page(session: Session, time_limit: float | None, tolerance: Toleranc
 
 def _twin_sections(session: Session, traced: TraceResult) -> list[Section]:
     """Section of the report on the digital twin, as a list; empty if no twin is possible."""
-    from adis_gonio.handover.twin_comparison import twin_section
+    from adis_gonio.handover.digital_twin import twin_section
     from adis_gonio.page.document import Section
 
     try:

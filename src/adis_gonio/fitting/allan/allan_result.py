@@ -11,8 +11,14 @@ from typing import Any, Literal
 from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted, format_number, format_p, format_unit
 from adis_gonio.base.uncertainty import INADEQUATE, SLOW_NOISE, Value, finite_or_none
-from adis_gonio.fitting.allan.noise_processes import FLOOR_OF_B, KINDS, AllanCurve, Kind
-from adis_gonio.fitting.allan.spectral_likelihood import Profile, SpectralLine
+from adis_gonio.fitting.allan.spectral_likelihood import (
+    FLOOR_OF_B,
+    KINDS,
+    AllanCurve,
+    Kind,
+    Profile,
+    SpectralLine,
+)
 
 Part = Literal["gyro", "accelerometer"]
 PARTS: dict[Part, str] = {"gyro": "gyros", "accelerometer": "accelerometers"}
@@ -25,7 +31,7 @@ _NAMES: dict[Part, tuple[str, ...]] = {
         "acceleration_random_walk",
     ),
 }
-"""Names of `noise_processes.KINDS` by part."""
+"""Names of `spectral_likelihood.KINDS` by part."""
 _UNITS = {
     "dps": ("deg", "dps/√Hz", "dps", "dps/√s"),
     "mg": ("mg·s", "mg/√Hz", "mg", "mg/√s"),
@@ -135,7 +141,7 @@ class AxisNoise:
     axis : str
         `x`, `y` or `z`.
     parameters : tuple of NoiseParameter
-        In the order of `noise_processes.KINDS`; without quantization behind the chip's filter.
+        In the order of `spectral_likelihood.KINDS`; without quantization behind the chip's filter.
     ramp : Value
         Drift per second: weighted mean of the slopes of straight lines through the records.
     slow_p_value : float
