@@ -220,7 +220,7 @@ class Play:
         outcome.ended.append(ended)
         outcome.told += _tell(step, ended, bench, bench.operator.did[did:])
         found = check(self.record, ended, step, self.story)
-        outcome.wrong += [f"after '{' '.join(words)}': {text}" for text in found.wrong]
+        outcome.wrong += [f"{text} (after '{' '.join(words)}')" for text in found.wrong]
         if found.off:
             outcome.off, outcome.lied = found.off, found.lied
         self._afresh = "begin a new session" in ended.err
