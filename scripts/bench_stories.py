@@ -26,7 +26,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from simulated_bench.defects import DEFECTS, put_back
-from simulated_bench.stories import IN_SPACE, Outcome, Story, draw, play, shrink, tell
+from simulated_bench.stories import Outcome, Story, draw, play, shrink, tell
 
 
 def played(story: Story) -> Outcome:
@@ -89,8 +89,7 @@ def find_defects(names: Sequence[str], first: int, most: int, *, motor: bool) ->
         for number, seed in enumerate(range(first, first + most), 1):
             story = draw(seed)
             if motor:  # several times faster than an operator, whose hands the program watches
-                plan = story.plan if story.plan not in IN_SPACE else "four-position"
-                story = replace(story, motor=True, only="none", plan=plan)
+                story = replace(story, motor=True, only="none", plan="four-position", positions=4)
             with put_back(name):
                 outcome = played(story)
             if outcome.wrong and not played(story).wrong:
