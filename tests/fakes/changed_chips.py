@@ -415,6 +415,10 @@ class OffsetBeforeFilter(SignalChain):
         finally:
             self._offset = kept
 
+    def update(self, inputs):
+        updates = super().update(inputs)
+        return replace(updates, unfiltered=updates.unfiltered - self._offset)
+
 
 class GyrosPositiveOnly(SignalChain):
     def _scaled(self, inputs):
@@ -576,7 +580,7 @@ CHANGES: dict[str, Change] = {
     "the self-test's bit stays": Change("self_test_time", SelfTestBitStays),
     "a reset keeps the registers": Change("reset_loads", ResetKeeps),
     "a reset loads defaults": Change("reset_loads", ResetDefaults),
-    "volatile registers are saved": Change("reset_loads", VolatileSaved),
+    "volatile registers are saved": Change("reset_volatile", VolatileSaved),
     "accelerometer offsets count 2": Change("accel_offset_lsb", _offset_factor(ACCEL_COLUMNS, 2)),
     "accelerometer offsets count 1/2": Change("accel_offset_lsb", _offset_factor(ACCEL_COLUMNS, 0.5)),
     "accelerometer offsets as the sibling's": Change(
@@ -658,11 +662,13 @@ def _offsets(sensor: Adis16354) -> None:
 
 
 def _reset(sensor: Adis16354) -> None:
-    sensor.write("XACCL_OFF", -77)
     sensor.write("AUX_DAC", 0x123)
+    for name in (*ACCEL_OFF, "ALM_MAG2"):
+        sensor.write(name, 77)
     sensor.save_to_flash()
-    sensor.write("XACCL_OFF", 123)
     sensor.write("AUX_DAC", 0x321)
+    for name in (*ACCEL_OFF, "ALM_MAG2"):
+        sensor.write(name, 123)
     sensor.read_all()
     sensor.reset()
     sensor.read_all()
@@ -701,6 +707,7 @@ def _precise(sensor: Adis16354) -> None:
 SERVICE: tuple[Callable[[Adis16354], None], ...] = (
     _offsets,
     _alarm,
+    _reset,
     _reset,
     _restore,
     _null,

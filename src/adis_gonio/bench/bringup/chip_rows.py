@@ -5,11 +5,12 @@ else". An observation is either a label, the alternative that one event agrees w
 each alternative predicts as an interval. The prior probability of the table's statement follows from its
 confidence. Observations multiply:
 
-* labels: each event has the label of the alternative, but one in a thousand differs (a bit error). If
+* labels: each event has the label of the alternative, but one in 10 000 differs (a bit error). If
   something else is true, the events have unknown probabilities with a Dirichlet prior, so that a chip that
   does one thing each time is more probable than one that changes.
-* figures: uniform in the predicted interval, with a normal error. One figure in a thousand may be anything.
-  For "something else" a figure is uniform over the row's range.
+* figures: uniform in the predicted interval, with a normal error. One figure in 10 000 may be anything. If
+  something else is true, an unknown share of the figures agrees with the table, and the others are uniform
+  over the row's range.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.bench.bringup.bringup_step import QUESTIONS, Outcome, Question
+from adis_gonio.bench.bringup.bringup_step import FALSE_ALARM, QUESTIONS, Outcome, Question
 from adis_gonio.bench.bringup.recorded_chip import SELF_TEST, RecordedChip, Rest, Span
 from adis_gonio.device.bus.capture import LogicCapture
 from adis_gonio.device.bus.recording import BusRecording
@@ -41,7 +42,7 @@ from adis_gonio.device.sensor.variants import Variant
 ELSE = "something else"
 PRIOR = {"A": 0.999, "B": 0.99, "C": 0.9, "D": 0.7}
 """Probability that a statement of the table is right before any recording, by its confidence."""
-ODD_EVENT = 1e-3
+ODD_EVENT = FALSE_ALARM
 """Probability of an event or a figure that its own alternative does not predict."""
 DECIDED = 0.01
 """A row is contradicted below this probability, and confirmed above one minus this probability."""
@@ -89,9 +90,9 @@ class ChipRow:
         priors = np.array([prior, *[(1 - prior) / len(self.alternatives)] * len(self.alternatives)])
         labels = Counter(one for one in observed if isinstance(one, str))
         figures = [one for one in observed if isinstance(one, Figure)]
-        likelihood = _of_labels(names, labels) + sum(
-            (_of_figure(names, one, self.wide) for one in figures), np.zeros(len(names))
-        )
+        likelihood = _of_labels(names, labels)
+        if figures:
+            likelihood = likelihood + _of_figures(names, figures, self.wide)
         logs = np.log(priors) + likelihood
         # Odds of the table against the best rival, and normalised probabilities.
         odds = float(logs[0] - logs[1:].max()) / math.log(10)
@@ -155,24 +156,29 @@ def _of_labels(names: Sequence[str], labels: Counter[str]) -> Floats:
     return np.array([*named, flat], np.float64)
 
 
-def _of_figure(names: Sequence[str], figure: Figure, wide: tuple[float, float]) -> Floats:
-    """Log-likelihood of each alternative for one figure."""
+def _of_figures(names: Sequence[str], figures: Sequence[Figure], wide: tuple[float, float]) -> Floats:
+    """Log-likelihood of each alternative for figures (see the module)."""
     flat = 1 / (wide[1] - wide[0])
-    densities = []
-    for name in names:
-        if name not in figure.predicted:
-            densities.append(flat)
-            continue
-        low, high = figure.predicted[name]
-        z = np.array([figure.x - low, figure.x - high]) / figure.u
-        if high - low < figure.u:
-            peak = math.exp(-0.5 * float(z.mean()) ** 2) / figure.u / math.sqrt(2 * math.pi)
-        else:
-            step = [0.5 * math.erfc(-one / math.sqrt(2)) for one in z.tolist()]
-            peak = (step[0] - step[1]) / (high - low)
-        densities.append((1 - ODD_EVENT) * peak + ODD_EVENT * flat)
-    logs: Floats = np.log(np.array(densities))
-    return logs
+    density = np.array([[_density(figure, name) for name in names[:-1]] for figure in figures])
+    named = np.log((1 - ODD_EVENT) * density + ODD_EVENT * flat).sum(axis=0)
+    # Something else: a share p of the figures, but not all, agree with the table; the others are flat.
+    p = (np.arange(100) + 0.5)[:, None] / 100
+    table = np.maximum(density[:, 0], 1e-300)
+    some = np.log(p * table + (1 - p) * flat).sum(axis=1)
+    every = np.log(p * table).sum(axis=1)
+    logs = some + np.log(-np.expm1(every - some))
+    other = float(logs.max()) + math.log(float(np.mean(np.exp(logs - logs.max()))))
+    return np.array([*named, other])
+
+
+def _density(figure: Figure, name: str) -> float:
+    """Density of a figure that is uniform in a predicted interval, with a normal error."""
+    low, high = figure.predicted[name]
+    z = np.array([figure.x - low, figure.x - high]) / figure.u
+    if high - low < figure.u:
+        return math.exp(-0.5 * float(z.mean()) ** 2) / figure.u / math.sqrt(2 * math.pi)
+    below, above = (0.5 * math.erfc(-one / math.sqrt(2)) for one in z.tolist())
+    return (below - above) / (high - low)
 
 
 def _described(labels: Counter[str], figures: Sequence[Figure]) -> str:
@@ -211,13 +217,22 @@ def _upper_bits(chip: RecordedChip, _: Variant) -> Iterator[str]:
             yield "zeros" if not extra else ELSE if extra != upper else "the sign" if negative else "ones"
 
 
-def _contents(cause: str, changed: int = 0xFFFF) -> Observer:
-    """Labels of register contents after a cause that changes some of the bits `changed`."""
+def _contents(cause: str, changed: int = 0xFFFF, flash: bool | None = None) -> Observer:
+    """Labels of register contents after a cause that changes some of the bits `changed`.
+
+    `flash` chooses registers with a flash copy (True) or volatile ones (False).
+    """
 
     def observe(chip: RecordedChip, _: Variant) -> Iterator[str]:
         for row, word, due in ((one.row, one.word, one.expected) for one in chip.checks):
             mask = row.write_mask & ~(SELF_TEST if row.name == "MSC_CTRL" else 0)
-            if due is not None and due.cause == cause and (due.word ^ due.before) & mask & changed:
+            chosen = flash is None or flash == (row.flash_mask == row.write_mask)
+            if (
+                chosen
+                and due is not None
+                and due.cause == cause
+                and (due.word ^ due.before) & mask & changed
+            ):
                 held = word & mask
                 right, unchanged = due.word & mask, due.before & mask
                 yield "right" if held == right else "unchanged" if held == unchanged else ELSE
@@ -225,8 +240,16 @@ def _contents(cause: str, changed: int = 0xFFFF) -> Observer:
     return observe
 
 
-def _counts(*commands: str) -> Observer:
-    return lambda chip, _: [f"{change:+d}" for name, change in chip.counts if name in commands]
+def _counts(chip: RecordedChip, _: Variant) -> Iterator[str]:
+    yield from (f"{change:+d}" for name, change in chip.counts if name == "flash_update")
+
+
+def _saves(chip: RecordedChip, _: Variant) -> Iterator[str]:
+    """Labels of nulls and restores by the change of ENDURANCE, relative to a flash update."""
+    step = max((change for name, change in chip.counts if name == "flash_update"), default=1)
+    for name, change in chip.counts:
+        if name != "flash_update" and step:
+            yield "once" if change == step else "never" if not change else ELSE
 
 
 def _waits(command: str, table_s: float) -> Observer:
@@ -462,6 +485,9 @@ def _edge(chip: RecordedChip, _: Variant) -> Iterator[str]:
 
 def _rounding(chip: RecordedChip, part: Variant) -> Iterator[Figure]:
     """Rate after a precision autonull in LSB of the offsets, positive along the bias before it."""
+    steps = [figure.x for figure in _gyro_steps(chip, part)] or [1.0]
+    if abs(float(np.median(steps)) - 1) > 0.1:
+        return  # the unit of the residual is not known
     ends = [*(at for at, _ in chip.nulls), len(chip.spans)]
     for (begin, command), end in zip(chip.nulls, ends[1:], strict=True):
         after = {id(span) for span in chip.spans[begin:end]}
@@ -513,13 +539,14 @@ ROWS: tuple[ChipRow, ...] = (
            "cleared", "kept", "cleared by any read"),
     _entry("alarm_stays", _ends("alarm"), "stays", "falls"),
     _entry("over_range_falls", _ends("over_range"), "falls", "stays"),
-    _entry("flash_count", _counts("flash_update"), "+1", "+0"),
-    _entry("null_saves | ENDURANCE after a null or a restore? | DS | A",
-           _counts("autonull", "precision_autonull", "restore"), "+1", "+0"),
+    _entry("flash_count", _counts, "+1", "+0"),
+    _entry("null_saves | Do nulls and restores save to flash? | DS | A", _saves, "once", "never"),
     _entry("restore_zeroes | Offsets after a factory restore? | DS | A", _contents("restore"),
            "right", "unchanged"),
-    _entry("reset_loads | Registers after a reset: flash and defaults? | DS | A", _contents("reset"),
-           "right", "unchanged"),
+    _entry("reset_loads | Registers with a flash copy after a reset? | DS | A",
+           _contents("reset", flash=True), "right", "unchanged"),
+    _entry("reset_volatile | Volatile registers after a reset? | DS | A",
+           _contents("reset", flash=False), "right", "unchanged"),
     _entry("reset_time | Recovery from a reset within 0.15 s? | DS, start-up | B", _waits("reset", 0.15),
            "in time", "longer", "shorter"),
     _entry("flash_time | Flash update within 0.1 s? | DS | B", _waits("flash_update", 0.1),

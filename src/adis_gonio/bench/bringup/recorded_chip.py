@@ -69,11 +69,13 @@ class Check:
 class Span:
     """Time between two changes of the registers: contents and words of the outputs, by register.
 
-    `verified` has the names of the registers that were read since they changed.
+    Readings have begun to settle at `changed_s`. `verified` has the names of the registers that were read
+    since they changed.
     """
 
     begin_s: float
     image: dict[str, int]
+    changed_s: float = -math.inf
     verified: set[str] = field(default_factory=set)
     outputs: dict[str, list[tuple[Floats, Integers]]] = field(default_factory=dict)
 
@@ -106,7 +108,7 @@ class Span:
         if not runs or self.m is None or math.isnan(self.period_s):
             return np.empty(0), np.empty(0)
         times, words = (np.concatenate(part) for part in zip(*runs, strict=True))
-        settled_s = self.begin_s + (filter_settling_samples(self.m) + 2) * self.period_s
+        settled_s = self.changed_s + (filter_settling_samples(self.m) + 2) * self.period_s
         new = (words & ND).astype(bool)
         used = (times > settled_s) & (new | (not new.any()))
         row = BY_NAME[name]
@@ -199,7 +201,7 @@ class RecordedChip:
         self._flagged = False
         self._alarming: float | None = None
         self._over = ""
-        self._cleared = False
+        self._cleared = self._proved = False
         self._follow(calls)
 
     @cached_property
@@ -341,8 +343,9 @@ class RecordedChip:
         control = self._contents.get("ALM_CTRL")
         alone = control is not None and not control.word
         if self._over == "alarm":
-            self.ended.append(("alarm", bool(word & _ALARM)))
             self._cleared = bool(word & _ALARM)
+            if self._cleared or self._proved:
+                self.ended.append(("alarm", self._cleared))
         elif alone and self._cleared:
             self.statuses.append((False, word & _ALARM))
             self._cleared = False
@@ -392,8 +395,8 @@ class RecordedChip:
         span = self.spans[-1]
         self._settled_s = time_s + 0.02 + 140 * (0 if math.isnan(span.period_s) else span.period_s)
         if row.name == "ALM_CTRL":
-            self._over = "alarm" if not word and self._flagged else ""
-            self._over = "alarm" if not word and self._alarming is not None else self._over
+            self._over = "alarm" if not word and self._alarming is not None else ""
+            self._proved = self._flagged
             self._alarming = time_s + 0.02 if word else None
         elif row.name in ACCEL_OFF and self._flagged and self._alarming is None:
             self._over = "over_range"
@@ -430,7 +433,10 @@ class RecordedChip:
     def _new_span(self, time_s: float) -> None:
         image = {name: content.word for name, content in self._contents.items()}
         verified = {name for name, content in self._contents.items() if content.cause == "read"}
-        self.spans.append(Span(time_s, image, verified))
+        span, before = Span(time_s, image, time_s, verified), self.spans[-1]
+        if self._pending is None and span.settings(*READING_BITS) == before.settings(*READING_BITS):
+            span.changed_s = before.changed_s
+        self.spans.append(span)
 
 
 def _is_ready(frames: Integers, words: Integers) -> bool | None:

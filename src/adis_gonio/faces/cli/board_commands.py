@@ -64,9 +64,7 @@ def bringup_command(
     if recordings and not (url or output or allow_writes):
         return _judge(recordings, variant, as_json=as_json)
     if recordings or url is None:
-        raise UsageError(
-            "give the URL of a board, or --from FILE without URL, --output and --allow-writes"
-        )
+        raise UsageError("give the URL of a board, or --from FILE without URL, --output and --allow-writes")
     _check_permission(allow_writes, flash or yes, yes, leave_registers)
     files = () if output is None else _report_files(output)
     from adis_gonio.bench.bringup import Permission, bring_up
