@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from adis_gonio.bench.bringup import Outcome
 from adis_gonio.bench.bringup.chip_rows import judge_recordings
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS
 from fakes.changed_chips import CHANGES, record_bringup, record_service
 
 

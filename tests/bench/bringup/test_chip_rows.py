@@ -11,7 +11,7 @@ import pytest
 from adis_gonio.bench.bringup import Outcome
 from adis_gonio.bench.bringup.bringup_step import Question
 from adis_gonio.bench.bringup.chip_rows import ELSE, ROWS, ChipRow, Figure, findings_text, judge_recordings
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.faces.cli import main
 from fakes.changed_chips import CHANGES, record_bringup, record_service
 

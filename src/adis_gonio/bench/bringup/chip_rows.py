@@ -31,13 +31,21 @@ from adis_gonio.bench.bringup.bringup_step import FALSE_ALARM, QUESTIONS, Outcom
 from adis_gonio.bench.bringup.recorded_chip import SELF_TEST, RecordedChip, Rest, Span
 from adis_gonio.device.bus.capture import LogicCapture
 from adis_gonio.device.bus.recording import BusRecording
-from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, BY_NAME, GYRO_OFF, GYRO_OUT, ND, Kind
+from adis_gonio.device.sensor.registers import (
+    ACCEL_OFF,
+    ACCEL_OUT,
+    BY_NAME,
+    GYRO_OFF,
+    GYRO_OUT,
+    ND,
+    Kind,
+    Variant,
+)
 from adis_gonio.device.sensor.settings import (
     FAST_BASE_S,
     SLOW_BASE_S,
     white_noise_gain,
 )
-from adis_gonio.device.sensor.variants import Variant
 
 ELSE = "something else"
 PRIOR = {"A": 0.999, "B": 0.99, "C": 0.9, "D": 0.7}

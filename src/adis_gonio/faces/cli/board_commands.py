@@ -69,7 +69,7 @@ def bringup_command(
     files = () if output is None else _report_files(output)
     from adis_gonio.bench.bringup import Permission, bring_up
     from adis_gonio.device.bus import open_bus
-    from adis_gonio.device.sensor.variants import variant as find_variant
+    from adis_gonio.device.sensor.registers import variant as find_variant
 
     def ask(question: str) -> bool:
         try:
@@ -109,7 +109,7 @@ def _check_permission(writes: bool, more: bool, yes: bool, leave_registers: bool
 
 def _judge(recordings: tuple[Path, ...], variant: str, *, as_json: bool) -> int:
     from adis_gonio.bench.bringup.chip_rows import findings_text, judge_recordings
-    from adis_gonio.device.sensor.variants import variant as find_variant
+    from adis_gonio.device.sensor.registers import variant as find_variant
 
     findings = judge_recordings(recordings, find_variant(variant))
     if as_json:
