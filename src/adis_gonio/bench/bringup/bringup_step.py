@@ -517,7 +517,7 @@ class BringupBench:
     def scans(self, count: int, names: Sequence[str]) -> tuple[ScanBlock, bool]:
         """Read at most `count` scans, for at most `LONGEST_S`; return them, and True if they have no gap.
 
-        The bridge streams if data-ready may be lent and works, else it polls. If there are gaps, the
+        The bridge streams if data-ready may be enabled and works, else it polls. If there are gaps, the
         longest run without a gap is returned if it is long enough, else all scans.
         """
         blocks: list[ScanBlock] = []

@@ -272,7 +272,7 @@ def _trace(session: Session, advisor: TraceAdvisor) -> TraceResult | None:
 
 
 def _is_complete(path: Path) -> bool:
-    """True if all positions are done and the plan has no longer form to offer."""
+    """True if all positions are done and no extension of the plan can be offered."""
     from adis_gonio.record.archive import ArchiveView
     from adis_gonio.record.plans import extension
 
