@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, log_sum_exp
 from adis_gonio.base.budget import attempt, check
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.numbers import counted
@@ -493,8 +493,6 @@ def _log_evidence(problem: _Problem, model: Model) -> Floats:
     J. Am. Stat. Assoc. 103, 2008): with a share R² explained, they multiply the evidence by
     (1 + g)^((n − 1 − p)/2) (1 + g (1 − R²))^(−(n − 1)/2).
     """
-    from scipy.special import logsumexp
-
     choices = _choices(model)
     out = np.empty((len(problem.noises), 2, problem.readings.shape[1]))
     for k, noise in enumerate(problem.noises):
@@ -523,9 +521,9 @@ def _log_evidence(problem: _Problem, model: Model) -> Floats:
             floor = np.maximum(total, 1e-300)
             parts[0, j] = factor(rest / floor, len(columns))
             jumped = factor((rest[:, None] - gain) / floor[:, None], len(columns) + 1)
-            parts[1, j] = logsumexp(jumped, axis=1) - np.log(jumped.shape[1])
+            parts[1, j] = log_sum_exp(jumped, axis=1) - np.log(jumped.shape[1])
         parts += alone
-        out[k] = logsumexp(parts, axis=(1, 2)) - np.log(len(choices) * len(alone))
+        out[k] = log_sum_exp(parts, axis=(1, 2)) - np.log(len(choices) * len(alone))
     jump = 1 / (1 + problem.tried)
     return out + np.log([1 - jump, jump])[:, None]
 
@@ -536,9 +534,7 @@ def _log_odds(problem: _Problem, model: Model, simpler: Model) -> float:
     An effect has the prior odds 1 to the number of candidates. It may be absent on some axes, each with
     probability ½.
     """
-    from scipy.special import logsumexp
-
-    by_axis = [logsumexp(_log_evidence(problem, one), axis=(0, 1)) for one in (model, simpler)]
+    by_axis = [log_sum_exp(_log_evidence(problem, one), axis=(0, 1)) for one in (model, simpler)]
     gained = by_axis[0] - by_axis[1]
     # Π (1 + BF) over the axes, without the product in which the effect is absent on each.
     product = float(np.logaddexp(0.0, gained).sum())
