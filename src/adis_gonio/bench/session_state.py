@@ -175,7 +175,7 @@ class RunningFit:
         if count > EVERY_UP_TO and count < 1.1 * self._fitted:
             return None
         try:
-            # Without the search for wrong positions, which the guards do: it takes most of the time of `fit`.
+            # The guards search for wrong positions; in `fit` that search takes most of the time.
             result = fit_of(readings_of(self._session(plan, reverse=reverse)))
         except (AdisGonioError, np.linalg.LinAlgError):
             # Too few dwells or positions; the next dwell may change that.
@@ -319,6 +319,8 @@ class Knowledge:
         None before the noise is known.
     reversed : bool
         True if the session is reversed.
+    fits_dwells : bool
+        False if nobody sees the result of the dwells so far.
     """
 
     def __init__(self, bench: SessionBench, ledger: Ledger, *, judging: bool) -> None:
@@ -331,6 +333,7 @@ class Knowledge:
         self.judge: Judge | None = None
         self.limits: StillnessLimits | None = None
         self.reversed = bool(ledger.archive.last("reversed"))
+        self.fits_dwells = True
 
     def take_noise(self, noise: list[float]) -> NoiseMeasured:
         """Set the limits of stillness by the noise at rest (mg), and prepare the check of positions."""
@@ -408,4 +411,6 @@ class Knowledge:
 
     def running(self) -> Running | None:
         """Fit the dwells so far; None if they do not allow a fit, or few were added since the last fit."""
+        if not self.fits_dwells:
+            return None
         return self._running.result(self._ledger.plan, reverse=self.reversed)
