@@ -22,8 +22,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.uncertainty import NORMAL_95
 from adis_gonio.device.sensor.settings import filter_response
-from adis_gonio.fitting.allan.noise_processes import KINDS
-from adis_gonio.fitting.allan.spectral_likelihood import Likelihood, ordinates
+from adis_gonio.fitting.allan.spectral_likelihood import KINDS, Likelihood, ordinates
 from allan_statistics import CASES, Case
 
 PASSED = 0.01

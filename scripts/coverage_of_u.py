@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting import FitResult, fit
 from adis_gonio.model.records import Dwell, Session
 

@@ -62,7 +62,7 @@ READING_MG = 0.2
 """A dwell of 819 samples of 4.7 mg."""
 SAMPLES, RATE_HZ = 400, 40.0
 FLICKER_MG = 0.1
-"""Bias instability of the ADIS16354, an estimate (`device/sensor/variants.py`)."""
+"""Bias instability of the ADIS16354, an estimate (`device/sensor/registers.py`)."""
 TRUTHS = 20
 """Hidden values that the sessions of a line share out among them: the bound is computed once for each."""
 

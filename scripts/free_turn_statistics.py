@@ -30,7 +30,7 @@ import turned_parts
 from adis_gonio.base.arrays import Floats, wrap_radians
 from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.bench.recorder import TURNS
-from adis_gonio.device.sensor.variants import GYRO_LSB_DPS
+from adis_gonio.device.sensor.registers import GYRO_LSB_DPS
 from adis_gonio.fitting import FitResult, fit
 from adis_gonio.model.measurement import PlanarTurn
 from adis_gonio.model.records import Dwell, Session

@@ -32,7 +32,7 @@ def bodies(table: Table) -> list[tuple[str, int, str, Fields]]:
     for message in table["message"]:
         name, kind, text = message["name"], message["type"], message["text"]
         rows.append((f"{name}_request", kind, text, message["request"]))
-        rows.append((f"{name}_reply", kind | reply_bit, f"Answers {name}.", message["reply"]))
+        rows.append((f"{name}_reply", kind | reply_bit, f"Reply to the request {name}.", message["reply"]))
     rows += [(event["name"], event["type"], event["text"], event["body"]) for event in table["event"]]
     return rows
 

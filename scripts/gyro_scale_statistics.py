@@ -30,7 +30,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.bench.gyro_turns import TURNS, gyro_turns_plan
-from adis_gonio.device.sensor.variants import GYRO_LSB_DPS
+from adis_gonio.device.sensor.registers import GYRO_LSB_DPS
 from adis_gonio.fitting.gyros.gyro_fit import fit_gyro_readings
 from adis_gonio.fitting.gyros.gyro_readings import gyro_readings_of
 from adis_gonio.model.records import Dwell, Session, Turn

@@ -50,7 +50,7 @@ def run_session(path: Path, plan_name: str, positions: int | None, dwell_s: floa
     from adis_gonio.device.sensor import open_sensor
     from adis_gonio.record.archive import ArchiveView
     from adis_gonio.record.plans import plan
-    from adis_gonio.record.settings import Settings
+    from adis_gonio.record.source import Settings
 
     print(json.dumps(READY), flush=True)
     with open_sensor(URL) as sensor:
@@ -70,7 +70,7 @@ def run_session(path: Path, plan_name: str, positions: int | None, dwell_s: floa
 
 def run_writer(path: Path, seed: int) -> None:
     """Write small dwells to an archive as fast as possible, so that most moments lie within a commit."""
-    from adis_gonio.device.sensor.decoding import ScanBlock
+    from adis_gonio.device.sensor.settings import ScanBlock
     from adis_gonio.record.archive import Archive
     from adis_gonio.record.archive_tables import Attempt, Header, utc_now
     from adis_gonio.record.plans import plan

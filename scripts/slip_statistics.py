@@ -29,9 +29,9 @@ from typing import Any
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees
-from adis_gonio.device.sensor.variants import GYRO_LSB_DPS
+from adis_gonio.device.sensor.registers import GYRO_LSB_DPS
 from adis_gonio.fitting.slips import Diagnosis, PositionFinding
-from adis_gonio.fitting.slips.position_faults import possible_entries
+from adis_gonio.fitting.slips.position_model import possible_entries
 from adis_gonio.fitting.slips.session_positions import positions_of
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.sim import World, WorldSettings

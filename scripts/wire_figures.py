@@ -31,9 +31,9 @@ from adis_gonio.device.bus import BusUrl, SpiTiming
 from adis_gonio.device.bus.serial import open_from_url, open_port
 from adis_gonio.device.bus.serial.bus import ClockMap, SerialBus, SerialStream
 from adis_gonio.device.bus.wire.protocol import CRC_SIZE, HEADER_SIZE, Scans
-from adis_gonio.device.sensor.decoding import decode_numbers
 from adis_gonio.device.sensor.registers import registers
 from adis_gonio.device.sensor.scanning import ScanLayout, StreamedScans
+from adis_gonio.device.sensor.settings import decode_numbers
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
 from adis_gonio.sim.testing.pins import ChipPins, VirtualClock
@@ -147,7 +147,7 @@ class _Listener(SerialBus):
 def _listener(path: str) -> SerialBus:
     from adis_gonio.device.bus.contract import SpiBus
     from adis_gonio.device.bus.host import SAFE_TIMING, WALL
-    from adis_gonio.device.bus.serial.link import SerialLink
+    from adis_gonio.device.bus.serial.bus import SerialLink
 
     bus = _Listener.__new__(_Listener)
     SpiBus.__init__(bus, SAFE_TIMING)

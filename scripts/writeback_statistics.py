@@ -23,7 +23,7 @@ from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.bench.writeback import OffsetWriter, WriteSettings
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.record.plans import plan
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 from adis_gonio.sim import SimBus
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from adis_gonio.device.sensor.decoding import ScanBlock
+from adis_gonio.device.sensor.settings import ScanBlock
 from adis_gonio.record.archive import Archive
 from adis_gonio.record.archive_tables import Attempt, Header
 from adis_gonio.record.plans import plan as plan_named

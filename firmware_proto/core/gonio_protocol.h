@@ -46,10 +46,10 @@
 /* hello_request: Opens a session: stops a stream, sets the default timing, forgets the ids used before. */
 #define GP_TYPE_HELLO_REQUEST 0x01u
 #define GP_HELLO_REQUEST_PROTOCOL 0u /* u8: version that the host speaks */
-#define GP_HELLO_REQUEST_NONCE 1u /* u32: drawn anew by the host for every session */
+#define GP_HELLO_REQUEST_NONCE 1u /* u32: random number that the host draws for each session */
 #define GP_HELLO_REQUEST_SIZE 5u /* without a tail */
 
-/* hello_reply: Answers hello. */
+/* hello_reply: Reply to the request hello. */
 #define GP_TYPE_HELLO_REPLY 0x81u
 #define GP_HELLO_REPLY_PROTOCOL 0u /* u8: version that the firmware speaks */
 #define GP_HELLO_REPLY_MAJOR 1u /* u8: firmware version */
@@ -63,30 +63,30 @@
 #define GP_HELLO_REPLY_NOW_US 11u /* u32: firmware's clock, wraps */
 #define GP_HELLO_REPLY_NONCE 15u /* u32: the request's nonce */
 #define GP_HELLO_REPLY_CLOCKS_HZ 19u /* u32[6]: SPI clocks, fastest first, 0 where unused */
-#define GP_HELLO_REPLY_BOARD 43u /* text: board, a blank, serial number; without the blank where it has none */
+#define GP_HELLO_REPLY_BOARD 43u /* text: board, a blank, serial number; the board alone if it has none */
 #define GP_HELLO_REPLY_SIZE 43u /* without a tail */
 
-/* configure_request: Sets the SPI timing. The fastest clock not above clock_hz is taken; none is bad_value. */
+/* configure_request: Sets the SPI timing. It takes the fastest clock not above clock_hz, or fails with bad_value. */
 #define GP_TYPE_CONFIGURE_REQUEST 0x02u
 #define GP_CONFIGURE_REQUEST_CLOCK_HZ 0u /* u32: highest clock */
 #define GP_CONFIGURE_REQUEST_STALL_US 4u /* u16: least time of chip select high */
 #define GP_CONFIGURE_REQUEST_PERIOD_US 6u /* u16: least time from frame start to frame start */
 #define GP_CONFIGURE_REQUEST_SIZE 8u /* without a tail */
 
-/* configure_reply: Answers configure. */
+/* configure_reply: Reply to the request configure. */
 #define GP_TYPE_CONFIGURE_REPLY 0x82u
 #define GP_CONFIGURE_REPLY_CLOCK_HZ 0u /* u32: clock in force */
 #define GP_CONFIGURE_REPLY_STALL_US 4u /* u16: stall in force */
 #define GP_CONFIGURE_REPLY_PERIOD_US 6u /* u16: period in force */
 #define GP_CONFIGURE_REPLY_SIZE 8u /* without a tail */
 
-/* exchange_request: Sends frames; the reply holds as many words. Refused whole or executed whole. */
+/* exchange_request: Sends frames; the reply has as many words. All are executed, or none if it is refused. */
 #define GP_TYPE_EXCHANGE_REQUEST 0x03u
 #define GP_EXCHANGE_REQUEST_WRITES 0u /* u8: how many of the frames have the write bit */
 #define GP_EXCHANGE_REQUEST_FRAMES 1u /* words: 1 to max_frames frames */
 #define GP_EXCHANGE_REQUEST_SIZE 1u /* without a tail */
 
-/* exchange_reply: Answers exchange. */
+/* exchange_reply: Reply to the request exchange. */
 #define GP_TYPE_EXCHANGE_REPLY 0x83u
 #define GP_EXCHANGE_REPLY_WORDS 0u /* words: word shifted out during each frame */
 #define GP_EXCHANGE_REPLY_SIZE 0u /* without a tail */
@@ -100,16 +100,16 @@
 #define GP_STREAM_REQUEST_FRAMES 8u /* words: 1 to max_list read frames */
 #define GP_STREAM_REQUEST_SIZE 8u /* without a tail */
 
-/* stream_reply: Answers stream. */
+/* stream_reply: Reply to the request stream. */
 #define GP_TYPE_STREAM_REPLY 0x84u
 #define GP_STREAM_REPLY_NOW_US 0u /* u32: firmware's clock at the start */
 #define GP_STREAM_REPLY_SIZE 4u /* without a tail */
 
-/* stop_request: Ends the stream, whose last scans come before the reply; without one, the last totals. */
+/* stop_request: Ends the stream; its last scans come before the reply. If none runs, the last totals come. */
 #define GP_TYPE_STOP_REQUEST 0x05u
 #define GP_STOP_REQUEST_SIZE 0u /* without a tail */
 
-/* stop_reply: Answers stop. */
+/* stop_reply: Reply to the request stop. */
 #define GP_TYPE_STOP_REPLY 0x85u
 #define GP_STOP_REPLY_SCANS 0u /* u32: scans sent in all */
 #define GP_STOP_REPLY_LOST 4u /* u32: triggers that gave no scan */
@@ -120,16 +120,16 @@
 #define GP_RESET_REQUEST_LOW_US 0u /* u16: time low, 10 to 50000 */
 #define GP_RESET_REQUEST_SIZE 2u /* without a tail */
 
-/* reset_reply: Answers reset. */
+/* reset_reply: Reply to the request reset. */
 #define GP_TYPE_RESET_REPLY 0x86u
 #define GP_RESET_REPLY_NOW_US 0u /* u32: firmware's clock at the release */
 #define GP_RESET_REPLY_SIZE 4u /* without a tail */
 
-/* statistics_request: Counters since power-on; they wrap and are never set back, so reading them changes nothing. */
+/* statistics_request: Reads the counters since power-on, which wrap and are never reset, and changes nothing. */
 #define GP_TYPE_STATISTICS_REQUEST 0x07u
 #define GP_STATISTICS_REQUEST_SIZE 0u /* without a tail */
 
-/* statistics_reply: Answers statistics. */
+/* statistics_reply: Reply to the request statistics. */
 #define GP_TYPE_STATISTICS_REPLY 0x87u
 #define GP_STATISTICS_REPLY_NOW_US 0u /* u32: firmware's clock, wraps */
 #define GP_STATISTICS_REPLY_EDGES 4u /* u32: data-ready edges */
@@ -144,7 +144,7 @@
 #define GP_STATISTICS_REPLY_RECEIVE_OVERRUNS 28u /* u16: bytes lost in the receiver */
 #define GP_STATISTICS_REPLY_SIZE 30u /* without a tail */
 
-/* scans: Scans of consecutive triggers of the stream whose request had this id. */
+/* scans: Scans of consecutive triggers; the id is the id of the request that started the stream. */
 #define GP_TYPE_SCANS 0xC4u
 #define GP_SCANS_SEQUENCE 0u /* u32: scans sent in this stream before the first one here, wraps */
 #define GP_SCANS_LOST 4u /* u16: triggers lost in this stream before the first scan here, wraps */

@@ -11,7 +11,7 @@ from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.bus import SpiBus, open_bus
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.record.plans import plan
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 
 QUICK = Settings(dwell_s=0.5, settle_s=0.1)
 

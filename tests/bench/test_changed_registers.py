@@ -15,8 +15,7 @@ from adis_gonio.device.sensor.registers import BY_NAME
 from adis_gonio.faces.cli import main
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.plans import plan
-from adis_gonio.record.settings import Settings
-from adis_gonio.record.source import MARK, ChipSource
+from adis_gonio.record.source import MARK, ChipSource, Settings
 from fakes.faulty_chip import FaultyBus, Window
 
 POLLED = "sim:?seed=3&stream=0"

@@ -9,7 +9,7 @@ from adis_gonio.faces.bench_words import configuration_lines
 from adis_gonio.handover.calibration_report import facts
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 
 SAID = {
     "linear_g": "gyros for linear acceleration (MSC_CTRL[7])",

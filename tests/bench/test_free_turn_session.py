@@ -18,7 +18,7 @@ from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import Plan
 from adis_gonio.record.samples_writer import export_csv
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 
 URL = "sim:?seed=4&lever_x_mm=30&gyro_scale_z=1.01&hand_turn_s=30"
 

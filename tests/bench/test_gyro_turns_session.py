@@ -34,7 +34,7 @@ from adis_gonio.fitting.gyros.gyro_readings import rate_intervals
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import Plan, Position, plan as plan_by_name
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 from bench.hand_bench import Hand, hand_sensor
 
 URL = (

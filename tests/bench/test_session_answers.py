@@ -29,7 +29,7 @@ from adis_gonio.device.sensor import open_sensor
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.plans import plan
 from adis_gonio.record.session_reader import read_session
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 from bench.hand_bench import QUICK
 
 URL = "sim:?seed=3"

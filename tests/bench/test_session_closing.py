@@ -31,7 +31,7 @@ from adis_gonio.model.records import Session
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.plans import Plan, Position, plan
 from adis_gonio.record.session_reader import read_session
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 from adis_gonio.tracing.trace_result import NextDwell
 
 SHORT = Settings(dwell_s=1.0, settle_s=0.1)
@@ -379,7 +379,7 @@ def test_a_drift_that_one_turn_in_order_takes_for_something_else_is_found(path):
 
     Over many sessions: scripts/trace_loop.py.
     """
-    url = QUIET.format(3) + "&effects=bias_drift:drift_x=4"
+    url = QUIET.format(3) + "&effects=bias_drift:drift_x=2"
     events = run(path, TraceAdvisor(), plan("mmpm"), url, settings=LONGER)
     first, *_, last = of(events, Advised)
     assert "bias_drift" not in first.summary["found"]

@@ -12,8 +12,7 @@ from adis_gonio.bench.events import DwellDone, GuardKind, Problem
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.model.effects import catalogue
-from adis_gonio.record.expectation import Expectation, PriorKnowledge
-from adis_gonio.record.plans import plan
+from adis_gonio.record.plans import Expectation, PriorKnowledge, plan
 from bench.hand_bench import QUICK
 
 

@@ -25,15 +25,15 @@ from adis_gonio.bench.events import (
 )
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import Adis16354, open_sensor
-from adis_gonio.device.sensor.decoding import ScanBlock
 from adis_gonio.device.sensor.registers import ACCEL_OUT, EA, ND
+from adis_gonio.device.sensor.settings import ScanBlock
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.blocks import find_alarms
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
 from adis_gonio.record.samples_writer import export_csv, session_dict
 from adis_gonio.record.session_reader import read_session
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 from adis_gonio.sim import World
 from bench.hand_bench import Hand, hand_sensor
 

@@ -27,7 +27,7 @@ from adis_gonio.fitting import fit
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.plans import plan
 from adis_gonio.record.session_reader import read_session
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 from bench.hand_bench import QUICK, Hand, by_hand, hand_sensor
 
 

@@ -16,7 +16,7 @@ from adis_gonio.model.records import ON_EARTH_MPS2, checked_gravity_mps2, normal
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
 from adis_gonio.record.samples_writer import export_csv, export_json
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 
 WRITTEN = {"operator": "A. Müller", "serial": "SN 0815", "stage": "dividing head, 40:1"}
 

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 
 from adis_gonio.bench.dwell_recorder import Recording
-from adis_gonio.device.sensor.decoding import ScanBlock
 from adis_gonio.device.sensor.registers import ACCEL_OUT
+from adis_gonio.device.sensor.settings import ScanBlock
 from adis_gonio.record.plans import Position
 
 PERIOD = 0.01

@@ -28,13 +28,13 @@ from adis_gonio.bench.events import (
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.device.sensor import Adis16354, open_sensor
-from adis_gonio.device.sensor.decoding import ScanBlock, join
 from adis_gonio.device.sensor.registers import EA
 from adis_gonio.device.sensor.scanning import ScanStream
+from adis_gonio.device.sensor.settings import ScanBlock, join
 from adis_gonio.record.archive import Archive, ArchiveView
 from adis_gonio.record.plans import Plan, plan
 from adis_gonio.record.session_reader import read_session
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 from bench.hand_bench import HandBus
 
 URL = "sim:?seed=3"

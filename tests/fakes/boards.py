@@ -14,8 +14,7 @@ import numpy as np
 
 from adis_gonio.base.errors import BusTimeoutError, UsageError
 from adis_gonio.device.bus import Capability, FrameBlock, FrameStream, Words
-from adis_gonio.device.sensor.registers import ACCEL_OUT, BY_NAME
-from adis_gonio.device.sensor.variants import variant
+from adis_gonio.device.sensor.registers import ACCEL_OUT, BY_NAME, variant
 from adis_gonio.sim import SimBus, SimulatedChip, World, WorldSettings
 from adis_gonio.sim.sampling import ACCEL_COLUMNS, SELF_TEST_ACCEL_MG, Inputs, SignalChain
 

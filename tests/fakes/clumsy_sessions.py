@@ -30,7 +30,7 @@ from adis_gonio.fitting.answer import Answer
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 from fakes.clumsy import Manner, Person
 from fakes.hand_part import HandBus, HandPart
 

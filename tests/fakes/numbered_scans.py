@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from adis_gonio.device.sensor.decoding import ScanBlock
+from adis_gonio.device.sensor.settings import ScanBlock
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.sampling import OUTPUTS, Inputs, SignalChain, Updates
 

@@ -13,7 +13,7 @@ from adis_gonio.device.sensor import Adis16354
 from adis_gonio.fitting import fit
 from adis_gonio.record.plans import plan
 from adis_gonio.record.session_reader import read_session
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 from adis_gonio.sim import SimulatedChip, World, WorldSettings
 from adis_gonio.sim.testing.bus_contract import BusContract, Rig as ContractRig, WatchedChip
 from firmware.board_tests import SEVEN, DriverTests, open_serial

@@ -13,19 +13,22 @@ import pytest
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import FitError, SingularError
-from adis_gonio.fitting import closed_form as module
-from adis_gonio.fitting.closed_form import (
-    as_printed,
-    fit_mmpm,
-    fit_paper,
-    fit_positions,
-    rows_at,
-    turn_parameters,
-)
+from adis_gonio.fitting import methods as module
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, Unit, from_means
 from adis_gonio.fitting.fit_result import Origin
-from adis_gonio.fitting.methods import METHOD_TABLE, applicable_to, default_method, fit_readings
+from adis_gonio.fitting.methods import (
+    METHOD_TABLE,
+    applicable_to,
+    as_printed,
+    default_method,
+    fit_mmpm,
+    fit_paper,
+    fit_positions,
+    fit_readings,
+    rows_at,
+    turn_parameters,
+)
 from adis_gonio.fitting.noise_estimation import NoiseAssumptions
 from adis_gonio.fitting.uncertainty import ShownAngle, gradient_of_base
 from adis_gonio.model.effects import Conditions

@@ -14,8 +14,7 @@ import free_turn_statistics as script
 from adis_gonio.base.errors import FitError
 from adis_gonio.fitting import applicable_methods, fit
 from adis_gonio.fitting.answer import Answer
-from adis_gonio.fitting.free_turn import series_of
-from adis_gonio.fitting.free_turn_estimate import LeastSquaresProblem, Windows, drift_functions, solve
+from adis_gonio.fitting.free_turn import LeastSquaresProblem, Windows, drift_functions, series_of, solve
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.sim import World, WorldSettings
 from adis_gonio.tracing.trace import trace

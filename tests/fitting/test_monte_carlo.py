@@ -12,7 +12,7 @@ import pytest
 
 from adis_gonio import fit
 from adis_gonio.base.errors import FitError
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting import monte_carlo as module
 from adis_gonio.fitting.fit_result import Estimate, FitResult
 from adis_gonio.fitting.monte_carlo import monte_carlo

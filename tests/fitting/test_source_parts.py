@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting import determination as seen, linked, uncertainty as module
 from adis_gonio.fitting.estimation.links import Links
 from adis_gonio.fitting.estimation.readings import Readings, from_means

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from adis_gonio import fit
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.determination import covariance, natural_units
 from adis_gonio.fitting.fit_result import FitResult
 from adis_gonio.fitting.methods import fit_readings

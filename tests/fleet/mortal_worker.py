@@ -1,17 +1,12 @@
-"""A worker process that a file kills whose name says `deadly`, as one that takes all memory would."""
+"""A computation that a file kills whose name says `deadly`, as one that takes all memory would."""
 
 import os
 import signal
 
-from adis_gonio.fleet import workers
 from adis_gonio.fleet.session_record import work
 
 
-def work_or_die(path, **asked):
+def work_or_die(path, *asked):
     if "deadly" in path:
         os.kill(os.getpid(), signal.SIGKILL)
-    return work(path, **asked)
-
-
-workers.work = work_or_die
-workers.main()
+    return work(path, *asked)

@@ -8,7 +8,7 @@ from adis_gonio import open_sensor
 from adis_gonio.bench import runner as runner_module
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.record.plans import plan
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 
 
 def recorded(

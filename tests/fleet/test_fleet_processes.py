@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 from pathlib import Path
 
 import pytest
 
 from adis_gonio import __version__
-from adis_gonio.base.errors import FleetError
 from adis_gonio.fleet.fleet_pages import FleetResult
 from adis_gonio.fleet.fleet_run import run_fleet, survey
 from adis_gonio.fleet.session_record import Options, work
 from adis_gonio.fleet.store import IN_MEMORY, Store
 from adis_gonio.fleet.workers import LocalPool
 from adis_gonio.record.provenance import digest_of_file
+from fleet.mortal_worker import work_or_die
 from fleet.sessions import write_fleet
 
 FITS = Options(trace=False)
@@ -51,8 +50,7 @@ def test_a_file_that_kills_every_worker_is_a_row_with_its_reason_and_is_tried_ag
     deadly = tmp_path / "fleet" / "deadly.csv"
     Path(files[1]).rename(deadly)
     found = survey([*files[:1], *files[2:], str(deadly)])
-    command = (sys.executable, str(Path(__file__).with_name("mortal_worker.py")))
-    with LocalPool(2, command) as pool, Store(tmp_path / "journal", strict=True) as journal:
+    with LocalPool(2, work_or_die) as pool, Store(tmp_path / "journal", strict=True) as journal:
         fleet = run_fleet(found, FITS, pool, journal)
     failed = [record for record in fleet.records if record.status != "ok"]
     assert [record.path for record in failed] == [str(deadly)]
@@ -60,13 +58,6 @@ def test_a_file_that_kills_every_worker_is_a_row_with_its_reason_and_is_tried_ag
     with LocalPool(1) as pool, Store(tmp_path / "journal", strict=True) as journal:
         again = run_fleet(found, FITS, pool, journal)
     assert (again.again, again.failed) == (3, 0)
-
-
-def test_workers_that_cannot_start_are_said_with_their_last_words():
-    found = survey([__file__])
-    pool = LocalPool(2, (sys.executable, "-c", "import sys; sys.exit('no such library')"))
-    with pool, pytest.raises(FleetError, match=r"no worker can be started.*status 1 \(no such library\)"):
-        run_fleet(found, FITS, pool, Store(IN_MEMORY))
 
 
 def test_a_worker_of_another_version_or_before_another_file_does_not_answer_for_it(tmp_path):

@@ -1,4 +1,4 @@
-"""The paper's equations and the propagation of errors written out again, from the theory and nothing else.
+"""The paper's equations written out again, from the theory and nothing else.
 
 Symbols are those of the paper: readings U of X and Y in local gravity, α the start angle, Δφ the
 misalignment. No function of the package is called.
@@ -34,15 +34,3 @@ def mmpm(angles_deg, rows):
     (a_x, b_x, zero_x), (a_y, b_y, zero_y) = fitted
     phi = math.atan2(a_y, -b_y) - math.atan2(b_x, a_x)
     return math.hypot(a_x, b_x) / math.hypot(a_y, b_y) - 1, math.degrees(phi), zero_x, zero_y
-
-
-def crossing_deg(bias_mg, noise_mg, alpha_deg, gain):
-    """Fixture error at which the variances of ΔK are equal, by linear propagation.
-
-    Two positions at a start angle within ±alpha: 2(σ² + b²)/K² + 2 E(tan²α) f². Nine: 4σ²/(9K²) + 2f²/9.
-    """
-    limit = math.radians(alpha_deg)
-    tangent = (math.tan(limit) - limit) / limit
-    noise, bias = (1e-3 * value / gain for value in (noise_mg, bias_mg))
-    left = 2 * (noise**2 + bias**2) - 4 / 9 * noise**2
-    return math.degrees(math.sqrt(left / (2 / 9 - 2 * tangent)))

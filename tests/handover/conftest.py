@@ -9,7 +9,7 @@ from handover.browser import Browser, browser
 @pytest.fixture(scope="package")
 def small():
     """A study of two parts of each kind, in this process."""
-    return reproduce(7, 2, jobs=1, draws=150)
+    return reproduce(7, 2, jobs=1)
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,7 @@ import pytest
 from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.calibrate import Calibration
 from adis_gonio.handover.c_header import FIXED_UDEG, c_header
-from adis_gonio.handover.fixed_point import FLOAT_DEG, ONE, FixedPoint, atan2_udeg
-from adis_gonio.handover.polynomial import PARTS, polynomial_of
+from adis_gonio.handover.fixed_point import FLOAT_DEG, ONE, PARTS, FixedPoint, atan2_udeg, polynomial_of
 from handover.calibrations import CURVED, EVERY, PLANE, SPACE, calibration, of_counts
 from handover.machines import MACHINES, STRICT
 from handover.sweep import Scans, parsed, scans

@@ -9,8 +9,7 @@ from adis_gonio import load_session, trace
 from adis_gonio.base.errors import DataError
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.estimation.readings import in_mg
-from adis_gonio.handover.digital_twin import noise_of, simulate_like
-from adis_gonio.handover.twin_comparison import compare
+from adis_gonio.handover.digital_twin import compare, noise_of, simulate_like
 from recordings import recording
 
 

@@ -21,11 +21,11 @@ from adis_gonio.handover.certificate import SI_UNITS, certificate_text
 from adis_gonio.handover.fixed_point import (
     FIXED_UDPS,
     FLOAT_DPS,
+    PARTS,
     STEP_DPS,
     FixedRates,
     rate_polynomial_of,
 )
-from adis_gonio.handover.polynomial import PARTS
 from adis_gonio.handover.register_offsets import gyro_offset_words, registers_text
 from handover.calibrations import CURVED, PLANE, SPACE, calibration, of_counts
 from handover.dcc_structure import judge

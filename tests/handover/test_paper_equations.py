@@ -5,41 +5,32 @@ import math
 import numpy as np
 import pytest
 
-from adis_gonio.bench.events import DwellDone
-from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.handover import paper_study as through_chip
-from adis_gonio.handover.paper_map import (
-    MMPM_ANGLES_DEG,
-    TABLE,
-    Draws,
-    Point,
-    crossing_deg,
-    errors,
-    estimates,
-    readings as by_readings,
-    truth_of,
-)
 from adis_gonio.handover.paper_study import (
+    TABLE,
     MethodValues,
     Part,
     Results,
-    errors_with_bias,
+    crossing_deg,
     measured,
     printed_verdicts,
+    propagated_errors,
     quantities,
     spread_of,
+    truth_of,
 )
-from adis_gonio.record.plans import plan
-from adis_gonio.record.settings import Settings
 from handover import by_hand
 
 
 @pytest.fixture(scope="module")
 def part():
     return Part(41, truth_of("x"))
+
+
+MMPM_DEG = tuple(40.0 * k for k in range(9))
 
 
 def natural(session):
@@ -80,82 +71,42 @@ def test_a_session_through_the_chip_gives_the_numbers_of_the_equations_by_hand(p
     assert ours.values["scale_error_y"] == pytest.approx(math.hypot(x1, x2) / (1 + delta_k) - 1, abs=1e-12)
     assert ours.values["offset_x"] is None
 
-    delta_k, phi, b_x, b_y = by_hand.mmpm(MMPM_ANGLES_DEG, natural(nine).tolist())
+    delta_k, phi, b_x, b_y = by_hand.mmpm(MMPM_DEG, natural(nine).tolist())
     ours = quantities(fit(nine, "mmpm"))
     assert ours.values["delta_k"] == pytest.approx(delta_k, abs=1e-12)
     assert ours.values["non_orthogonality"] == pytest.approx(phi, abs=1e-9)
     assert (ours.values["offset_x"], ours.values["offset_y"]) == pytest.approx((b_x, b_y), abs=1e-12)
 
 
-def test_the_maps_estimates_are_those_of_the_equations_by_hand():
-    truth, point = truth_of("y"), Point(0.3, 4.0, 0.5)
-    draws = Draws.of(np.random.default_rng(5), 6)
-    ours = estimates(truth, point, draws)
-    phi = math.radians(0.0673)
-    for i in range(6):
-        bias = 4e-3 * draws.bias[i]
+@pytest.mark.parametrize(("fixture_deg", "bias_mg", "noise_mg"), [(0.5, 0.0, 0.16), (0.02, 10.0, 0.5)])
+def test_the_propagated_errors_are_the_scatter_of_the_equations_by_hand(fixture_deg, bias_mg, noise_mg):
+    """Sessions of the planar model with an error of each angle, a bias of each axis and noise."""
+    rng = np.random.default_rng(5)
+    k_x, k_y, phi = 1.0214, 1.021, math.radians(0.0612)
+    found = {"paper": [], "mmpm": []}
+    for _ in range(4000):
+        alpha = math.radians(rng.uniform(-5, 5))
+        bias = 1e-3 * bias_mg * rng.standard_normal(2)
         rows = []
-        for plan_number, angles in enumerate(((0, 90, 180, 270), MMPM_ANGLES_DEG)):
-            rows.append([])
-            for k, angle in enumerate(angles):
-                theta = math.radians(angle) - math.radians(0.3) * draws.fixture[plan_number][i, k]
-                at = by_hand.readings(draws.alpha_rad[i], 1.0214, 1.021, phi, theta, *bias)
-                rows[-1].append(np.array(at) + 5e-4 * draws.noise[plan_number][i, k])
-        by_two = by_hand.paper(*rows[0][0], *rows[0][1])
-        by_nine = by_hand.mmpm(MMPM_ANGLES_DEG, rows[1])
-        assert ours["paper"]["delta_k"][i] == pytest.approx(by_two[0], abs=1e-12)
-        assert ours["paper"]["non_orthogonality"][i] == pytest.approx(by_two[1], abs=1e-9)
-        assert ours["mmpm"]["delta_k"][i] == pytest.approx(by_nine[0], abs=1e-12)
-        assert ours["mmpm"]["non_orthogonality"][i] == pytest.approx(by_nine[1], abs=1e-9)
+        for angle in MMPM_DEG:
+            theta = math.radians(angle - fixture_deg * rng.standard_normal())
+            rows.append(by_hand.readings(alpha, k_x, k_y, phi, theta, *bias))
+        at_90 = math.radians(90 - fixture_deg * rng.standard_normal())
+        two = [rows[0], by_hand.readings(alpha, k_x, k_y, phi, at_90, *bias)]
+        two, rows = (np.array(r) + 1e-3 * noise_mg * rng.standard_normal((len(r), 2)) for r in (two, rows))
+        found["paper"].append(by_hand.paper(*two.ravel()))
+        found["mmpm"].append(by_hand.mmpm(MMPM_DEG, rows)[:2])
+    stated = propagated_errors(fixture_deg, bias_mg, noise_mg)
+    for k, method in enumerate(("paper", "mmpm")):
+        delta_k, delta_phi = np.std(found[method], axis=0)
+        assert stated["delta_k"][k] == pytest.approx(delta_k, rel=0.05)
+        assert math.degrees(stated["delta_phi"][k]) == pytest.approx(delta_phi, rel=0.05)
 
 
-@pytest.mark.parametrize(("bias", "noise"), [(0.0, 0.16), (1.0, 0.05), (10.0, 0.5)])
-def test_the_crossing_is_where_propagation_by_hand_puts_it(bias, noise):
-    draws = Draws.of(np.random.default_rng(11), 20_000)
-    ours = crossing_deg(truth_of("x"), bias, noise, draws)
-    assert ours == pytest.approx(by_hand.crossing_deg(bias, noise, 5.0, 1.0212), rel=0.04)
-
-
-def test_in_delta_phi_there_is_no_crossing_and_mmpm_is_three_times_better_on_a_coarse_stage():
-    draws = Draws.of(np.random.default_rng(12), 20_000)
-    assert crossing_deg(truth_of("x"), 0.0, 0.16, draws, "non_orthogonality") is None
-    found = errors(truth_of("x"), Point(0.5, 0.0, 0.05), draws)
-    ratio = found["paper"]["non_orthogonality"] / found["mmpm"]["non_orthogonality"]
-    assert ratio == pytest.approx(3.0, rel=0.03)  # √2 over √(2/9)
-
-
-def test_with_biases_of_10_mg_the_papers_angle_is_more_than_50_times_worse():
-    draws = Draws.of(np.random.default_rng(13), 5000)
-    found = errors(truth_of("x"), Point(0.02, 10.0, 0.16), draws)
-    ratio = found["paper"]["non_orthogonality"] / found["mmpm"]["non_orthogonality"]
-    assert ratio > 50
-    # √2 b in radians, whatever the start angle.
-    assert found["paper"]["non_orthogonality"] == pytest.approx(math.degrees(math.sqrt(2) * 0.01), rel=0.05)
-
-
-def test_readings_of_the_map_are_those_of_chip_and_driver_at_the_stages_true_angles(tmp_path):
-    """One session with a coarse stage: what the driver measured against the model at the hidden angles."""
-    noise_mg = 4.7
-    settings = {"fixture_sigma_deg": 0.5, "bias_instability_mg": 0.0, "noise_mg": noise_mg}
-    part = Part(17, truth_of("x"), settings)
-    hidden_deg = []
-    with open_sensor(part.url) as sensor:
-        world = sensor.bus.world
-        runner = SessionRunner.begin(
-            sensor, tmp_path / "s.session", plan("mmpm"), Settings(dwell_s=1.0), auto=True,
-            gravity_mps2=world.settings.gravity_mps2, fixture_sigma_deg=0.5,
-        )  # fmt: skip
-        for event in runner.run():
-            if isinstance(event, DwellDone):
-                hidden_deg.append(world.stage.error_deg)
-        alpha = math.radians(world.truth()["alpha"])
-    assert np.std(hidden_deg) > 0.1
-    from adis_gonio.record.loading import load_session
-
-    got = natural(load_session(tmp_path / "s.session"))
-    bias = np.broadcast_to(np.array([-3.0e-3, -2.9e-3]), (1, 9, 2))
-    model = by_readings(part.truth, MMPM_ANGLES_DEG, np.array([alpha]), np.radians([hidden_deg]), bias)[0]
-    assert np.abs(got - model).max() < 5 * 1e-3 * noise_mg / math.sqrt(819)
+def test_at_the_crossing_both_methods_have_one_error_of_delta_k():
+    for bias in (0.0, 10.0):
+        two, nine = propagated_errors(crossing_deg(bias, 0.16), bias, 0.16)["delta_k"]
+        assert two == pytest.approx(nine)
 
 
 def handmade(paper_deg, ours_deg, seed=1):
@@ -168,13 +119,8 @@ def handmade(paper_deg, ours_deg, seed=1):
     return Results(Part(seed, truth_of("x")), found)
 
 
-def test_the_multiple_is_of_the_sessions_that_both_answered_and_counts_the_others():
+def test_the_spread_is_of_the_sessions_that_a_method_answered():
     results = [handmade(0.6, 0.01), handmade(-0.8, 0.01), handmade(None, 0.5)]
-    found = errors_with_bias(results, np.random.default_rng(0))
-    assert found.multiple == pytest.approx(math.sqrt((0.36 + 0.64) / 2) / 0.01)
-    assert (found.sessions, found.refused) == (2, 1)
-    assert found.low <= found.multiple <= found.high
-    assert 59 < found.low < found.high < 81
     spread = spread_of(results, "paper", "non_orthogonality")
     assert spread.sessions == 2
     assert spread.error == pytest.approx(math.sqrt(0.5))
@@ -184,13 +130,6 @@ def test_the_printed_table_has_mmpm_nearer_everywhere_but_for_the_sign_of_n():
     nearer = {name: verdict["nearer"] for name, verdict in printed_verdicts().items()}
     assert [name for name, method in nearer.items() if method == "paper"] == ["N, X", "N, Y"]
     assert {verdict["nearer_without_sign"] for verdict in printed_verdicts().values()} == {"mmpm"}
-
-
-def test_equation_5_is_off_by_delta_phi_tan_alpha():
-    at = by_readings(truth_of("x"), [0.0, 90.0], np.radians([20.0]), np.zeros((1, 2)), np.zeros((1, 2, 2)))
-    x1, _, _, y2 = at[0].ravel()
-    off = x1 / -y2 - 1 - truth_of("x").delta_k
-    assert off == pytest.approx(math.radians(0.0612) * math.tan(math.radians(20)), rel=0.01)
 
 
 def test_a_methods_refusal_is_kept_with_its_reason(monkeypatch):

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.live.angle_smoother import AngleSmoother, SmoothedAngle
-from adis_gonio.live.gyro_steps import Sensing
+from adis_gonio.live.motion_model import Sensing
+from adis_gonio.live.smoothed_meter import AngleSmoother, SmoothedAngle
 
 NOISE_MG, GYRO_NOISE_DPS = 4.7, 0.6
 

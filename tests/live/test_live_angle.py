@@ -23,7 +23,7 @@ from adis_gonio.live.live_angle import (
 )
 from adis_gonio.record.blocks import ValueBlock
 from adis_gonio.record.plans import plan
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 from adis_gonio.tracing.trace_calibrations import load_calibration
 
 PERFECT = "delta_k=0&delta_phi_deg=0&bias_x_mg=0&bias_y_mg=0&fixture_sigma_deg=0"

@@ -19,7 +19,7 @@ from adis_gonio.live.live_angle import LiveBlocks, LiveSource, calibration_for, 
 from adis_gonio.live.smoothed_meter import SmoothedMeter, sensing_of
 from adis_gonio.record.blocks import ValueBlock
 from adis_gonio.record.plans import plan
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 from adis_gonio.tracing.trace_calibrations import load_calibration
 
 RATE = Configuration(1, 2, 300, data_ready=True, linear_g=False, origin=False)

@@ -9,8 +9,7 @@ import pytest
 from adis_gonio.base.conformity import Tolerance
 from adis_gonio.base.errors import UsageError
 from adis_gonio.plan import Bench, best_plan, fewest_positions, positions_in
-from adis_gonio.plan.optimal_plan import even_plan, interleaved_plan
-from adis_gonio.plan.plan_search import candidates, search
+from adis_gonio.plan.optimal_plan import candidates, even_plan, interleaved_plan, search
 from adis_gonio.plan.prediction import LARGEST_FIXTURE_DEG, expected_readings, predict_uncertainty
 from adis_gonio.record.plans import plan
 

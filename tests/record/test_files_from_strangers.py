@@ -24,7 +24,7 @@ from adis_gonio.base.output import write_utf8
 from adis_gonio.calibrate.calibration_document import calibration_from
 from adis_gonio.faces import cli
 from adis_gonio.fitting.estimation.spectrum import covariance_of_means
-from adis_gonio.record import database, samples_reader
+from adis_gonio.record import archive, samples_reader
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import document_of, plan, read_plan
@@ -197,9 +197,9 @@ def test_expressions_of_a_stranger_are_refused(recorded, tmp_path, statement):
 
 
 def test_a_statement_that_goes_on_is_stopped(recorded, monkeypatch):
-    monkeypatch.setattr(database, "MOST_STEPS", 100_000)
+    monkeypatch.setattr(archive, "MOST_STEPS", 100_000)
     with ArchiveView(recorded) as view:
-        with pytest.raises(DataError, match="within bounds"), database.translated_errors(recorded):
+        with pytest.raises(DataError, match="within bounds"), archive.translated_errors(recorded):
             view._connection.execute(f"{ENDLESS} SELECT max(i) FROM n").fetchone()
         assert len(view.attempts()) == 4  # another statement has steps of its own
 
@@ -334,12 +334,12 @@ def test_a_trigger_with_a_name_of_sqlites_own_is_refused(recorded, tmp_path):
 def test_a_row_of_megabytes_is_refused(recorded, tmp_path, column):
     path = tmp_path / "long.session"
     shutil.copyfile(recorded, path)
-    put(path, "records", 2, column, json.dumps("x" * (database.LONGEST_ROW_BYTES + 1)))
+    put(path, "records", 2, column, json.dumps("x" * (archive.LONGEST_ROW_BYTES + 1)))
     assert "within bounds" in refused(path)
 
 
 def test_rows_of_many_characters_together_are_refused(recorded, tmp_path, monkeypatch):
-    monkeypatch.setattr(database, "MOST_TEXT", 2000)
+    monkeypatch.setattr(archive, "MOST_TEXT", 2000)
     path = tmp_path / "long.session"
     shutil.copyfile(recorded, path)
     assert "holds more than 2000 characters" in refused(path)

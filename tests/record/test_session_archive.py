@@ -13,14 +13,13 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import DataError, SessionError, UsageError
-from adis_gonio.device.sensor.decoding import ScanBlock
 from adis_gonio.device.sensor.driver import DEFAULT_SCAN
-from adis_gonio.record.archive import Archive, ArchiveView
+from adis_gonio.device.sensor.settings import ScanBlock
+from adis_gonio.record.archive import APPLICATION_ID, Archive, ArchiveView, is_archive
 from adis_gonio.record.archive_tables import Attempt, Header, Move, utc_now
-from adis_gonio.record.database import APPLICATION_ID, is_archive
 from adis_gonio.record.plans import plan
 from adis_gonio.record.session_reader import read_session
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 
 
 def header(**changes: object) -> Header:
@@ -176,7 +175,7 @@ def test_one_file_is_left_and_it_says_whose_it_is(tmp_path):
 def test_a_commit_survives_a_power_cut():
     # EXTRA also syncs the folder once the journal is gone; with less a commit may come undone.
     connection = sqlite3.connect(":memory:")
-    from adis_gonio.record.database import make_durable
+    from adis_gonio.record.archive import make_durable
 
     make_durable(connection)
     assert connection.execute("PRAGMA synchronous").fetchone() == (3,)

@@ -13,7 +13,7 @@ from adis_gonio.device.sensor.scanning import PolledScans
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
 from adis_gonio.record.samples_writer import SamplesRecorder, export_csv, export_json
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 
 
 @pytest.fixture(scope="module")

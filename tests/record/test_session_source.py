@@ -12,8 +12,7 @@ from adis_gonio.record.archive import Archive
 from adis_gonio.record.archive_tables import Attempt, Header
 from adis_gonio.record.blocks import ValueBlock, count_alarms, cut, join, session_columns
 from adis_gonio.record.plans import Position, plan
-from adis_gonio.record.settings import Settings
-from adis_gonio.record.source import ChipSource, has_frames, open_source
+from adis_gonio.record.source import ChipSource, Settings, has_frames, open_source
 
 SHORT = Settings(dwell_s=0.5)
 URL = "sim:?seed=3"

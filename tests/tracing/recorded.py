@@ -13,7 +13,7 @@ from urllib.parse import quote
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.record.plans import find_plan
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 
 
 class _Unattended(SessionRunner):

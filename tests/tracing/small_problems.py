@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.base.computed_once import ComputedOnce
+from adis_gonio.base.jsonable import ComputedOnce
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm, Term
 from adis_gonio.model.effects import Conditions, Enters

@@ -35,4 +35,4 @@ def test_two_courses_that_are_alike_share_the_probability():
 
 def test_a_jump_is_reported_on_its_axis():
     result = trace(one_pose("jump", 3))
-    assert any(note.startswith("the zero moves without a recorded cause: ") for note in result.notes)
+    assert any(note.startswith("the bias changes without a recorded cause: ") for note in result.notes)

@@ -45,6 +45,7 @@ from adis_gonio.tracing.trace import disagreement_of, refuse_too_few, weak_names
 from adis_gonio.tracing.trace_result import ErrorFigures, Finding
 from adis_gonio.tracing.validation import (
     Fold,
+    disagreement_p_value,
     error_figures,
     guard_errors,
     longest_acceptable,
@@ -927,6 +928,29 @@ class TestAverages:
         assert told == pytest.approx({"wave": 1 - share, smooth[0].term.label: share}, abs=2e-3)
         assert [one.term for one in averaged.candidates] == [smooth[0].term, smooth[1].term]
 
+    def test_check_dwells_refuse_an_average_as_often_as_its_p_value_says(self) -> None:
+        # Functions of time drawn from the first process; the second one bends less.
+        refused = {0.0: 0, 1.0: 0}
+        label = "bias[x]~a smooth function of time (16 u)"
+        for seed in range(40):
+            data = noisy(surroundings(32, seed), seed)
+            smooth = [one for one in processes(data) if one.term.label == label]
+            term = smooth[1].term
+            rng = np.random.default_rng(1000 + seed)
+            features = term.columns(data.mean, data.conditions)
+            added = features @ rng.normal(0, term.shrinkage or 0.0, features.shape[-1])
+            check = np.isin(np.arange(32), rng.choice(np.arange(1, 31), 8, replace=False))
+            for off_mg in refused:
+                moved = data.mean + added + np.outer(check, [off_mg, 0.0])
+                seen = replace(data, mean=moved)
+                fitted = seen.rows(~check)
+                selection = chosen(fitted, labelled(fitted, "bias[xy]"), ((0,), 1.0))
+                averaged = average(replace(selection, adequate=False), smooth[1:3])
+                fit = selection.fit if averaged is None else averaged.fit
+                refused[off_mg] += disagreement_p_value(fit, seen.rows(check)) < 0.05
+        assert refused[0.0] <= 6  # two are expected
+        assert refused[1.0] >= 36
+
     @pytest.mark.parametrize(
         ("inflation", "adequate", "asked"),
         [(4.0, True, [1.0]), (4.0, False, [1.0, 4.0]), (1.0, True, [1.0])],
@@ -987,7 +1011,7 @@ class TestAverages:
         assert dict(told) == pytest.approx(expected, abs=1e-3)
 
     def fitted(self, selection: Any, *parts: Any) -> Any:
-        """Members, covariance and freedom of the average of parts of these weights, and their columns."""
+        """Solutions of parts of these weights, their covariance and freedom together, and their columns."""
         fit = selection.fit
         base, blocks, target = fit.linear()
         fixed = np.concatenate([base, *blocks], axis=1)
@@ -997,7 +1021,9 @@ class TestAverages:
             np.concatenate([fixed, *(fit.white(fit.candidate(term)) for term in terms)], axis=1)
             for _, terms in parts
         ]
-        return averaging._fit_members(selection, fixed, target, pool, weights), columns, target
+        solutions = averaging.fit_members(selection, fixed, target, pool, weights)
+        mixed = averaging.mixed_covariance(solutions, fixed.shape[1], selection.inflation)
+        return solutions, mixed, columns, target
 
     @pytest.mark.parametrize("inflation", [1.0, 2.0])
     def test_what_is_fixed_is_as_uncertain_as_within_and_between_the_members(
@@ -1009,17 +1035,16 @@ class TestAverages:
         line = function("line", lambda c: c.time_s / 1e3)
         curve = function("curve", lambda c: (c.time_s / 1e3) ** 2)
         wave = function("wave", lambda c: np.cos(4 * c.angle_rad), ("angle",))
-        (members, covariance, used), columns, target = self.fitted(
+        solutions, (covariance, used), columns, target = self.fitted(
             selection, (0.75, (line,)), (0.0, (curve,)), (0.25, (wave, curve))
         )
-        assert [(weight, own.label) for weight, own, _ in members] == [
-            (0.75, "line"),
-            (0.25, "wave"),
-            (0.25, "curve"),
+        assert [(weight, [own.label for own in one.terms]) for weight, one in solutions] == [
+            (0.75, ["line"]),
+            (0.25, ["wave", "curve"]),
         ]
         one, two = (np.linalg.lstsq(columns[k], target, rcond=None)[0] for k in (0, 2))
-        for (_, _, values), expected in zip(members, (one[6:], two[6:7], two[7:]), strict=True):
-            assert values == pytest.approx(expected, rel=1e-3, abs=1e-4)
+        for (_, solution), expected in zip(solutions, (one, two), strict=True):
+            assert solution.values == pytest.approx(expected, rel=1e-3, abs=1e-4)
         # The law of total variance, in units of the noise that is assumed.
         within = [np.linalg.inv(columns[k].T @ columns[k])[:6, :6] for k in (0, 2)]
         apart = one[:6] - two[:6]
@@ -1038,7 +1063,7 @@ class TestAverages:
         rng = np.random.default_rng(49)
         fixed, target = rng.normal(size=(48, 6)), 2 * rng.normal(size=48)
         unseen = np.column_stack([fixed, np.zeros(48)])  # of a parameter that the dwells do not show
-        solved, covariance, used, visible = averaging._solve_ridge(selection, unseen, target, [term])
+        told = averaging.solve_ridge(selection, unseen, target, [term])
         # The same as noise of the rows: generalised least squares of what is fixed.
         features = fit.white(fit.candidate(term))
         prior = (term.shrinkage or 0) ** 2 / inflation
@@ -1046,11 +1071,12 @@ class TestAverages:
         expected = np.linalg.inv(fixed.T @ firm @ fixed)
         base = expected @ fixed.T @ firm @ target
         left = firm - firm @ fixed @ expected @ fixed.T @ firm
-        np.testing.assert_allclose(solved[:6], base, rtol=1e-6)
-        np.testing.assert_allclose(features @ solved[7:], prior * features @ features.T @ left @ target)
-        np.testing.assert_allclose(covariance[:6, :6], expected, rtol=1e-6)
-        assert used == pytest.approx(48 - np.trace(left))
-        assert visible == 1.0
+        np.testing.assert_allclose(told.values[:6], base, rtol=1e-6)
+        added = features @ told.values[7:]
+        np.testing.assert_allclose(added, prior * features @ features.T @ left @ target)
+        np.testing.assert_allclose((told.half @ told.half.T)[:6, :6], expected, rtol=1e-6)
+        assert told.used == pytest.approx(48 - np.trace(left))
+        assert told.visible == 1.0
 
     def test_members_at_the_angle_and_at_the_readings_are_two_terms_by_the_likeliest_of_each(self) -> None:
         one = function("one", lambda c: c.time_s, ("time",))

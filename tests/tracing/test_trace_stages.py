@@ -210,15 +210,19 @@ class TestResult:
         fit = selection.fit.with_terms([*selection.terms, wave], [*selection.fit.values.terms, np.zeros(1)])
         return SimpleNamespace(fit=fit, named=selection.terms, smooth=wave, weight=0.9)
 
-    def test_an_average_is_the_result_and_check_dwells_do_not_speak_of_it(self, told: Told) -> None:
-        made = bent((2, 7, 12, 17), 2.0)
+    @pytest.mark.parametrize(("off_mg", "agree"), [(0.0, True), (2.0, False)])
+    def test_an_average_is_the_result_and_check_dwells_judge_it(
+        self, told: Told, off_mg: float, agree: bool
+    ) -> None:
+        made = bent((2, 7, 12, 17), off_mg)
         averaged = self.average(made[2])
         result = told(made, averaged=averaged, heldout=(10.0, 5.0, 2.0, 1.0))
         assert result.fits[-1] is averaged.fit
         assert result.steps[-1].effect == "unnamed: bias of x follows wave"
         assert result.unnamed is not None
         assert result.unnamed.probability == 0.9
-        assert not any("do not agree" in note for note in result.notes)
+        assert result.adequate == agree
+        assert any("4 check dwells do not agree" in note for note in result.notes) == (not agree)
 
     def test_of_an_average_that_left_out_dwells_speak_against_nothing_is_said(self, told: Told) -> None:
         made = bent()

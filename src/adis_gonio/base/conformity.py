@@ -80,14 +80,20 @@ class ErrorCurve:
 
     @cached_property
     def _independent(self) -> Floats:
-        """Principal parts (m, q) of the error, without rounding errors."""
+        """Change (m, q) of the error by each of q independent causes.
+
+        Causes below the rounding error are left out.
+        """
         left, size, _ = np.linalg.svd(self.root_deg, full_matrices=False)
         kept = size > _NOTHING * size.max(initial=0.0)
         return np.asarray(left[:, kept] * size[kept])
 
     @cached_property
     def _rays(self) -> Floats:
-        """Change (n, m) of the error for |z| = 1 along n directions of z; opposite ones are left out."""
+        """Change (n, m) of the error along n random directions of the causes' unit sphere.
+
+        Of two opposite directions only one is present.
+        """
         z = np.random.default_rng(0).normal(size=(_DIRECTIONS, self._independent.shape[1]))
         return np.asarray((z / np.linalg.norm(z, axis=1, keepdims=True)) @ self._independent.T)
 
@@ -239,7 +245,10 @@ class Statement(JsonRecord):
 
     @property
     def states(self) -> dict[str, Conformity]:
-        """Conformity by the state of the sensor, in words."""
+        """Conformity by the state of the sensor.
+
+        The states are `with calibration` and, if the sensor's scale is known, `without calibration`.
+        """
         known = {"with calibration": self.with_calibration, "without calibration": self.without_calibration}
         return {name: one for name, one in known.items() if one is not None}
 
@@ -251,7 +260,7 @@ class Statement(JsonRecord):
 
 
 def state_conformity(tolerance: Tolerance, curves: tuple[ErrorCurve | None, ErrorCurve]) -> Statement:
-    """State the conformity of a sensor by the errors of its angle, without and with its calibration."""
+    """State if the sensor's angle conforms without and with its calibration, from both error curves."""
     before, after = curves
     without = None if before is None else tolerance.decide(before)
     return Statement(tolerance, without, tolerance.decide(after))

@@ -1,14 +1,39 @@
-"""Values and records in JSON types, and JSON from untrusted files."""
+"""Results as JSON, and caches of what is computed from them.
+
+Cache for results of functions of an immutable object, which is stored in this object.
+
+Values and records in JSON types, and JSON from untrusted files.
+"""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
-from typing import Any, ClassVar, dataclass_transform
+from functools import cached_property
+from typing import Any, ClassVar, TypeVar, dataclass_transform
 
 import numpy as np
+
+T = TypeVar("T")
+
+
+class ComputedOnce:
+    """Base class of frozen dataclasses that cache the results of functions applied to them."""
+
+    @cached_property
+    def _results(self) -> dict[tuple[Hashable, ...], Any]:
+        return {}
+
+    def once(self, function: Callable[..., T], *arguments: Hashable) -> T:
+        """Return `function(self, *arguments)`; later calls with equal arguments reuse the first result."""
+        key = (function, *arguments)
+        if key not in self._results:
+            self._results[key] = function(self, *arguments)
+        found: T = self._results[key]
+        return found
+
 
 MOST_DEPTH = 100
 """Lists and objects inside one another; the documents of this program have fewer than ten."""
@@ -28,7 +53,7 @@ KEYED_BY_NAME = {"keyed_by_name": True}
 
 
 def key(name: str) -> dict[str, str]:
-    """Metadata for a dataclass field that has the key `name` in the JSON document."""
+    """Metadata of a dataclass field that sets its key in the JSON document to `name`."""
     return {"key": name}
 
 

@@ -183,7 +183,7 @@ class Questions:
         return [join(seen)] if seen else []
 
     def _keep(self, block: Block) -> None:
-        """Remember scans of the present turn, at most the last `KEPT_S` seconds."""
+        """Remember the newest scans of the present turn, at most those of the last `KEPT_S` seconds."""
         if not self.bench.settings.turns or not len(block):
             return
         self._scanned.append(block)
@@ -205,7 +205,7 @@ class Questions:
         return self._witness("paused", self._operator.pausing.is_set)
 
     def _witness(self, name: str, observe: Callable[[], T]) -> T:
-        """Return an act of the operator, or in the replay of a recording the recorded act."""
+        """Return an act of the operator; if a recording is replayed, the recorded act."""
         return self.bench.source.witness(name, observe)
 
     @property

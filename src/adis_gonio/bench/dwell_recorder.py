@@ -32,8 +32,7 @@ from adis_gonio.bench.guards import (
 )
 from adis_gonio.bench.recorder import BROKEN_STREAM, Recorder, why_broken_off
 from adis_gonio.bench.session_state import vector
-from adis_gonio.device.sensor.decoding import ScanBlock
-from adis_gonio.device.sensor.settings import Status
+from adis_gonio.device.sensor.settings import ScanBlock, Status
 from adis_gonio.record.archive_tables import Attempt, Move, Outcome, Phase
 from adis_gonio.record.blocks import (
     SUPPLY_LIMITS_V,
@@ -50,7 +49,7 @@ from adis_gonio.record.stillness import Look
 
 @dataclass
 class Recording:
-    """Scans of one attempt to record a dwell; the scans from `begin` on, for `dwell_s`, are the dwell.
+    """Scans of one attempt to record a dwell; the dwell is the part of length `dwell_s` from `begin` on.
 
     The dwell begins `settle_s` after the end of the first still window and lasts `dwell_s`. It is complete
     when a still window covers its last sample.
@@ -206,7 +205,10 @@ class Recording:
         return float(self._blocks[at].time_s[sample - self._ends[at]])
 
     def _pieces(self) -> list[tuple[Phase, Block]]:
-        """Split the blocks at both ends of the dwell; lost scans of a split block count in the dwell."""
+        """Split the blocks at the begin and the end of the dwell.
+
+        All scans lost in a block that is split count as lost in the dwell.
+        """
         begin = self._count if self.begin is None else self.begin
         stop = self._count if self._stop is None else self._stop
         pieces: list[tuple[Phase, Block]] = []
@@ -238,7 +240,7 @@ WARMING_S = 600.0
 
 @dataclass(frozen=True)
 class _Broken:
-    """Reason why a dwell was interrupted, and the question to the operator about it, if any."""
+    """Reason why a dwell was interrupted, and the question for the operator about it, if there is one."""
 
     reason: str
     guard: Guard | None = None
@@ -517,7 +519,7 @@ class DwellRecorder(Recorder):
         return None
 
     def _within(self, recording: Recording, scans: Block, found: list[Problem]) -> Iterator[Event]:
-        """Ask about faults within a complete dwell; without an operator they are recorded as problems."""
+        """Ask the operator about faults in a dwell; without an operator, record them as problems."""
         ledger, place = self._ledger, recording.place
         told = {problem.kind for problem in found}
         for guard in judge_dwell(scans, found):

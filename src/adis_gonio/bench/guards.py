@@ -20,21 +20,21 @@ from adis_gonio.base.numbers import counted, format_uncertain, signed
 from adis_gonio.base.uncertainty import NORMAL_95
 from adis_gonio.bench.events import GuardKind, TurnMeasured
 from adis_gonio.fitting.slips import Angles, Diagnosis, Increments, PositionFinding, diagnose
-from adis_gonio.fitting.slips.position_diagnosis import LARGEST, MEANINGS
+from adis_gonio.fitting.slips.session_positions import LARGEST, MEANINGS
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.record.blocks import Block, session_columns, session_series
-from adis_gonio.record.expectation import (
+from adis_gonio.record.plans import (
     GAIN_LIMIT,
     UNMODELLED_MG,
     UNSTATED_FIXTURE_DEG,
     Expectation,
     K,
     Off,
+    Position,
     PriorKnowledge,
     turned_deg,
 )
-from adis_gonio.record.plans import Position
 from adis_gonio.record.stillness import SHIFT_MG
 
 if TYPE_CHECKING:
@@ -528,7 +528,7 @@ def _diagnosis_text(
 
 @dataclass(frozen=True)
 class _Taken:
-    """A recorded dwell: position, mean reading (3,) in mg, and if a guard was overruled (`doubted`)."""
+    """A recorded dwell: position, mean reading (3,) in mg, and `doubted` if a guard was overruled."""
 
     place: int
     position: Position
@@ -606,7 +606,7 @@ class Judge:
         return TurnMeasured(place, self._asked_deg(position), by_gyro, u_deg, gravity)
 
     def done(self, place: int, position: Position, scans: Block, *, doubted: bool) -> None:
-        """Learn from a complete dwell; of a doubted dwell only the position is used."""
+        """Take a complete dwell into account; of a doubted dwell only the position is used."""
         mean = np.asarray(scans.accel_mg.mean(axis=0))
         self._taken.append(_Taken(place, position, mean, doubted, *self._turned))
         self._turned = (None, None)

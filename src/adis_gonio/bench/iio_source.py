@@ -34,8 +34,7 @@ from adis_gonio.bench.iio_devices import (
 from adis_gonio.device.bus.host import UrlOptions
 from adis_gonio.device.bus.opening import BusUrl, Device
 from adis_gonio.record.blocks import GENERIC, ValueBlock
-from adis_gonio.record.settings import Settings
-from adis_gonio.record.source import KnownPart, Measuring, SampleSource
+from adis_gonio.record.source import KnownPart, Measuring, SampleSource, Settings
 
 TYPICAL_NOISE_MG = 5.0
 """Estimate for a sample of an unknown accelerometer; ten times this estimate counts as motion."""

@@ -53,8 +53,7 @@ from adis_gonio.record.archive import Archive
 from adis_gonio.record.archive_tables import Header
 from adis_gonio.record.plans import GYRO_TURNS, Plan, Position, blindness, extended, extension
 from adis_gonio.record.session_reader import FREE_TURN, read_session
-from adis_gonio.record.settings import Settings, expected_each_s
-from adis_gonio.record.source import SampleSource
+from adis_gonio.record.source import SampleSource, Settings, expected_each_s
 from adis_gonio.record.stillness import NoiseMeter
 
 RECORDERS: dict[str, type[Recorder]] = {GYRO_TURNS: GyroTurnsRecorder, FREE_TURN: FreeTurnRecorder}
@@ -101,7 +100,7 @@ class Visiting:
                 return
 
     def _carry_out(self, answer: Reply, place: int | None) -> Generator[Event, None, bool]:
-        """Do as the operator's answer requests; False if it ends the session."""
+        """Do what the operator's answer requests; return False if the answer ends the session."""
         last = self._ledger.last_place
         if answer is Reply.REPEAT and last is not None:
             yield from self._recorder.take(last)
@@ -190,7 +189,7 @@ class Visiting:
         return (yield from self._offer(ExtensionOffered(longer, blind), wanted))
 
     def _offer(self, offer: ExtensionOffered, wanted: bool) -> Generator[Event, None, Reply]:
-        """Offer a longer plan; an accepted one is archived before its first position is asked for."""
+        """Offer a longer plan; if it is accepted, archive it before the next position."""
         default = Reply.ACCEPT if wanted else Reply.DECLINE
         answer = yield from self._questions.ask(offer, {Reply.ACCEPT, Reply.DECLINE}, default)
         if answer is Reply.ACCEPT:

@@ -15,8 +15,14 @@ from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.archive_tables import JsonDict, Move, Record, StoredAttempt, utc_now
 from adis_gonio.record.plans import Plan, Position
-from adis_gonio.record.settings import LEAST_SAMPLES, Settings
-from adis_gonio.record.source import Measuring, SampleSource, SampleStream, as_source
+from adis_gonio.record.source import (
+    LEAST_SAMPLES,
+    Measuring,
+    SampleSource,
+    SampleStream,
+    Settings,
+    as_source,
+)
 from adis_gonio.record.stillness import window_samples
 
 CHECKPOINT_S = 1e-3
@@ -161,7 +167,7 @@ class SessionBench:
 
     @property
     def sets_conditions(self) -> bool:
-        """True if the program can set the sensor's temperature and supply."""
+        """True if the program can set the temperature and the supply of the sensor."""
         return isinstance(self.world, ControlledWorld)
 
     @staticmethod
@@ -235,7 +241,7 @@ class SessionBench:
 
     @property
     def scanning(self) -> JsonDict:
-        """How scans are read: texts `how` and `caveat`; empty before the first scan."""
+        """Method by which scans are read, as texts `how` and `caveat`; empty before the first scan."""
         return dict(self._scanning)
 
     def close(self) -> None:

@@ -19,8 +19,7 @@ from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
 from adis_gonio.record.archive import Archive
 from adis_gonio.record.archive_tables import Header
 from adis_gonio.record.blocks import Block, join, session_columns
-from adis_gonio.record.expectation import PriorKnowledge
-from adis_gonio.record.plans import Plan, Position
+from adis_gonio.record.plans import Plan, Position, PriorKnowledge
 from adis_gonio.record.stillness import (
     SETTLINGS_PER_WINDOW,
     StillnessLimits,
@@ -80,7 +79,7 @@ class Ledger:
         return problem
 
     def scanning(self, now: dict[str, Any]) -> None:
-        """Write to the archive how scans are read, if that has changed."""
+        """Write the method by which scans are read to the archive, if it has changed."""
         if now != self._scanning:
             self._scanning = now
             self.note("scanning", now)

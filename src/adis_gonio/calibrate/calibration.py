@@ -352,7 +352,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         UsageError
             The contents of the registers are unknown, or the sensor has no such registers.
         """
-        from adis_gonio.device.sensor.variants import VARIANTS
+        from adis_gonio.device.sensor.registers import VARIANTS
 
         then = self.provenance.offsets_lsb
         if then is None or self.provenance.sensor not in VARIANTS or self.provenance.counts:
@@ -501,7 +501,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
 
 
 def _solved(free: Floats, terms: Sequence[tuple[Effect, Floats]], conditions: Conditions) -> Floats:
-    """Find the ideal readings a (n, axes) for which a plus the effects at a gives `free`.
+    """Find the ideal readings a (n, axes) that give the readings `free`: a plus the effects at a.
 
     A row is NaN if the iteration does not converge.
     """

@@ -176,7 +176,7 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
         }
 
     def _moved(self, by: Mapping[str, float]) -> tuple[Coefficient, ...]:
-        """Copy of the parameters with an amount added to each value that `by` names."""
+        """Copy of the parameters in which the values that `by` names are increased by its amounts."""
         return tuple(replace(one, value=one.value + by.get(one.name, 0.0)) for one in self.parameters)
 
     def _with_variance(
@@ -196,7 +196,7 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
     def _rises(
         self, function: Callable[[Floats], Floats], difference: Callable[[Floats, Floats], Floats]
     ) -> Floats:
-        """Changes (k, …) of a function of the parameters by one u of each of k independent parts."""
+        """Changes (k, …) of a function of the parameters by one u of each of k independent causes."""
         assert self.covariance is not None
         steps = STEP * _directions(self.covariance)
         rises = [difference(function(self.values + step), function(self.values - step)) for step in steps]

@@ -31,8 +31,7 @@ from adis_gonio.calibrate.coefficients import (
     checked_offsets,
     finite_numbers,
 )
-from adis_gonio.device.sensor.registers import Kind
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS, Kind
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
 from adis_gonio.record.provenance import Covered
@@ -69,7 +68,7 @@ class Rates:
 
 @dataclass(frozen=True)
 class _Values:
-    """Coefficients of the equation from rates to gyro readings; arrays have one row for each gyro."""
+    """Coefficients of the equation that gives gyro readings from rates; one row for each gyro."""
 
     bias: Floats
     sensitivity: Floats
@@ -450,7 +449,7 @@ def _read(v: _Values, rate: Floats, force: Floats, warm: Floats, volts: Floats) 
 
 
 def _zero(v: _Values, force: Floats, warm: Floats, volts: Floats) -> Floats:
-    """Zero rates (n, 3) in °/s at n forces in g, temperatures above 25 °C and voltages above 5 V."""
+    """Zero rates (n, 3) in °/s at n forces in g, temperatures minus 25 °C, and voltages minus 5 V."""
     by_warmth = sum((c * warm ** (k + 1) for k, c in enumerate(v.per_c)), np.zeros(warm.shape))
     return np.asarray(v.bias + force @ v.per_g.T + force**2 @ v.per_g2.T + by_warmth + v.per_v * volts)
 

@@ -17,7 +17,7 @@ from adis_gonio.device.sensor.settings import compensations
 
 @dataclass(frozen=True)
 class BenchKey:
-    """A key of both faces: its letter, a word for lists of keys, and an explanation."""
+    """A key of the screen and the prompts: its letter, a word for lists of keys, and an explanation."""
 
     letter: str
     word: str
@@ -131,7 +131,7 @@ def lines_about(event: events.Event) -> list[tuple[str, Level]]:
 
 
 def _course(event: events.Event) -> list[tuple[str, Level]]:
-    """Lines about the course of the session."""
+    """Lines about the progress of the session, each with its level."""
     match event:
         case events.DwellInterrupted():
             return [(f"{event.position} interrupted: {event.reason} (samples kept)", "warned")]
@@ -164,7 +164,7 @@ def configuration_lines(event: events.Configured) -> list[str]:
 
 
 def turn_text(turn: events.TurnMeasured | None) -> str:
-    """The turn since the last position: asked, by the gyro ± U (95 %), and by gravity."""
+    """Text on the turn since the last position: requested, by the gyro ± U (95 %), and by gravity."""
     if turn is None:
         return "–"
     parts = [] if turn.asked_deg is None else [f"asked {signed(turn.asked_deg)}°"]
@@ -177,7 +177,7 @@ def turn_text(turn: events.TurnMeasured | None) -> str:
 
 
 def running_values(running: events.Running) -> list[str]:
-    """ΔK and Δφ by the dwells so far, each ± U (95 %)."""
+    """Texts of ΔK and Δφ by the dwells so far, each ± U (95 %)."""
     known: Mapping[str, Any] = running.parameters
     return [
         f"{NAMES[name]} {format_uncertain(known[name]['value'], known[name]['U'], known[name]['unit'])}"
@@ -187,7 +187,7 @@ def running_values(running: events.Running) -> list[str]:
 
 
 def lines_of_result(event: events.Event) -> list[tuple[str, Level]]:
-    """Lines about the last turn and the result so far, which the screen shows beside the messages."""
+    """Lines about the last turn and the result so far, which the screen shows next to the messages."""
     if isinstance(event, events.TurnMeasured):
         return [(f"last turn: {turn_text(event)}", "said")]
     values = running_values(event) if isinstance(event, events.Running) else []

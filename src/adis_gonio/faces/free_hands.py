@@ -42,7 +42,7 @@ class Hands:
         return self._start([by_deg])
 
     def bump(self) -> str:
-        """Bump the part: turn it a little, forth and back; return a line for the operator."""
+        """Turn the part a little, forth and back, as by a bump; return a line for the operator."""
         return self._start([BUMP_DEG, -BUMP_DEG])
 
     def _start(self, turns_deg: list[float]) -> str:

@@ -38,7 +38,7 @@ _SPATIAL = ("scale", "skew", "bias")
 
 @dataclass(frozen=True)
 class Answer:
-    """The answer to the user for a session: the shown result, scores, recommendation, and their text.
+    """The answer of a fit for the user: the shown result, all scores, a recommendation, and their text.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Answer:
 
     @classmethod
     def of(cls, result: FitResult, *, own: bool = True) -> Self:
-        """Answer of a session that was fitted.
+        """Make the answer for a fitted session.
 
         Parameters
         ----------
@@ -181,7 +181,7 @@ class Answer:
 
     @property
     def has_more(self) -> bool:
-        """True if there are parameters that the headline does not show."""
+        """True if the result has more parameters than the headline shows."""
         return len(self.parameter_rows()) > len([name for name in self.values if name != "angle"])
 
     # -- tables and lines of text -----------------------------------------------------------------
@@ -260,7 +260,7 @@ class Answer:
 
 
 def with_notes(best: FitResult, given: FitResult) -> FitResult:
-    """Copy of the recommended result `best` with the notes and findings of the session.
+    """Copy of the recommended result with the notes and findings of the session added.
 
     These are part of `given`, the result of the default method; the notes precede the warnings of `best`.
     """

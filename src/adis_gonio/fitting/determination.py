@@ -42,7 +42,7 @@ _CONVERGED = 1e-12
 
 @dataclass(frozen=True)
 class Determination:
-    """Fit of base model and biases, with the parameters and directions that the session leaves open.
+    """A fit of base model and biases, with a list of everything that the readings do not determine.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class Determination:
         return information(self.fit)
 
     def on(self, data: Readings) -> Determination:
-        """Copy with the same parameter values for the same readings with other noise."""
+        """Copy with these parameter values for readings that differ in their noise only."""
         return replace(self, fit=replace(self.fit, data=data))
 
     def determined_by(self, fit: Fit) -> bool:
@@ -87,7 +87,7 @@ class Determination:
         return bool(_null_space(fit, self.free).shape[1] <= self.null.shape[1])
 
     def refitted(self, data: Readings) -> Fit:
-        """Fit the same free parameters to readings with other noise, starting from these values."""
+        """Fit the free parameters to readings with other noise, starting from the present values."""
         fit = replace(self.fit, data=data)
         return fit.refit(_ITERATIONS, _CONVERGED, _directions(fit, self.free, self.null))
 
@@ -173,7 +173,7 @@ def _start(data: Readings) -> Fit:
 
 
 def _directions(fit: Fit, free: NDArray[np.bool_], null: Floats) -> Floats:
-    """Directions (p, k) in which a fit may change the parameters, in the units of the fit."""
+    """Directions (p, k) in which the parameters may change: not the fixed or undetermined ones."""
     return np.asarray(natural_units(fit.data)[:, None] * _complement(free, null))
 
 
@@ -223,7 +223,7 @@ def is_determined(gradient: Floats, null: Floats) -> bool:
 
 
 def shift_by_held(determination: Determination, held: int) -> Floats:
-    """Derivative (p,) of the fitted parameters by the value at which the parameter `held` is fixed."""
+    """Derivative (p,) of the fitted parameters by the value at which parameter `held` is fixed."""
     fisher = determination.fisher
     return np.asarray(-covariance(fisher, determination.free, determination.null) @ fisher[:, held])
 

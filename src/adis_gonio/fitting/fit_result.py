@@ -25,7 +25,7 @@ from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.linked import LinkReport
 from adis_gonio.fitting.noise_estimation import NoiseAssumptions
 from adis_gonio.fitting.slips import PositionFinding
-from adis_gonio.fitting.slips.position_diagnosis import listed
+from adis_gonio.fitting.slips.session_positions import listed
 from adis_gonio.fitting.uncertainty import FIXTURE, BudgetRow, ShownAngle, Sources, budget_of
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn
@@ -425,7 +425,7 @@ _RANK = {name: rank for rank, name in enumerate(_FIRST)}
 
 
 def variances(outputs: Sequence[Output], natural: Floats) -> Floats:
-    """Covariance (m, m) of reported quantities, from the covariance (p, p) of the natural parameters."""
+    """Covariance (m, m) of m reported quantities, from the covariance (p, p) of the natural parameters."""
     gradients = np.stack([output.gradient for output in outputs])
     return np.asarray(gradients @ natural @ gradients.T)
 

@@ -19,7 +19,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.uncertainty import LINK_REFUSED
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.determination import (
     Determination,
     covariance,
@@ -256,7 +256,7 @@ def _near(links: Links, fit: Fit) -> NDArray[np.bool_]:
 
 
 def _settled(found: GyroLinks, links: Links, data: Readings) -> tuple[Links, Determination]:
-    """Fit readings with links, and linearise the links again at the fitted parameters of the gyros."""
+    """Fit readings with links, linearise the links again at the fitted gyro parameters, and return both."""
     size = np.maximum(np.sqrt(np.diagonal(found.prior.covariance)), 1e-12)
     values = found.prior.values
     linked = determine(replace(data, links=links))
@@ -271,14 +271,14 @@ def _settled(found: GyroLinks, links: Links, data: Readings) -> tuple[Links, Det
 
 
 def _alike(found: Links, links: Links) -> Links:
-    """Select the links in `found` that connect the same two poses as any of the `links`."""
+    """Select from `found` the links that connect the poses of any link in `links`."""
     wanted = set(zip(links.before.tolist(), links.after.tolist(), strict=True))
     pairs = zip(found.before.tolist(), found.after.tolist(), strict=True)
     return found.only(np.array([pair in wanted for pair in pairs]))
 
 
 def probable_gyros(fit: Fit, prior: GyroPrior) -> Floats:
-    """Most probable parameters (21,) of the gyros, given the fit with links and the prior."""
+    """Most probable parameters (21,) of the gyros, given the fit with links and their prior."""
     links, rows = fit.link_rows, fit.modes
     assert links is not None
     assert rows is not None

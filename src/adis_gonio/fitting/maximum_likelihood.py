@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 def fit_ml(readings: Readings) -> FitResult:
-    """Maximum likelihood of the base model and a bias.
+    """Fit the base model and a bias of each axis by maximum likelihood (method `ml`).
 
     Raises
     ------
@@ -139,7 +139,7 @@ def advise_positions(names: list[str]) -> str:
 
 
 def refit_ml(readings: Readings, made: Origin) -> Fit:
-    """Fit the model of the method `ml` again to other readings of all or some of its dwells.
+    """Repeat the fit of the method `ml` on other readings, or on a subset of the dwells.
 
     The fit starts from the values of the original fit.
 

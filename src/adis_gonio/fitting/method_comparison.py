@@ -157,7 +157,10 @@ def predicts_worse(one: DwellPrediction, best: DwellPrediction) -> bool:
 
 
 def _doubt(result: FitResult) -> float:
-    """Geometric mean of the standard uncertainties of a result's main parameters; inf if one is unknown."""
+    """Geometric mean of the standard uncertainties of a result's main parameters, to rank the methods.
+
+    It is inf if one of them is unknown.
+    """
     wanted = ("delta_k", "delta_phi") if "delta_k" in result or "delta_phi" in result else ()
     us = [e.u for e in result.parameters if not wanted or e.name in wanted]
     if any(u is None or not math.isfinite(u) for u in us):
@@ -327,9 +330,9 @@ def errors_of(model: Fit, rows: Readings) -> tuple[Floats, Floats]:
 
 
 def _shown(fit: Fit) -> Floats:
-    """Angle of the calibrated reading minus the stage's turn (n,) in rad: the start angle by each dwell.
+    """Start angle (n,) in rad that each dwell shows; NaN for a dwell without a declared angle.
 
-    NaN for a dwell without a declared angle.
+    It is the angle of the calibrated reading minus the turn of the stage.
     """
     shown = np.arctan2(fit.gravity[:, 1], fit.gravity[:, 0]) - fit.turn_rad
     return np.where(np.isfinite(fit.data.angle_rad), shown, np.nan)

@@ -1,4 +1,17 @@
-"""Fitting methods by name: the table `METHOD_TABLE`, and `fit`, which runs one of them."""
+"""The methods of fit, and the closed forms among them.
+
+Methods `paper`, `two-position`, `four-position` and `mmpm`.
+
+All but `paper` are one linear fit an axis: by the theorem of addition
+U_x = A_x cos θ + B_x sin θ + b_x with A_x = K_x G cos α, B_x = K_x G sin α, and
+U_y = A_y cos θ + B_y sin θ + b_y with A_y = K_y G sin(α + Δφ), B_y = −K_y G cos(α + Δφ).
+With 0° and 90° and no bias this is the closed form Δφ = atan2(U_y1, −U_y2) − atan2(U_x2, U_x1); with
+0/90/180/270° it takes the differences of opposite positions, free of bias; with nine or more it is the
+least squares with declared angles (MMPM, which trusts them). Its covariance propagates the noise of the
+readings and the fixture's uncertainty alike, although the fit itself gives no weight to either.
+
+Fitting methods by name: the table `METHOD_TABLE`, and `fit`, which runs one of them.
+"""
 
 from __future__ import annotations
 
@@ -6,39 +19,477 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats, solvable, wrap_degrees, wrap_radians
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import FitError, SingularError, UsageError
-from adis_gonio.fitting.closed_form import (
-    FOUR,
-    LEAST_MMPM,
-    TWO,
-    fit_mmpm,
-    fit_paper,
-    fit_positions,
-    refit_four,
-    refit_mmpm,
-    refit_two,
-    rows_at,
-)
+from adis_gonio.base.numbers import format_fixed, signed
+from adis_gonio.base.uncertainty import Value
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.fitting.fit_result import (
     FitResult,
     Origin,
+    angle_errors,
+    estimates,
+    outputs_of,
+    stage_warnings,
+    variances,
 )
 from adis_gonio.fitting.linked import linked_readings
 from adis_gonio.fitting.maximum_likelihood import fit_ml, refit_ml
+from adis_gonio.fitting.noise_estimation import NoiseAssumptions, settle
 from adis_gonio.fitting.slips.session_positions import failure_message, positions_of
+from adis_gonio.fitting.uncertainty import Sources, Unseen, sources_of
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
+
+ALPHA, SCALE_X, SCALE_Y, DELTA_PHI, BIAS_X, BIAS_Y = range(6)
+"""Parameters in the order of `determination.names_of`, in natural units: a bias in local gravity."""
+
+TOLERANCE_DEG = 0.5
+"""Declared angles this near to 0, 90, 180 or 270° (modulo 360°) count as that position."""
+
+TWO, FOUR = (0, 90), (0, 90, 180, 270)
+"""Declared angles in degrees that the methods `two-position` and `four-position` use."""
+
+LEAST_MMPM = 9
+"""Fewest positions of `mmpm`, by its definition."""
+
+_FAR_FROM_POLE = 0.5
+"""cos(2 alpha + delta_phi) above which the pole of equation 12 at 45° is not the cause of an error."""
+_NEAR_POLE = 0.2
+_LEAST_READING = 1e-6
+"""U_x1 and U_y2, in local gravity, below which equations 5 and 12 divide by zero."""
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """Result of a linear fit: natural parameters (6,), and their derivative (6, n, 2) by the readings."""
+
+    beta: Floats
+    derivative: Floats
+    has_bias: bool
+
+
+def rows_at(readings: Readings, angles_deg: tuple[int, ...]) -> list[NDArray[np.intp]]:
+    """For each angle in degrees, the rows of the dwells declared at it (modulo 360°), possibly none."""
+    degrees = np.degrees(readings.angle_rad)
+    with np.errstate(invalid="ignore"):
+        return [np.flatnonzero(np.abs(wrap_degrees(degrees - a)) <= TOLERANCE_DEG) for a in angles_deg]
+
+
+def fit_positions(readings: Readings, method: str, angles_deg: tuple[int, ...]) -> FitResult:
+    """Fit the method `two-position` (0°, 90°) or `four-position` (0°, 90°, 180°, 270°).
+
+    Dwells at the same position are averaged.
+
+    Raises
+    ------
+    FitError
+        A position is missing, or the readings are in counts, which have no known zero.
+    """
+    chosen, weights = _grouped(readings, method, angles_deg)
+    linear = _linear(chosen, weights, bias=len(angles_deg) > 2)
+    warnings = [] if linear.has_bias else _blind_to_bias(readings, chosen, linear)
+    return _finish(chosen, method, linear, _noise(readings, chosen), warnings)
+
+
+def fit_mmpm(readings: Readings) -> FitResult:
+    """Fit the method `mmpm`: unweighted least squares at nine or more declared angles.
+
+    Raises
+    ------
+    FitError
+        If fewer than nine dwells have a declared angle.
+    SingularError
+        They are at fewer than three different angles.
+    """
+    rows = np.flatnonzero(np.isfinite(readings.angle_rad))
+    if len(rows) < LEAST_MMPM:
+        raise FitError(
+            f"method mmpm needs nine or more positions with a declared angle, there are {len(rows)}; "
+            "use method ml, or leave the method open"
+        )
+    chosen = readings.rows(rows)
+    linear = _linear(chosen, np.eye(len(rows)), bias=True)
+    return _finish(chosen, "mmpm", linear, _noise(readings, chosen), [])
+
+
+def refit_mmpm(readings: Readings, made: Origin) -> Fit:
+    """Repeat the fit of the method `mmpm` on other readings, or on a subset of the dwells."""
+    chosen = readings.rows(np.flatnonzero(np.isfinite(readings.angle_rad)))
+    return _fit(readings, _linear(chosen, np.eye(len(chosen)), bias=True).beta, bias=True)
+
+
+def refit_four(readings: Readings, made: Origin) -> Fit:
+    """Repeat the fit of the method `four-position` on other readings, or on a subset of the dwells.
+
+    Dwells at three of the four positions suffice.
+    """
+    groups = rows_at(readings, FOUR)
+    present = tuple(angle for angle, rows in zip(FOUR, groups, strict=True) if len(rows))
+    chosen, weights = _grouped(readings, "four-position", present)
+    return _fit(readings, _linear(chosen, weights, bias=True).beta, bias=True)
+
+
+def refit_two(method: str, readings: Readings, made: Origin) -> Fit:
+    """Repeat the fit of `paper` or `two-position` on other readings, at the first two positions 90° apart.
+
+    Raises
+    ------
+    FitError
+        The readings have no two positions 90° apart.
+    """
+    for quarter in range(4):
+        turned = replace(readings, angle_rad=readings.angle_rad - quarter * math.pi / 2)
+        if all(len(rows) for rows in rows_at(turned, TWO)):
+            chosen, weights = _grouped(turned, method, TWO)
+            linear = _linear(chosen, weights, bias=False)
+            if method == "paper":
+                try:
+                    linear = _by_paper(chosen, weights, linear)[0]
+                except SingularError:
+                    continue
+            beta = linear.beta.copy()
+            beta[ALPHA] += quarter * math.pi / 2
+            return _fit(readings, beta, bias=False)
+    raise FitError(f"no two positions 90° apart are left for method {method}")
+
+
+def fit_paper(readings: Readings) -> FitResult:
+    """Fit the method `paper`: equations 5 to 12 as printed, which divide the reading of Y by ΔK first.
+
+    ΔK = U_x1/(−U_y2) − 1, a = U_y1(1 + ΔK)/U_x1, b = U_y2(1 + ΔK)/U_x2, sin Δφ = (1 + ab)/(a + b).
+
+    Raises
+    ------
+    FitError
+        If 0° or 90° is missing.
+    SingularError
+        α is near 45°, where a + b vanishes: the noise-free answer is Δφ/cos(2α + Δφ). The method fails if
+        Δφ and the uncertainty of 2α + Δφ together exceed a fifth of the distance from that pole, because
+        the quotient is then not linear in either and no uncertainty is valid.
+    """
+    chosen, weights = _grouped(readings, "paper", (0, 90))
+    exact = _linear(chosen, weights, bias=False)
+    natural = chosen.mean / chosen.gravity_mg
+    noise = _noise(readings, chosen)
+    spread = _sources(replace(chosen, sensor="generic"), exact, noise).covariance
+    alpha, phi = float(exact.beta[ALPHA]), float(exact.beta[DELTA_PHI])
+    at = 2 * alpha + phi
+    # Uncertainty of 2α + Δφ; its cosine is the distance from the pole.
+    gradient = np.zeros(6)
+    gradient[ALPHA], gradient[DELTA_PHI] = 2.0, 1.0
+    u_at = math.sqrt(max(float(gradient @ spread @ gradient), 0.0))
+    first, second = weights @ natural
+    distance = abs(math.cos(at))
+    if math.hypot(phi, u_at) > _NEAR_POLE * distance or min(abs(first[0]), abs(second[1])) < _LEAST_READING:
+        if distance > _FAR_FROM_POLE:
+            found = Value(math.degrees(phi), math.degrees(u_at), "deg")
+            raise SingularError(
+                f"method paper is not valid here: Δφ would be {found}, and its"
+                " equations are for small angles; use two-position"
+            )
+        times = f"{1 / distance:.0f} times" if distance > 1e-6 else "more than a million times"
+        raise SingularError(
+            f"method paper is singular here: α = {format_fixed(math.degrees(alpha), 2)}° brings a + b of"
+            f" equation 12 to {_a_plus_b(first, second):.2g}, so that noise and Δφ itself appear {times} "
+            "enlarged against α = 0°; use method two-position, or start at another angle"
+        )
+    linear, values = _by_paper(chosen, weights, exact)
+    warnings = _blind_to_bias(readings, chosen, linear)
+    exact_k = float(exact.beta[SCALE_X] / exact.beta[SCALE_Y]) - 1
+    off_k, off_phi = values[0] - exact_k, math.degrees(values[1] - phi)
+    warnings.append(
+        f"equation 5 is exact at α = 0° only: at {format_fixed(math.degrees(alpha), 2)}° this result is off"
+        f" by {signed(off_k, digits=2)} in ΔK and {signed(off_phi, digits=2)}° in Δφ from method"
+        " two-position on the same readings, and its uncertainty does not include this"
+    )
+    return _finish(chosen, "paper", linear, noise, warnings, ("delta_k", "delta_phi", "alpha"))
+
+
+def _by_paper(chosen: Readings, weights: Floats, exact: _Linear) -> tuple[_Linear, Floats]:
+    """Natural parameters by the method `paper`, and (ΔK, Δφ) alone.
+
+    ΔK and Δφ follow from equations 5 to 12; start angle and scale of X from the closed form.
+
+    Raises
+    ------
+    SingularError
+        A denominator of equation 5 or 12 vanishes.
+    """
+    first, second = weights @ (chosen.mean / chosen.gravity_mg)
+    if min(abs(first[0]), abs(second[1])) < _LEAST_READING:
+        raise SingularError(
+            "method paper divides by the first reading of X and the second of Y, and one is zero here; "
+            "use method two-position"
+        )
+    values, derivative = _paper(first, second, weights)
+    beta = exact.beta.copy()
+    beta[DELTA_PHI] = values[1]
+    beta[SCALE_Y] = beta[SCALE_X] / (1 + values[0])
+    # Derivatives of Δφ and K_y = K_x/(1 + ΔK) by the printed equations replace the exact ones.
+    derivatives = exact.derivative.copy()
+    derivatives[DELTA_PHI] = derivative[1]
+    derivatives[SCALE_Y] = (
+        exact.derivative[SCALE_X] / (1 + values[0]) - beta[SCALE_X] * derivative[0] / (1 + values[0]) ** 2
+    )
+    return _Linear(beta, derivatives, has_bias=False), values
+
+
+def _a_plus_b(first: Floats, second: Floats) -> float:
+    gain = first[0] / -second[1] if second[1] else math.inf
+    terms = [first[1] * gain / first[0] if first[0] else math.inf]
+    terms.append(second[1] * gain / second[0] if second[0] else math.inf)
+    return float(sum(terms))
+
+
+def as_printed(x1: Any, y1: Any, x2: Any, y2: Any) -> tuple[Any, Any]:
+    """ΔK and Δφ in rad by the paper's equations 5 to 12, from readings at 0° and 90°.
+
+    The arguments are numbers or arrays, also complex. The results are NaN if sin Δφ would exceed 1, and
+    infinite at the pole.
+    """
+    gain = x1 / -y2
+    # Equation 12 with numerator and denominator times U_x1 U_x2, which allows U_x2 = 0 at α = 0.
+    sine = (x1 * x2 + gain * gain * y1 * y2) / (gain * (y1 * x2 + y2 * x1))
+    return gain - 1, np.arcsin(sine)
+
+
+def _paper(first: Floats, second: Floats, weights: Floats) -> tuple[Floats, Floats]:
+    """ΔK and Δφ by the printed equations of the paper, and their derivatives (2, n, 2) by the readings.
+
+    `first` and `second` (2,) are the mean readings at 0° and 90°.
+    """
+    # Complex step: the imaginary part over the step is the derivative without cancellation.
+    point = np.array([first[0], first[1], second[0], second[1]], dtype=np.complex128)
+    values = np.array(as_printed(*point.tolist()), dtype=np.complex128)
+    stepped = [np.array(as_printed(*(point + 1e-30j * unit).tolist())) for unit in np.eye(4)]
+    by_reading = np.stack([values.imag / 1e-30 for values in stepped], axis=1)
+    derivative = np.einsum("pka,kn->pna", by_reading.reshape(2, 2, 2), weights)
+    return values.real, derivative
+
+
+def turn_parameters(harmonics: Floats) -> Floats:
+    """Natural parameters (…, 6) from the amplitudes of cosine, sine and constant of each axis.
+
+    Parameters
+    ----------
+    harmonics : (…, 3, 2) or (…, 2, 2) float
+        A and B of X and Y in local gravity, then the biases if the fit has them (otherwise 0).
+    """
+    a_x, b_x, a_y, b_y = (harmonics[..., k, axis] for axis in (0, 1) for k in (0, 1))
+    parameters = np.zeros((*harmonics.shape[:-2], 6))
+    alpha, alpha_y = np.arctan2(b_x, a_x), np.arctan2(a_y, -b_y)
+    parameters[..., ALPHA] = alpha
+    parameters[..., DELTA_PHI] = wrap_radians(alpha_y - alpha)
+    parameters[..., SCALE_X], parameters[..., SCALE_Y] = np.hypot(a_x, b_x), np.hypot(a_y, b_y)
+    if harmonics.shape[-2] > 2:
+        parameters[..., BIAS_X:] = harmonics[..., 2, :]
+    return parameters
+
+
+def _grouped(readings: Readings, method: str, angles_deg: tuple[int, ...]) -> tuple[Readings, Floats]:
+    """Select the dwells at the given angles, and weights (angles, n) for the mean at each angle."""
+    groups = rows_at(readings, angles_deg)
+    missing = [str(a) for a, rows in zip(angles_deg, groups, strict=True) if not len(rows)]
+    if missing:
+        raise FitError(
+            f"method {method} needs dwells declared at {', '.join(map(str, angles_deg))} degrees; "
+            f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
+        )
+    if not readings.unit.known and len(angles_deg) == 2:
+        raise FitError(f"method {method} needs readings with a known zero; counts have none: use method ml")
+    rows = np.concatenate(groups)
+    weights = np.zeros((len(groups), len(rows)))
+    at = 0
+    for k, group in enumerate(groups):
+        weights[k, at : at + len(group)] = 1 / len(group)
+        at += len(group)
+    return readings.rows(rows), weights
+
+
+def _linear(chosen: Readings, weights: Floats, *, bias: bool) -> _Linear:
+    """Fit cosine, sine and (with `bias`) a constant to the mean readings of each axis at each angle."""
+    natural = chosen.mean / chosen.gravity_mg
+    # Mean declared angle of each group, as the direction of the mean unit vector.
+    turn = weights @ np.exp(1j * chosen.angle_rad)
+    theta = np.angle(turn)
+    columns = [np.cos(theta), np.sin(theta)] + ([np.ones_like(theta)] if bias else [])
+    design = np.stack(columns, axis=1)
+    if np.linalg.svd(design, compute_uv=False)[-1] < 1e-3:
+        raise SingularError(
+            "the declared angles do not determine cosine, sine and zero of a turn; spread the positions "
+            "over it (0°, 90°, 180°, 270°)"
+        )
+    # Pseudo-inverse times averaging: harmonics are linear in the readings.
+    inverse = np.linalg.pinv(design) @ weights
+    harmonics = inverse @ natural
+    (a_x, a_y), (b_x, b_y) = harmonics[:2]
+    beta = turn_parameters(harmonics)
+    derivative = np.zeros((6, len(chosen), 2))
+    k_x, k_y = beta[SCALE_X], beta[SCALE_Y]
+    if min(k_x, k_y) < 1e-3:
+        raise SingularError("an axis does not follow the rotation; check the declared angles and the plane")
+    # Derivatives of atan2 and hypot of the harmonics, by the chain rule.
+    derivative[ALPHA, :, 0] = (a_x * inverse[1] - b_x * inverse[0]) / k_x**2
+    derivative[DELTA_PHI, :, 0] = -derivative[ALPHA, :, 0]
+    derivative[DELTA_PHI, :, 1] = (a_y * inverse[1] - b_y * inverse[0]) / k_y**2
+    derivative[SCALE_X, :, 0] = (a_x * inverse[0] + b_x * inverse[1]) / k_x
+    derivative[SCALE_Y, :, 1] = (a_y * inverse[0] + b_y * inverse[1]) / k_y
+    if bias:
+        derivative[BIAS_X, :, 0] = derivative[BIAS_Y, :, 1] = inverse[2]
+    return _Linear(beta, derivative, bias)
+
+
+def _noise(readings: Readings, chosen: Readings) -> NoiseAssumptions:
+    """Noise of the readings: estimated from the whole session if possible, otherwise as stated.
+
+    The estimate needs enough positions for a fit.
+    """
+    try:
+        return settle(readings).noise
+    except FitError:
+        if not chosen.noise_known:
+            return NoiseAssumptions(
+                sigma_rad=readings.fixture_rad,
+                known=False,
+                notes=("the noise of a reading is unknown: no uncertainty can be given",),
+            )
+        stated = ("fixture_sigma_deg is not stated: declared angles were taken as exact",)
+        return NoiseAssumptions(
+            sigma_rad=readings.fixture_rad, notes=() if readings.fixture_stated else stated
+        )
+
+
+def _fit(data: Readings, beta: Floats, *, bias: bool) -> Fit:
+    """Base model, with or without a bias, evaluated at the given natural parameters and declared angles."""
+    term = NamedTerm.offset("xy")
+    fit = Fit.begin(data, with_prior=False)
+    values = replace(fit.values, base=beta[:BIAS_X].copy())
+    terms, own = ((term,), (beta[BIAS_X:] * data.gravity_mg,)) if bias else ((), ())
+    return replace(fit, values=values).with_terms(terms, own)
+
+
+def _sources(data: Readings, linear: _Linear, noise: NoiseAssumptions) -> Sources:
+    """Sources of the uncertainty of the natural parameters.
+
+    An error of a declared angle acts along the tangent of the circle of readings.
+    """
+    fit = _fit(noise.applied(data), linear.beta, bias=linear.has_bias)
+    unseen = Unseen() if linear.has_bias or not data.unit.known else Unseen(biases=(0, 1))
+    return sources_of(data, noise, fit, linear.derivative / data.gravity_mg, unseen)
+
+
+def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> list[str]:
+    """Warn that an unknown bias changes a result from two positions, and advise measurements against it."""
+    # A bias of 1 mg adds to all readings of an axis.
+    moved = linear.derivative.sum(axis=1) / chosen.gravity_mg
+    phi = np.degrees(moved[DELTA_PHI])
+    k = (
+        moved[SCALE_X] / linear.beta[SCALE_Y]
+        - moved[SCALE_Y] * linear.beta[SCALE_X] / linear.beta[SCALE_Y] ** 2
+    )
+    held = chosen.sensor in VARIANTS
+    stated = (
+        "the uncertainty includes the part's figure for it"
+        if held
+        else "the uncertainty does not include it"
+    )
+    remedy = _bias_of_four(readings, chosen)
+    if remedy is None:
+        remedy = (
+            "methods mmpm and ml see it in this session"
+            if np.count_nonzero(np.isfinite(readings.angle_rad)) >= LEAST_MMPM
+            else "measure 180° and 270° too and use method four-position"
+        )
+    return [
+        "a bias cannot be seen in two positions: 1 mg of it on X moves"
+        f" {_pair(k[0], phi[0])}, on Y {_pair(k[1], phi[1])}, and {stated}; {remedy}"
+    ]
+
+
+def _bias_of_four(readings: Readings, chosen: Readings) -> str | None:
+    """Describe the bias that the session's four positions show, and the error that it causes.
+
+    The error is in the result of a method with two positions.
+
+    Returns
+    -------
+    str or None
+        A clause with the bias and the change of delta_phi and delta_k that it makes in `chosen`; None if
+        the four positions are not there or do not determine a bias.
+    """
+    if not all(len(rows) for rows in rows_at(readings, FOUR)):
+        return None
+    try:
+        bias = _linear(*_grouped(readings, "four-position", FOUR), bias=True).beta[BIAS_X:]
+        pair, weights = _grouped(readings, "two-position", TWO)
+        with_bias = _linear(pair, weights, bias=False).beta
+        free = replace(pair, mean=pair.mean - bias * pair.gravity_mg)
+        without = _linear(free, weights, bias=False).beta
+    except SingularError:
+        return None
+    phi = math.degrees(wrap_radians(float(with_bias[DELTA_PHI] - without[DELTA_PHI])))
+    k = with_bias[SCALE_X] / with_bias[SCALE_Y] - without[SCALE_X] / without[SCALE_Y]
+    x, y = bias * chosen.gravity_mg
+    return (
+        f"method four-position finds a bias of {signed(x, 1)} mg on X and {signed(y, 1)} mg on Y in this"
+        f" session, which moves {_pair(k, phi)} here: use method four-position or ml"
+    )
+
+
+def _pair(delta_k: float, delta_phi_deg: float) -> str:
+    """Format the changes of both results, such as `Δφ by −0.058° and ΔK by +0.00097`."""
+    return f"Δφ by {signed(delta_phi_deg, digits=2)}° and ΔK by {signed(delta_k, digits=2)}"
+
+
+def _finish(
+    chosen: Readings,
+    method: str,
+    linear: _Linear,
+    noise: NoiseAssumptions,
+    warnings: list[str],
+    only: tuple[str, ...] | None = None,
+) -> FitResult:
+    outputs = [
+        output
+        for output in outputs_of(chosen, linear.beta * np.array([1, 1, 1, 1, *[chosen.gravity_mg] * 2]))
+        if (linear.has_bias or not output.name.startswith("bias")) and (only is None or output.name in only)
+    ]
+    sources = _sources(chosen, linear, noise) if noise.known else None
+    found = estimates(outputs, sources)
+    warnings = [*warnings, *stage_warnings(found, noise.sigma_rad)]
+    assumed = NoiseAssumptions(scale=noise.scale, sigma_rad=noise.sigma_rad).applied(chosen)
+    fit = _fit(assumed, linear.beta, bias=linear.has_bias)
+    dof = 2 * len(chosen) - (6 if linear.has_bias else 4)
+    lost = () if linear.has_bias else ("bias_x", "bias_y")
+    return FitResult(
+        method=method,
+        parameters=found,
+        covariance=None if sources is None else variances(outputs, sources.covariance),
+        # Residuals of an unweighted fit are not χ² distributed; the smallest χ² of this model is.
+        chi2=fit.refit(200, 1e-12).chi2 if dof else 0.0,
+        dof=dof,
+        residual_mg=fit.misfit,
+        positions=tuple(chosen.position.tolist()),
+        angle_error_rad=angle_errors(fit),
+        warnings=(*warnings, *chosen.notes, *noise.notes),
+        undetermined=lost,
+        extra_mg=noise.extra_mg,
+        fixture_sigma_deg=math.degrees(noise.sigma_rad),
+        origin=Origin(chosen, noise, fit, tuple(outputs), sources),
+    )
 
 
 FREE_TURN = "free-turn"
@@ -176,7 +627,10 @@ def _applicable(angles: Floats, *, planar: bool, free: bool, known_zero: bool) -
 
 @dataclass(frozen=True)
 class _Dwells:
-    """Counts of the dwells of a planar session; `held` has True for 0°, 90°, 180°, 270° if measured."""
+    """Numbers of dwells of a planar session.
+
+    `held` has True for each of 0°, 90°, 180°, 270° that is measured.
+    """
 
     count: int
     declared: int

@@ -30,7 +30,7 @@ WITHIN = 0.01
 
 @dataclass(frozen=True)
 class Propagated:
-    """Uncertainty of one parameter by Monte Carlo and by linear propagation.
+    """Standard uncertainty of one parameter by Monte Carlo, next to the result of linear propagation.
 
     Attributes
     ----------
@@ -181,7 +181,7 @@ def _drawing(made: Origin, rng: np.random.Generator) -> Callable[[], Readings]:
 
 
 def _shared_inputs(data: Readings, by_name: dict[str, Source]) -> list[Floats]:
-    """Changes (n, axes, k) of the readings by errors that act on all dwells, such as temperature."""
+    """Changes (n, axes, k) of the readings by k errors that act on all dwells, such as temperature."""
     found = [by_name[name].acts_mg for name in (TEMPERATURE, MODEL) if name in by_name]
     return [columns for columns in found if columns is not None]
 
@@ -192,7 +192,7 @@ def _student(rng: np.random.Generator, dof: float) -> float:
 
 
 def _students(rng: np.random.Generator, dof: Floats, estimate: Any) -> Floats:
-    """Random factors (n, axes) like `_student`; variances from one estimate get a common factor.
+    """Random factors (n, axes) like `_student`; variances that come from one estimate get one factor.
 
     `estimate` has the number of the estimate behind each variance.
     """

@@ -74,7 +74,7 @@ class NoiseAssumptions:
 
 @dataclass(frozen=True)
 class Settled:
-    """A fit of base model and biases, with the noise that was estimated for it.
+    """A fit of base model and biases after the noise that the session does not state was estimated.
 
     `chi2` and `dof` are computed with the measured noise: from the readings with a known noise, if there
     are enough of them to test the model.
@@ -202,7 +202,10 @@ def _unstated(readings: Readings) -> str:
 
 
 class _Follow:
-    """Repeats a fit under other noise, starting from the last values, with the same fixed parameters."""
+    """Repeats a fit of one session for several assumptions on its noise.
+
+    Each fit starts from the values of the last one. Parameters that the first fit kept fixed stay fixed.
+    """
 
     def __init__(self, readings: Readings, first: Determination) -> None:
         self.readings = readings
@@ -215,7 +218,7 @@ class _Follow:
         return fit
 
     def determination(self, noise: NoiseAssumptions) -> Determination:
-        """Fit with `noise`, and find again which parameters the readings determine."""
+        """Fit with `noise`, and find out which parameters the readings then determine."""
         return determine(noise.applied(self.readings), self.first.held)
 
 
@@ -291,7 +294,7 @@ def chi2_quantile(dof: int, level: float) -> float:
 def scale_at_dof(cost: Callable[[float], float], dof: int, low: float, high: float) -> float:
     """Standard deviation between `low` and `high` at which χ² equals its degrees of freedom.
 
-    `cost` gives χ², which decreases. Without a solution, return an end of the range.
+    `cost` gives χ², which decreases. Without a solution, the nearer end of the range is returned.
     """
     from scipy.optimize import brentq
 

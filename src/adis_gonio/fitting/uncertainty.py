@@ -30,7 +30,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord, key
 from adis_gonio.base.numbers import format_span
 from adis_gonio.base.uncertainty import effective_dof
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm
@@ -56,7 +56,7 @@ of the angles, the scatter of readings without a stated noise, the samples of on
 
 @dataclass(frozen=True)
 class Source:
-    """One source of uncertainty, and its effect on the parameters of a fit and on a further reading.
+    """One source of uncertainty, and its effect on the fitted parameters and on one further reading.
 
     Attributes
     ----------
@@ -107,8 +107,6 @@ class Source:
 
         Each contribution is (number of the estimate, degrees of freedom, variance).
 
-        Each contribution is (number of the estimate, degrees of freedom, variance).
-
         Parameters
         ----------
         gradient : (m, p) float
@@ -138,7 +136,7 @@ class Source:
         return np.asarray(moved)
 
     def by_place(self, gradient: Floats, reading: Floats) -> Floats:
-        """Variance (m,) that the source contributes to each of m quantities."""
+        """Variance (m,) that the source contributes to each of m quantities, such as m angles."""
         own = np.einsum("ma,ab,mb->m", reading, self.reading_mg2, reading)
         return np.asarray((self._moved(gradient, reading) ** 2).sum(axis=1) + own)
 
@@ -310,7 +308,7 @@ def _each(response: Floats, roots: Floats) -> Floats:
 
 
 def _root(covariance: Floats) -> Floats:
-    """Square roots (n, axes, axes) of covariances: each root times its transpose is the covariance."""
+    """Matrix roots (n, axes, axes) of covariances: each root times its transpose is the covariance."""
     axes = covariance.shape[1]
     diagonal = np.sqrt(np.maximum(np.einsum("naa->na", covariance), 0.0))
     if not covariance[:, ~np.eye(axes, dtype=bool)].any():
@@ -344,10 +342,7 @@ def _own(data: Readings, noise: NoiseAssumptions) -> Floats:
 
 
 def repeatability_of(data: Readings, noise: NoiseAssumptions) -> tuple[Floats, Floats, NDArray[np.intp]]:
-    """Square roots (n, axes, axes) of the covariance of `_own`, and the estimate behind each variance.
-
-    The estimates are given by their degrees of freedom and their numbers (n, axes).
-    """
+    """Roots (n, axes, axes) of the covariance of `_own`, and the estimates behind its variances."""
     n, axes = data.mean.shape
     first = np.full(n, _POOLED) if data.pooled else 3 * np.arange(n) + _EACH
     dof = np.where(data.known, data.dof, noise.scale_dof)
@@ -706,7 +701,7 @@ def _columns(fit: Fit) -> Iterator[Floats]:
 
 
 def _without(rows: Floats, columns: Floats) -> Floats:
-    """Rows (m, d) minus their least-squares fit by the columns (m, p)."""
+    """Residual (m, d) of the rows after a least-squares fit by the columns (m, p)."""
     return np.asarray(rows - columns @ np.linalg.lstsq(columns, rows, rcond=1e-9)[0])
 
 

@@ -33,7 +33,7 @@ _FACTORS = np.geomspace(0.4, 2.5, 9)
 def share_of(
     population: Population, others: Sequence[ChosenCause], part: ChosenCause
 ) -> tuple[float, float, float]:
-    """Estimate the share of sessions that a cause affects.
+    """Estimate the share of sessions that a cause affects, with its 95 % interval.
 
     Returns the posterior mean and both ends of the 95 % interval, for a uniform prior.
     """
@@ -140,7 +140,7 @@ def _uncertainty(population: Population, others: Sequence[ChosenCause], part: Ch
 
 
 def _curvature(value, at: Floats, step: float = 0.05) -> Floats:  # type: ignore[no-untyped-def]
-    """Negative Hessian (p, p) of a function at a point (p,), by central differences."""
+    """Minus the second derivatives (p, p) of a function at a point (p,), by central differences."""
     count = len(at)
     moves = step * np.eye(count)
     out = np.zeros((count, count))
@@ -229,7 +229,7 @@ def _smallest(block: Block, share: float, price: float) -> float | None:
 
 
 def _expected(block: Block, share: float, size: float) -> tuple[float, float]:
-    """Expected rise of a population's log likelihood if a cause is added to the model, and its variance.
+    """Expected increase of a population's log likelihood by one more cause, and the variance of it.
 
     A `share` of the units is affected with the mean amplitude `size`, in typical standard uncertainties.
     The expectation is by Gauss–Hermite quadrature over the scores of the units.

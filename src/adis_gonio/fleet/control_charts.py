@@ -153,7 +153,7 @@ def average_run_length(h: float, shift: float = 0.0, k: float = CUSUM_K) -> floa
 
 
 def _one_sided(h: float, k: float) -> float:
-    """Mean number of sessions until a false alarm of a one-sided CUSUM with the limit h.
+    """Mean number of sessions until a one-sided CUSUM with limit h gives a false alarm.
 
     It is L(0) of the integral equation L(s) = 1 + L(0) Φ(k − s) + ∫₀ʰ L(x) φ(x + k − s) dx.
     """

@@ -16,7 +16,7 @@ from adis_gonio.base.numbers import counted, format_duration
 from adis_gonio.base.output import ends_in
 from adis_gonio.fleet.session_record import Job, Options, SessionRecord, lost, once, record_of
 from adis_gonio.fleet.store import Store
-from adis_gonio.record.database import is_archive
+from adis_gonio.record.archive import is_archive
 from adis_gonio.record.provenance import digest_of_file
 
 ENDINGS = (".session", ".csv", ".csv.gz")
@@ -24,7 +24,7 @@ ENDINGS = (".session", ".csv", ".csv.gz")
 
 
 def files_of(given: Iterable[str | Path]) -> list[str]:
-    """The given files, and the session files in each given folder and below it, sorted, each name once.
+    """List the given files, and the session files in given folders and below, sorted, each once.
 
     Raises
     ------
@@ -98,7 +98,7 @@ class ThisProcess:
 
 
 class Repeated(JsonRecord):
-    """A file that has the data of another file; only the other file is counted."""
+    """A file with the same data as another file, which is counted instead."""
 
     path: str
     same_as: str

@@ -125,7 +125,7 @@ def beyond(values: Floats, u: Floats, dof: Floats) -> Beyond | None:
 
 
 def as_normal(t: Floats, dof: Floats) -> Floats:
-    """Convert values (n,) of Student's t with `dof` (n,) to normal deviates of equal probability."""
+    """Convert values (n,) of Student's t to normal deviates of equal probability; `dof` (n,) is given."""
     from scipy.special import ndtri, stdtr
 
     few = np.isfinite(dof) & (dof < 1e6)
@@ -340,7 +340,7 @@ def by_share(kind: str, effect: str, found: Flags, group: Codes, unit: Codes) ->
 
 
 def _own(unit: Codes) -> Codes:
-    """Replace each negative (unknown) sensor number by a new number, so that its session counts alone."""
+    """Replace negative (unknown) sensor numbers by new numbers, so that each such session counts alone."""
     return np.where(unit >= 0, unit, -1 - np.arange(len(unit)))
 
 

@@ -301,7 +301,7 @@ def _named(test: Test, tests: int, table: Table, groups: dict[str, Codes]) -> Ou
 
 
 def _twins(kind: str, rows: Any, table: Table, groups: dict[str, Codes]) -> tuple[str, ...]:
-    """Names of groups of other kinds that have nearly the same sessions as these `rows`."""
+    """Names of other groups that have nearly the same sessions as the given rows."""
     found = []
     for other in KINDS:
         codes = groups[other]
@@ -383,7 +383,7 @@ def _parameter(one: QuantitySummary) -> list[str]:
 
 
 def _to_digit_of(sd: float, value: float) -> str:
-    """Format a value with the decimals at which its standard deviation has two digits."""
+    """Format a value with as many decimals as show two digits of its standard deviation."""
     if not sd > 1e-6:
         return format_number(value)
     return format_fixed(value, count_decimals(sd))

@@ -85,7 +85,7 @@ def log_factor(block: Block, mean: Floats, spread: float | Floats) -> Floats:
 
 
 def log_factors(block: Block, means: Floats, spread: float | Floats) -> Floats:
-    """Log Bayes factors (n, h) of n sessions for h mean amplitudes (h, d).
+    """Log Bayes factors (n, h) of n sessions, affected against unaffected, for h mean amplitudes (h, d).
 
     The spread may be one number, or one per amplitude (d,).
     """
@@ -155,7 +155,7 @@ def grid_of(width: int) -> Grid:
 
 
 def _ways(width: int) -> list[Floats]:
-    """Directions (width,) in which the mean amplitude may point: each amplitude alone with either sign.
+    """Directions (width,) of the mean amplitude in the grid: each amplitude alone, with either sign.
 
     For two amplitudes, the four diagonal directions are included.
     """
@@ -328,5 +328,8 @@ def _moderated(ratio: Floats, dof: Floats) -> Floats:
 
 
 def _median_of(dof: Floats) -> Floats:
-    """Median of χ²/ν for `dof` degrees of freedom ν (n,), by the approximation of Wilson and Hilferty."""
+    """Median of the distribution of χ²/ν for `dof` degrees of freedom ν (n,).
+
+    The approximation is by Wilson and Hilferty.
+    """
     return np.asarray(np.maximum(1 - 2 / (9 * dof), 0.1) ** 3)

@@ -295,7 +295,7 @@ class Population:
         return log_prior + log_factor(first, mean, spread), Block(score, information)
 
     def by_unit(self, parts: Sequence[ChosenCause], candidate: Candidate, most: float = MOST) -> Floats:
-        """Log likelihood ratio (n, 2 h) of each session if a candidate is added to the model.
+        """Log likelihood ratio (n, 2 h) of each session, with a candidate in the model against without it.
 
         There is one column for each distribution of the candidate's grid.
         """
@@ -325,7 +325,7 @@ class Population:
         return Scores(evidence, trained, foreseen, best)
 
     def step(self, parts: Sequence[ChosenCause]) -> SelectionStep:
-        """Choose the most probable cause to add to the model `parts`."""
+        """Find the most probable cause to add to the model `parts`."""
         # Posterior over candidates and groups, then the best candidate of the most probable cause.
         scores = self.scores(parts)
         prior = self.log_prior
@@ -403,7 +403,7 @@ class Population:
         return np.where(part.group.inside, 1 / (1 + np.exp(-np.clip(odds, -500, 500))), 0.0)
 
     def without_foremost(self, parts: Sequence[ChosenCause], part: ChosenCause, count: int) -> float:
-        """Rise of the log likelihood by the cause `part`, without the sessions that favour it most.
+        """Increase of the log likelihood by the cause `part`, without the sessions that favour it most.
 
         The `count` sessions that favour the cause most are left out of the sum.
         """
@@ -435,10 +435,9 @@ def group_at(parameters: Floats, like: Group) -> Group:
 
 
 def _heldout(scores: Scores, prior: Floats) -> float:
-    """Held-out log score, summed over the folds.
+    """Log score of the sessions of each fold under the cause that the other folds choose, summed.
 
-    For each fold, the other folds choose the cause; the score is how well this cause predicts the sessions
-    of the fold.
+    The score shows how well the cause predicts sessions that took no part in its choice.
     """
     gain = 0.0
     for fold in range(FOLDS):

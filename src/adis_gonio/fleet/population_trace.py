@@ -259,7 +259,7 @@ def _chosen(population: Population) -> tuple[list[SelectionStep], dict[str, str]
 
 
 def _objection(population: Population, parts: Sequence[ChosenCause], step: SelectionStep) -> str:
-    """Reason to reject a cause although the likelihood supports it, or an empty text."""
+    """Reason to reject a cause that has a sufficient likelihood; empty if there is none."""
     if step.heldout <= 0:
         return "held-out sessions do not agree with it"
     seen = population.units.seen(step.part.candidate.index) & step.part.group.inside
@@ -296,7 +296,7 @@ def _label(kind: Kind) -> str:
 
 
 def _merged(population: Population, steps: Sequence[SelectionStep]) -> list[Common]:
-    """Make one result per cause; if a cause was chosen on several axes, its entries are merged."""
+    """Convert selection steps to causes of the result; steps on several axes with one cause are merged."""
     commons: dict[tuple[str, str, str], Common] = {}
     for k, step in enumerate(steps):
         others = [one.part for j, one in enumerate(steps) if j != k]

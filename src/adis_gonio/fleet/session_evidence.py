@@ -163,7 +163,7 @@ def _variants(
 
 
 class _Part(NamedTerm):
-    """A named term of which only some amplitudes are used."""
+    """A named term that uses only some of its amplitudes."""
 
     def __init__(self, term: NamedTerm, chosen: list[int]) -> None:
         super().__init__(term.label, term.covariates, term.cost, term.effect, term.shapes)
@@ -382,7 +382,7 @@ def evidence_of(session: Session, result: TraceResult | None = None) -> SessionE
 
 
 def _begun(data: Readings) -> Fit:
-    """Fit the base model and a bias of each axis to the readings."""
+    """Fit the base model and a bias of each axis to the readings of a session."""
     bias = _bias(data)
     return Fit.begin(data).with_terms((bias,), (np.zeros(data.axes),)).refit()
 

@@ -167,7 +167,7 @@ class Store:
             raise sqlite3.DatabaseError(" ".join(str(found).split())[:80])
 
     def _ours(self) -> bool:
-        """True if this program made the file, by its header or, if that is damaged, by its name."""
+        """True if this program made the file, by the file's header or, if that is damaged, its name."""
         with self.path.open("rb") as file:
             head = file.read(72)
         return int.from_bytes(head[68:72], "big") == APPLICATION_ID or self.path.name == NAME

@@ -1,8 +1,7 @@
 """Workers that compute sessions: local processes or a dask cluster; a worker that dies loses nothing.
 
-Each process of this machine has one session at a time and a thread here that feeds it, so that it is
-known which session was lost with it. That session is given to a new process; if that one dies as well,
-the session is a row with the reason.
+Each process of this machine has one session at a time, so that it is known which session was lost with it.
+That session is given to a new process; if that one dies as well, the session is a row with the reason.
 
 The files of a cluster are on a disk that all workers see. The scheduler gives the sessions of a worker
 that dies to others; a session that was lost more often than its `distributed.scheduler.allowed-failures`
@@ -11,22 +10,18 @@ that dies to others; a session that was lost more often than its `distributed.sc
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import queue
 import signal
-import subprocess
-import sys
-import tempfile
-import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import asdict
 from itertools import islice
-from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from multiprocessing import get_context
+from multiprocessing.connection import Connection, wait
+from typing import TYPE_CHECKING
 
 from adis_gonio.base import __version__
 from adis_gonio.base.errors import FleetError, NotInstalledError, UsageError, install_extra
@@ -35,16 +30,12 @@ from adis_gonio.fleet.session_record import Job, Options, SessionRecord, lost, w
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-COMMAND = (sys.executable, "-P", "-m", "adis_gonio.fleet.workers")
 ATTEMPTS = 2
 """Number of processes that may die from one session."""
-STARTS = 3
-"""Number of processes that may die in succession before their first answer."""
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 _LOOK_S = 0.5
 """Interval of checks while waiting, in s."""
-
-Arrival = tuple[Job, SessionRecord]
+_SPAWN = get_context("spawn")
 
 
 def cores() -> int:
@@ -57,236 +48,114 @@ def cores() -> int:
 class LocalPool:
     """Computes sessions in several processes on this machine.
 
-    Attributes
+    Parameters
     ----------
-    workers : int
-        Largest number of processes.
+    workers : int, optional
+        Largest number of processes; by default one per core.
+    compute : callable
+        Computes a record in a worker; called as `work`.
     """
 
-    def __init__(self, workers: int | None = None, command: Sequence[str] = COMMAND) -> None:
+    def __init__(self, workers: int | None = None, compute: Callable[..., SessionRecord] = work) -> None:
         self.workers = workers or cores()
-        self._command = tuple(command)
-        self._hands: list[_Hand] = []
+        self._compute = compute
+        self._running: list[_Worker] = []
 
     def __enter__(self) -> LocalPool:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._stop()
+        for worker in self._running:
+            worker.end()
+        self._running = []
 
     @property
     def pids(self) -> tuple[int, ...]:
         """Identifiers of the running processes."""
-        return tuple(hand.worker.pid for hand in self._hands if hand.worker is not None)
+        return tuple(worker.process.pid or 0 for worker in self._running)
 
-    def results(self, jobs: Sequence[Job], options: Options) -> Iterator[Arrival]:
-        """Yield each job with its record, as they arrive.
-
-        Raises
-        ------
-        FleetError
-            No process can be started.
-        """
-        waiting: queue.SimpleQueue[Job] = queue.SimpleQueue()
-        for job in jobs:
-            waiting.put(job)
-        arrived: queue.SimpleQueue[Arrival | BaseException] = queue.SimpleQueue()
-        self._hands = [
-            _Hand(self._command, waiting, arrived, options) for _ in range(min(self.workers, len(jobs)))
-        ]
-        for hand in self._hands:
-            hand.start()
-        try:
-            for _ in jobs:
-                yield _next(arrived)
-        finally:
-            self._stop()
-
-    def _stop(self) -> None:
-        for hand in self._hands:
-            hand.stop()
-        for hand in self._hands:
-            hand.join(30)
-        self._hands = []
-
-
-def _next(arrived: queue.SimpleQueue[Arrival | BaseException]) -> Arrival:
-    while True:
-        try:
-            one = arrived.get(timeout=_LOOK_S)
-        except queue.Empty:
-            continue
-        if isinstance(one, BaseException):
-            raise one
-        return one
-
-
-class _StoppedError(Exception):
-    """Raised in a thread that waits for an answer which is no longer needed."""
-
-
-class _Hand(threading.Thread):
-    """Thread that gives jobs to one worker process; a job that ended its process is given to a new one."""
-
-    def __init__(
-        self,
-        command: Sequence[str],
-        waiting: queue.SimpleQueue[Job],
-        arrived: queue.SimpleQueue[Arrival | BaseException],
-        options: Options,
-    ) -> None:
-        super().__init__(daemon=True)
-        self.worker: _Worker | None = None
-        self._command, self._waiting, self._arrived, self._options = command, waiting, arrived, options
-        self._over = False
-
-    def run(self) -> None:
-        """Work until there are no more jobs, or until `stop`."""
-        try:
-            while True:
-                job = self._waiting.get_nowait()
-                self._arrived.put((job, self._done(job)))
-        except (queue.Empty, _StoppedError):
-            pass
-        except BaseException as error:  # raised again where the results are awaited
-            self._arrived.put(error)
-        finally:
-            self._end()
-
-    def stop(self) -> None:
-        """Kill the process, from another thread; its present job gets no answer."""
-        self._over = True
-        if self.worker is not None:
-            self.worker.kill()
-
-    def _done(self, job: Job) -> SessionRecord:
-        how = ""
-        for _ in range(ATTEMPTS):
-            record = self._ready().ask(job, self._options)
-            if record is not None:
-                return record
-            how = self._end()
-            if self._over:
-                raise _StoppedError
-        return lost(job.path, f"its process {how}, {ATTEMPTS} times")
-
-    def _ready(self) -> _Worker:
-        """Return the worker process; start a new one if there is none."""
-        how = ""
-        for _ in range(STARTS):
-            if self.worker is None:
-                self.worker = _Worker(self._command)
-            if self._over:
-                raise _StoppedError
-            if self.worker.ready():
-                return self.worker
-            how = self._end()
-        raise FleetError(f"no worker can be started: the process {how}")
-
-    def _end(self) -> str:
-        """End the worker process, if there is one, and describe how it ended."""
-        worker, self.worker = self.worker, None
-        return "" if worker is None else worker.end()
+    def results(self, jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, SessionRecord]]:
+        """Yield each job with its record, as they arrive."""
+        waiting, deaths = deque(jobs), Counter[str]()
+        while waiting or self._running:
+            while waiting and len(self._running) < self.workers:
+                self._running.append(_Worker(self._compute))
+                self._running[-1].give(waiting.popleft(), options)
+            ready = wait([worker.pipe for worker in self._running])
+            for worker in [worker for worker in self._running if worker.pipe in ready]:
+                job, record = worker.job, worker.record()
+                if record is None:
+                    self._running.remove(worker)
+                    deaths[job.path] += 1
+                    how = worker.end()
+                    if deaths[job.path] < ATTEMPTS:
+                        waiting.appendleft(job)
+                        continue
+                    record = lost(job.path, f"its process {how}, {ATTEMPTS} times")
+                elif waiting:
+                    worker.give(waiting.popleft(), options)
+                else:
+                    self._running.remove(worker)
+                    worker.end()
+                yield job, record
 
 
 class _Worker:
-    """A worker process and the pipes to it."""
+    """A worker process, the pipe to it, and the job that it computes."""
 
-    def __init__(self, command: Sequence[str]) -> None:
-        self._stderr: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed in `end`)
-        self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._stderr,
-            env=_environment(),
-            start_new_session=True,  # the parent handles Ctrl-C in the terminal
-        )
-        self.pid = self._process.pid
-        self._ready = False
+    job: Job
 
-    def ready(self) -> bool:
-        """Wait until the process has sent its first line; False if it ended before."""
-        self._ready = self._ready or self._answer() is not None
-        return self._ready
-
-    def ask(self, job: Job, options: Options) -> SessionRecord | None:
-        """Send a job and wait for its record; None if the process ended."""
-        request = {"options": options.as_dict(), "version": __version__, **asdict(job)}
-        pipe = self._process.stdin
+    def __init__(self, compute: Callable[..., SessionRecord]) -> None:
+        for name in _ONE_THREAD:  # each worker has a core
+            os.environ.setdefault(name, "1")
+        self.pipe, there = _SPAWN.Pipe()
+        self.process = _SPAWN.Process(target=_answer, args=(there, compute), daemon=True)
+        masks = hasattr(signal, "pthread_sigmask")
+        # A process inherits the mask: only the parent handles Ctrl-C in the terminal.
+        held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masks else set()
         try:
-            if pipe is not None:
-                pipe.write(json.dumps(request).encode() + b"\n")
-                pipe.flush()
-        except OSError:
-            return None
-        answer = self._answer()
-        return None if answer is None else SessionRecord.from_dict(answer)
+            self.process.start()
+        finally:
+            if masks:
+                signal.pthread_sigmask(signal.SIG_SETMASK, held)
+        there.close()
 
-    def kill(self) -> None:
-        """Kill the process."""
-        self._process.kill()
+    def give(self, job: Job, options: Options) -> None:
+        """Send a job; the death of the process is found when its record is received."""
+        self.job = job
+        with suppress(OSError):
+            self.pipe.send((job.path, job.digest, options.as_dict(), __version__))
+
+    def record(self) -> SessionRecord | None:
+        """Receive the record of the job; None if the process ended."""
+        try:
+            record: SessionRecord = self.pipe.recv()
+        except (EOFError, OSError):
+            return None
+        return record
 
     def end(self) -> str:
         """Kill the process if it runs, wait for its end, and describe how it ended."""
-        self._process.kill()
-        status = self._process.wait(30)
-        for pipe in (self._process.stdin, self._process.stdout):
-            with suppress(OSError):  # unwritten data
-                if pipe is not None:
-                    pipe.close()
-        with self._stderr as file:
-            file.seek(0)
-            lines = file.read().decode(errors="replace").split("\n")
-        last = next((line.strip() for line in reversed(lines) if line.strip()), "")
-        return _how(status) + (f" ({last})" if last else "")
-
-    def _answer(self) -> dict[str, Any] | None:
-        pipe = self._process.stdout
-        line = b"" if pipe is None else pipe.readline()
-        if not line.endswith(b"\n"):
-            return None
-        answer: dict[str, Any] = json.loads(line)
-        return answer
+        self.process.kill()
+        self.process.join()
+        self.pipe.close()
+        status = self.process.exitcode or 0
+        if status >= 0:
+            return f"ended with status {status}"
+        try:
+            return f"was killed ({signal.Signals(-status).name})"
+        except ValueError:
+            return f"was killed (signal {-status})"
 
 
-def _environment() -> dict[str, str]:
-    """Environment variables of a worker process.
-
-    It imports this package first, and uses one thread, since each worker has a core.
-    """
-    home = str(Path(__file__).parents[2])
-    paths = [home, *filter(None, [os.environ.get("PYTHONPATH")])]
-    return {**dict.fromkeys(_ONE_THREAD, "1"), **os.environ, "PYTHONPATH": os.pathsep.join(paths)}
-
-
-def _how(status: int) -> str:
-    if status >= 0:
-        return f"ended with status {status}"
-    try:
-        return f"was killed ({signal.Signals(-status).name})"
-    except ValueError:
-        return f"was killed (signal {-status})"
-
-
-def main() -> None:
-    """Answer jobs, one line of JSON each, until standard input ends."""
-    # Output of libraries must not mix with the answers.
-    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)
-    jobs: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
-    threading.Thread(target=_read, args=(jobs,), daemon=True).start()
-    document: dict[str, Any] = {"ready": __version__}
-    while True:
-        answers.write(json.dumps(document) + "\n")
-        answers.flush()
-        document = work(**jobs.get()).as_dict()
-
-
-def _read(jobs: queue.SimpleQueue[dict[str, Any]]) -> None:
-    for line in sys.stdin:
-        jobs.put(json.loads(line))
-    os._exit(0)
+def _answer(pipe: Connection, compute: Callable[..., SessionRecord]) -> None:
+    """Answer jobs in a worker process until the pipe is closed; texts of libraries are not shown."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    os.dup2(nowhere, 2)
+    with suppress(EOFError, OSError):
+        while True:
+            pipe.send(compute(*pipe.recv()))
 
 
 CONNECT_S = 10.0
@@ -457,7 +326,3 @@ def _connected(address: str, limit_s: float) -> Client:
 def _error_text(error: BaseException) -> str:
     """Format an error as one line of text."""
     return " ".join(str(error).split()) or type(error).__name__
-
-
-if __name__ == "__main__":
-    main()

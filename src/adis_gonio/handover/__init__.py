@@ -7,10 +7,9 @@ from adis_gonio.base import lazily
 
 _HOMES = {
     "certificate": "certificate_text",
-    "digital_twin": "simulate_like",
+    "digital_twin": "TwinComparison compare simulate_like",
     "paper_study": "reproduce",
     "register_offsets": "offset_words registers_text",
     "session_export": "ExportSource",
-    "twin_comparison": "TwinComparison compare",
 }
 __getattr__ = lazily(__name__, _HOMES)

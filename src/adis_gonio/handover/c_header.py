@@ -23,6 +23,8 @@ from adis_gonio.handover.fixed_point import (
     FLOAT_DPS,
     LIMIT,
     LIMIT_DPS,
+    PARTS,
+    RANGE_G,
     RATE_LIMIT,
     RATE_Q,
     STEP_DPS,
@@ -30,13 +32,15 @@ from adis_gonio.handover.fixed_point import (
     FixedPoint,
     FixedRates,
     FixedTerm,
+    Monomial,
+    Polynomial,
     Q,
     Scaled,
     Whole,
     cordic_table,
+    polynomial_of,
     rate_polynomial_of,
 )
-from adis_gonio.handover.polynomial import PARTS, RANGE_G, Monomial, Polynomial, polynomial_of
 from adis_gonio.model.effects import AXES
 
 DEFAULT_NAME = "adis_gonio"
@@ -218,7 +222,7 @@ def _comment(text: str) -> str:
 
 
 def _factor(factor: str) -> str:
-    """Format a factor in C: a variable, or the absolute value of a variable."""
+    """Format a factor of the polynomial in C: a variable, or the absolute value of a variable."""
     letter = factor.strip("|")
     return f"({letter} < 0 ? -{letter} : {letter})" if factor.startswith("|") else factor
 

@@ -35,7 +35,7 @@ from adis_gonio.fitting import FitResult
 from adis_gonio.fitting.answer import Answer, format_dof, format_share
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.slips import PositionFinding
-from adis_gonio.fitting.slips.position_diagnosis import Angle
+from adis_gonio.fitting.slips.session_positions import Angle
 from adis_gonio.model.records import METADATA, Session
 from adis_gonio.page.document import Figure, KeyFigure, Section, Table, render
 from adis_gonio.page.svg import Role, Series, Style, plot
@@ -173,13 +173,13 @@ def _error_figures(
 
 
 def _key(values: Mapping[str, Value]) -> list[KeyFigure]:
-    """ΔK, Δφ and the error of the angle as large figures; empty for a session with attitudes in space."""
+    """ΔK, Δφ and the error of the angle, to be shown in large numerals; empty for attitudes in space."""
     wanted = [name for name in (*_ORDER, "angle") if name in values]
     return [_large(name, values[name]) for name in wanted if len(wanted) > 1]
 
 
 def _large(name: str, value: Value) -> KeyFigure:
-    """Format a value with U as a large figure.
+    """Format a value with U as a result to be shown in large numerals.
 
     For the error of the angle, U belongs to a displayed angle and is shown separately.
     """

@@ -17,7 +17,7 @@ from adis_gonio.base.numbers import (
     join_words,
     signed,
 )
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.allan import AllanResult, AxisNoise, allan_result, fit_allan
 from adis_gonio.fitting.gyros.gyro_fit import GyroFit, fit_gyro, gains_in
 from adis_gonio.handover.register_offsets import gyro_offset_words
@@ -103,7 +103,7 @@ def _cell(result: GyroFit, name: str) -> str:
 
 
 def _every(result: GyroFit) -> list[Table]:
-    """Tables of all gyro parameters, and of the orientation of the gyro axes to the accelerometers."""
+    """Tables of all gyro parameters, and of the rotation of the gyro axes against the accelerometers."""
     captions = (
         "First letter: gyro, second letter: axis of the accelerometers. u: standard uncertainty; U = k·u.",
         "Rotation of the gyros' triad against the accelerometers', and 90° minus its own angles.",

@@ -1,8 +1,22 @@
-"""The study of the seed paper, repeated with simulated sessions: table 1, map, effect of a bias.
+"""The seed paper repeated with simulated sessions: its table 1 and figure 3, and their page.
+
+The study of the seed paper, repeated with simulated sessions: its table 1 and figure 3.
+
+| printed | read as |
+|---|---|
+| SF | relative error of an axis's scale: K − 1 |
+| Δφ, "g/deg/s" | offset of zeros of equation 2, in g |
+| N | misalignment Δφ of equation 3, the angle between X and Y away from 90°, in degrees |
+
+A turn in one plane has one angle between X and Y, but the table prints N for each axis. The values are
+read as two determinations of one angle, each the truth of a set of sessions: Δφ = 0.0612° for column X,
+0.0673° for column Y. Both sets have the scales and offsets of both axes.
 
 Sessions are recorded through chip and driver, as by `adis-gonio simulate`. Every sensor is measured twice
 on its stage: at four positions, every 90°, and at nine, every 40°. The paper's method, the closed form
 and `four-position` use the first session, MMPM, `ml` and the trace the second.
+
+The page of the reproduced seed paper: table 1, figure 3, and other methods on the same sessions.
 """
 
 from __future__ import annotations
@@ -17,39 +31,137 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from adis_gonio.base import __version__
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.budget import current, with_progress
+from adis_gonio.base.budget import with_progress
 from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.base.jsonable import JsonRecord, json_object, key
+from adis_gonio.base.numbers import NO_BREAK, counted, format_fixed, format_number, label_quantity
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.fit_result import FitResult
-from adis_gonio.handover.paper_map import (
-    AXES,
-    DRAWS,
-    RMSD,
-    TABLE,
-    Axis,
-    Draws,
-    Map,
-    TableRow,
-    Truth,
-    map_of,
-    rms,
-    truth_of,
-)
 from adis_gonio.model.records import Session
+from adis_gonio.page.document import Figure, Section, Table, render
+from adis_gonio.page.svg import Series, plot
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
+from adis_gonio.sim.world import GREATEST_ALPHA_DEG
 from adis_gonio.tracing.trace import trace
 from adis_gonio.tracing.trace_result import TraceResult
+
+Axis = Literal["x", "y"]
+AXES: tuple[Axis, ...] = ("x", "y")
+
+
+@dataclass(frozen=True)
+class TableRow:
+    """One row of table 1 of the paper for one axis, as printed.
+
+    Attributes
+    ----------
+    key, printed, unit : str
+        Name of the parameter in this package and in the paper, and the unit of its reading.
+    axis : {"x", "y"}
+    measured, paper, mmpm, specification : float
+        Columns of the table.
+    """
+
+    key: str
+    printed: str
+    unit: str
+    axis: Axis
+    measured: float
+    paper: float
+    mmpm: float
+    specification: float
+
+    @property
+    def name(self) -> str:
+        """Name of the parameter and its axis, such as `SF, X`."""
+        return f"{self.printed}, {self.axis.upper()}"
+
+    @property
+    def label(self) -> str:
+        """Name with the unit, such as `N, X / °`."""
+        return label_quantity(self.name, self.unit)
+
+
+TABLE: tuple[TableRow, ...] = (
+    TableRow("scale_error", "SF", "1", "x", 0.0214, 0.0116, 0.0128, 0.0),
+    TableRow("scale_error", "SF", "1", "y", 0.021, 0.0121, 0.0129, 0.0),
+    TableRow("offset", "Δφ", "g", "x", -0.003, -0.0025, -0.003, -0.001),
+    TableRow("offset", "Δφ", "g", "y", -0.0029, -0.0023, -0.003, -0.001),
+    TableRow("non_orthogonality", "N", "deg", "x", 0.0612, 0.051, -0.057, 0.05),
+    TableRow("non_orthogonality", "N", "deg", "y", 0.0673, 0.0514, -0.055, 0.05),
+)
+"""Mean values in table 1 of the paper."""
+
+RMSD = {"SF": 0.0033, "Δφ": 0.001}
+"""Root mean square deviations that the paper prints with the specifications, which are averages."""
+
+
+def row_of(key: str, axis: Axis) -> TableRow:
+    """Find the row of the paper's table for a parameter and an axis."""
+    return next(row for row in TABLE if (row.key, row.axis) == (key, axis))
+
+
+class Truth(JsonRecord):
+    """True parameters of the sensor in simulated sessions.
+
+    Attributes
+    ----------
+    scale_x, scale_y : float
+        Gains, 1 is perfect.
+    delta_phi_deg : float
+        Misalignment of Y in the plane.
+    bias_x_mg, bias_y_mg : float
+    """
+
+    document_keys = ("scale_x", "scale_y", "delta_k", "delta_phi_deg", "bias_x_mg", "bias_y_mg")
+
+    scale_x: float
+    scale_y: float
+    delta_phi_deg: float
+    bias_x_mg: float
+    bias_y_mg: float
+
+    @property
+    def delta_k(self) -> float:
+        """True gain ratio ΔK = K_x/K_y − 1."""
+        return self.scale_x / self.scale_y - 1
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The true values of the paper's quantities, by name.
+
+        They are relative scale errors, offsets in g, the non-orthogonality in degrees, and ΔK.
+        """
+        return {
+            "scale_error_x": self.scale_x - 1,
+            "scale_error_y": self.scale_y - 1,
+            "offset_x": self.bias_x_mg / 1000,
+            "offset_y": self.bias_y_mg / 1000,
+            "non_orthogonality": self.delta_phi_deg,
+            "delta_k": self.delta_k,
+        }
+
+
+def truth_of(column: Axis) -> Truth:
+    """True parameters for the sessions of one column of the table: the table's measured values."""
+    return Truth(
+        1 + row_of("scale_error", "x").measured,
+        1 + row_of("scale_error", "y").measured,
+        row_of("non_orthogonality", column).measured,
+        1000 * row_of("offset", "x").measured,
+        1000 * row_of("offset", "y").measured,
+    )
+
 
 DWELL_S = 1.0
 PLANS = ("four-position", "mmpm")
@@ -229,8 +341,6 @@ def facts_of(results: Results) -> dict[str, Any]:
     }
 
 
-BIAS_MG = 10.0
-"""Standard deviation of an axis's bias in the sessions with a bias."""
 COLUMNS = ("paper", "mmpm")
 """Methods of the table; their printed values are the fields of `TableRow` with these names."""
 
@@ -317,71 +427,10 @@ def spread_of(results: Sequence[Results], method: str, key: str) -> MethodSpread
     )
 
 
-def parts_with_bias(rng: np.random.Generator, count: int) -> list[Part]:
-    """Draw simulated sensors with random biases of standard deviation `BIAS_MG`.
-
-    Gains and misalignment are taken from the paper's table.
-    """
-    true = truth_of("x")
-    hidden = (true.with_bias(BIAS_MG, rng) for _ in range(count))
-    return [Part(seed=int(rng.integers(2**31)), truth=truth) for truth in hidden]
-
-
-class BiasError(JsonRecord):
-    """Errors of Δφ, by method, on sessions of sensors that have a bias.
-
-    Attributes
-    ----------
-    error_deg : mapping of str to float
-        Error by method, rms.
-    multiple : float
-        Error of the paper's method over the error of `ml`.
-    low, high : float
-        95 % interval of `multiple`, by bootstrap over sessions.
-    median : float
-        Ratio of the medians of |error|, which does not depend on a single session.
-    sessions : int
-        Number of sessions with a result of the paper's method.
-    refused : int
-        Number of sessions without such a result.
-    """
-
-    error_deg: Mapping[str, float]
-    multiple: float
-    low: float
-    high: float
-    median: float
-    sessions: int
-    refused: int
-    bias_mg: float = BIAS_MG
-
-
-def errors_with_bias(results: Sequence[Results], rng: np.random.Generator, draws: int = 2000) -> BiasError:
-    """Compare the errors of Δφ by the paper's method and by `ml` on sessions of sensors with a bias."""
-    key = "non_orthogonality"
-    answered = [one for one in results if "paper" in one.found and "ml" in one.found]
-    theirs, ours = (_errors(answered, method) for method in ("paper", "ml"))
-    index = rng.integers(0, len(ours), (draws, len(ours)))
-    again = np.sqrt((theirs[index] ** 2).mean(axis=1) / (ours[index] ** 2).mean(axis=1))
-    low, high = (float(q) for q in np.quantile(again, (0.025, 0.975)))
-    by_method = {method: spread_of(results, method, key).error for method in METHODS}
-    return BiasError(
-        {method: error for method, error in by_method.items() if error is not None},
-        rms(theirs) / rms(ours),
-        low,
-        high,
-        float(np.median(np.abs(theirs)) / np.median(np.abs(ours))),
-        len(answered),
-        len(results) - len(answered),
-    )
-
-
-def _errors(results: Sequence[Results], method: str) -> Floats:
-    """Errors of Δφ in degrees, one per session (n,); NaN if the method does not determine it."""
-    key = "non_orthogonality"
-    values = [one.found[method].values[key] for one in results]
-    true = [one.part.truth.values[key] for one in results]
-    return np.array([math.nan if v is None else v - t for v, t in zip(values, true, strict=True)])
+def rms(values: Floats) -> float:
+    """Root mean square of the finite values."""
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else math.nan
 
 
 def printed_verdicts() -> dict[str, dict[str, Any]]:
@@ -403,11 +452,41 @@ def printed_verdicts() -> dict[str, dict[str, Any]]:
     return verdicts
 
 
+BIASES_MG = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
+NOISES_MG = (0.05, 0.16, 0.5, 1.6)
+"""Biases of an axis and noise of a reading on the map; 0.16 mg is a dwell of 1 s of the ADIS16354."""
+_MEAN_SQUARE_TANGENT = math.tan(math.radians(GREATEST_ALPHA_DEG)) / math.radians(GREATEST_ALPHA_DEG) - 1
+"""Mean of tan²α over start angles that are uniform within the range of the simulator."""
+
+
+def propagated_errors(
+    fixture_deg: float, bias_mg: float, noise_mg: float
+) -> dict[str, tuple[float, float]]:
+    """Errors of ΔK and Δφ (rad) by the paper's method and by MMPM, by linear propagation.
+
+    The arguments are standard deviations of a declared angle, of the bias of an axis and of a reading.
+    The fixture enters ΔK of two positions by √2 tan α, and Δφ by √2; MMPM takes it by √(2/9) in both.
+    """
+    gain = (truth_of("x").scale_x + truth_of("x").scale_y) / 2
+    noise, bias = 1e-3 * noise_mg / gain, 1e-3 * bias_mg / gain
+    fixture = math.radians(fixture_deg)
+    two, nine = 2 * (noise**2 + bias**2), 4 / 9 * noise**2 + 2 / 9 * fixture**2
+    return {
+        "delta_k": (math.sqrt(two + 2 * _MEAN_SQUARE_TANGENT * fixture**2), math.sqrt(nine)),
+        "delta_phi": (math.sqrt(two + 2 * fixture**2), math.sqrt(nine)),
+    }
+
+
+def crossing_deg(bias_mg: float, noise_mg: float) -> float:
+    """Fixture error in degrees above which the paper's method has the smaller error of ΔK."""
+    two, nine = propagated_errors(0.0, bias_mg, noise_mg)["delta_k"]
+    return math.degrees(math.sqrt((two**2 - nine**2) / (2 / 9 - 2 * _MEAN_SQUARE_TANGENT)))
+
+
 SESSIONS = 10
 LEAST_SESSIONS, MOST_SESSIONS = 2, 10_000
 TRACED_SHARE = 5
 """One of this many simulated sensors is traced, but at least one of each kind."""
-_TRACED = (*AXES, "bias")
 _MOST_JOBS = 8
 
 
@@ -420,15 +499,13 @@ class Study:
     seed, sessions : int
         Seed of all random numbers, and number of simulated sensors of each kind.
     results : mapping of str to sequence of Results
-        Results of the simulated sensors of the table's columns `x` and `y`, and of those with a `bias`.
+        Results of the simulated sensors of the table's columns `x` and `y`.
     """
 
     seed: int
     sessions: int
     table: Comparison
-    map: Map
-    bias: BiasError
-    results: Mapping[str, Sequence[Results]]
+    results: Mapping[Axis, Sequence[Results]]
 
     @property
     def command(self) -> str:
@@ -447,8 +524,11 @@ class Study:
             "truth": truths,
             "table_1": {**self.table.as_dict(), "rmsd_of_the_specification": RMSD},
             "as_printed": printed_verdicts(),
-            "map": self.map.as_dict(),
-            "bias": self.bias.as_dict(),
+            "crossing_of_delta_k": [
+                {"bias_mg": bias, "noise_mg": noise, "fixture_deg": crossing_deg(bias, noise)}
+                for noise in NOISES_MG
+                for bias in BIASES_MG
+            ],
             "parts": {
                 kind: [facts_of(one) | {"command": one.part.command("mmpm")} for one in done]
                 for kind, done in self.results.items()
@@ -456,9 +536,7 @@ class Study:
         }
 
 
-def reproduce(
-    seed: int = 0, sessions: int = SESSIONS, jobs: int | None = None, *, draws: int = DRAWS
-) -> Study:
+def reproduce(seed: int = 0, sessions: int = SESSIONS, jobs: int | None = None) -> Study:
     """Repeat the paper's study with simulated sensors.
 
     Parameters
@@ -466,11 +544,9 @@ def reproduce(
     seed : int
         Seed of all random numbers, not negative.
     sessions : int
-        Number of simulated sensors of each kind: for column X, for column Y, and with a bias.
+        Number of simulated sensors for each column of the table.
     jobs : int, optional
         Number of processes; by default one per core.
-    draws : int
-        Number of sessions at each point of the map.
 
     Raises
     ------
@@ -481,35 +557,254 @@ def reproduce(
         raise UsageError(f"--seed is {seed}: take 0 or more")
     if not LEAST_SESSIONS <= sessions <= MOST_SESSIONS:
         raise UsageError(f"--sessions is {sessions}: take {LEAST_SESSIONS} to {MOST_SESSIONS}")
-    tell = current().tell
-    streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(6)]
-    seeding, mapping, biased, _, again, _ = streams
-    tell("the map, by readings")
-    mapped = map_of(truth_of("x"), Draws.of(mapping, draws))
-    kinds: dict[str, list[Part]] = {
-        column: [Part(int(s), truth_of(column)) for s in seeding.integers(2**31, size=sessions)]
-        for column in AXES
-    }
-    kinds["bias"] = parts_with_bias(biased, sessions)
-    tell("sessions through chip and driver")
-    results = _measured(
-        kinds, max(1, sessions // TRACED_SHARE), jobs or min(os.cpu_count() or 1, _MOST_JOBS)
-    )
-    columns: dict[Axis, Sequence[Results]] = {axis: results[axis] for axis in AXES}
-    return Study(
-        seed, sessions, table_of(columns), mapped, errors_with_bias(results["bias"], again), results
-    )
-
-
-def _measured(kinds: Mapping[str, Sequence[Part]], traced: int, jobs: int) -> dict[str, Sequence[Results]]:
-    """Compute the results of all simulated sensors, by kind.
-
-    The first sensors of each kind in `_TRACED` are also traced.
-    """
+    (stream,) = np.random.SeedSequence(seed).spawn(1)
+    rng = np.random.default_rng(stream)
+    traced = max(1, sessions // TRACED_SHARE)
     work = [
-        (part, k < traced and kind in _TRACED)
-        for kind, parts in kinds.items()
-        for k, part in enumerate(parts)
+        (Part(int(part_seed), truth_of(column)), k < traced)
+        for column in AXES
+        for k, part_seed in enumerate(rng.integers(2**31, size=sessions))
     ]
-    done = iter(all_results(work, jobs))
-    return {kind: [next(done) for _ in parts] for kind, parts in kinds.items()}
+    done = all_results(work, jobs or min(os.cpu_count() or 1, _MOST_JOBS))
+    results = {column: done[k * sessions : (k + 1) * sessions] for k, column in enumerate(AXES)}
+    return Study(seed, sessions, table_of(results), results)
+
+
+NAMES = {
+    "paper": "paper's method",
+    "two-position": "two-position",
+    "four-position": "four-position",
+    "mmpm": "MMPM",
+    "ml": "ml",
+    TRACED: "traced model",
+}
+POSITIONS = {"paper": 2, "two-position": 2, "four-position": 4, "mmpm": 9, "ml": 9, TRACED: 9}
+_GRAPHS = {"scale_error": ("SF", "1"), "offset": ("Δφ", "g"), "non_orthogonality": ("N", "°")}
+
+
+def build_page(done: Study) -> str:
+    """Render the study as one HTML page that loads nothing."""
+    return render(
+        "The seed paper reproduced",
+        "two positions against nine",
+        shape=f"{counted(done.sessions, 'simulated part')} of each kind, adis16354, seed {done.seed}",
+        simulated=True,
+        sections=sections(done),
+        closing=f"This page is made by {done.command} -o PAGE.html and can be made again by it.",
+    )
+
+
+def sections(done: Study) -> tuple[Section, ...]:
+    """Sections of the HTML page of the study."""
+    return (
+        _summary(done),
+        _table(done),
+        _figure_3(done),
+        _others(done),
+        _map(done),
+        _again(done),
+    )
+
+
+def verdicts(done: Study) -> tuple[str, ...]:
+    """Sentences that state the results of the study."""
+    printed = printed_verdicts().values()
+    signed = sum(verdict["nearer"] == "paper" for verdict in printed)
+    unsigned = sum(verdict["nearer_without_sign"] == "paper" for verdict in printed)
+    angle = next(cell for cell in done.table.cells if cell.row.key == "non_orthogonality")
+    theirs, nine = (_error(angle.ours[method]) for method in COLUMNS)
+    return (
+        f"For ΔK the paper's method overtakes MMPM from a fixture error of {crossing_deg(0, 0.16):.2g}°"
+        f" without bias, and of {crossing_deg(10, 0.16):.2g}° with biases of 10 mg.",
+        f"For {angle.row.name} the paper's method is off by {theirs}° (rms), MMPM by {nine}°.",
+        f"The printed table has the paper's method nearer to its own measured column in {signed} of"
+        f" {len(TABLE)} rows, the rows of N, in which MMPM's values have the other sign. By sizes alone it"
+        f" is nearer in {unsigned or 'none'}.",
+    )
+
+
+def _summary(done: Study) -> Section:
+    return Section("Results", words=verdicts(done), notes=(f"Command: {done.command} -o PAGE.html",))
+
+
+def _cell(spread: MethodSpread) -> str:
+    if spread.mean is None:
+        return "not determined"
+    return f"{format_fixed(spread.mean, 4)}{NO_BREAK}({format_fixed(spread.spread or 0.0, 4)})"
+
+
+def _table(done: Study) -> Section:
+    head = (
+        "row",
+        "measured",
+        "paper's method, printed",
+        "ours",
+        "u",
+        "MMPM, printed",
+        "ours",
+        "u",
+        "specification",
+    )
+    rows = [_row(cell) for cell in done.table.cells]
+    return Section(
+        "Table 1",
+        words=(
+            "Measured is the truth of the simulated parts. Next to each printed value is the result of our"
+            " sessions: mean (standard deviation) over the sessions, and u, the standard uncertainty"
+            " that the method states for one session. SF is a relative error, Δφ an offset in g, N an angle"
+            " in degrees.",
+            "Two positions do not determine an offset, the paper's Δφ, so that the printed offset cannot"
+            " follow from its equations. The u of its N is large because it includes a bias of 10 mg, which"
+            " a part may have but these sessions do not.",
+        ),
+        tables=(Table(head, rows, numeric=tuple(range(1, len(head)))),),
+        notes=(
+            f"Specifications are averages; RMSDs are printed for SF, {RMSD['SF']}, and Δφ, {RMSD['Δφ']}.",
+            f"Command: {done.command} --json (table_1)",
+        ),
+    )
+
+
+def _row(cell: Cell) -> list[str]:
+    row = cell.row
+    texts = [row.label, format_fixed(row.measured, 4)]
+    for method in COLUMNS:
+        spread = cell.ours[method]
+        texts += [
+            format_fixed(getattr(row, method), 4),
+            _cell(spread),
+            "–" if spread.u is None else format_fixed(spread.u, 4),
+        ]
+    return [*texts, format_fixed(row.specification, 4)]
+
+
+def _figure_3(done: Study) -> Section:
+    return Section(
+        "Figure 3: differences to the measured value",
+        words=(
+            "Printed values less the measured column, and ours less the truth: mean over the sessions, bars"
+            " the standard deviation. Two positions do not determine the offset; it is taken as zero, and"
+            " its whole size is drawn as the paper's difference.",
+        ),
+        figures=[Figure(svg, caption) for svg, caption in figures_3(done).values()],
+        notes=(f"Command: {done.command} --json (table_1: sessions)",),
+    )
+
+
+def figures_3(done: Study) -> dict[str, tuple[str, str]]:
+    """The three graphs of the paper's figure 3 as SVG with captions, by parameter."""
+    made = {}
+    for name, (printed, unit) in _GRAPHS.items():
+        cells = [cell for cell in done.table.cells if cell.row.key == name]
+        label = f"difference of {printed}" + (f" / {unit}" if unit != "1" else "")
+        at = [
+            (2.5 * k + place, cell.row.measured, getattr(cell.row, method), cell.ours[method])
+            for k, cell in enumerate(cells)
+            for place, method in enumerate(COLUMNS)
+        ]
+        series = [
+            Series(
+                [x - 0.12 for x, *_ in at],
+                [value - measured for _, measured, value, _ in at],
+                "printed",
+                role="before",
+            ),
+            Series(
+                [x + 0.12 for x, *_ in at],
+                [(ours.mean or 0.0) - measured for _, measured, _, ours in at],
+                "our sessions",
+                error=[ours.spread or 0.0 for *_, ours in at],
+                role="after",
+            ),
+        ]
+        ticks = {0.0: "X, paper", 1.0: "X, MMPM", 2.5: "Y, paper", 3.5: "Y, MMPM"}
+        svg = plot(
+            series,
+            "",
+            label,
+            title=f"Differences of {printed}",
+            description=f"Printed and simulated differences of {printed} for X and Y by both methods.",
+            x_ticks=ticks,
+            x_range=(-0.6, 4.1),
+            zero=True,
+        )
+        made[name] = (svg, f"{printed}: by the paper's method and by MMPM.")
+    return made
+
+
+def _others(done: Study) -> Section:
+    head = ["row", *(NAMES[method] for method in METHODS)]
+    rows = []
+    for cell in done.table.cells:
+        rows.append([cell.row.label, *(_error(cell.ours[method]) for method in METHODS)])
+    rows.append(["ΔK, column X", *(_error(done.table.gain[method]) for method in METHODS)])
+    rows.append(["positions", *(str(POSITIONS[method]) for method in METHODS)])
+    traced = max(cell.ours[TRACED].sessions for cell in done.table.cells)
+    return Section(
+        "The other methods on the same sessions",
+        words=(
+            "Error about the truth, rms over the sessions. Each part is measured at four positions,"
+            " of which the paper's method and its closed form use the first two, and at MMPM's nine, which"
+            f" ml and the traced model also use. The traced model is of {counted(traced, 'part')} of each"
+            " column: it has to find the bias before it corrects it.",
+        ),
+        tables=(Table(head, rows, numeric=tuple(range(1, len(head)))),),
+        notes=(f"Command: {done.command} --json (table_1: sessions, error)",),
+    )
+
+
+def _error(spread: MethodSpread) -> str:
+    return "–" if spread.error is None else format_number(spread.error, 2)
+
+
+def _map(done: Study) -> Section:
+    return Section(
+        "Where the paper's method overtakes MMPM",
+        words=(
+            "Errors by linear propagation, for a start angle within ±5°. MMPM uses the declared angles:"
+            " their errors enter its gains by √(2/9), but the gains of two positions at a small start angle"
+            " only by √2 tan α. In Δφ it is the reverse: √(2/9) for MMPM, √2 for two positions. The bias,"
+            " which two positions cannot determine, moves the crossing up.",
+        ),
+        figures=[_crossing_figure(), _ratio_figure()],
+        notes=(f"Command: {done.command} --json (crossing_of_delta_k)",),
+    )
+
+
+def _crossing_figure() -> Figure:
+    biases = [bias for bias in BIASES_MG if bias]
+    lines = [
+        Series(
+            biases, [crossing_deg(bias, noise) for bias in biases], f"{noise:g} mg of noise", style="line"
+        )
+        for noise in NOISES_MG
+    ]
+    title = "Crossing of the paper's method and MMPM in ΔK"
+    svg = plot(lines, "bias of an axis / mg", "fixture error / °", title=title, x_log=True, y_log=True)
+    return Figure(svg, "ΔK: above its line the paper's method is better, below it MMPM.")
+
+
+def _ratio_figure() -> Figure:
+    fixtures = np.geomspace(0.005, 2.0, 40)
+    curves = [Series([0.005, 2.0], [1.0, 1.0], role="model", style="line")]
+    for name, label in (("delta_k", "ΔK"), ("delta_phi", "Δφ")):
+        for bias in (0.0, 3.0):
+            pairs = [propagated_errors(float(f), bias, NOISES_MG[1])[name] for f in fixtures]
+            ratio = [two / nine for two, nine in pairs]
+            curves.append(Series(fixtures, ratio, f"{label}, {bias:g} mg of bias", style="line"))
+    title = "Error of the paper's method over the error of MMPM"
+    svg = plot(curves, "fixture error / °", "error over MMPM's error", title=title, x_log=True, y_log=True)
+    return Figure(svg, f"Below one the paper's method is better, {NOISES_MG[1]:g} mg of noise.")
+
+
+def _again(done: Study) -> Section:
+    part = done.results["x"][0].part
+    return Section(
+        "Repeat the numbers",
+        words=(
+            f"The whole page: {done.command} -o PAGE.html. All numbers as one document: {done.command}"
+            " --json; its parts state the command that records each session. Dwells last"
+            f" {DWELL_S:g} s. The first part of column X at its nine positions, and MMPM of it:",
+        ),
+        points=(part.command("mmpm"), "adis-gonio fit one.session --method mmpm"),
+    )

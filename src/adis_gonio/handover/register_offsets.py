@@ -11,8 +11,7 @@ from adis_gonio.base.numbers import signed
 from adis_gonio.calibrate.calibration import Calibration
 from adis_gonio.calibrate.coefficients import Coefficient
 from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, GyroCalibration
-from adis_gonio.device.sensor.registers import register
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS, register
 from adis_gonio.model.effects import AXES
 from adis_gonio.tracing.trace_calibrations import load_calibration, load_gyro_calibration
 

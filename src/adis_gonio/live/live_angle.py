@@ -21,8 +21,7 @@ from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, GYRO_OFF, G
 from adis_gonio.device.sensor.settings import Configuration, white_noise_gain
 from adis_gonio.live.smoothed_meter import Smoothed, SmoothedMeter, corrected_angle, sensing_of
 from adis_gonio.record.blocks import Block, session_columns
-from adis_gonio.record.settings import Settings
-from adis_gonio.record.source import ChipSource, Measuring, SampleStream, open_source
+from adis_gonio.record.source import ChipSource, Measuring, SampleStream, Settings, open_source
 from adis_gonio.record.stillness import limits_from_noise, window_samples
 
 if TYPE_CHECKING:
@@ -127,7 +126,7 @@ class AngleMeter:
         self._resume_s = self._last_s = 0.0
 
     def feed(self, block: Block) -> LiveAngle | None:
-        """Add a block of samples; return a reading if they complete a span, else None."""
+        """Add a block of samples; return a reading if the block completes a span, else None."""
         self._lost += block.lost
         if not len(block):
             return None

@@ -376,9 +376,10 @@ class FreeAttitude(Measurement):
         return np.asarray(reading / self.gravity_mg @ np.linalg.inv(sensitivity(base)).T)
 
     def visible(self, reading: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """For each base parameter (6,): True if the poses determine it; the limit is `SEEN`.
+        """For each base parameter (6,): True if the poses determine it.
 
-        The norm of a reading changes by u_i² with a gain, u_i u_j with a skew and u_i with a bias.
+        `SEEN` is the limit. The norm of a reading changes by u_i² with a gain, u_i u_j with a skew and u_i
+        with a bias.
         """
         unit = reading / np.maximum(np.linalg.norm(reading, axis=1, keepdims=True), 1e-300)
         seen = np.zeros(6, dtype=bool)

@@ -21,9 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.computed_once import ComputedOnce
 from adis_gonio.base.errors import UsageError, one_line
-from adis_gonio.base.jsonable import json_object
+from adis_gonio.base.jsonable import ComputedOnce, json_object
 from adis_gonio.base.numbers import counted
 
 if TYPE_CHECKING:

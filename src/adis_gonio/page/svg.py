@@ -123,7 +123,7 @@ def _say_style_once(group: ET.Element) -> None:
 
 
 def _rename(root: ET.Element, name: str) -> None:
-    """Replace the ids in an SVG by ids made of the figure's name and a number."""
+    """Replace all ids in an SVG by `name` and a number, since two figures of a page must differ."""
     named = [element for element in root.iter() if element.get("id")]
     new = {element.get("id", ""): f"{name}{k}" for k, element in enumerate(named)}
     for element in named:

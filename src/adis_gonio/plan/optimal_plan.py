@@ -1,15 +1,44 @@
-"""The best plan for a number of positions, the fewest positions for a tolerance, and their text."""
+"""The best plan for a number of positions: criteria, search and text.
+
+The search for a plan: candidate positions, criteria on the information matrix, exchange of positions.
+
+The information M (p, p) covers start angle, gains, Δφ and biases in natural units (1 rad, 1, local
+gravity), then of the amplitudes of the possible effects, each in its typical size on a bench, with the
+prior of `advice` (`TYPICALS` of them) about zero. V = M⁻¹ is the covariance, V_b its part of the base
+model.
+
+| name | maximised | known as |
+|---|---|---|
+| `angle` | −max over the turn of ln gᵀ V_b g, g the slope of the shown angle | G-optimality |
+| `parameters` | −ln det V_b, divided by the number of parameters | D-optimality; D_s with effects |
+| `tell-apart` | min over amplitudes of ln(1/V_ee − 1/prior²), plus their mean/100 | maximin D_s, s = 1 |
+
+1/V_ee − 1/prior² is the information on one amplitude that neither the base model nor another effect takes
+away: the square of the number of standard uncertainties by which an effect of typical size is detected.
+Smith 1918, Kiefer and Wolfowitz 1960 (G and D); Atkinson, Donev and Tobias 2007 (D_s); Chaloner and
+Verdinelli 1995 (with a prior).
+
+Coordinate exchange (Meyer and Nachtsheim, Technometrics 37, 1995) after Fedorov (1972): each dwell in turn
+takes the best position given the other dwells; then the dwells are exchanged in pairs, because the order
+matters for the shared noise and for changes with time. Two consecutive dwells never have the same angle,
+because a stage that was not turned repeats its error.
+
+The best plan for a number of positions, the fewest positions for a tolerance, and their text.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
+from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.budget import check
 from adis_gonio.base.conformity import Tolerance
 from adis_gonio.base.errors import FitError, UsageError
@@ -26,18 +55,407 @@ from adis_gonio.base.numbers import (
 )
 from adis_gonio.base.tables import align_columns, fold_text
 from adis_gonio.base.uncertainty import Value
-from adis_gonio.plan.plan_search import MEANING, Best, Candidates, Choice, Criterion, candidates, search
+from adis_gonio.fitting.determination import natural_units
+from adis_gonio.fitting.estimation.fit import Fit, Values
+from adis_gonio.fitting.estimation.readings import Readings, from_means
+from adis_gonio.fitting.estimation.terms import NamedTerm
+from adis_gonio.fitting.uncertainty import ShownAngle
+from adis_gonio.model.effects import AXES, Conditions
 from adis_gonio.plan.prediction import (
     Bench,
     PlanUncertainty,
     Prediction,
     Sight,
     expected_readings,
+    ideal_mg,
     planned_terms,
     predict,
     predict_uncertainty,
 )
-from adis_gonio.record.plans import Plan, Position, plan
+from adis_gonio.record.plans import Approach, Plan, Position, plan
+from adis_gonio.tracing.proposals import TYPICALS
+
+Best = Literal["angle", "parameters", "tell-apart"]
+MEANING: dict[Best, str] = {
+    "angle": "u of the angle by the fitted parameters, worst place of the turn, in degrees",
+    "parameters": "generalised u of the parameters, (det V)^(1/2p) in natural units",
+    "tell-apart": "least separation of a typical effect from all others, in standard uncertainties",
+}
+"""Meaning of `Criterion.figure`, for each criterion."""
+Choice = NDArray[np.intp]
+"""Index of a candidate position for each dwell, (n,)."""
+_MEAN_WEIGHT = 0.01
+"""Weight of the mean separation relative to the smallest separation, so that the mean decides between plans
+with equal smallest separations."""
+_NOTHING = 1e-12
+"""Squared separation that counts as no information."""
+_LOOSE = 1.0
+"""Prior standard deviation of a base parameter in natural units, so large that it has no influence."""
+_HIDDEN = 1e-6
+"""No plan shows an effect if a smaller share of its column is outside the span of the base model."""
+_LEAST_GAIN = 1e-7
+"""Smallest increase of a criterion that counts as an improvement and not as a rounding error."""
+_MOST_SWEEPS = 50
+_WORK = 240
+"""Limit of the number of ascents times dwells; for long plans only the best starts are used."""
+_PAIRS = 300
+"""Largest number of swaps of two dwells that are tried in a pass; if there are more pairs, they are
+sampled."""
+SIMPLER = 1e-3
+"""Decrease of a score (a logarithm of variance) that is accepted for a simpler order of the positions."""
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """A criterion that scores plans by their information matrices.
+
+    Attributes
+    ----------
+    name : {"angle", "parameters", "tell-apart"}
+    base : int
+        Number of parameters of the base model.
+    gradient : (m, base) float
+        Derivatives of the shown angle in degrees by the base parameters, at m places of the turn.
+    precision : (p,) float
+        Inverse prior variance of each parameter.
+    """
+
+    name: Best
+    base: int
+    gradient: Floats
+    precision: Floats
+
+    def __call__(self, information: Floats) -> Floats:
+        """Return the scores (k,) of k plans by their information matrices (k, p, p); larger is better.
+
+        The matrices include the prior.
+        """
+        covariance = np.asarray(np.linalg.inv(information))
+        # Logarithms make the scores additive and independent of the units.
+        if self.name == "angle":
+            return np.asarray(-np.log(self._angle_variance(covariance)))
+        if self.name == "parameters":
+            own = covariance[:, : self.base, : self.base]
+            return np.asarray(-np.linalg.slogdet(own)[1] / self.base)
+        apart = np.log(self.separations(information) ** 2 + _NOTHING)
+        return np.asarray(apart.min(axis=1) + _MEAN_WEIGHT * apart.mean(axis=1))
+
+    def _angle_variance(self, covariance: Floats) -> Floats:
+        """Return the largest variance (k,) of the shown angle over the turn, in degrees².
+
+        The variance at a place with gradient g is gᵀ V g, with the covariance V of the base parameters.
+        """
+        own = covariance[:, : self.base, : self.base]
+        return np.asarray(np.einsum("mp,kpq,mq->km", self.gradient, own, self.gradient).max(axis=1))
+
+    def separations(self, information: Floats) -> Floats:
+        """Return each effect's typical amplitude divided by its standard uncertainty, (k, q)."""
+        # Diagonal of each covariance matrix, for the amplitudes.
+        variance = np.einsum("kpp->kp", np.linalg.inv(information))[:, self.base :]
+        return np.asarray(np.sqrt(np.maximum(1 / variance - self.precision[self.base :], 0.0)))
+
+    def figure(self, information: Floats) -> float:
+        """Return the criterion of one plan as the quantity that `MEANING` describes, not as a score."""
+        stack = information[None]
+        if self.name == "angle":
+            return float(np.sqrt(self._angle_variance(np.asarray(np.linalg.inv(stack)))[0]))
+        if self.name == "parameters":
+            return float(np.exp(-0.5 * self(stack)[0]))
+        return float(self.separations(stack)[0].min())
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Derivatives and noise of the readings for each of m candidate positions in each of n dwells.
+
+    Attributes
+    ----------
+    angle_deg, approach : (m,) float
+        The positions.
+    columns : (n, m, 2, p) float
+        Derivative in mg of each reading by each of p parameters: base parameters in natural units,
+        amplitudes of effects in units of their typical size.
+    noise : (m, 2, 2) float
+        Covariance in mg² of a reading by its noise and the fixture's errors, without noise that dwells
+        share.
+    own : (n, 2) float
+        Additional variance of each dwell, which depends on its time.
+    shared : (2 n, 2 n) float
+        Covariance in mg² of the noise that dwells share, in the order dwell by dwell and axis by axis.
+    base : int
+        Number of parameters of the base model and biases, the first of the p.
+    gradient : (k, base) float
+        Derivative of the shown angle in degrees by the base parameters, around the turn.
+    """
+
+    angle_deg: Floats
+    approach: Floats
+    columns: Floats
+    noise: Floats
+    own: Floats
+    shared: Floats
+    base: int
+    gradient: Floats
+
+    @property
+    def dwells(self) -> int:
+        """Number of dwells of a plan."""
+        return len(self.columns)
+
+    @property
+    def precision(self) -> Floats:
+        """Inverse prior variance of each parameter, (p,)."""
+        precision = np.full(self.columns.shape[3], 1 / TYPICALS**2)
+        precision[: self.base] = 1 / _LOOSE**2
+        return precision
+
+    def criterion(self, best: Best) -> Criterion:
+        """Return the named criterion for plans from these candidate positions."""
+        return Criterion(best, self.base, self.gradient, self.precision)
+
+    def _covariance(self, choice: Choice) -> Floats:
+        """Return the covariance (2 n, 2 n) in mg² of the readings of a plan with n dwells and two axes."""
+        n = len(choice)
+        covariance = self.shared.copy()
+        each = np.arange(n)
+        # Add each dwell's own noise to the 2 × 2 blocks on the diagonal.
+        own = self.noise[choice] + self.own[:, :, None] * np.eye(2)
+        covariance.reshape(n, 2, n, 2)[each, :, each, :] += own
+        return covariance
+
+    def information(self, choice: Choice) -> Floats:
+        """Return the information matrix (p, p) of the plan that measures position choice[k] in dwell k.
+
+        It includes the prior.
+        """
+        n, p = self.dwells, self.columns.shape[3]
+        # Rows of the plan's Jacobian, J; the information is Jᵀ C⁻¹ J.
+        rows = self.columns[np.arange(n), choice].reshape(2 * n, p)
+        solved = np.linalg.solve(self._covariance(choice), rows)
+        return np.asarray(rows.T @ solved + np.diag(self.precision))
+
+    def exchanged(self, choice: Choice, dwell: int) -> Floats:
+        """Return the information matrices (m, p, p) of the plans with one dwell moved to each position.
+
+        With correlated readings the information is the sum of the information of all other readings and the
+        information of this reading given the others: with B = C_ir C_rr⁻¹,
+        (J_i − B J_r)ᵀ (C_ii − B C_ri)⁻¹ (J_i − B J_r).
+        """
+        n, p = self.dwells, self.columns.shape[3]
+        rows = self.columns[np.arange(n), choice].reshape(2 * n, p)
+        # Mask of the two rows of this dwell.
+        here = np.zeros(2 * n, dtype=bool)
+        here[2 * dwell : 2 * dwell + 2] = True
+        covariance = self._covariance(choice)
+        across = self.shared[np.ix_(~here, here)]
+        # C_rr⁻¹ applied to J_r and to C_ri at once.
+        solved = np.linalg.solve(
+            covariance[np.ix_(~here, ~here)], np.concatenate([rows[~here], across], axis=1)
+        )
+        rest = rows[~here].T @ solved[:, :p] + np.diag(self.precision)
+        # J_i − B J_r and C_ii − B C_ri for each candidate position, (m, 2, p) and (m, 2, 2).
+        innovation = self.columns[dwell] - across.T @ solved[:, :p]
+        own = self.noise + np.diag(self.own[dwell]) + self.shared[np.ix_(here, here)]
+        given = own - across.T @ solved[:, p:]
+        return np.asarray(rest + innovation.transpose(0, 2, 1) @ np.linalg.solve(given, innovation))
+
+    def plan(self, name: str, choice: Choice) -> Plan:
+        """Convert a choice of candidate positions (one number for each dwell) to a named plan.
+
+        If no effect depends on the side of approach, all positions are approached from below: an unexpected
+        backlash of the stage then changes only the start angle.
+        """
+        positions = tuple(
+            Position(float(self.angle_deg[k]), _side(float(self.approach[k]))) for k in choice.tolist()
+        )
+        return Plan(name, positions)
+
+    def nearest(self, plan: Plan) -> Choice:
+        """Return the candidate positions (n,) that are nearest to the positions of a plan."""
+        choice = []
+        for position in plan.positions:
+            # The nearest angle; among equal angles the one with the right side of approach.
+            off = np.abs(wrap_degrees(self.angle_deg - (position.angle_deg or 0.0)))
+            choice.append(int((off + 1e-3 * (self.approach != position.approach)).argmin()))
+        return np.array(choice, dtype=np.intp)
+
+
+def _side(approach: float) -> Approach:
+    return -1 if approach < 0 else 1
+
+
+def candidates(bench: Bench, dwells: int, beware: Sequence[str], grid_deg: float) -> Candidates:
+    """Return the candidate positions of a search: on a grid of angles and at even spacing.
+
+    If an effect depends on the side of approach, each angle is a candidate from both sides.
+
+    Raises
+    ------
+    UsageError
+        An effect that the positions do not influence, or that no plan can show.
+    """
+    # The grid and the even spacing, without duplicates.
+    even = 360.0 * np.arange(dwells) / dwells
+    angles = np.unique(np.round(np.concatenate([np.arange(0.0, 360.0 - 1e-9, grid_deg), even]), 9))
+    up = Plan("even", tuple(Position(float(a), _side((-1.0) ** k)) for k, a in enumerate(even)))
+    readings = expected_readings(up, bench)
+    terms = planned_terms(readings, beware)
+    sided = any("approach" in term.effect.needs for term in terms)
+    sides = [1.0, -1.0] if sided else [0.0]
+    place, side = np.tile(angles, len(sides)), np.repeat(sides, len(angles))
+    fit = _fit_everywhere(bench, readings, place, np.where(side == 0, 1.0, side))
+    natural = natural_units(fit.data)
+    # Columns of the base model in natural units, then of each effect in its typical size.
+    columns = [fit.columns * natural]
+    for term in terms:
+        typical = np.array([term.effect.parameters[k].typical for k in term.amplitudes])
+        columns.append(fit.candidate(term) * np.abs(typical))
+        _refuse_hidden(term, columns[0], columns[-1])
+    m, n, base = len(place), len(readings), len(natural)
+    # Change of a reading by the angle; it carries the fixture's error into the noise.
+    tangent = fit.tangent[:m, :, 0]
+    flicker = readings.flicker
+    assert flicker is not None  # expected readings state it, even if it is zero
+    white = float(readings.own_covariance[0, 0, 0] - flicker[0, 0])
+    slow = np.zeros((2 * n, 1)) if readings.slow is None else readings.slow.reshape(2 * n, -1)
+    return Candidates(
+        angle_deg=place,
+        approach=side,
+        columns=np.concatenate(columns, axis=2).reshape(dwells, m, 2, -1),
+        noise=white * np.eye(2) + readings.fixture_rad**2 * tangent[:, :, None] * tangent[:, None, :],
+        own=flicker,
+        shared=np.asarray(slow @ slow.T),
+        base=base,
+        gradient=ShownAngle.around(fit).gradient,
+    )
+
+
+def _fit_everywhere(bench: Bench, readings: Readings, place: Floats, side: Floats) -> Fit:
+    """Return the base model with biases of an ideal sensor at all m positions in each dwell."""
+    n, m = len(readings), len(place)
+    angle = np.radians(np.tile(place, n))
+    conditions = Conditions(
+        time_s=np.repeat(readings.conditions.time_s, m),
+        angle_rad=angle,
+        order=np.repeat(np.arange(n, dtype=float), m),
+        approach=np.tile(side, n),
+    )
+    data = from_means(
+        ideal_mg(angle, bench),
+        np.tile(np.eye(2), (n * m, 1, 1)),
+        conditions,
+        gravity_mg=readings.gravity_mg,
+        fixture_rad=readings.fixture_rad,
+        fitted=np.ones(len(readings.model.parameters), dtype=bool),
+    )
+    bias = NamedTerm.offset(AXES[:2])
+    base = data.model.nominal
+    base[data.model.index("alpha")] = np.radians(bench.start_deg)
+    return Fit(data, (bias,), Values(base, np.zeros(n * m), (np.zeros(2),)), with_prior=False)
+
+
+def _refuse_hidden(term: NamedTerm, base: Floats, columns: Floats) -> None:
+    """Raise a `UsageError` if no plan can show the effect, because the base model already contains it."""
+    rows = columns.reshape(-1, columns.shape[2])
+    within = base.reshape(len(rows), -1)
+    size = np.maximum(np.linalg.norm(within, axis=0), 1e-300)
+    # Residual of the term's columns after a projection onto the base model.
+    outside = rows - (within / size) @ np.linalg.lstsq(within / size, rows, rcond=1e-10)[0]
+    if (np.linalg.norm(outside, axis=0) <= _HIDDEN * np.linalg.norm(rows, axis=0)).any():
+        raise UsageError(
+            f"beware: {term.name} lies in the model that every session fits, so that no plan can show it: "
+            "leave it out"
+        )
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """The best plan found by a search: the position number of each dwell, and its score."""
+
+    choice: Choice
+    score: float
+
+
+def search(
+    ground: Candidates, criterion: Criterion, starts: Sequence[Choice], rng: np.random.Generator
+) -> SearchResult:
+    """Return the best plan reached from several starts, in the simplest order that is as good.
+
+    Parameters
+    ----------
+    starts : sequence of (n,) int
+        Plans to begin with; the result is at least as good as each of them.
+    rng : numpy.random.Generator
+        Generator for the order of the exchanges.
+    """
+    climb = _Climb(ground, criterion, rng)
+    highest = sorted(starts, key=lambda start: -climb.score(start))
+    ascents = max(_WORK // ground.dwells, 1)
+    best = max((climb.from_(start) for start in highest[:ascents]), key=lambda found: found.score)
+    # These positions in the order of their angles, forwards or backwards.
+    order = np.lexsort((ground.approach[best.choice], ground.angle_deg[best.choice]))
+    simple = best.choice[order]
+    for one in (simple, simple[::-1]):
+        score = climb.score(one)
+        if score >= best.score - SIMPLER and not climb.repeats(one):
+            return SearchResult(one, score)
+    return best
+
+
+@dataclass
+class _Climb:
+    ground: Candidates
+    criterion: Criterion
+    rng: np.random.Generator
+
+    def score(self, choice: Choice) -> float:
+        return float(self.criterion(self.ground.information(choice)[None])[0])
+
+    def repeats(self, choice: Choice) -> bool:
+        """Return True if two consecutive dwells of the plan are at an equal angle."""
+        return bool((np.diff(self.ground.angle_deg[choice]) == 0).any())
+
+    def from_(self, start: Choice) -> SearchResult:
+        """Improve a plan by exchanging positions and swapping dwells until its score no longer rises."""
+        found = SearchResult(start.copy(), self.score(start))
+        for _ in range(_MOST_SWEEPS):
+            before = found.score
+            found = self._swap(self._exchange(found))
+            if found.score < before + _LEAST_GAIN:
+                break
+        return found
+
+    def _exchange(self, found: SearchResult) -> SearchResult:
+        """Move one dwell after another to the position with the highest score of the plan."""
+        choice, score = found.choice.copy(), found.score
+        for dwell in self.rng.permutation(len(choice)).tolist():
+            check()
+            scores = self.criterion(self.ground.exchanged(choice, dwell))
+            # Positions at the angle of the dwell before or after are not allowed.
+            angle = self.ground.angle_deg
+            for near in (dwell - 1, dwell + 1):
+                if 0 <= near < len(choice):
+                    scores[angle == angle[choice[near]]] = -np.inf
+            best = int(scores.argmax())
+            if scores[best] > score + _LEAST_GAIN:
+                choice[dwell], score = best, float(scores[best])
+        return SearchResult(choice, score)
+
+    def _swap(self, found: SearchResult) -> SearchResult:
+        """Swap the positions of pairs of dwells if this raises the score of the plan."""
+        choice, score = found.choice.copy(), found.score
+        pairs = np.array(list(itertools.combinations(range(len(choice)), 2)))
+        for one, two in self.rng.permutation(pairs)[:_PAIRS].tolist():
+            check()
+            trial = choice.copy()
+            trial[[one, two]] = trial[[two, one]]
+            if self.repeats(trial):
+                continue
+            reached = self.score(trial)
+            if reached > score + _LEAST_GAIN:
+                choice, score = trial, reached
+        return SearchResult(choice, score)
+
 
 LEAST, MOST = 4, 100
 """Fewest and most positions of a searched plan: fewer do not determine a bias, and with more a search does
@@ -228,7 +646,7 @@ def _starts(ground: Candidates, positions: int, rng: np.random.Generator) -> lis
 
 
 def _gain(ours: Prediction, figure: float, other: Plan, ground: Candidates, criterion: Criterion) -> Gain:
-    """Return the improvement of the best plan over another plan in criterion and uncertainties.
+    """Compare the best plan with another plan: ratio of the criterion and of each uncertainty.
 
     The criterion of the other plan is computed at the nearest angles of the grid.
     """

@@ -28,8 +28,8 @@ from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import join_words
 from adis_gonio.base.uncertainty import Detectable, Value
+from adis_gonio.device.sensor.registers import VARIANTS, Variant, variant
 from adis_gonio.device.sensor.settings import filter_settling_samples, sample_period_s
-from adis_gonio.device.sensor.variants import VARIANTS, Variant, variant
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, flicker_parts, from_means, quantized_means
 from adis_gonio.fitting.estimation.terms import NamedTerm
@@ -41,7 +41,7 @@ from adis_gonio.model.effects.base import did_you_mean
 from adis_gonio.model.measurement import PlanarTurn
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.record.plans import Plan
-from adis_gonio.record.settings import TURN_S, Settings, expected_each_s
+from adis_gonio.record.source import TURN_S, Settings, expected_each_s
 from adis_gonio.tracing.findings import detectable
 from adis_gonio.tracing.linear_problem import LinearProblem, linearise, span
 from adis_gonio.tracing.model_search import Search, price
@@ -408,7 +408,7 @@ def predict_uncertainty(plan: Plan, bench: Bench) -> PlanUncertainty:
 
 
 def _reach_off(plan: Plan, bench: Bench, off_deg: Floats) -> PlanUncertainty | None:
-    """Return the uncertainties if the stage angles are wrong by `off_deg` (n,); None if no fit succeeds."""
+    """Predict the uncertainties if stage angles are wrong by `off_deg` (n,); None if no fit succeeds."""
     try:
         return _reach(fit_readings(expected_readings(plan, bench, off_deg).training))
     except FitError:
@@ -540,10 +540,10 @@ def _confounded_pairs(
 
 
 def _separation(columns: Floats, others: Floats, limit: Detectable) -> float:
-    """Return how well an effect at its detectable amplitude differs from any amplitude of another.
+    """Return the distance between an effect and the best imitation of it by another effect.
 
-    The distance is in standard uncertainties, from the span of the other effect's columns; the column
-    that is least distant counts.
+    The effect has its detectable amplitude, the other effect any amplitude. The distance is in standard
+    uncertainties; if the effect has several columns, the smallest distance counts.
     """
     size = np.maximum(np.linalg.norm(others, axis=0), 1e-300)
     u, s, _ = np.linalg.svd(others / size, full_matrices=False)

@@ -15,7 +15,7 @@ _HOMES = {
     "plans": "Plan Position plan",
     "samples_writer": "export_csv export_json",
     "session_reader": "read_session",
-    "settings": "Settings",
+    "source": "Settings",
 }
 
 
@@ -25,6 +25,6 @@ if TYPE_CHECKING:
     from adis_gonio.record.plans import Plan as Plan, Position as Position, plan as plan
     from adis_gonio.record.samples_writer import export_csv as export_csv, export_json as export_json
     from adis_gonio.record.session_reader import read_session as read_session
-    from adis_gonio.record.settings import Settings as Settings
+    from adis_gonio.record.source import Settings as Settings
 
 __getattr__ = lazily(__name__, _HOMES)

@@ -1,4 +1,30 @@
-"""The archive: one SQLite file with all data of a session; see `database` for its tables.
+"""The archive: one SQLite file with all data of a session.
+
+The archive as an SQLite file: how it is created, opened, recognised and checked.
+
+| table | a row is |
+|---|---|
+| `meta` | a fact that is fixed at the beginning: URL, variant, settings, versions (JSON) |
+| `runs` | one opening of the session by a program: the first, and one for each time it is resumed |
+| `records` | an event: registers read, a configuration, a plan, a problem, the end (JSON) |
+| `attempts` | one attempt at a dwell, complete or interrupted, with its times and the reason |
+| `blocks` | scans of an attempt: words (uint16), of a generic sensor values (float64); times (float64) |
+| `moves` | a move of the stage by the program, at its time on the bus's clock |
+
+Every table refuses UPDATE and DELETE, so that no data is ever changed. Every row ends with a checksum of
+its other columns. A file with other tables, or with additional views, triggers or indexes, is refused
+before any of its SQL is run; statements have a limit of steps and rows a limit of length. `archive_tables`
+declares the type and range of every value. Numbers in blobs are little-endian. Times called `bus_s` are on
+the clock of the bus of that run, in s; adding the run's `clock_offset_s` makes them seconds since the
+session began. `continues` is the attempt after which a resumed run goes on, 0 for the beginning: a
+simulated world is brought back to that point.
+
+Durability: a rollback journal (`journal_mode=DELETE`), so that between commits there is only one file, and
+`synchronous=EXTRA`, which syncs the file and, after the journal is deleted, the directory: a commit that
+was announced survives a power cut. If a killed program leaves a journal, the next program that opens the
+file rolls it back.
+
+The archive: one SQLite file with all data of a session; see `database` for its tables.
 
 A dwell is written in one transaction, with its samples, its moves and the reason of an interruption. It is
 complete or not there, and it is announced only when it is on the disk. A kill or a power cut therefore
@@ -8,25 +34,30 @@ loses at most the dwell that is being recorded.
 from __future__ import annotations
 
 import math
+import os
 import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 
 from adis_gonio.base import Closing, __version__
-from adis_gonio.base.errors import SessionError
+from adis_gonio.base.errors import DataError, SessionError, one_line
+from adis_gonio.base.output import exists_error
 from adis_gonio.base.shapes import ShapeError, anything
 from adis_gonio.device.sensor.registers import ACCEL_OUT, BY_NAME
-from adis_gonio.record import database
 from adis_gonio.record.archive_tables import (
+    APPLICATION_ID,
     LARGEST_S,
     LARGEST_VALUE,
     META,
     RECORDS,
+    SCHEMA_VERSION,
+    TABLES,
     Attempt,
     Header,
     JsonDict,
@@ -44,6 +75,240 @@ from adis_gonio.record.archive_tables import (
 from adis_gonio.record.blocks import GENERIC, UNITS, Block, count_alarms, from_bytes, to_bytes
 from adis_gonio.record.plans import Plan, Position
 
+MOST_STEPS = 100_000_000
+"""Instructions of SQLite's machine after which a statement is stopped; a session of a day takes 10⁶."""
+LONGEST_ROW_BYTES = 4_000_000
+"""Limit of a row: a block has some ten kilobytes, a plan of 3600 positions half a megabyte."""
+MOST_TEXT = 4_000_000
+"""Limit of characters in the rows of a query; parsed JSON takes up to 30 times its length in memory."""
+
+WAIT_S = 30.0
+"""Time in s for which a reader waits for a commit, and a writer for readers."""
+
+LONGEST_TEXT = 100
+
+_MAGIC = b"SQLite format 3\x00"
+
+
+def is_archive(path: Path) -> bool:
+    """True if the first bytes are those of a session file: SQLite with this program's application id."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(72)
+    except OSError:
+        return False
+    return head[:16] == _MAGIC and int.from_bytes(head[68:72], "big") == APPLICATION_ID
+
+
+def connect(path: Path, *, write: bool) -> sqlite3.Connection:
+    """Open an existing session file.
+
+    Raises
+    ------
+    DataError
+        Not a session file, damaged, truncated or newer than this program.
+    SessionError
+        It cannot be opened here (permissions, busy), or has no session yet.
+    """
+    _check_file(path)
+    connection = _open(path, "rw" if write else "ro")
+    try:
+        with translated_errors(path):
+            try:
+                _check_content(path, connection)
+            except sqlite3.OperationalError:
+                if write:
+                    raise
+                # A killed writer left a journal; only a writer can roll it back.
+                connection.close()
+                connection = _open(path, "rw")
+                _check_content(path, connection)
+            if write:
+                make_durable(connection)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def create(path: Path) -> sqlite3.Connection:
+    """Open a new, empty file for a session; the caller runs `statements()` in its first transaction.
+
+    Raises
+    ------
+    UsageError
+        The file exists already.
+    SessionError
+        It cannot be created here.
+    """
+    try:
+        path.touch(exist_ok=False)
+    except FileExistsError:
+        if not path.is_file() or path.stat().st_size > 0 or path.with_name(f"{path.name}-journal").exists():
+            raise exists_error(path, "resume it or choose another name") from None
+    except OSError as error:
+        raise SessionError(f"{path}: cannot be made: {error.strerror}") from None
+    connection = _open(path, "rw")
+    try:
+        with translated_errors(path):
+            make_durable(connection)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def make_durable(connection: sqlite3.Connection) -> None:
+    """Set the SQLite options of a writer, so that a power cut loses nothing; see the module's text."""
+    connection.execute("PRAGMA journal_mode = DELETE")
+    connection.execute("PRAGMA synchronous = EXTRA")
+    connection.execute("PRAGMA foreign_keys = ON")
+
+
+@contextmanager
+def translated_errors(path: Path) -> Iterator[None]:
+    """Convert errors of SQLite in the block to one-line errors of this package that name the file."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise _explain(path, error) from error
+    except UnicodeDecodeError as error:
+        raise damaged(path, "text that is not UTF-8") from error
+
+
+def damaged(path: Path, what: str) -> DataError:
+    """Make the error for a file with damaged content; `what` names the content."""
+    return DataError(f"{path}: is damaged ({what}); restore it from a copy (it was left as it is)")
+
+
+def _truncated(path: Path) -> DataError | None:
+    """Return the error for a file shorter than its header states; None if it is complete."""
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            head = file.read(32)
+    except OSError:
+        return None
+    page_bytes = int.from_bytes(head[16:18], "big")
+    whole = int.from_bytes(head[28:32], "big") * (65536 if page_bytes == 1 else page_bytes)
+    if len(head) == 32 and size >= whole:
+        return None
+    of = f", {size} of {whole} bytes" if len(head) == 32 else ""
+    return DataError(f"{path}: is truncated{of}; restore it from a copy (it was left as it is)")
+
+
+def _excerpt(text: str) -> str:
+    """Shorten an SQLite message to one printable line, because it may quote SQL or raw bytes."""
+    line = one_line(text)
+    return line if len(line) <= LONGEST_TEXT else f"{line[:LONGEST_TEXT]}…"
+
+
+def _explain(path: Path, error: sqlite3.Error) -> DataError | SessionError:
+    text = _excerpt(str(error))
+    name = getattr(error, "sqlite_errorname", "")
+    if name.startswith("SQLITE_NOTADB"):
+        return DataError(f"{path}: is no session file")
+    if name.startswith(("SQLITE_INTERRUPT", "SQLITE_TOOBIG")):
+        return damaged(path, f"it cannot be read within bounds: {text}")
+    if name.startswith("SQLITE_CORRUPT") or text.startswith(("no such table", "no such column")):
+        return _truncated(path) or damaged(path, text)
+    if name.startswith("SQLITE_FULL"):
+        return SessionError(
+            f"{path}: the disk is full; make room and resume, all completed dwells are kept"
+        )
+    if name.startswith("SQLITE_READONLY"):
+        return SessionError(f"{path}: cannot be written ({text}); copy it to a place that you may write")
+    if name.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
+        return SessionError(f"{path}: another program has kept it locked for {WAIT_S:g} s; try again")
+    if name.startswith("SQLITE_IOERR"):
+        return SessionError(f"{path}: the disk failed ({text}); all completed dwells are kept")
+    return SessionError(f"{path}: {text}")
+
+
+def _open(path: Path, mode: str) -> sqlite3.Connection:
+    with translated_errors(path):
+        connection = sqlite3.connect(
+            f"file:{quote(os.fsencode(path.absolute()))}?mode={mode}",
+            uri=True,
+            timeout=WAIT_S,
+            isolation_level=None,
+            check_same_thread=False,
+            cached_statements=0,  # a statement kept for another run would go on counting its steps
+        )
+        connection.set_progress_handler(lambda: 1, MOST_STEPS)
+        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST_ROW_BYTES)
+        connection.execute("PRAGMA trusted_schema = OFF")
+        return connection
+
+
+def _check_file(path: Path) -> None:
+    try:
+        with path.open("rb") as file:
+            head = file.read(16)
+    except FileNotFoundError:
+        raise DataError(f"{path}: there is no such file") from None
+    except OSError as error:
+        raise SessionError(f"{path}: cannot be read: {error.strerror}") from None
+    if head and head != _MAGIC[: len(head)]:
+        raise DataError(f"{path}: is no session file")
+    truncated = _truncated(path) if head and len(head) < len(_MAGIC) else None
+    if truncated is not None:
+        raise truncated
+
+
+def _check_content(path: Path, connection: sqlite3.Connection) -> None:
+    # This query also rolls back a journal.
+    (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+    (application,) = connection.execute("PRAGMA application_id").fetchone()
+    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    if not tables and not application:
+        raise SessionError(
+            f"{path}: has no session yet, it was interrupted at its beginning; begin a new session"
+        )
+    if application != APPLICATION_ID:
+        raise DataError(f"{path}: is an SQLite file, but no session file")
+    if version > SCHEMA_VERSION:
+        raise DataError(
+            f"{path}: has schema {version}, this program reads up to {SCHEMA_VERSION}; update adis-gonio"
+        )
+    _refuse_other_objects(path, connection)
+    # A damaged tree could hide rows without any error, hence the walk through all pages.
+    (found,) = connection.execute("PRAGMA quick_check(1)").fetchone()
+    if found != "ok":
+        raise damaged(path, _excerpt(str(found)))
+
+
+def _refuse_other_objects(path: Path, connection: sqlite3.Connection) -> None:
+    """Raise `DataError` if the file has other tables than `statements`, or any other object.
+
+    A view with the name of a table may run without end; a trigger, an index or another table would run
+    expressions from the file. A trigger against UPDATE or DELETE may be missing.
+    """
+    with closing(sqlite3.connect(":memory:")) as model:
+        for statement in statements():
+            model.execute(statement)
+        wanted = _objects(model)
+    found = _objects(connection)
+    strange = sorted(name for name, made in found.items() if wanted.get(name) != made)
+    if strange:
+        kind, _ = wanted.get(strange[0], ("part", ""))
+        raise damaged(path, f"'{_excerpt(strange[0])}' is no {kind} of a session file")
+    missing = [table for table in TABLES if table not in found]
+    if missing:
+        raise damaged(path, f"no such table: {missing[0]}")
+
+
+def _objects(connection: sqlite3.Connection) -> dict[str, tuple[str, str]]:
+    """Kind and SQL text of each table, view, trigger and index of a database, by name.
+
+    SQLite's internal tables and indexes are left out.
+
+    Triggers and views are always included, even if their names look internal.
+    """
+    own = "name LIKE 'sqlite\\_%' ESCAPE '\\' AND (type = 'table' OR sql IS NULL)"
+    query = f"SELECT name, type, sql FROM sqlite_master WHERE NOT ({own})"
+    return {str(name): (str(kind), str(sql)) for name, kind, sql in connection.execute(query)}
+
 
 class ArchiveView(Closing):
     """A session file that is open for reading; use it as a context manager.
@@ -58,13 +323,13 @@ class ArchiveView(Closing):
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._connection = database.connect(self.path, write=False)
+        self._connection = connect(self.path, write=False)
         self._header: Header | None = None
 
     @contextmanager
     def snapshot(self) -> Iterator[None]:
         """Let all reads in the block see one state of the file, even if another program writes to it."""
-        with database.translated_errors(self.path):
+        with translated_errors(self.path):
             self._connection.execute("BEGIN")
         try:
             yield
@@ -83,7 +348,7 @@ class ArchiveView(Closing):
                 "table meta", META, {row["key"]: row["value"] for row in self._rows("meta", "key")}
             )
         except ShapeError as error:
-            raise database.damaged(self.path, str(error)) from None
+            raise damaged(self.path, str(error)) from None
         values["plan"] = Plan.from_dict(values["plan"])
         if values["fixture_sigma_deg"] == "free":
             values["fixture_sigma_deg"] = math.inf
@@ -97,7 +362,7 @@ class ArchiveView(Closing):
         try:
             checked_value(kind, RECORDS.get(kind, anything), value)
         except ShapeError as error:
-            raise database.damaged(self.path, f"record {record}: {error}") from None
+            raise damaged(self.path, f"record {record}: {error}") from None
         return Record(kind=kind, value=value, **row)
 
     def last(self, kind: str) -> Any:
@@ -142,11 +407,11 @@ class ArchiveView(Closing):
             elif attempt.blocks and not _can_be_scanned(attempt):
                 wrong = "registers that cannot be scanned together"
             if wrong:
-                raise database.damaged(self.path, f"attempt {attempt.number} has {wrong}")
+                raise damaged(self.path, f"attempt {attempt.number} has {wrong}")
         for run, after in runs.items():
             # If a run continued itself or a later run, it would have no beginning.
             if after and not of_number.get(after, run) < run:
-                raise database.damaged(self.path, f"run {run} goes on after attempt {after}")
+                raise damaged(self.path, f"run {run} goes on after attempt {after}")
 
     def dwells(self) -> list[StoredAttempt]:
         """Complete dwells in the order of recording; of a repeated dwell only the last is included.
@@ -180,7 +445,7 @@ class ArchiveView(Closing):
     def _require_place(self, place: int) -> int:
         """Return the place that a record names; raise `DataError` if the plan is shorter."""
         if place >= len(self.plan()):
-            raise database.damaged(self.path, f"a record names place {place}, which the plan does not have")
+            raise damaged(self.path, f"a record names place {place}, which the plan does not have")
         return place
 
     def offset_writes(self) -> list[JsonDict]:
@@ -196,10 +461,10 @@ class ArchiveView(Closing):
         for step in steps:
             number = step["number"]
             if number not in written and not {"op", "old", "found", "save"} <= step.keys():
-                raise database.damaged(self.path, f"the first step of write {number} is missing")
+                raise damaged(self.path, f"the first step of write {number} is missing")
             names = written.setdefault(number, set(step.get("old", ())))
             if any(set(step.get(part, names)) != names for part in ("old", "new", "found")):
-                raise database.damaged(self.path, f"the steps of write {number} are about other registers")
+                raise damaged(self.path, f"the steps of write {number} are about other registers")
         return steps
 
     def withdrawn(self) -> set[int]:
@@ -239,14 +504,12 @@ class ArchiveView(Closing):
         """
         of_phase = {} if phase is None else {"phase": phase}
         rows = self._rows("blocks", "sequence", attempt=attempt.number, **of_phase)
-        with database.translated_errors(self.path):
+        with translated_errors(self.path):
             (stored,) = self._connection.execute(
                 "SELECT COUNT(*) FROM blocks WHERE attempt = ?", (attempt.number,)
             ).fetchone()
         if stored != attempt.blocks:
-            raise database.damaged(
-                self.path, f"{stored} of {attempt.blocks} blocks of attempt {attempt.number}"
-            )
+            raise damaged(self.path, f"{stored} of {attempt.blocks} blocks of attempt {attempt.number}")
         return [self._block(attempt, row) for row in rows]
 
     def _block(self, attempt: StoredAttempt, row: JsonDict) -> Block:
@@ -254,11 +517,11 @@ class ArchiveView(Closing):
         scans, words, time_s = row["scans"], row["words"], row["time_s"]
         width = len(attempt.registers) * (8 if attempt.variant == GENERIC else 2)
         if len(time_s) != 8 * scans or len(words) != width * scans:
-            raise database.damaged(self.path, f"{where} does not hold {scans} scans")
+            raise damaged(self.path, f"{where} does not hold {scans} scans")
         times = np.frombuffer(time_s, "<f8").astype(np.float64)
         # NaN fails every comparison; with `not` it is refused.
         if not (np.abs(times) <= LARGEST_S).all() or (np.diff(times) < 0).any():
-            raise database.damaged(self.path, f"the times of {where} are no numbers that increase")
+            raise damaged(self.path, f"the times of {where} are no numbers that increase")
         block = from_bytes(
             words,
             times,
@@ -268,7 +531,7 @@ class ArchiveView(Closing):
             gyro_range_dps=attempt.gyro_range_dps,
         )
         if attempt.variant == GENERIC and not (np.abs(block.values()) <= LARGEST_VALUE).all():
-            raise database.damaged(self.path, f"the samples of {where} are no numbers of a sensor")
+            raise damaged(self.path, f"the samples of {where} are no numbers of a sensor")
         return block
 
     def _line(self, attempt: int) -> list[StoredAttempt]:
@@ -320,25 +583,23 @@ class ArchiveView(Closing):
         """
         checked, characters = [], 0
         conditions = " AND ".join(f"{column} = ?" for column in where) or "1"
-        with database.translated_errors(self.path):
+        with translated_errors(self.path):
             rows = self._connection.execute(
                 f"SELECT * FROM {table} WHERE {conditions} ORDER BY {order}", tuple(where.values())
             )
             # One row at a time: a bad row is refused before the next row is read into memory.
             for number, row in enumerate(rows, start=1):
                 if checksum(*row[:-1]) != row[-1]:
-                    raise database.damaged(self.path, f"checksum of row {number} of table {table}")
+                    raise damaged(self.path, f"checksum of row {number} of table {table}")
                 if kind is not None and kind != row[-3]:
                     continue
                 characters += sum(len(part) for part in row if isinstance(part, str))
-                if characters > database.MOST_TEXT:
-                    raise database.damaged(
-                        self.path, f"table {table} holds more than {database.MOST_TEXT} characters"
-                    )
+                if characters > MOST_TEXT:
+                    raise damaged(self.path, f"table {table} holds more than {MOST_TEXT} characters")
                 try:
                     checked.append(checked_row(table, row[:-1]))
                 except ShapeError as error:
-                    raise database.damaged(self.path, f"row {number} of table {table}: {error}") from None
+                    raise damaged(self.path, f"row {number} of table {table}: {error}") from None
         return checked
 
 
@@ -382,7 +643,7 @@ class Archive(ArchiveView):
             It cannot be created here.
         """
         path = Path(path)
-        archive = cls(path, database.create(path))
+        archive = cls(path, create(path))
         values = dict(vars(header)) | {"plan": header.plan.as_dict(), "settings": dict(header.settings)}
         if header.fixture_sigma_deg is not None and math.isinf(header.fixture_sigma_deg):
             values["fixture_sigma_deg"] = "free"
@@ -402,7 +663,7 @@ class Archive(ArchiveView):
     def open_existing(cls, path: str | Path) -> Archive:
         """Open a session file to continue it; raises the errors of `ArchiveView`."""
         path = Path(path)
-        return cls(path, database.connect(path, write=True))
+        return cls(path, connect(path, write=True))
 
     @property
     def run(self) -> int:
@@ -499,7 +760,7 @@ class Archive(ArchiveView):
 
     @contextmanager
     def _transaction(self, *, new: bool = False) -> Iterator[None]:
-        with database.translated_errors(self.path):
+        with translated_errors(self.path):
             self._connection.execute("BEGIN IMMEDIATE")
             try:
                 if not new:

@@ -34,8 +34,7 @@ from adis_gonio.base.shapes import (
     truth_value,
     whole,
 )
-from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF
-from adis_gonio.device.sensor.variants import GYRO_LSB_DPS, VARIANTS
+from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_LSB_DPS, GYRO_OFF, VARIANTS
 from adis_gonio.model.records import METADATA
 from adis_gonio.record.blocks import GENERIC, UNITS, Block
 from adis_gonio.record.plans import MOST_POSITIONS, Plan, Position
@@ -337,7 +336,7 @@ _SUMMARY = fields(
 
 
 def _summary(value: Any) -> None:
-    """Raise an error unless the value is an advisor's summary of a session; it may be empty."""
+    """Check the summary of a session that an advisor stored; it may be empty."""
     if value not in (None, {}):
         _SUMMARY(value)
 
@@ -391,7 +390,7 @@ RECORDS: Mapping[str, Shape] = {
 
 
 def _aim(value: Any) -> None:
-    """Raise an error unless the value is a move's aim: null, a direction in space, or a turn."""
+    """Check the stored target of a move: null, a direction in space, or a turn."""
     if isinstance(value, dict):
         fields({"turned_deg": _ANGLE})(value)
     else:

@@ -21,9 +21,8 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import counted
-from adis_gonio.device.sensor import decoding
-from adis_gonio.device.sensor.decoding import ScanBlock
 from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, TEMP_OUT
+from adis_gonio.device.sensor.settings import ScanBlock, join as join_scans
 
 GENERIC = "generic"
 """Name of a sensor of which only the samples are known."""
@@ -93,7 +92,7 @@ def join(blocks: Sequence[Block]) -> Block:
     """Join consecutive blocks with the same columns to one block."""
     values = [block for block in blocks if isinstance(block, ValueBlock)]
     if not values:
-        return decoding.join([block for block in blocks if isinstance(block, ScanBlock)])
+        return join_scans([block for block in blocks if isinstance(block, ScanBlock)])
     return ValueBlock(
         values[0].registers,
         np.concatenate([block.data for block in values]),

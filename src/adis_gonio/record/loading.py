@@ -28,7 +28,7 @@ REVERSE = "reverse"
 
 
 def explain_refusal(reason: str) -> str:
-    """Reason for refusing a file, with a remark if it mentions options that this command lacks."""
+    """Reason why a file was refused, with a remark if it mentions options that this command lacks."""
     if not _OPTIONS.search(reason):
         return reason
     return f"{reason} (an option of fit, trace and report; for this command it has to be in the file)"

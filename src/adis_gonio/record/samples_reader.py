@@ -450,7 +450,7 @@ def _with_decimal_mark(head: Head) -> Dialect:
 
 
 def _proof_in(head: Head, chunk: Chunk) -> tuple[str, tuple[int, str] | None]:
-    """Decimal mark proved by a chunk, or empty; and line and text of its first ambiguous number."""
+    """Decimal mark that a chunk of lines proves, or "", and its first ambiguous number with line number."""
     places = [column.place for name, column in head.columns.items() if name not in ("approach", "use")]
     undecided: tuple[int, str] | None = None
     for number, line in enumerate(chunk.lines, chunk.first):

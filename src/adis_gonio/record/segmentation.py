@@ -349,7 +349,7 @@ class _Range:
 
 @dataclass
 class _Extent:
-    """Result of the first pass: number of rows, time steps, and ranges of the samples."""
+    """Result of the first pass over a recording: number of rows, time steps, and ranges of the samples."""
 
     rows: int = 0
     steps: Quantiles = field(default_factory=Quantiles)
@@ -401,7 +401,7 @@ def _limits(read: Reading, extent: _Range, window: int) -> tuple[Floats, Stillne
 
 
 def _own_noise(spread: Quantiles) -> float:
-    """Noise of an axis at rest: median standard deviation of its quiet windows.
+    """Noise of an axis at rest: median of the standard deviations in its quiet windows.
 
     It is zero if many windows are constant, because the converter is too coarse.
     """
@@ -441,7 +441,7 @@ def _outside(accel: Floats, extent: _Range, limits: StillnessLimits) -> tuple[Fl
 
 
 class _Cutter:
-    """Last pass: find runs of still windows, trim them, and split them at sudden changes of the mean."""
+    """Last pass: finds runs of still windows, trims them, and splits them at jumps of the mean."""
 
     def __init__(self, sizes: _Sizes, limits: StillnessLimits, extent: _Extent, turn: Floats) -> None:
         self._sizes = sizes
@@ -522,7 +522,7 @@ class _Cutter:
         self._steps = [(rows, jump) for rows, jump in self._steps if rows[-1] > last]
 
     def _cuts(self, start: int, stop: int) -> list[int]:
-        """Rows at which to split a dwell: the largest change first, at least a window apart."""
+        """Rows at which a dwell is split: the largest changes of the mean, at least a window apart."""
         window = self._sizes.window
         if not self._steps:
             return []

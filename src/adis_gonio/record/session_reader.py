@@ -308,7 +308,7 @@ def _facts_of(attempt: StoredAttempt, scans: Block, dropped: int) -> JsonDict:
 
 
 def _changed_registers(view: ArchiveView) -> list[JsonDict]:
-    """Return a doubt (a list of one) if registers changed between start and end of a session; else []."""
+    """List with one doubt if registers changed between start and end of a session; else empty."""
     then, now = view.last("registers-configured"), view.last("registers-after")
     changed = changed_settings(then or {}, now or {})
     if not changed:

@@ -1,4 +1,8 @@
-"""Sources of samples for a session: the chip behind its driver, or any other sensor.
+"""Sources of samples, and the settings that they take.
+
+Settings of a session: dwell length, settling, and the sensor's configuration.
+
+Sources of samples for a session: the chip behind its driver, or any other sensor.
 
 A session knows its sensor only as a `SampleSource`. `ChipSource` is the source for the driver; a package
 adds other sources by an entry point in the group `adis_gonio.source`: scheme = "module:opener".
@@ -6,22 +10,119 @@ adds other sources by an entry point in the group `adis_gonio.source`: scheme = 
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import entry_points
 from typing import Any, Protocol, TypeVar
 
 from adis_gonio.base import Closing
 from adis_gonio.base.errors import ChipError, SessionError, UsageError
+from adis_gonio.base.jsonable import OPTIONAL, JsonRecord
 from adis_gonio.device.bus.opening import SOURCE_GROUP, BusUrl
-from adis_gonio.device.sensor.data_ready import MASK as DATA_READY_BITS, DataReadyLoan
-from adis_gonio.device.sensor.driver import Adis16354, open_sensor
-from adis_gonio.device.sensor.registers import BY_NAME, READING_BITS, REGISTERS
-from adis_gonio.device.sensor.settings import Configuration, Status, white_noise_gain
+from adis_gonio.device.sensor.driver import DEFAULT_SCAN, Adis16354, open_sensor
+from adis_gonio.device.sensor.registers import ACCEL_OUT, BY_NAME, READING_BITS, REGISTERS
+from adis_gonio.device.sensor.scanning import MASK as DATA_READY_BITS, DataReadyLoan
+from adis_gonio.device.sensor.settings import (
+    Configuration,
+    Status,
+    sample_period_s,
+    sens_avg_word,
+    white_noise_gain,
+)
 from adis_gonio.record.blocks import Block
-from adis_gonio.record.settings import Settings
+
+LEAST_SAMPLES = 16
+"""Samples that a dwell needs so that its noise can be estimated."""
+
+TURN_S = 10.0
+"""Estimated duration in s of a turn by hand, until the first turn has been timed."""
+
+
+def expected_each_s(settle_s: float, dwell_s: float) -> float:
+    """Expected duration of one position in s: turning, settling and dwell."""
+    return TURN_S + settle_s + dwell_s
+
+
+class Settings(JsonRecord):
+    """Settings of a session, stored in its archive and used again when the session is resumed.
+
+    Attributes
+    ----------
+    dwell_s : float
+        Length of a dwell in s.
+    settle_s : float
+        Wait between stillness and the dwell in s, at least the filter's settling time.
+    still_timeout_s : float
+        Time to wait for stillness in s before the operator is asked (or the session ends without one).
+    smpl_prd : int
+        SMPL_PRD; 1 is the fastest, 819.2 samples a second.
+    filter_m : int
+        M of the Bartlett filter.
+    gyro_range_dps : int
+        300, 150 or 75.
+    data_ready : bool or None
+        Use of data-ready pulses: None uses them if the bus supports it and the line is wired, True requires
+        them, False polls.
+    registers : tuple of str
+        Registers of a scan; the three accelerometer outputs are required.
+    turns : bool
+        Keep the scans of the last minutes before each dwell too.
+
+    Raises
+    ------
+    UsageError
+        The sensor does not support a value, or the dwell is too short for its rate.
+    """
+
+    dwell_s: float = 10.0
+    settle_s: float = 0.5
+    still_timeout_s: float = 60.0
+    smpl_prd: int = 1
+    filter_m: int = 2
+    gyro_range_dps: int = 300
+    data_ready: bool | None = None
+    registers: tuple[str, ...] = DEFAULT_SCAN
+    turns: bool = field(default=False, metadata=OPTIONAL)
+
+    def __post_init__(self) -> None:
+        for name in ("dwell_s", "still_timeout_s"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise UsageError(f"{name} is {value}: take a time above 0 s")
+        if not (math.isfinite(self.settle_s) and self.settle_s >= 0):
+            raise UsageError(f"settle_s is {self.settle_s}: take 0 s or more")
+        missing = [name for name in ACCEL_OUT if name not in self.registers]
+        sens_avg_word(self.gyro_range_dps, self.filter_m)
+        if not 1 <= self.smpl_prd <= 0xFF:
+            raise UsageError(f"smpl_prd is {self.smpl_prd}: take 1 (819.2 samples a second) to 255")
+        period_s = sample_period_s(self.smpl_prd)
+        if self.dwell_s < LEAST_SAMPLES * period_s:
+            raise UsageError(
+                f"dwell_s is {self.dwell_s:g}: at {1 / period_s:.4g} samples a second"
+                f" take {LEAST_SAMPLES * period_s:.3g} s or more"
+            )
+        if missing:
+            raise UsageError(f"a session needs {', '.join(ACCEL_OUT)}; the scan lacks {', '.join(missing)}")
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Settings:
+        """Create settings from their JSON form; missing settings have their defaults.
+
+        Raises
+        ------
+        UsageError
+            A value is not supported, or a setting is unknown to this program.
+        """
+        unknown = sorted(data.keys() - cls.__dataclass_fields__.keys())
+        if unknown:
+            raise UsageError(
+                f"the session has a setting {unknown[0]!r:.40}: update adis-gonio to resume it"
+            )
+        return cls(**{**data, "registers": tuple(data.get("registers", DEFAULT_SCAN))})
+
 
 T = TypeVar("T")
 
@@ -149,7 +250,7 @@ class SampleSource(Closing):
 
     @abstractmethod
     def identity(self, registers: Mapping[str, Any], measuring: Mapping[str, Any]) -> dict[str, Any]:
-        """Facts about the sensor and its configuration that must be unchanged when a session is resumed."""
+        """Facts about the sensor that must not change before a session is resumed."""
 
     @abstractmethod
     def expected_noise_mg(self, measuring: Measuring) -> float:
@@ -203,7 +304,7 @@ class ChipSource(SampleSource):
         self.sensor.bus.sleep_s(seconds)
 
     def witness(self, name: str, observe: Callable[[], T]) -> T:
-        """Return the value that the bus returns."""
+        """Observe a value through the bus, which may record or replay it, and return the value."""
         return self.sensor.bus.witness(name, observe)
 
     def configure(self, settings: Settings) -> Configuration:

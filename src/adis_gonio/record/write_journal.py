@@ -170,7 +170,7 @@ def _remarks(known: Sequence[Operation], recorded: Numbers, what: str) -> tuple[
 
 
 def find_undoable(known: Sequence[Operation]) -> Operation | None:
-    """The write that `--undo` would revert: the last one that is not undone yet; None without one."""
+    """The write that `--undo` would revert: the last write not undone yet; None if there is none."""
     for operation in reversed(known):
         if operation.op != "undo" and operation.steps[-1] is not WriteStep.SET_BACK:
             return operation
@@ -290,7 +290,7 @@ def _in_flash(
 
 
 def _written_since(known: Sequence[Operation], endurance: int) -> str:
-    """Clause about a flash that another program wrote since the last save, or that is another flash.
+    """Clause for a message if another program has written the flash since the last save.
 
     Empty if ENDURANCE has the value that the last save left, and without a save.
     """

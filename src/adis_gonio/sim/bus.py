@@ -33,7 +33,7 @@ from adis_gonio.device.bus.contract import (
 )
 from adis_gonio.device.bus.host import SAFE_TIMING, UrlOptions
 from adis_gonio.device.bus.opening import BusUrl, Device
-from adis_gonio.device.sensor.variants import Variant
+from adis_gonio.device.sensor.registers import Variant
 from adis_gonio.model.effects import parse_effect
 from adis_gonio.model.effects.base import Effect
 from adis_gonio.sim.chip import SimulatedChip

@@ -47,8 +47,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
-from adis_gonio.device.sensor.registers import BY_NAME, EA, GYRO_OFF, ND
-from adis_gonio.device.sensor.variants import Variant, variant
+from adis_gonio.device.sensor.registers import BY_NAME, EA, GYRO_OFF, ND, Variant, variant
 from adis_gonio.sim.memory import (
     FLASH_S,
     SELF_TEST_S,

@@ -19,8 +19,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats, rotation_matrices
 from adis_gonio.base.errors import UsageError
-from adis_gonio.device.sensor.registers import Confidence
-from adis_gonio.device.sensor.variants import Performance
+from adis_gonio.device.sensor.registers import Confidence, Performance
 from adis_gonio.model.effects.base import AXES, lagged
 from adis_gonio.sim.noise import RateWalk
 from adis_gonio.sim.sampling import Electronics
@@ -158,7 +157,7 @@ class GyroTriad:
         return rate
 
     def _warming(self, time_s: Floats) -> Floats:
-        """Remaining fraction (n,) of the warm-up: 1 at power-on, decaying to 0."""
+        """Fraction (n,) of the warm-up that remains at n times: 1 at power-on, decaying to 0."""
         on_s = np.maximum(time_s + self._settings.powered_s, 0.0)
         return np.asarray(np.exp(-on_s / self._settings.gyro_warm_up_tau_s))
 
@@ -264,7 +263,7 @@ class DrawnFault:
 
     @property
     def described(self) -> str:
-        """The distribution in words, such as "normal, 0, σ 0.05"."""
+        """The distribution as text, such as "normal, 0, σ 0.05"."""
         if self.law == "uniform":
             return f"uniform, {self.middle:g} ± {self.size:g}"
         bound = f", at most {self.most:g} away" if self.most else ""

@@ -22,8 +22,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF, REGISTERS, Register
-from adis_gonio.device.sensor.variants import LEAST_M, RANGE_CODE, Variant
+from adis_gonio.device.sensor.registers import (
+    ACCEL_OFF,
+    BY_NAME,
+    GYRO_OFF,
+    LEAST_M,
+    RANGE_CODE,
+    REGISTERS,
+    Register,
+    Variant,
+)
 from adis_gonio.sim.memory import PRECISION_S, Memory
 
 
@@ -105,7 +113,7 @@ def taps(m: int) -> int:
 
 
 def history_rows(m: int) -> int:
-    """Number of earlier samples on which the filter's output depends: 2N − 2."""
+    """Number of earlier samples that the filter's output depends on: 2N − 2."""
     return 2 * taps(m) - 2
 
 

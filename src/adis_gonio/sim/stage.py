@@ -74,7 +74,7 @@ def _zeros() -> Floats:
 
 @dataclass(frozen=True)
 class _Leg:
-    """A move of the stage and the rest after it: in the plane by angles, in space by a turn about an axis.
+    """A move of the stage with the rest after it: in the plane by angles, in space by a turn about an axis.
 
     In space the sensor sees gravity along `along` + cos φ `base` + sin φ `side` while it turns by φ.
     """
@@ -459,7 +459,7 @@ class Stage:
 
 
 def _motion(leg: _Leg, time_s: Floats, *course: Floats) -> Motion:
-    """Add the conditions of a move to the course of the sensor during and after it."""
+    """Make the `Motion` of the sensor during and after a move, from its course and the move's facts."""
     facts = (np.full(len(time_s), float(fact)) for fact in (leg.previous_rad, leg.order, leg.approach))
     since = time_s - leg.end_s if np.isfinite(leg.end_s) else time_s
     return Motion(*(*course, *facts, np.maximum(since, 0.0)))

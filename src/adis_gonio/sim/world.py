@@ -26,7 +26,7 @@ from dataclasses import replace
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.device.sensor.variants import Variant, variant
+from adis_gonio.device.sensor.registers import Variant, variant
 from adis_gonio.model.effects.base import AXES, Conditions, Effect, Enters
 from adis_gonio.model.measurement import FreeAttitude, sensitivity
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2

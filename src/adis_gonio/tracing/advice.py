@@ -26,7 +26,7 @@ def advise(
     terms: Sequence[Term],
     confounded: Sequence[Sequence[str]],
 ) -> tuple[tuple[str, ...], tuple[NextDwell, ...]]:
-    """Return advice as sentences and as measurements, the most informative first.
+    """Return advice for the next measurements, as sentences and as dwells, the most informative first.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def sentences(measurements: Sequence[NextDwell]) -> tuple[str, ...]:
 
 
 def place(measurement: NextDwell) -> str:
-    """Describe the position and conditions of a proposed dwell: `45° from above, after waiting 5 min`."""
+    """Describe a proposed dwell with its conditions, such as `45° from above, after waiting 5 min`."""
     words = [where(measurement)]
     if measurement.temperature_c is not None:
         words.append(f"with the part at {measurement.temperature_c:.0f} °C")
@@ -80,7 +80,7 @@ def place(measurement: NextDwell) -> str:
 
 
 def where(measurement: NextDwell) -> str:
-    """Describe the position of a proposed dwell without conditions, such as `45° from above`."""
+    """Describe a proposed dwell by position alone, such as `45° from above`."""
     if measurement.angle_deg is not None:
         side = " from above" if measurement.approach < 0 else ""
         return f"{measurement.angle_deg:g}°{side}"
@@ -90,7 +90,7 @@ def where(measurement: NextDwell) -> str:
 
 
 def _grouped(measurements: Sequence[NextDwell]) -> list[list[NextDwell]]:
-    """Group measurements by purpose: to separate a pair of hypotheses, or to cover unseen effects."""
+    """Group proposed dwells by purpose: to separate a pair of hypotheses, or to cover unseen effects."""
     groups: dict[object, list[NextDwell]] = {}
     for m in measurements:
         key: object = (m.one, m.other)
@@ -120,7 +120,7 @@ def _sentence(group: Sequence[NextDwell]) -> str:
 
 
 def _faint(group: Sequence[NextDwell]) -> str:
-    """Return the advice for positions at which a single dwell cannot decide between the hypotheses."""
+    """Return advice to repeat positions, if a single dwell there cannot decide between the hypotheses."""
     what = list(dict.fromkeys(place(m) for m in group))
     where = _joined(what, "; " if any("," in w for w in what) else ", ")
     names = _joined(list(dict.fromkeys(name for m in group for name in _varying(m))), ", ")
@@ -133,7 +133,7 @@ def _faint(group: Sequence[NextDwell]) -> str:
 
 
 def _varying(measurement: NextDwell) -> tuple[str, ...]:
-    """Return the effects in only one of the two models that the measurement separates, sorted."""
+    """Return the effects that only one of the two models compared by a proposed dwell contains, sorted."""
     return tuple(sorted(set(measurement.one) ^ set(measurement.other)))
 
 
@@ -150,7 +150,7 @@ def _by_hand(
     *,
     alone: bool,
 ) -> list[str]:
-    """Return manual actions for groups that no measurement separates, one line for each action.
+    """Return actions of the operator that distinguish groups of effects which no dwell separates.
 
     If no attitude is searched for (`alone`), include actions that confirm a name against unnamed forms.
     """
@@ -175,7 +175,7 @@ def _by_hand(
 
 
 def _of_cycles(selection: Selection) -> list[str]:
-    """Return advice on distinguishing a found periodic error of the stage from others that fit as well.
+    """Return advice on angles that distinguish a found periodic stage error from others that fit as well.
 
     At the session's angles, stage errors with different numbers of cycles per turn can look alike. Each
     line advises additional angles that distinguish them.
@@ -204,7 +204,7 @@ _FORM_SHOWS = {
 
 
 def _of_unnamed(model: Sequence[Term]) -> list[str]:
-    """Return actions that would show how the unnamed part depends on its covariates, one line for each."""
+    """Return actions that show how the unnamed part depends on its covariates, one line each."""
     covariates = dict.fromkeys(c for term in model if term.name is None for c in term.covariates)
     to_do = dict.fromkeys(_FORM_SHOWS[name] for name in covariates if name in _FORM_SHOWS)
     return [f"to see the form of the unnamed part: {what}" for what in to_do]

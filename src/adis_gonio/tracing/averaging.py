@@ -27,6 +27,34 @@ Member = tuple[float, NamelessTerm, Floats]
 
 
 @dataclass(frozen=True)
+class Solution:
+    """The ridge regression of one member: fixed columns, then its unnamed terms.
+
+    Attributes
+    ----------
+    terms : tuple of NamelessTerm
+    values, half : (p,), (p, k) float
+        Values, and a root of their covariance in units of the noise.
+    used : float
+        Degrees of freedom.
+    visible : float
+        Share of the terms' contribution that the fixed columns could not reproduce. It is 1 without terms
+        and for processes, since their priors keep them small.
+    """
+
+    terms: tuple[NamelessTerm, ...]
+    values: Floats
+    half: Floats
+    used: float
+    visible: float
+
+    def columns(self, there: Fit, width: int) -> Floats:
+        """Return the whitened columns (rows, p) of a fit, whose first `width` ones are the fixed ones."""
+        own = [there.white(there.candidate(term)) for term in self.terms]
+        return np.concatenate([there.jacobian[:, :width], *own], axis=1)
+
+
+@dataclass(frozen=True)
 class AveragedTerm(NamelessTerm):
     """Weighted mean of fitted unnamed functions, as a fixed term without parameters.
 
@@ -66,10 +94,16 @@ class AveragedFit(Fit):
         Covariance of base and named parameters.
     mixed_used : float
         Degrees of freedom used by base, named terms and members, averaged with the members' weights.
+    solutions : tuple of (float, Solution)
+        The members with their weights.
+    inflation : float
+        Factor on the variance of the noise under which they were solved.
     """
 
     mixed_covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     mixed_used: float = 0.0
+    solutions: tuple[tuple[float, Solution], ...] = ()
+    inflation: float = 1.0
 
     @property
     def covariance(self) -> Floats:
@@ -80,6 +114,19 @@ class AveragedFit(Fit):
     def used(self) -> float:
         """Degrees of freedom used by the fit, equal to `mixed_used`."""
         return self.mixed_used
+
+    def carried(self, there: Fit) -> Floats:
+        """Root (rows, k) of the predictions' covariance: within the members and between them."""
+        width = len(self.mixed_covariance)
+        weights = np.sqrt([weight for weight, _ in self.solutions])
+        columns = [member.columns(there, width) for _, member in self.solutions]
+        within = [
+            w * each @ member.half
+            for w, each, (_, member) in zip(weights, columns, self.solutions, strict=True)
+        ]
+        each = np.stack([c @ m.values for c, (_, m) in zip(columns, self.solutions, strict=True)], axis=1)
+        between = weights * (each - each @ weights[:, None] ** 2) / np.sqrt(self.inflation)
+        return np.concatenate([*within, between], axis=1)
 
 
 @dataclass(frozen=True)
@@ -159,8 +206,9 @@ def _average(selection: Selection, candidates: Sequence[Process] | None) -> Aver
     # The last member of the pool may be "no unnamed part".
     if weights[-1] > 0.5 and not pool[-1][1]:
         return None
-    members, covariance, used = _fit_members(selection, fixed, target, pool, weights)
-    averaged = _averaged_terms(members)
+    solutions = fit_members(selection, fixed, target, pool, weights)
+    covariance, used = mixed_covariance(solutions, fixed.shape[1], selection.inflation)
+    averaged = _averaged_terms(_members(solutions, selection.fit, fixed.shape[1]))
     own = [
         (term, values)
         for term, values in zip(selection.fit.terms, selection.fit.values.terms, strict=True)
@@ -172,7 +220,7 @@ def _average(selection: Selection, candidates: Sequence[Process] | None) -> Aver
     weight = float(weights[: len(promising)].sum())
     # A fixed function has no parameters, but the degrees of freedom of its members are used.
     spent = AveragedFit(
-        fit.data, fit.terms, fit.values, fit.with_prior, mixed_covariance=covariance, mixed_used=used
+        fit.data, fit.terms, fit.values, fit.with_prior, covariance, used, solutions, selection.inflation
     )
     return Averaged(spent, promising[0].term, weight, promising)
 
@@ -219,52 +267,54 @@ def _formulas(
     return pool
 
 
-def _fit_members(
+def fit_members(
     selection: Selection,
     fixed: Floats,
     target: Floats,
     pool: Sequence[tuple[float, tuple[NamelessTerm, ...]]],
     weights: Floats,
-) -> tuple[list[Member], Floats, float]:
-    """Fit each member; return members, covariance (k, k) of the fixed parameters, degrees of freedom.
-
-    The fixed parameters are the base and named ones. Their covariance contains the uncertainty within each
-    member and the differences between members. The used degrees of freedom are a weighted mean.
-    """
-    members: list[Member] = []
-    means, within, used = [], np.zeros((fixed.shape[1], fixed.shape[1])), 0.0
+) -> tuple[tuple[float, Solution], ...]:
+    """Fit each member with a weight; return the solutions with the weights that they have together."""
     likely = np.flatnonzero(weights).tolist()
-    solutions = {k: _solve_ridge(selection, fixed, target, pool[k][1]) for k in likely}
+    solved = [(float(weights[k]), solve_ridge(selection, fixed, target, pool[k][1])) for k in likely]
     # Members that base and named terms could imitate are dropped, unless this would drop all of them.
-    seen = {k: solution[3] >= limits.visible for k, solution in solutions.items()}
-    if any(seen.values()):
-        weights = np.array([weight * seen.get(k, 0) for k, weight in enumerate(weights)])
-        weights /= weights.sum()
-    for k in np.flatnonzero(weights).tolist():
-        weight, terms = float(weights[k]), pool[k][1]
-        solved, covariance, freedom, _ = solutions[k]
-        used += float(weight) * freedom
-        means.append((weight, solved[: fixed.shape[1]]))
-        within += weight * covariance[: fixed.shape[1], : fixed.shape[1]]
-        cut = fixed.shape[1]
-        for term in terms:
-            width = term.columns(selection.fit.ideal, selection.fit.data.conditions).shape[-1]
-            members.append((float(weight), term, solved[cut : cut + width]))
-            cut += width
-    mean = np.sum([w * m for w, m in means], axis=0)
-    between = np.sum([w * np.outer(m - mean, m - mean) for w, m in means], axis=0)
-    return members, within + between / selection.inflation, used
+    seen = [(weight, member) for weight, member in solved if member.visible >= limits.visible] or solved
+    total = sum(weight for weight, _ in seen)
+    return tuple((weight / total, member) for weight, member in seen)
 
 
-def _solve_ridge(
-    selection: Selection, fixed: Floats, target: Floats, terms: Sequence[NamelessTerm]
-) -> tuple[Floats, Floats, float, float]:
-    """Solve a ridge regression; return values, covariance, used degrees of freedom and visible share.
+def mixed_covariance(
+    solutions: Sequence[tuple[float, Solution]], width: int, inflation: float
+) -> tuple[Floats, float]:
+    """Return the covariance (k, k) of the fixed parameters and the degrees of freedom of all members.
 
-    The covariance is in units of the noise. The visible share is the share of the terms' contribution that
-    the fixed columns could not reproduce. It is 1 without terms and for processes, since their priors keep
-    them small.
+    The covariance contains the uncertainty within each member and the differences between members. The
+    degrees of freedom are a weighted mean.
     """
+    mean = np.sum([weight * one.values[:width] for weight, one in solutions], axis=0)
+    covariance = np.zeros((width, width))
+    for weight, one in solutions:
+        half, away = one.half[:width], one.values[:width] - mean
+        covariance += weight * (half @ half.T + np.outer(away, away) / inflation)
+    return covariance, sum(weight * one.used for weight, one in solutions)
+
+
+def _members(solutions: Sequence[tuple[float, Solution]], fit: Fit, width: int) -> list[Member]:
+    """Return each unnamed term of the solutions with the weight of its member and its amplitudes."""
+    members: list[Member] = []
+    for weight, one in solutions:
+        cut = width
+        for term in one.terms:
+            own = term.columns(fit.ideal, fit.data.conditions).shape[-1]
+            members.append((weight, term, one.values[cut : cut + own]))
+            cut += own
+    return members
+
+
+def solve_ridge(
+    selection: Selection, fixed: Floats, target: Floats, terms: Sequence[NamelessTerm]
+) -> Solution:
+    """Solve the ridge regression of one member."""
     fit = selection.fit
     blocks = [fit.white(fit.candidate(term)) for term in terms]
     columns = np.concatenate([fixed, *blocks], axis=1)
@@ -287,7 +337,7 @@ def _solve_ridge(
         beside = orthonormal(fixed)
         left = added - beside @ (beside.T @ added)
         visible = float(np.linalg.norm(left) / np.linalg.norm(added))
-    return solved, half @ half.T, float(((columns @ half) ** 2).sum()), visible
+    return Solution(tuple(terms), solved, half, float(((columns @ half) ** 2).sum()), visible)
 
 
 def _averaged_terms(members: Sequence[Member]) -> list[AveragedTerm]:

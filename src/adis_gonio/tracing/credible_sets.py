@@ -59,8 +59,8 @@ def judge(selection: Selection, averaged: Averaged | None = None) -> Names:
     """Judge each named effect of the chosen model; return the accepted and the rejected names.
 
     A name is accepted if the models that contain it have most of the posterior (`certain`), and the model
-    has no unnamed term with covariates of that kind (slow or position). With such a term the name may be a
-    piece of the unknown cause.
+    has no unnamed term with covariates of the kind of this name (slow, or dependent on the position). With
+    such a term the name may be a piece of the unknown cause.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def judge(selection: Selection, averaged: Averaged | None = None) -> Names:
 
 
 def unknown_of(selection: Selection, averaged: Averaged | None) -> list[NamelessTerm]:
-    """Return the unnamed terms that compete with the names: of the model, or else of the average."""
+    """Return the unnamed terms that compete with the names: of the average, or else of the model."""
     terms = [selection.problem.terms[k] for k in selection.verdict.best]
     own = [term for term in terms if isinstance(term, NamelessTerm)]
     return own if own or averaged is None else [averaged.smooth]
@@ -109,7 +109,7 @@ def _kinds(covariates: Sequence[str]) -> set[bool]:
 
 
 def _replacements(selection: Selection) -> list[tuple[str, ...]]:
-    """Return groups of names that replace each other in probable or equivalent models."""
+    """Return groups of effects that are exchanged between the chosen model and other probable models."""
     verdict = selection.verdict
     best = verdict.best
     top = verdict.weights.get(best, max(verdict.weights.values()))
@@ -134,7 +134,7 @@ def _replacements(selection: Selection) -> list[tuple[str, ...]]:
 
 @dataclass(frozen=True)
 class _Part:
-    """An effect or unnamed function in a model, to compare models regardless of axes."""
+    """An effect or unnamed function of a model, without its axes, to compare models by their causes."""
 
     name: str | None
     shown_as: str
@@ -175,12 +175,12 @@ def credible_sets(selection: Selection, averaged: Averaged | None = None) -> tup
 
 
 def merge_by_function(sets: Sequence[CredibleSet], likelier: Mapping[str, str]) -> tuple[CredibleSet, ...]:
-    """Keep only the first of the sets with causes that are more probably pieces of one unnamed function.
+    """Merge sets of named causes that are more probably pieces of one unnamed function: keep the first.
 
     Parameters
     ----------
     likelier : mapping of str to str
-        For each such cause, the unnamed function.
+        For each of these causes, the unnamed function.
     """
     leads = [likelier.get(one.cause, one.cause) for one in sets]
     return tuple(one for k, one in enumerate(sets) if leads[k] not in leads[:k])
@@ -200,7 +200,9 @@ def set_of(selection: Selection, cause: str, averaged: Averaged | None = None) -
 def votes(
     selection: Selection, cause: str, averaged: Averaged | None = None
 ) -> tuple[dict[str, float], float]:
-    """Return the probability of each name that could explain a cause, and that the cause is present.
+    """Return the probability of each name for a cause, and the probability that the cause is present.
+
+    Each probable model counts for the name that it contains, with its own probability.
 
     Parameters
     ----------
@@ -243,7 +245,7 @@ def probability_of(selection: Selection, cause: str, averaged: Averaged | None =
 
 @dataclass(frozen=True)
 class _Place:
-    """One cause of the chosen model, for which other models vote.
+    """One cause of the chosen model, to find the names that other models have in its place.
 
     Attributes
     ----------
@@ -272,10 +274,10 @@ class _Place:
         return cls(problem, cause, ours, added / max(float(np.linalg.norm(added)), 1e-300))
 
     def choice(self, model: Model) -> dict[str, float]:
-        """Return the shares of a model's votes for this cause, which sum to at most 1.
+        """Return the names that a model has in the place of this cause, with shares that sum to at most 1.
 
-        If a model lacks several causes, its additional terms vote for each in proportion to the part of the
-        cause's contribution that they reproduce.
+        If the model lacks several causes, each of its additional terms is shared among them, in proportion
+        to the part of the cause's contribution that it reproduces.
         """
         terms = [self.problem.terms[k] for k in model]
         mine = [term for term in terms if cause_name(term) == self.cause]
@@ -303,7 +305,7 @@ class _Place:
 
 
 def _may_be_piece(selection: Selection, cause: str, averaged: Averaged) -> bool:
-    """Return True if a named cause may be only a piece of the averaged unnamed function."""
+    """Return True if a named cause may be a piece of the function that the average describes."""
     terms = [selection.problem.terms[k] for k in selection.verdict.best]
     return any(
         unknown is averaged.smooth and related(term, unknown)
@@ -319,12 +321,12 @@ def cause_name(term: Term) -> str:
 
 
 def undecided(selection: Selection, count: int = 5) -> tuple[str, ...]:
-    """Return named effects that could each explain a significant part of an inadequate model's residual.
+    """Return the named effects that could explain the residual of a model that is not adequate.
 
-    Each effect is added alone and F-tested at 10 %. The noise is taken from the residual, since the noise
-    measured within the dwells does not explain it. If any effect passes, effects of similar probability
-    are included; the variants of a name are summed, each weighted by its share of the prior. The most
-    probable comes first. None of these names is accepted.
+    Each effect is added alone and tested by an F-test at 10 %. The noise is taken from the residual, since
+    the noise measured within the dwells does not explain it. If any effect passes, effects of similar
+    probability are included; the variants of a name are summed, each weighted by its share of the prior.
+    The most probable comes first. None of these names is accepted.
     """
     from scipy.special import fdtrc
 

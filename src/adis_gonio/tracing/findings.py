@@ -129,7 +129,7 @@ def differs_from_zero(finding: Finding) -> bool:
 
 
 def scatter_finding(scatter: Scatter, explains: float) -> Finding:
-    """Return dwell-to-dwell scatter as a finding that explains this share of the base model's excess."""
+    """Return dwell-to-dwell scatter as a finding; `explains` is its share of the base model's excess χ²."""
     return Finding(
         effect=scatter.kind,
         axes=(),
@@ -142,7 +142,7 @@ def scatter_finding(scatter: Scatter, explains: float) -> Finding:
 
 
 def _explained_chi2(selection: Selection, members: Sequence[int]) -> tuple[float, int]:
-    """Return the χ² that the member terms explain beyond the other terms, and their number of columns."""
+    """Return the increase of χ² if these terms are removed from the model, and their number of columns."""
     best = selection.verdict.best
     with_all = float((span(selection.problem, best)[1] ** 2).sum())
     others = [k for k in best if k not in members]
@@ -153,10 +153,11 @@ def _explained_chi2(selection: Selection, members: Sequence[int]) -> tuple[float
 def unnamed_of(
     selection: Selection, averaged: Averaged | None, judged: Selection | None = None
 ) -> Unnamed | None:
-    """Return the unnamed part of the result, from the model's unnamed terms or the average of them.
+    """Return the unnamed part of the result: structure in the readings that no named effect explains.
 
-    Its probability is that of the credible sets: of the least probable function, by the posterior of
-    `judged` if given.
+    It comes from the model's unnamed terms or from the average that replaces them. Its probability is the
+    probability of the least probable function, as in the credible sets, by the posterior of `judged` if
+    given.
     """
     from scipy.special import chdtrc
 
@@ -225,7 +226,7 @@ def base_of(selection: Selection) -> dict[str, Value]:
 
 
 def zeros_of(selection: Selection, seen: Sequence[Finding] = ()) -> dict[str, Value]:
-    """Return the bias of each axis without a bias among the findings, for readings in counts.
+    """Return the readings at zero acceleration that no finding states, for readings in counts.
 
     An axis without a bias in the model is at the approximate zero that was used to convert the readings
     to mg. Its bias is fitted together with the other parameters. Empty if the zero of the unit is known.
@@ -303,7 +304,7 @@ def notes_of(selection: Selection, scatter: Scatter | None) -> tuple[str, ...]:
 
 
 def excesses(fits: Sequence[Fit], figures: Sequence[ErrorFigures]) -> list[float]:
-    """Return the χ² of each nested model in excess of its degrees of freedom.
+    """Return by how much the χ² of each nested model exceeds its degrees of freedom.
 
     If the noise is unknown, the squared residual is used instead.
     """
@@ -316,7 +317,7 @@ def excesses(fits: Sequence[Fit], figures: Sequence[ErrorFigures]) -> list[float
 
 
 def shares(steps: Sequence[str], excess: Sequence[float]) -> dict[str, float]:
-    """Return the share of the base model's excess that each added effect explains, by name.
+    """Return the share of the base model's excess χ² that each added effect explains, by name.
 
     The `steps` are the names of the effects in the order in which they were added. An effect that
     increases the excess has the share 0.
@@ -331,12 +332,12 @@ def shares(steps: Sequence[str], excess: Sequence[float]) -> dict[str, float]:
 
 
 def with_shares(found: Sequence[Finding], of_step: dict[str, float]) -> tuple[Finding, ...]:
-    """Return the findings with `explains` set to the share of the excess that each explains."""
+    """Return the findings with `explains` set to their shares of the base model's excess χ²."""
     return tuple(replace(finding, explains=of_step.get(finding.effect, 0.0)) for finding in found)
 
 
 def unnamed_with_share(unnamed: Unnamed | None, of_step: dict[str, float]) -> Unnamed | None:
-    """Return the unnamed part with `explains` set to the share of the excess that it explains.
+    """Return the unnamed part with `explains` set to its share of the base model's excess χ².
 
     If no step added an unnamed term, the share is limited to the part that the steps leave unexplained.
     """
@@ -351,13 +352,13 @@ def unnamed_with_share(unnamed: Unnamed | None, of_step: dict[str, float]) -> Un
 
 @dataclass(frozen=True)
 class Mixture:
-    """Parameter values (M, p) of M probable models minus the reported values, and weights (M,)."""
+    """Parameter values (M, p) of M probable models minus the reported values, with the models' weights."""
 
     away: Floats
     weight: Floats
 
     def u(self, within: float, along: Floats) -> float:
-        """Return the uncertainty of a linear combination of parameters over all probable models.
+        """Return the uncertainty of a linear combination of parameters, averaged over all probable models.
 
         `along` (p,) are the coefficients of the combination; `within` is its standard uncertainty if the
         model is known.
@@ -449,7 +450,7 @@ def _amplitudes_of(problem: LinearProblem, model: Sequence[int], name: str) -> d
 
 
 def follows_clock(term: Term) -> bool:
-    """Return True if a term depends on nothing except the time since the start of the session."""
+    """Return True if time since the start of the session is the only covariate of a term."""
     if isinstance(term, AveragedTerm):  # it lists only the covariates of its most probable member
         return all(follows_clock(member) for _, member, _ in term.members)
     needs = term.effect.needs if isinstance(term, NamedTerm) else ()
@@ -463,7 +464,7 @@ def middle_s(fit: Fit) -> float:
 
 
 def clock_at_middle(fit: Fit, ideal: Floats, *, turned: bool = False) -> tuple[Floats, Floats]:
-    """Return the contribution of all terms in time to a reading at the middle of the session.
+    """Return the contribution of all time-dependent terms to a reading at the middle of the session.
 
     Parameters
     ----------
@@ -489,7 +490,7 @@ def clock_at_middle(fit: Fit, ideal: Floats, *, turned: bool = False) -> tuple[F
 
 
 def bias_at_middle(selection: Selection, finding: Finding) -> Finding:
-    """Return a bias converted to the middle of the session; other findings are unchanged."""
+    """Return a bias with its value at the middle of the session; other findings are unchanged."""
     if finding.effect != "bias":
         return finding
     fit = selection.fit
@@ -515,10 +516,7 @@ MOST_NAMED = 5
 
 
 def cycles_alike(selection: Selection) -> list[tuple[int, tuple[int, ...]]]:
-    """Return alternative numbers of cycles per turn for each periodic stage error of the model.
-
-    Each entry is the model's number of cycles and the other numbers that are about as plausible.
-    """
+    """Return numbers of cycles per turn that could replace the number of each periodic stage error."""
     problem, best = selection.problem, selection.verdict.best
     angle = selection.data.conditions.angle_rad
     periodic = {
@@ -595,7 +593,7 @@ def detectable(
 
 
 def _lengths(problem: LinearProblem, term: int, basis: np.ndarray) -> list[float]:
-    """Return the sensitivity of the readings to each amplitude of a term, beyond the model.
+    """Return how much each amplitude of a term changes the readings beyond changes that the model can make.
 
     It is the length of the whitened column after projection off the base model and `basis`.
     """

@@ -102,7 +102,7 @@ def harmonics(orders: Sequence[int]) -> Shape:
 
 @dataclass(frozen=True)
 class _Made:
-    """An unnamed function as a candidate: its family, basis functions, and the places it may enter."""
+    """An unnamed function as a candidate: its family, basis functions, and the parameters it may change."""
 
     family: str
     basis: Basis
@@ -110,7 +110,7 @@ class _Made:
 
 
 def nameless_terms(data: Readings) -> list[NamelessTerm]:
-    """Return all unnamed candidate terms of a session, each with its share of the prior."""
+    """Return all unnamed candidate terms of a session, each with its prior probability."""
     made = list(_bases(data))
     weight = {m.family: 1.0 if m.family in COMMON else limits.family_weight for m in made}
     total = sum(weight[family] for family in sorted(weight))
@@ -170,7 +170,7 @@ def _formula(
     smooth: bool = False,
     constant: bool = False,
 ) -> _Made:
-    """Make a candidate from a function of the conditions, with a constant column first if `constant`."""
+    """Make a candidate from a function of the conditions, with a constant as first column if `constant`."""
 
     def matrix(conditions: Conditions) -> Floats:
         rows = columns(conditions)
@@ -190,7 +190,7 @@ def _both(
     covariates: tuple[str, ...] = (),
     smooth: bool = False,
 ) -> Iterator[_Made]:
-    """Yield a formula as a candidate and, if no effect has this form, also with a constant on the bias.
+    """Yield a formula as a candidate, and if no effect has it, also the formula with a constant bias.
 
     `named` lists the places where the catalogue already contains this formula.
     """
@@ -406,7 +406,7 @@ def step_places(values: Floats, count: int) -> list[float]:
 
 @dataclass(frozen=True)
 class _Course:
-    """Makes candidate functions of one covariate, with the symbols for their formulas."""
+    """Makes candidate functions of one covariate, and their formulas with its symbol."""
 
     family: str
     letter: str
@@ -582,7 +582,7 @@ def _of_memory(data: Readings) -> Iterator[_Made]:
 
 @dataclass(frozen=True)
 class _Factor:
-    """A covariate that is a factor of a product: name, symbol, values and meaningful zero."""
+    """A covariate that may be multiplied by another: name, symbol, values, and its meaningful zero."""
 
     name: str
     letter: str
@@ -591,7 +591,7 @@ class _Factor:
 
 
 def _factors(conditions: Conditions) -> Iterator[_Factor]:
-    """Yield the recorded covariates that may be factors of a product."""
+    """Yield the recorded covariates that may be multiplied by each other."""
     yield _Factor("time", "t", lambda c: c.time_s)
     if conditions.temperature_c is not None:
         yield _Factor("temperature", "(T − 25 °C)", lambda c: c.covariate("temperature_c"), REFERENCE_C)
@@ -617,9 +617,9 @@ def _products(data: Readings) -> Iterator[_Made]:
 
 
 def _cycles_times(factor: _Factor, conditions: Conditions) -> Iterator[_Made]:
-    """Yield errors of the stage with few cycles a turn whose size follows another covariate.
+    """Yield stage errors of few cycles per turn with an amplitude proportional to a covariate.
 
-    In some orders of positions they equal many cycles a turn of constant size.
+    In some orders of positions they look like errors of many cycles per turn and constant amplitude.
     """
     _, half = _scaled(factor.get(conditions))
     for cycles in (1, 2, 3):

@@ -34,7 +34,7 @@ _TINY = 1e-8
 
 @dataclass(frozen=True)
 class LinearProblem:
-    """The model linearised at given parameter values, with the columns of all candidate terms.
+    """The model linearised at given values, with derivatives by all candidate terms as columns.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class LinearProblem:
 
     @property
     def chi2(self) -> float:
-        """χ² of the base model."""
+        """χ² of the residual of the base model."""
         return float(self.target @ self.target)
 
     def block(self, term: int) -> Floats:
@@ -83,7 +83,7 @@ class LinearProblem:
         return self.columns[:, self.first[term] : self.first[term] + self.width[term]]
 
     def gains(self, basis: Floats, residual: Floats) -> Floats:
-        """Return the χ² (M,) that each term would explain of a model's residual (rows,).
+        """Return the decrease of χ² (M,) if each term is added to a model with this residual (rows,).
 
         `basis` (rows, k) is an orthonormal basis of the model's columns.
         """
@@ -116,7 +116,7 @@ class LinearProblem:
         return np.concatenate(gains)
 
     def pair_gains(self, z: Floats, inside: Floats, gram: Floats) -> Floats:
-        """Return the χ² (M, M) that each two terms together explain of a model's residual.
+        """Return the decrease of χ² (M, M) if two terms are added to a model together, for each pair.
 
         The products of all columns with the residual, the model's basis and each other are (P,), (k, P) and
         (P, P). Only entries above the diagonal are valid; −∞ if the first term lies in the model.
@@ -279,9 +279,10 @@ class Products:
         self._of: dict[int, Floats] = {}
 
     def of_model(self, model: Sequence[int]) -> tuple[float, Floats, Floats]:
-        """Return the χ² of a model's residual, and the products of all P candidate columns with two things.
+        """Return the χ² of a model's residual, and two sets of products with all P candidate columns.
 
-        These are the model's residual, (P,), and an orthonormal basis of the model's k columns, (k, P).
+        The first set (P,) is with the model's residual, the second (k, P) with an orthonormal basis of the
+        model's k columns.
         """
         problem = self._problem
         if not len(model):
@@ -299,7 +300,7 @@ class Products:
         return problem.chi2 - float(along @ along), self._target - along @ inside, inside
 
     def pairs(self, model: Sequence[int]) -> tuple[float, int, Floats]:
-        """Return the χ² of a model's residual, its columns, and the χ² (M, M) that two terms explain."""
+        """Return the χ² of a model's residual, the number of its columns, and `pair_gains` (M, M)."""
         chi2, z, inside = self.of_model(model)
         return chi2, len(inside), self._joining.pair_gains(z, inside, self._gram)
 
@@ -346,7 +347,7 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
 
 
 def project_off_base(base: Floats, columns: Floats, widths: NDArray[np.intp]) -> tuple[Floats, Floats]:
-    """Return the part of columns outside the base model's span, scaled to unit length, and the lengths."""
+    """Return the part of columns outside the span of the base model, scaled to 1, and its lengths."""
     before = np.linalg.norm(columns, axis=0)
     # A column of rounding errors (the sixth harmonic's sine on a grid of 30°) is set to zero.
     starts = np.cumsum(widths) - widths
@@ -408,10 +409,7 @@ def _orthonormal_blocks(
 def _back_maps(
     half: Floats, index: NDArray[np.intp], length: Floats, spread: Floats
 ) -> tuple[Floats, Floats]:
-    """Return matrices that map block coefficients to amplitudes, and Gram matrices of the prior.
-
-    The matrices (…, d, width) belong to combinations `half` of the columns `index` (…, d).
-    """
+    """Return matrices that convert block coefficients to amplitudes, and Gram matrices of the prior."""
     back = half / length[index][..., None]
     away = back / spread[index][..., None]
     return back, away.swapaxes(-1, -2) @ away
@@ -453,7 +451,7 @@ def span(problem: LinearProblem, model: Sequence[int]) -> tuple[Floats, Floats]:
 
 
 def _orthonormal_combinations(gram: Floats) -> Floats:
-    """Return a matrix (p, k) such that columns with this Gram matrix times it are orthonormal."""
+    """Return a matrix (p, k) that turns columns with this Gram matrix into orthonormal columns."""
     values, vectors = np.linalg.eigh(gram)
     seen = values > limits.independent
     half: Floats = vectors[:, seen] / np.sqrt(values[seen])

@@ -52,7 +52,7 @@ Model = tuple[int, ...]
 
 @dataclass
 class Search:
-    """The models of a linear problem that a search has scored.
+    """All models of a linear problem that a search has scored, with their scores.
 
     Attributes
     ----------
@@ -84,12 +84,12 @@ class Search:
         return {m: s for m, s in self.scores.items() if s >= top - within}
 
     def explained(self, model: Model) -> float:
-        """Return half of the χ² that a scored model explains (its score without the prices)."""
+        """Return half of the decrease of χ² by a scored model: its score plus the prices of its terms."""
         return self.scores[model] + float(sum(self.prices[k] for k in model))
 
 
 def price(problem: LinearProblem) -> Floats:
-    """Return the price (M,) in nats that each term subtracts from a model's score.
+    """Return the price (M,) of each term in nats: the amount by which it lowers a model's score.
 
     It is the sum of the price of the term's columns and of −ln of its prior probability.
     """
@@ -104,7 +104,7 @@ def search(
     explored: int = limits.explored,
     spare: int | None = None,
 ) -> Search:
-    """Search for models of up to `max_terms` terms that explain the target.
+    """Search for models of up to `max_terms` terms that explain the readings.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def search(
 
 
 class _Joining:
-    """Terms with which models are extended, their numbers in the whole problem, and products.
+    """Terms that extend models, their numbers among all terms, and a cache of products of columns.
 
     `opened` are the models that were extended by each of these terms.
     """
@@ -143,7 +143,7 @@ class _Joining:
 
 
 class _Climb:
-    """A search that scores the neighbours of the best models until the best ones do not change."""
+    """Local search: it scores the neighbours of the best models until the best models do not change."""
 
     def __init__(self, found: Search, spare: int, max_terms: int, explored: int) -> None:
         problem, terms = found.problem, found.problem.terms
@@ -201,7 +201,10 @@ class _Climb:
                     self.score_pairs(rest)
 
     def _reduced(self, model: Model, far: bool) -> Iterator[Model]:
-        """Yield a model without up to one of its terms; if `far`, up to two, and also with a bias."""
+        """Yield a model and all models with one term less.
+
+        If `far`, also models with two terms less, and each model with a bias added.
+        """
         for dropped in range(min(len(model), 1 + far) + 1):
             for rest in itertools.combinations(model, len(model) - dropped):
                 yield rest
@@ -372,7 +375,7 @@ def _classes(found: Search, models: list[Model]) -> dict[Model, list[Model]]:
 
 
 def skeleton(found: Search, model: Model) -> Skeleton:
-    """Return the names and covariates of a model, to compare models regardless of axes and shapes."""
+    """Return the names and covariates in a model, which identify it regardless of axes and shapes."""
     terms = [found.problem.terms[k] for k in model]
     return (
         tuple(sorted({term.name for term in terms if term.name is not None})),

@@ -31,7 +31,7 @@ def prior_weight(kind: type[Effect]) -> float:
 
 
 def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
-    """Return the candidate terms of all named effects, and the reason why each other effect is none.
+    """Return the candidate terms of all named effects, and for each excluded effect the reason.
 
     A bias of all axes has nearly the whole prior, since each axis of a real part has a bias. Each other
     effect has a fixed share. Its variants (axes, dwell, degree, shape) divide it evenly; its numbers of
@@ -96,7 +96,7 @@ def _variants(kind: type[Effect], data: Readings) -> Iterator[tuple[Effect, tupl
 
 
 def _options(kind: type[Effect], data: Readings) -> list[dict[str, int]]:
-    """Return the possible settings of an effect in this session: dwells, degrees, cycles, options."""
+    """Return the possible settings of an effect in this session: dwell, degree, cycles, or option."""
     choices = kind.choices()
     options: list[dict[str, int]] = [{}]
     if "dwell" in choices and data.conditions.order is not None:

@@ -27,8 +27,8 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats, log_sum_exp
 from adis_gonio.base.budget import attempt, check
-from adis_gonio.base.computed_once import ComputedOnce
 from adis_gonio.base.errors import FitError
+from adis_gonio.base.jsonable import ComputedOnce
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.uncertainty import Detectable, Value
 from adis_gonio.fitting.estimation.readings import mg_per_unit
@@ -55,7 +55,7 @@ _RIDGE = 1e-12
 
 @dataclass(frozen=True)
 class _Variant:
-    """One degree and time constant of an effect.
+    """One variant of an effect: a degree of its polynomial and a time constant.
 
     Attributes
     ----------
@@ -110,7 +110,7 @@ class _Problem(ComputedOnce):
 
 @dataclass(frozen=True)
 class _Noise:
-    """A kind of slow noise, and averages over short intervals that are whitened for R sizes of this noise.
+    """One kind of slow noise, with averaged samples that are whitened for R sizes of this noise.
 
     A jump of the zero at any time competes as one more column: a step between two averages.
 
@@ -220,7 +220,7 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
         advice=advice,
         reasons=reasons,
         notes=(
-            *(["the zero moves without a recorded cause: " + ", ".join(uncaused)] if uncaused else []),
+            *(["the bias changes without a recorded cause: " + ", ".join(uncaused)] if uncaused else []),
             "one pose, traced sample by sample; adequacy cannot be tested, since the noise of neighbouring "
             "samples is not independent",
             "held-out rms by axis: "
@@ -348,11 +348,7 @@ def _labels(made: Effect, count: int) -> tuple[tuple[str, ...], tuple[str, ...]]
 
 
 def _choices(model: Model) -> list[tuple[int, ...]]:
-    """Return the combinations of the variants of a model's effects.
-
-    If several effects have a time constant, only every third one is used. A lagging element has a
-    polynomial of its temperature, so this effect and the temperature effect have equal degrees.
-    """
+    """Return all combinations of one variant for each effect of a model."""
     lists = []
     several = sum(len(candidate.variants) > len(DEGREES) for candidate in model) > 1
     for candidate in model:
@@ -375,7 +371,7 @@ def _columns(model: Model, choice: tuple[int, ...]) -> list[int]:
 
 
 def _solve_with_ridge(gram: Floats, cross: Floats) -> Floats:
-    """Return the solution (…, p, axes) of normal equations with a ridge too small to change the result.
+    """Solve normal equations with a ridge too small to change the result; return (…, p, axes).
 
     The ridge only makes the equations solvable if columns are equal.
     """
@@ -386,7 +382,7 @@ def _solve_with_ridge(gram: Floats, cross: Floats) -> Floats:
 
 
 def _fits(problem: _Problem, model: Model) -> tuple[list[tuple[int, ...]], Floats, Floats, Floats]:
-    """Fit every combination of variants to all blocks of time except one, leaving out each in turn.
+    """Fit each combination of variants to all time blocks but one, leaving out each block in turn.
 
     Returns
     -------
@@ -418,7 +414,7 @@ def _fits(problem: _Problem, model: Model) -> tuple[list[tuple[int, ...]], Float
 
 
 def _squares(square: Floats, cross: Floats, gram: Floats, solution: Floats) -> Floats:
-    """Return the residual sum of squares (BLOCKS, axes) for coefficients (BLOCKS, p, axes)."""
+    """Return the residual sums of squares (BLOCKS, axes) for given coefficients (BLOCKS, p, axes)."""
     # |y − Xb|² = yᵀy − 2 bᵀXᵀy + bᵀXᵀX b, from the sums of each block.
     quadratic = np.einsum("bia,bij,bja->ba", solution, gram, solution)
     left: Floats = np.maximum(square - 2 * (cross * solution).sum(axis=1) + quadratic, 0.0)
@@ -545,9 +541,10 @@ def _log_odds(problem: _Problem, model: Model, simpler: Model) -> float:
 
 
 def _shares(problem: _Problem, model: Model, candidates: Sequence[_Candidate]) -> dict[_Candidate, float]:
-    """Return the probability of each further effect of a model; the rest is that there is none.
+    """Return for each further effect the probability that it belongs to the model.
 
-    The odds against none are 1 to the number of candidates before the measurement.
+    The probability that none does is the rest. The prior odds of each against none are 1 to the number of
+    candidates.
     """
     from scipy.special import softmax
 
@@ -560,7 +557,7 @@ def _shares(problem: _Problem, model: Model, candidates: Sequence[_Candidate]) -
 
 
 def _uncaused(problem: _Problem, model: Model) -> list[str]:
-    """Return the movement of the zero on each axis for which no recorded condition is a cause."""
+    """Return the axes on which the bias changes without a recorded cause, one line of text each."""
     from scipy.special import softmax
 
     out = []

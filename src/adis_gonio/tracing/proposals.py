@@ -67,7 +67,7 @@ _EFFORT_WAIT_S = 300.0
 
 @dataclass(frozen=True)
 class ImaginedDwell:
-    """An imagined dwell, which could be measured after the session.
+    """A dwell that could be measured after the session.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ class ImaginedDwell:
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A model that may be true.
+    """A model that may be true, with its probability.
 
     Attributes
     ----------
@@ -173,7 +173,7 @@ def propose(
 
 
 def label(term: Term) -> str:
-    """Return the name of a term for the advice; for an unnamed term a description."""
+    """Return the text for a term in an advice: its name, or the description of an unnamed term."""
     if term.name is not None:
         return term.name
     where = {"bias": "zero", "gain": "gain", "angle": "true angle", "misalignment": "misalignment"}
@@ -199,10 +199,10 @@ def _labels(model: Sequence[Term]) -> tuple[str, ...]:
 
 
 def _rivals(selection: Selection) -> list[Hypothesis]:
-    """Return the chosen model and its rivals as hypotheses: the best model of each set of names.
+    """Return hypotheses that compete: the chosen model, and the best model of each other set of names.
 
-    Together they have most of the posterior probability. The probability of a model that contains the
-    chosen model is added to the chosen model, which is adequate without the additional terms.
+    Together they have most of the posterior probability. An adequate model has rivals that contain it: with
+    few dwells an effect can be too faint to be found and yet as probable as its absence.
     """
     found, problem = selection.found, selection.problem
     near = found.near(7.0)
@@ -212,7 +212,6 @@ def _rivals(selection: Selection) -> list[Hypothesis]:
     best: dict[tuple[str, ...], tuple[int, ...]] = {ours: selection.verdict.best}
     for numbers in sorted(near, key=lambda m: -near[m]):
         names = _labels([problem.terms[k] for k in numbers])
-        names = ours if set(ours) <= set(names) else names
         weight[names] = weight.get(names, 0.0) + float(np.exp(near[numbers] - top))
         best.setdefault(names, numbers)
     total = sum(weight.values())
@@ -228,7 +227,7 @@ def _rivals(selection: Selection) -> list[Hypothesis]:
 
 
 def _explanations(selection: Selection, terms: Sequence[Term]) -> tuple[float, list[Hypothesis]]:
-    """Return hypotheses for the residual of an inadequate model, each with one more effect.
+    """Return hypotheses for the residual of a model that is not adequate, each with one more effect.
 
     The noise is the measured noise or, if larger, the smallest residual of any hypothesis. If several names
     are undecided, only these are compared. "No further effect" is not a hypothesis, because the model is
@@ -253,7 +252,7 @@ def _extended(
     inflation: float,
     known: set[str],
 ) -> list[Hypothesis]:
-    """Return the chosen model and its extensions by each further effect as weighted hypotheses.
+    """Return the chosen model and its extensions by one more effect, as hypotheses with weights.
 
     The weights are the prior share times the evidence of the session.
     """
@@ -365,7 +364,7 @@ class PredictedDwells:
     root: list[Floats]
 
     def of(self, k: int) -> PredictedDwells:
-        """Dwell k alone."""
+        """Predicted readings of the dwell number k alone."""
         return PredictedDwells([m[k : k + 1] for m in self.mean], [r[k : k + 1] for r in self.root])
 
     def after(self, other: PredictedDwells) -> PredictedDwells:
@@ -386,7 +385,7 @@ def _greedy(
     least: float = LEAST_SEPARATION,
     heating: bool = True,
 ) -> tuple[list[ImaginedDwell], list[NextDwell]]:
-    """Choose dwells one by one, each with the most information per effort given the chosen ones."""
+    """Choose dwells one by one; each adds the most information per effort to the dwells chosen before."""
     places = list(before)
     out: list[NextDwell] = []
     if len(hypotheses) < 2:
@@ -436,7 +435,7 @@ def _greedy(
 def _separated_pair(
     weights: Floats, apart: Floats, conditions: bool, least: float
 ) -> tuple[int, int] | None:
-    """Return the most important pair of hypotheses that a dwell separates; None if there is no pair.
+    """Return the two hypotheses that a dwell separates best; None if it separates no pair.
 
     The more probable hypothesis is first.
     """
@@ -456,7 +455,7 @@ def _separated_pair(
 
 
 def information_nats(weights: Floats, given: PredictedDwells, options: PredictedDwells | None) -> Floats:
-    """Return the expected information (n,) in nats about the true hypothesis, for each option.
+    """Return the expected information (n,) in nats of each option about which hypothesis is true.
 
     The dwells `given` are measured too. Without options the result (1,) is for these dwells alone.
     """
@@ -567,7 +566,7 @@ def _predict(
     options: list[ImaginedDwell],
     before: list[ImaginedDwell],
 ) -> PredictedDwells:
-    """Predict the whitened readings of each option, if it is measured after the dwells `before`."""
+    """Predict the whitened readings of each option, measured after the dwells `before`."""
     groups: dict[float | None, list[int]] = {}
     for k, place in enumerate(options):
         groups.setdefault(place.temperature_c, []).append(k)
@@ -597,7 +596,7 @@ def _predict_rows(imagined: Readings, inflation: float, hypotheses: list[Hypothe
 
 
 def _imagining(fit: Fit, imagined: Readings) -> Fit:
-    """Return a fit with the parameters of `fit` that predicts the readings of imagined dwells."""
+    """Return a fit with the parameters of `fit` that predicts readings of dwells not yet measured."""
     declared = np.isfinite(imagined.angle_rad)
     _, attitude = imagined.model.begin(imagined.mean, imagined.turn_rad, declared, imagined.conditions)
     return Fit(imagined, fit.terms, Values(fit.values.base, attitude, fit.values.terms), fit.with_prior)
@@ -606,7 +605,7 @@ def _imagining(fit: Fit, imagined: Readings) -> Fit:
 def _imagined(
     data: Readings, options: list[ImaginedDwell], before: list[ImaginedDwell], temperature_c: float | None
 ) -> Readings:
-    """Make readings for imagined dwells at one temperature, after the session and dwells `before`."""
+    """Make readings for dwells not yet measured, at one temperature, after the session and `before`."""
     c, n = data.conditions, len(options)
     end = float(c.time_s.max())
     step = float(np.median(np.diff(np.sort(c.time_s)))) if len(data) > 1 else 30.0

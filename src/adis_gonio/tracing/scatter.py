@@ -48,7 +48,7 @@ class Scatter:
     declared : float
         Uncertainty measured within the dwells, or stated for the fixture, in the same unit.
     log_odds : float
-        Log evidence for the component, against functions with the measured noise.
+        Log evidence for scatter, against functions with the measured noise.
     p_value : float
         p-value of the restricted likelihood ratio for a model, divided by the component's prior share.
     """
@@ -107,7 +107,7 @@ def _kinds(data: Readings) -> Iterator[Kind]:
 
 
 def _price(data: Readings) -> float:
-    """Return the log evidence that a scatter component costs: for its parameter and its hypothesis."""
+    """Return the price of scatter in nats, for its parameter and its prior probability."""
     return -math.log(limits.effect_share) + 0.5 * math.log(max(data.mean.size, 2))
 
 
@@ -146,7 +146,7 @@ def _evidence_of_processes(selection: Selection) -> float:
 def _fit_component(
     data: Readings, kind: Kind, selection: Selection, terms: Sequence[Term], max_effects: int
 ) -> tuple[float, Selection | None]:
-    """Return the size of a scatter component and the model selected with it; (0, None) if negligible.
+    """Return the size of one kind of scatter and the model selected with it, or (0, None) if small.
 
     Size and model are determined alternately, twice.
     """

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adis_gonio.base.budget import spent
-from adis_gonio.base.computed_once import ComputedOnce
+from adis_gonio.base.jsonable import ComputedOnce
 from adis_gonio.fitting.estimation.fit import Fit, adequacy
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
@@ -49,11 +49,11 @@ class Selection(ComputedOnce):
 
     @property
     def terms(self) -> tuple[Term, ...]:
-        """Terms of the chosen model."""
+        """Terms that the chosen model adds to the base model."""
         return self.fit.terms
 
     def promising(self, terms: Sequence[Term]) -> list[Term]:
-        """Return the terms that scored well in the search, and the best term of each name and axes."""
+        """Return the terms that scored well in the search, and the best term for each name with axes."""
         candidates = self.problem.terms
         ranked = [candidates[k] for k in np.argsort(-self.found.promise)]
         active = {term.label for term in ranked[: limits.fold_active]}
@@ -68,7 +68,7 @@ class Selection(ComputedOnce):
     def without_functions(self, refuted: Sequence[Term]) -> Selection:
         """Return a selection with the best model that has no unnamed function of these covariates.
 
-        The held-out dwells contradicted the `refuted` terms.
+        Held-out dwells have contradicted these functions (`refuted`).
         """
         gone = {term.covariates for term in refuted}
         terms = self.problem.terms
@@ -111,7 +111,7 @@ def select(
     explored: int = limits.explored,
     rounds: int = limits.rounds,
 ) -> Selection:
-    """Choose the terms of the model of these readings, which must not contain `check` dwells."""
+    """Choose a model for these readings, and fit it; the readings must not contain `check` dwells."""
     base = Fit.begin(data).refit()
     about = _start_with_slips(base, terms) if max_terms else base
     inflation = 1.0 if data.noise_known else max(base.chi2 / max(base.dof, 1), 1e-12)
@@ -151,9 +151,9 @@ def select(
 
 
 def _start_with_slips(base: Fit, terms: Sequence[Term]) -> Fit:
-    """Refit the base model with the roughly known slips of the position and a bias.
+    """Linearise about approximate slips of the part: refit the base model with these slips and a bias.
 
-    Without such slips return `base`.
+    The `base` is returned unchanged if no candidate is a slip of known size.
 
     A slip that is too large for the linearised model would look like an outlier on both axes. If the model
     is linearised about the approximate slip and bias instead, the linearisation is accurate.
@@ -191,7 +191,7 @@ def _refit_best(
 def _search_with_noise(
     data: Readings, problem: LinearProblem, max_terms: int, explored: int, inflation: float
 ) -> tuple[Search, float]:
-    """Search; if even the best model is not adequate, search again with more noise.
+    """Search; if even the best model is not adequate, search again with a larger noise.
 
     The unexplained part is then treated as noise of unknown origin (Birge's ratio), so that a name must be
     significant against it.
@@ -216,7 +216,7 @@ def _search_with_noise(
 
 
 def _separate_bias(problem: LinearProblem, base: Fit, about: Fit) -> Callable[[], Fit] | None:
-    """Return a function that fits the model with a bias alone, if a bias explains nearly all; else None."""
+    """Return a function that fits a bias alone, or None if a bias explains only a part."""
     constants = _mostly_bias(problem)
     if constants is not None:
         return lambda: fit_model(problem, [constants], about)
@@ -225,7 +225,7 @@ def _separate_bias(problem: LinearProblem, base: Fit, about: Fit) -> Callable[[]
 
 
 def _mostly_bias(problem: LinearProblem) -> int | None:
-    """Return the number of the bias on the most axes if it alone explains nearly all of the excess χ²."""
+    """Return the term number of the bias if it alone explains nearly all of the excess χ², else None."""
     widest = _widest_bias(problem)
     if widest is None:
         return None
@@ -235,7 +235,7 @@ def _mostly_bias(problem: LinearProblem) -> int | None:
 
 
 def _mostly_bias_refitted(problem: LinearProblem, base: Fit) -> Fit | None:
-    """Return a refit with a bias if this explains nearly all of the excess χ²; None if it does not.
+    """Return a fit with a bias if the bias explains nearly all of the excess χ²; else None.
 
     Unlike `_mostly_bias` this also works for a bias that is too large for the linear problem.
     """
@@ -250,6 +250,6 @@ def _mostly_bias_refitted(problem: LinearProblem, base: Fit) -> Fit | None:
 
 
 def _widest_bias(problem: LinearProblem) -> int | None:
-    """Return the term number of the bias on the most axes; None if no candidate is a bias."""
+    """Return the term number of the bias that acts on the most axes; None if no candidate is a bias."""
     constants = [k for k, term in enumerate(problem.terms) if term.constant]
     return max(constants, key=lambda k: problem.width[k]) if constants else None

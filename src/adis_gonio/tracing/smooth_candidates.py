@@ -96,7 +96,7 @@ def evidence(
     candidates: Sequence[Process],
     inflation: float = 1.0,
 ) -> Floats:
-    """Return the log evidence of each process minus its price, (len(candidates),) in nats.
+    """Return the log evidence of each process minus its price in nats, one value for each candidate.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def evidence(
 
 
 def _bases(data: Readings) -> Iterator[tuple[Basis, tuple[Where, ...]]]:
-    """Yield the basis functions of every kernel, with the places in the model that it may enter."""
+    """Yield basis functions for every kernel, with the parameters of the model that they may change."""
     c = data.conditions
     scalars, rings = _lines_and_rings(c, data.model.driven_by)
     for name, get in scalars.items():
@@ -153,7 +153,7 @@ def _bases(data: Readings) -> Iterator[tuple[Basis, tuple[Where, ...]]]:
 
 
 def _lines_and_rings(c: Conditions, driven_by: Sequence[str]) -> tuple[dict[str, Get], dict[str, Get]]:
-    """Return the covariates with a linear scale, and the covariates that are angles, by name."""
+    """Return two groups of covariates by name: covariates on a line, and covariates that are angles."""
     lines: dict[str, Get] = {"time": lambda k: k.time_s}
     if "force" in driven_by and c.force_g is not None:
         lines |= {f"force_{letter}": _component(axis) for axis, letter in enumerate(AXES)}

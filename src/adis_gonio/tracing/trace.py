@@ -329,7 +329,7 @@ class TraceRun:
         plain = all(term.constant for term in final.terms)
         tested = final.fit.dof >= (1 if plain else limits.least_checks) or not noise_known
         self.adequate = final.adequate and self.scatter is None and tested
-        if self.adequate and self.checking is not None and self.averaged is None and noise_known:
+        if self.adequate and self.checking is not None and noise_known:
             disagreement = disagreement_of(final, self.checking)
             self.notes += disagreement
             self.adequate = not disagreement

@@ -144,7 +144,7 @@ def _refit_without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[F
 
 
 class _Columns:
-    """Collects the parameters of a calibration from a fit, with their gradients.
+    """Collects the parameters of a calibration and their gradients, from a fit.
 
     Terms in time are evaluated at the middle of the session.
     """
@@ -159,9 +159,9 @@ class _Columns:
         """Name, value, unit and gradient (p,) of each parameter."""
 
     def _gain(self, axis: int) -> tuple[float, Floats]:
-        """Return the factor on an axis's scale at the middle of the session, and its gradient (p,).
+        """Return the factor by which time-dependent terms change the scale of an axis at mid-session.
 
-        The factor comes from the terms that depend on time.
+        The second result is its gradient (p,) by all parameters.
         """
         ideal_mg = np.zeros(self.fit.data.axes)
         ideal_mg[axis] = MG_PER_G
@@ -243,7 +243,7 @@ class _Columns:
 def _is_corrected(term: NamedTerm, result: TraceResult) -> bool:
     """Return True if the calibration shall correct an effect.
 
-    It is a finding, or confounded only with other effects that are corrected.
+    It does so if the effect is a finding, or confounded only with other effects that are corrected.
     """
     if term.name in {finding.effect for finding in result.found}:
         return True
@@ -396,7 +396,7 @@ _FOR_OTHERS = (".h", ".hpp", ".xml", ".html", ".parquet")
 def load_calibration(path: str | Path, method: str | None = None) -> Calibration:
     """Load a calibration from a JSON file, or fit a session file and return its calibration.
 
-    The first character of the file decides which it is.
+    The first character of the file shows which of them it is.
 
     Parameters
     ----------
@@ -476,7 +476,7 @@ def _named(part: Provenance) -> tuple[str, str]:
 
 
 def _exported(session: Any) -> tuple[str, str]:
-    """Return the sensor and the serial number from an exported JSON session; empty if missing."""
+    """Return the sensor and serial number that an exported JSON session states; empty if missing."""
     about = session if isinstance(session, dict) else {}
     return str(about.get("sensor") or ""), str(about.get("serial") or "")
 

@@ -287,7 +287,7 @@ def series_views(session: Session, result: TraceResult) -> Views:
 
 
 def _series_left(readings: Floats, blocks: Sequence[Sequence[Floats]]) -> Floats:
-    """Return the residual (n, axes) of a least-squares fit of a constant and columns (n, d) per axis."""
+    """Return the residual (n, axes) after a fit of a constant and of columns (n, d) for each axis."""
     left = np.empty_like(readings)
     for axis in range(readings.shape[1]):
         design = np.concatenate([np.ones((len(readings), 1)), *(block[axis] for block in blocks)], axis=1)

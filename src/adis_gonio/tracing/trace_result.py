@@ -21,7 +21,7 @@ from adis_gonio.base.tables import Entries, ParameterTable, lines_of
 from adis_gonio.base.uncertainty import Detectable, Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import ACCELEROMETER, GYRO
-from adis_gonio.fitting.slips.position_diagnosis import PositionFinding, listed
+from adis_gonio.fitting.slips.session_positions import PositionFinding, listed
 from adis_gonio.model.effects import catalogue
 from adis_gonio.model.effects.sensor_terms import REFERENCE_C
 from adis_gonio.record.provenance import Provenance
@@ -227,7 +227,7 @@ class Stopped(JsonRecord):
 
 
 class Rival(JsonRecord):
-    """The terms of a model of high posterior probability; one entry of `rivals` in the JSON."""
+    """The terms of another probable model; one entry of `rivals` in the JSON."""
 
     terms: tuple[str, ...]
     probability: float

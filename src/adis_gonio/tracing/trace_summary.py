@@ -166,13 +166,13 @@ def uncertain_steps(result: TraceResult) -> list[str]:
 
 
 def ordered(result: TraceResult) -> list[Finding]:
-    """Return the findings in the order in which the effects were added to the model."""
+    """Return the findings in the order in which the model got their effects."""
     order = [step.effect for step in result.steps]
     return sorted(result.found, key=lambda f: order.index(f.effect) if f.effect in order else len(order))
 
 
 def inside_only(result: TraceResult) -> list[Finding]:
-    """Return the findings from samples inside the dwells that the model of the readings lacks."""
+    """Return the findings inside dwells that are not among the effects of the model."""
     steps = {step.effect for step in result.steps}
     seen = {finding.effect for finding in result.within}
     return [finding for finding in result.found if finding.effect in seen - steps]
@@ -257,7 +257,7 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
 
 
 def exact(result: TraceResult) -> bool:
-    """Return True if the final model passes exactly through every reading."""
+    """Return True if the final model passes exactly through every reading, so that it cannot be tested."""
     return bool(result.steps) and result.after.residual_rms < 1e-9 * result.before.residual_rms
 
 
@@ -319,7 +319,7 @@ def confounded(result: TraceResult, most: int = 4) -> list[str]:
 
 
 def open_names(result: TraceResult) -> list[str]:
-    """Return the other rejected effects, which are in none of these groups, each with its reason."""
+    """Return the rejected effects outside these groups, each with its reason."""
     grouped = {names[0] for names in result.confounded}
     return [f"{name}: {reason}" for name, reason in result.reasons.items() if name not in grouped]
 

@@ -153,7 +153,7 @@ def answer_with_trace(result: FitResult, trace: TraceResult | None, *, own: bool
 
 
 def _beyond(likely: FitResult, trace: TraceResult) -> tuple[str, ...]:
-    """Return the effects of the traced model that a fit lacks.
+    """Return the effects of the traced model that a fit lacks, by name.
 
     A bias does not count if the fit contains biases, as most fits do.
     """
@@ -163,7 +163,7 @@ def _beyond(likely: FitResult, trace: TraceResult) -> tuple[str, ...]:
 
 
 def _confirmed(recommended: Recommendation, trace: TraceResult) -> Recommendation:
-    """Return the recommendation with the conclusion of a trace that found no additional effect."""
+    """Return the recommendation with a remark that a trace found no additional effect."""
     if trace.stopped is not None and not trace.stopped.checked:
         return recommended
     said = {
@@ -175,7 +175,7 @@ def _confirmed(recommended: Recommendation, trace: TraceResult) -> Recommendatio
 
 
 def _of_trace(session: Readings, trace: TraceResult) -> DwellPrediction | None:
-    """Predict each dwell by the traced model, refitted without the dwell; None if the axes differ."""
+    """Predict each dwell by the traced model refitted without it; None if the axes differ."""
     final = trace.fits[-1]
     if not session.planar and not final.data.planar and final.data.axes != session.axes:
         return None
@@ -261,7 +261,7 @@ def _gradients(fit: Fit) -> dict[str, Floats]:
 
 
 def _completed(rows: tuple[BudgetRow, ...], value: Value) -> tuple[BudgetRow, ...]:
-    """Return the rows of a budget completed so that they add up to the uncertainty of a value.
+    """Return the rows of a budget with a row added, so that they sum to the variance of a value.
 
     The remainder is assigned to the choice of the model.
     """

@@ -29,10 +29,10 @@ MOST_ROWS = 600
 
 
 def beside_unknown_cause(selection: Selection, max_terms: int) -> Selection:
-    """Return the selection with the posterior of its models beside an unknown cause.
+    """Let an unknown cause compete with the models of a selection, and return it with the new posterior.
 
-    The chosen model and its fit stay. A selection that is adequate, or whose noise is unknown, is returned
-    unchanged.
+    The unknown cause is a Gaussian process in all covariates. The chosen model and its fit stay. A
+    selection that is adequate, or with unknown noise, is returned unchanged.
     """
     data, problem = selection.data, selection.problem
     if selection.adequate or not data.noise_known or len(problem.target) > MOST_ROWS or not max_terms:
@@ -49,7 +49,10 @@ def beside_unknown_cause(selection: Selection, max_terms: int) -> Selection:
 
 
 def unknown_features(fit: Fit) -> Floats:
-    """Return the whitened features (rows, k) of the process, projected off the base model."""
+    """Return whitened features (rows, k) of the Gaussian process that represents an unknown cause.
+
+    They are projected off the base model.
+    """
     c = fit.data.conditions
     unit = fit.ideal / np.linalg.norm(fit.ideal, axis=1)[:, None]
     kernels = [np.exp((unit @ unit.T - 1) / WIDTH**2)]
@@ -69,7 +72,7 @@ def unknown_features(fit: Fit) -> Floats:
 
 
 def likeliest_size(problem: LinearProblem, model: Model, features: Floats) -> float:
-    """Return the standard deviation of the process with the greatest restricted likelihood."""
+    """Return the standard deviation of the unknown cause with the greatest restricted likelihood."""
     basis, residual = span(problem, model)
     rest = features - basis @ (basis.T @ features)
     values, vectors = np.linalg.eigh(rest @ rest.T)

@@ -580,15 +580,7 @@ def disagreement_p_value(fit: Fit, others: Readings, inflation: float = 1.0) -> 
     alone = replace(others, own_covariance=others.covariance, slow=None)
     there = fit.on(alone)
     residual = there.residual.ravel() / np.sqrt(inflation)
-    rows = there.jacobian
-    size = min(rows.shape[1], len(fit.covariance))
-    # Columns of X C^½, so that carried · carriedᵀ = X C Xᵀ.
-    carried = rows[:, :size] @ _root(fit.covariance[:size, :size])
-    spread = np.eye(len(rows)) + carried @ carried.T
+    carried = fit.carried(there)  # carried · carriedᵀ = X C Xᵀ
+    spread = np.eye(len(carried)) + carried @ carried.T
     distance = float(residual @ np.linalg.solve(spread, residual))
     return adequacy(distance, there.equations, others.noise_dof)
-
-
-def _root(covariance: Floats) -> Floats:
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))

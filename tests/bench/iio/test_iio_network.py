@@ -16,8 +16,7 @@ from adis_gonio.bench.iio_source import NO_FAULTS
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.faces.cli import main
 from adis_gonio.record.plans import plan
-from adis_gonio.record.settings import Settings
-from adis_gonio.record.source import open_source
+from adis_gonio.record.source import Settings, open_source
 from faces.serve.raw_client import served
 
 QUICK = Settings(dwell_s=0.6, settle_s=0.0)

@@ -9,7 +9,7 @@ import numpy as np
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.record.plans import plan
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 from adis_gonio.sim import SimBus, WorldSettings
 
 OFFSETS = ("XACCL_OFF", "YACCL_OFF", "ZACCL_OFF")

@@ -553,7 +553,7 @@ def test_an_unfinished_session_goes_on_as_if_nothing_had_been_once_it_is_undone(
     from adis_gonio.bench.events import DwellDone
     from adis_gonio.bench.runner import SessionRunner
     from adis_gonio.record.plans import plan
-    from adis_gonio.record.settings import Settings
+    from adis_gonio.record.source import Settings
 
     whole = record(tmp_path / "whole.session", new_bus(3))
     path = tmp_path / "part.session"

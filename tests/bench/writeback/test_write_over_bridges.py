@@ -6,7 +6,7 @@ from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.bench.writeback import OffsetWriter, WriteSettings
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.record.plans import plan
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 from adis_gonio.sim.chip import State
 from bench.writeback.rig import flash, new_bus, numbers
 from device.bus.test_bridges_with_driver import BRIDGES

@@ -20,12 +20,11 @@ from adis_gonio.base.errors import (
 )
 from adis_gonio.device.bus import BusUrl, Capability, SpiTiming, open_bus, serial as ports
 from adis_gonio.device.bus.serial import find_devices, open_from_url
-from adis_gonio.device.bus.serial.bus import ClockMap
-from adis_gonio.device.bus.serial.link import SerialLink
+from adis_gonio.device.bus.serial.bus import ClockMap, SerialLink
 from adis_gonio.device.bus.wire import Packet, Receiver, encode, load_cobs, protocol as wire
 from adis_gonio.device.sensor import Adis16354
-from adis_gonio.device.sensor.decoding import ScanBlock
 from adis_gonio.device.sensor.registers import ND
+from adis_gonio.device.sensor.settings import ScanBlock
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.sampling import OUTPUTS
 from adis_gonio.sim.testing.bus_contract import DATA_READY_ON, BusContract, Rig, WatchedChip

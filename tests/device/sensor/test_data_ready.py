@@ -12,12 +12,11 @@ from adis_gonio.bench.events import Configured, Problem
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.bus import BusUrl, FrameBlock, FrameStream, serial
 from adis_gonio.device.sensor import Adis16354
-from adis_gonio.device.sensor.data_ready import MASK
 from adis_gonio.device.sensor.registers import ACCEL_OUT, ND
-from adis_gonio.device.sensor.scanning import JUDGED_SCANS, PolledScans, ScanLayout, StreamedScans
+from adis_gonio.device.sensor.scanning import JUDGED_SCANS, MASK, PolledScans, ScanLayout, StreamedScans
 from adis_gonio.record.plans import plan
 from adis_gonio.record.session_reader import read_session
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 from adis_gonio.sim import SimBus, SimulatedChip, World
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
 from adis_gonio.sim.testing.pins import ChipPins, VirtualClock

@@ -20,7 +20,7 @@ from adis_gonio.device.bus.opening import BusUrl, Device
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.device.sensor.scanning import LONGEST_EXCHANGE_S
 from adis_gonio.record.plans import plan
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 from fakes.buses import RecordingBus
 from fakes.faulty_chip import FaultyBus, Window
 

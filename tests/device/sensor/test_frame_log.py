@@ -13,7 +13,7 @@ from adis_gonio.device.bus.capture import LogicCapture
 from adis_gonio.device.bus.recording import BusRecording, RecordingBus
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.device.sensor.frame_log import FrameLog, FrameRow
-from adis_gonio.device.sensor.variants import variant
+from adis_gonio.device.sensor.registers import variant
 from adis_gonio.faces.cli import main
 from adis_gonio.sim import SimBus
 

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, strategies as st
 
 from adis_gonio.base.errors import ChipError, UsageError
-from adis_gonio.device.sensor.decoding import ScanBlock, decode_numbers, join
 from adis_gonio.device.sensor.registers import (
     BY_NAME,
     FAST,
@@ -17,7 +16,10 @@ from adis_gonio.device.sensor.registers import (
 )
 from adis_gonio.device.sensor.settings import (
     Configuration,
+    ScanBlock,
+    decode_numbers,
     filter_settling_samples,
+    join,
     sample_period_s,
     sens_avg_word,
     smpl_prd_for,

@@ -3,8 +3,16 @@
 import pytest
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.device.sensor.registers import BY_NAME, REGISTERS, Access, Kind, Register, register
-from adis_gonio.device.sensor.variants import VARIANTS, variant
+from adis_gonio.device.sensor.registers import (
+    BY_NAME,
+    REGISTERS,
+    VARIANTS,
+    Access,
+    Kind,
+    Register,
+    register,
+    variant,
+)
 
 # Typed in from the data sheet's tables, independently of the table under test:
 # name: (address, bits, signed, access, default, in flash)

@@ -10,9 +10,8 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.device.sensor import DEFAULT_SCAN, VARIANTS
 from adis_gonio.device.sensor.registers import REGISTERS
 from adis_gonio.device.sensor.settings import Configuration, low_pass_3db_hz, smpl_prd_for
-from adis_gonio.faces.serve.iio_device import ScanFormat, SensorState, ServedDevice, filter_for
+from adis_gonio.faces.serve.iio_device import ScanFormat, ScanQueue, SensorState, ServedDevice, filter_for
 from adis_gonio.faces.serve.iiod_protocol import Errno, Refused
-from adis_gonio.faces.serve.scan_sampler import ScanQueue
 
 ALL = tuple(row.name for row in REGISTERS if row.flags)
 

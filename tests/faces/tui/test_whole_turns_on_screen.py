@@ -15,7 +15,7 @@ from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.faces.tui import screen_text
 from adis_gonio.faces.tui.bench_state import BenchState, Mark
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 from faces.tui.screens import shown
 from faces.tui.states import LAID, NOT_WHOLE, look, turning
 

@@ -6,7 +6,7 @@ import allantools
 import numpy as np
 import pytest
 
-from adis_gonio.fitting.allan.noise_processes import LEAST_DIFFERENCES, curve, overlapping
+from adis_gonio.fitting.allan.spectral_likelihood import LEAST_DIFFERENCES, curve, overlapping
 
 PERIOD_S = 0.01
 NOISES = {

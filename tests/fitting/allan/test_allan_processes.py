@@ -7,8 +7,15 @@ import pytest
 from scipy import fft, integrate, optimize, stats
 
 from adis_gonio.device.sensor.settings import filter_weights
-from adis_gonio.fitting.allan.noise_processes import KINDS, line, variances, variograms
-from adis_gonio.fitting.allan.spectral_likelihood import Likelihood, ordinates, profile
+from adis_gonio.fitting.allan.spectral_likelihood import (
+    KINDS,
+    Likelihood,
+    line,
+    ordinates,
+    profile,
+    variances,
+    variograms,
+)
 
 PERIOD_S = 0.02
 NOTHING = np.zeros(0, np.intp)

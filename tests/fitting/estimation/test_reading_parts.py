@@ -10,7 +10,7 @@ import pytest
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation import readings as module
 from adis_gonio.fitting.estimation.readings import (
     Unit,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.device.sensor.variants import GYRO_LSB_DPS
+from adis_gonio.device.sensor.registers import GYRO_LSB_DPS
 from adis_gonio.model.records import Dwell, Session, Turn
 from adis_gonio.sim import World, WorldSettings
 from adis_gonio.sim.sampling import bartlett_sums

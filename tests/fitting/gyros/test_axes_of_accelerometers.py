@@ -15,9 +15,9 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.bench.gyro_turns import gyro_turns_plan
 from adis_gonio.faces.cli import app
 from adis_gonio.fitting import fit
-from adis_gonio.fitting.gyros.accelerometer_triad import NAMES, UNKNOWN_BIAS_MG, Axes
 from adis_gonio.fitting.gyros.gyro_fit import TIME_BASE_U, fit_gyro
 from adis_gonio.fitting.gyros.gyro_readings import rate_intervals
+from adis_gonio.fitting.gyros.turn_integration import NAMES, UNKNOWN_BIAS_MG, Axes
 from adis_gonio.model.measurement import sensitivity
 from adis_gonio.sim import World, WorldSettings
 from adis_gonio.tracing.trace_calibrations import load_calibration

@@ -19,7 +19,7 @@ from adis_gonio.model.effects import effect
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 
 PER_C = {"x": 0.05, "y": -0.04, "z": 0.03}
 URL = (

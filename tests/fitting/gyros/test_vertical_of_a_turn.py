@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from adis_gonio.fitting.gyros.turn_integration import Path
-from adis_gonio.fitting.gyros.turn_references import steady_force
+from adis_gonio.fitting.gyros.turn_integration import Path, steady_force
 
 RATE_HZ = 100.0
 UP = np.array([0.1, -0.05, -0.99])

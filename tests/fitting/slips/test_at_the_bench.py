@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.bench.guards import Guard, GyroIntegral, PartPosition, add_diagnosis, diagnose_positions
-from adis_gonio.record.expectation import PriorKnowledge
+from adis_gonio.record.plans import PriorKnowledge
 
 SPREAD = PriorKnowledge(bias_mg=10.0, reading_mg=0.5, fixture_deg=0.05)
 OFF = Guard("wrong_angle", "off", {"off_deg": 1.0}, spoils=True)

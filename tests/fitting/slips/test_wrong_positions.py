@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from adis_gonio.fitting.slips import diagnose
-from adis_gonio.fitting.slips.position_diagnosis import listed
-from adis_gonio.fitting.slips.position_faults import possible_entries
+from adis_gonio.fitting.slips.position_model import possible_entries
+from adis_gonio.fitting.slips.session_positions import listed
 from fitting.slips.arrays import angles
 
 AROUND = np.arange(12) * 30.0

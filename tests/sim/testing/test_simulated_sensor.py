@@ -83,7 +83,7 @@ def test_a_calibration_session_runs_on_it(simulated_sensor, tmp_path):
     from adis_gonio import fit, load_session
     from adis_gonio.bench.runner import SessionRunner
     from adis_gonio.record.plans import plan
-    from adis_gonio.record.settings import Settings
+    from adis_gonio.record.source import Settings
 
     path = tmp_path / "s.session"
     runner = SessionRunner.begin(

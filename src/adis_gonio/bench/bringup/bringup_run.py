@@ -31,8 +31,7 @@ from adis_gonio.bench.bringup.update_steps import DataReady, Rate, SamplePeriods
 from adis_gonio.bench.bringup.write_steps import FlashCount, Offset, SelfTests, StatusBits
 from adis_gonio.device.bus import SpiBus
 from adis_gonio.device.sensor.driver import Adis16354, Undo
-from adis_gonio.device.sensor.registers import NORMAL
-from adis_gonio.device.sensor.variants import Variant
+from adis_gonio.device.sensor.registers import NORMAL, Variant
 
 STEPS: tuple[BringupStep, ...] = (
     Link(),

@@ -23,18 +23,17 @@ from numpy.typing import NDArray
 from adis_gonio.base.jsonable import INLINE, JsonRecord, key
 from adis_gonio.device.bus import Capability, SpiBus, SpiTiming, Words
 from adis_gonio.device.bus.forwarding import ForwardingBus
-from adis_gonio.device.sensor.decoding import ScanBlock, join
 from adis_gonio.device.sensor.driver import Adis16354
-from adis_gonio.device.sensor.registers import BY_NAME, EA, IDLE, Register, register, registers
+from adis_gonio.device.sensor.registers import BY_NAME, EA, IDLE, VARIANTS, Register, register, registers
 from adis_gonio.device.sensor.scanning import PolledScans, ScanLayout, ScanStream
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.settings import ScanBlock, join
 
 _PART = VARIANTS["adis16354"]
 _FIGURES = _PART.performance
 
 
 class Question(JsonRecord):
-    """A property of the ADIS16354 that is not certain, with its value in the package's tables.
+    """An open question about the sensor: a property that is not certain, with its tabulated value.
 
     Attributes
     ----------
@@ -217,7 +216,7 @@ class StepResult(JsonRecord, frozen=False):
         self.answer(question, Outcome.CONFIRMS if holds else Outcome.CONTRADICTS, text, *figures)
 
     def settle(self, question: str, text: str, *, differs: bool) -> StepResult:
-        """Record all figures of the step as the answer to its only question; return the step's result."""
+        """Record all figures of the step as the answer to its only question; return the result."""
         self.check(question, not differs, text, *self.figures)
         return self.differs(text) if differs else self.ok(text)
 
@@ -492,7 +491,7 @@ class BringupBench:
         return capability in self.bus.capabilities
 
     def refresh(self) -> None:
-        """Set the clock of the bus for the present mode of the sensor, within the ceiling."""
+        """Set the clock of the bus to the fastest that the sensor's present mode and the ceiling allow."""
         self.sensor._follow()
 
     # -- reading --------------------------------------------------------------------------------------
@@ -556,7 +555,7 @@ class BringupBench:
     # -- flags ------------------------------------------------------------------------------------------
 
     def alarm_stands(self) -> bool:
-        """True if the error/alarm flag (EA) of a data word is set; STATUS is not read."""
+        """True if a data word read now has the error/alarm flag (EA) set; STATUS is not read."""
         return bool(self.sensor.read_words(["XACCL_OUT"])[0] & EA)
 
     def status(self) -> int:

@@ -19,7 +19,6 @@ from adis_gonio.bench.bringup.bringup_step import (
     at_most,
 )
 from adis_gonio.device.bus import SpiTiming, Words
-from adis_gonio.device.sensor.decoding import scales
 from adis_gonio.device.sensor.driver import PLAUSIBLE
 from adis_gonio.device.sensor.registers import (
     ACCEL_OFF,
@@ -28,15 +27,18 @@ from adis_gonio.device.sensor.registers import (
     FAST,
     FAST_UP_TO,
     IDLE,
+    LEAST_M,
     NORMAL,
+    RANGE_CODE,
     REGISTERS,
     TEMP_OUT,
+    VARIANTS,
     Register,
+    Variant,
     read_frames,
     registers,
 )
-from adis_gonio.device.sensor.settings import Status, white_noise_gain
-from adis_gonio.device.sensor.variants import LEAST_M, RANGE_CODE, VARIANTS, Variant
+from adis_gonio.device.sensor.settings import Status, scales, white_noise_gain
 
 CLOCKS_HZ = (2e6, 1.5e6, 1e6, 750e3, 500e3, 250e3, 125e3, 62.5e3, 31.25e3)
 """Clocks to try: steps of the bridges within the limits of the chip's modes."""
@@ -54,7 +56,7 @@ _CONSTANT = tuple(
 
 
 def legal(row: Register, word: int) -> bool:
-    """True if a register can have this content: no bit is set outside its number or its fields."""
+    """True if a register can contain this word: no bit is set outside its number or its fields."""
     if row.name == "ENDURANCE":
         return word < 1 << 15
     if row.name == "SMPL_PRD":
@@ -179,7 +181,7 @@ def _frame_s(bench: BringupBench, count: int) -> float:
 
 
 def _too_quick(frame_us: float, timing: SpiTiming) -> list[str]:
-    """Message if a frame takes less time than the bridge reports; its clock error is allowed for."""
+    """Message if a frame takes less time than the bridge reports; the error of its clock is allowed for."""
     least_us = 1e6 * timing.frame_s
     if frame_us < least_us * (1 - np.sqrt(3) * BOARD_CLOCK_U):
         return [f"a frame takes {frame_us:.1f} µs, the part needs {least_us:.0f}: the stall is not kept"]
@@ -268,7 +270,7 @@ class BitErrors(BringupStep):
 
 
 def _offered(bench: BringupBench, most_hz: float, limit: SpiTiming) -> list[float]:
-    """Clocks in Hz that the bridge offers within the limits of the mode, slowest first."""
+    """Clocks in Hz that the bridge offers within the limits of the sensor's mode, slowest first."""
     found = set()
     for asked in CLOCKS_HZ:
         if asked <= most_hz:
@@ -420,5 +422,5 @@ def _tolerance(part: Variant, warm_c: float) -> float:
 
 
 def _gain(bench: BringupBench) -> float:
-    """Ratio of the noise after the present filter to the noise before it, rms, for white noise."""
+    """Factor by which the present filter reduces the rms of white noise."""
     return white_noise_gain(BY_NAME["SENS_AVG"].field("m").of(bench.sensor.read("SENS_AVG")))

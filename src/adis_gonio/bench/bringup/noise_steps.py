@@ -18,16 +18,15 @@ from adis_gonio.bench.bringup.bringup_step import (
     SideEffect,
     StepResult,
 )
-from adis_gonio.device.sensor.decoding import scales
-from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, registers
+from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, Variant, registers
 from adis_gonio.device.sensor.settings import (
     filter_response,
     filter_weights,
     rounding_spectrum,
+    scales,
     sens_avg_word,
     white_noise_gain,
 )
-from adis_gonio.device.sensor.variants import Variant
 
 _SCANS = 4096
 _FEW = 512
@@ -142,7 +141,7 @@ class Noise(BringupStep):
 
 
 class _Judged:
-    """Noise of the six axes in LSB, as before the filter, with the axes that deviate."""
+    """Noise of the six axes in LSB, converted to noise before the filter, and the deviating axes."""
 
     def __init__(self, sigma: Floats, u: Floats) -> None:
         self.sigma = sigma
@@ -244,7 +243,7 @@ def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, e
 
 
 def _answer_noise(found: StepResult, names: Sequence[str], off: Sequence[bool]) -> None:
-    """Answer the questions on noise by the six first figures, one per axis."""
+    """Answer the questions on noise by the first six figures of the step, one for each axis."""
     for question, first, unit in (("accel_noise", 0, "mg"), ("gyro_noise", 3, "°/s")):
         axes = slice(first, first + 3)
         pairs = zip(names[axes], found.figures[axes], strict=True)

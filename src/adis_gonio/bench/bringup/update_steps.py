@@ -112,7 +112,7 @@ def _by_clock(bench: BringupBench, expected_s: float, updates: int) -> Period | 
 
 
 def nearest_code(period_s: float) -> int:
-    """Value of SMPL_PRD with the nominal period nearest to a period in s, by ratio."""
+    """Value of SMPL_PRD with the nominal period that is nearest to the given one, by ratio."""
     return min(_CODES, key=lambda n: abs(math.log(period_s / sample_period_s(n))))
 
 
@@ -173,7 +173,7 @@ class _Edges:
 
     @property
     def slack(self) -> float:
-        """Tolerance of `surplus`: one edge at either end, and the error of the bridge's clock."""
+        """Tolerance of `surplus`: one edge at each end, and the error of the bridge's clock."""
         return 2 + _BENT * self.expected
 
     @property

@@ -17,9 +17,8 @@ from adis_gonio.bench.bringup.bringup_step import (
     SideEffect,
     StepResult,
 )
-from adis_gonio.device.sensor.decoding import scales
 from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, BY_NAME, GYRO_OUT, registers
-from adis_gonio.device.sensor.settings import Alarm, sens_avg_word
+from adis_gonio.device.sensor.settings import Alarm, scales, sens_avg_word
 
 _SCANS = 512
 _STEP = 1000
@@ -194,7 +193,7 @@ class StatusBits(BringupStep):
     _halvings = 9
 
     def run(self, bench: BringupBench, found: StepResult) -> StepResult:
-        """Test the alarm bit, which should stay, then the over-range bit, which should clear."""
+        """Test if the alarm bit stays until STATUS is read, and if the over-range bit clears."""
         bench.sample_quickly()
         bench.status()
         bench.wait_updates()
@@ -306,7 +305,7 @@ class FlashCount(BringupStep):
     settles = ("flash_count",)
 
     def run(self, bench: BringupBench, found: StepResult) -> StepResult:
-        """Save the numbers that the flash already has, and compare ENDURANCE before and after."""
+        """Save the present numbers to flash, which changes none, and compare ENDURANCE before and after."""
         if not bench.supply_ok:
             return found.not_measured("the supply is outside its limits, so that a flash update may fail")
         used = {"AUX_DAC": 0x0FFF, "GPIO_CTRL": 0x0003}  # a voltage, lines that are outputs

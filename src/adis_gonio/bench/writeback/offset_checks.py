@@ -26,17 +26,23 @@ from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.jsonable import NAMED_BY_UNIT, OPTIONAL, JsonRecord
 from adis_gonio.base.numbers import format_fixed, signed
 from adis_gonio.bench.writeback.offset_plan import BIASES, UNITS, WritePlan, plan_gyro_offsets, plan_offsets
-from adis_gonio.device.sensor.decoding import ScanBlock, join
 from adis_gonio.device.sensor.driver import Adis16354
-from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, GYRO_OFF, GYRO_OUT, TEMP_OUT, Kind
+from adis_gonio.device.sensor.registers import (
+    ACCEL_OFF,
+    ACCEL_OUT,
+    GYRO_OFF,
+    GYRO_OUT,
+    TEMP_OUT,
+    Kind,
+    variant,
+)
 from adis_gonio.device.sensor.scanning import ScanStream
-from adis_gonio.device.sensor.settings import Configuration, white_noise_gain
-from adis_gonio.device.sensor.variants import variant
+from adis_gonio.device.sensor.settings import Configuration, ScanBlock, join, white_noise_gain
 from adis_gonio.fitting import fit
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.measurement import FreeAttitude, PlanarTurn
 from adis_gonio.model.records import Session
-from adis_gonio.record.settings import LEAST_SAMPLES
+from adis_gonio.record.source import LEAST_SAMPLES
 from adis_gonio.record.stillness import NoiseMeter, StillnessWatch, limits_from_noise, window_samples
 from adis_gonio.record.write_journal import Numbers
 from adis_gonio.tracing.trace_calibrations import gyro_estimates_of, gyros_as_recorded
@@ -410,7 +416,7 @@ class AutonullFound(JsonRecord):
 
     @property
     def by(self) -> str:
-        """The differences that exceed the limit, as text."""
+        """Text with the differences that exceed the limit, one for each gyro."""
         return ", ".join(
             f"{axis.upper()} {signed(off, 3)} °/s (u {u:.2g} °/s)"
             for axis, off, u in zip(AXES, self.off_dps, self.u_dps, strict=True)
@@ -639,7 +645,7 @@ class Gyros:
 def part_of(
     session: Session, *, gyros: bool, method: str | None = None, angle_deg: float | None = None
 ) -> Accelerometers | Gyros:
-    """Return the gyros or the accelerometers of a session, as the half of the sensor to write.
+    """Return the object that plans and checks the offsets of a session: of its gyros or its accelerometers.
 
     Raises
     ------

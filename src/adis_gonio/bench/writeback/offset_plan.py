@@ -20,8 +20,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import SessionError
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF
-from adis_gonio.device.sensor.variants import VARIANTS, variant
+from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF, VARIANTS, variant
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import changed_registers
@@ -138,7 +137,7 @@ class WritePlan(JsonRecord):
 
     @property
     def carried_out(self) -> WritePlan:
-        """The plan after the write: the planned numbers are the present numbers."""
+        """Copy of the plan for the state after the write: the planned numbers are the present ones."""
         return replace(self, axes=tuple(replace(axis, now=axis.new) for axis in self.axes))
 
     @property
@@ -233,7 +232,7 @@ def _plan(
     method: str,
     doubts: Sequence[str],
 ) -> WritePlan:
-    """Make the plan from biases and their u, given by the name of the register."""
+    """Make the plan from biases with their standard uncertainties, `found` by name of the register."""
     axes = []
     for name, (bias, u) in found.items():
         row = BY_NAME[name]
@@ -266,7 +265,7 @@ def _lacks(session: Session, result: FitResult) -> list[str]:
 
 
 def _unsure(axis: AxisPlan) -> list[str]:
-    """Reason why the bias of an axis is too uncertain to be written, as a list; empty if it is not."""
+    """Reason why the bias of an axis is too uncertain to be written, as a list; else an empty list."""
     unit = UNITS[axis.unit]
     name = f"bias_{axis.axis}" if axis.unit == "mg" else f"gyro_bias_{axis.axis}"
     if axis.u != axis.u:

@@ -34,12 +34,11 @@ from adis_gonio.bench.writeback.offset_plan import UNITS, WritePlan, recorded_of
 from adis_gonio.device.sensor.driver import FLASH_LIFE, FLASH_UPDATE_S, Adis16354, Undo
 from adis_gonio.device.sensor.registers import registers
 from adis_gonio.model.records import Session
-from adis_gonio.record.archive import Archive, ArchiveView
+from adis_gonio.record.archive import Archive, ArchiveView, is_archive
 from adis_gonio.record.blocks import SUPPLY_LIMITS_V
-from adis_gonio.record.database import is_archive
 from adis_gonio.record.plans import Position
 from adis_gonio.record.session_reader import read_session
-from adis_gonio.record.settings import Settings
+from adis_gonio.record.source import Settings
 from adis_gonio.record.write_journal import (
     KIND,
     HeldOffsets,
@@ -220,12 +219,12 @@ class OffsetWriter:
 
     @property
     def known(self) -> tuple[Operation, ...]:
-        """Earlier writes in the journal to the registers of this half of the sensor."""
+        """Earlier writes in the journal to the registers that this object writes."""
         return operations_of(self.session, self._part.registers)
 
     @property
     def others(self) -> tuple[Operation, ...]:
-        """Earlier writes in the journal to the registers of the other half of the sensor."""
+        """Earlier writes in the journal to the registers that this object does not write."""
         return operations_of(self.session, self._part.others)
 
     def standing(self) -> HeldOffsets:
@@ -547,7 +546,10 @@ class OffsetWriter:
         return {name: numbers[name] for name in names}, numbers["ENDURANCE"]
 
     def _beside(self) -> dict[str, int]:
-        """Read the offsets of the other half of the sensor, which a flash update also saves."""
+        """Read the offsets of the sensors not written here (gyros or accelerometers).
+
+        A flash update saves these registers too.
+        """
         rows = registers(self._part.others)
         words = self.sensor.read_words(rows)
         return {row.name: row.number(word) for row, word in zip(rows, words, strict=True)}

@@ -56,7 +56,7 @@ class ForwardingBus(SpiBus):
         self.inner.sleep_s(seconds)
 
     def witness(self, name: str, observe: Callable[[], T]) -> T:
-        """Return the value that the inner bus returns."""
+        """Observe a value through the inner bus, which may record or replay it, and return the value."""
         return self.inner.witness(name, observe)
 
     def hard_reset(self) -> None:

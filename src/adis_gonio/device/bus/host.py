@@ -116,7 +116,7 @@ class HostBus(SpiBus):
         self._clock.sleep_s(seconds)
 
     def take_over(self, opened: contextlib.ExitStack) -> Self:
-        """Release these resources when the bus is closed; return the bus."""
+        """Add resources to release when the bus is closed; return the bus."""
         self._resources = opened.pop_all()
         return self
 

@@ -319,7 +319,7 @@ def _describe(helper: object) -> dict[str, Any] | None:
 
 
 def _stand_in(described: dict[str, Any] | None, call: Callable[..., Any]) -> Any:
-    """Make an object with the described methods, of which each calls `call(name, *arguments)`."""
+    """Make an object with the described methods; each of them calls `call(name, *arguments)`."""
     if described is None:
         return None
     named = {name: lambda _, *given, name=name: call(name, *given) for name in described["methods"]}

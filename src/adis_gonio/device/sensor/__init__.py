@@ -1,18 +1,18 @@
 """The sensor: registers, variants, frames, decoding and the driver. Knows no bridge."""
 
-from adis_gonio.device.sensor.decoding import ScanBlock, decode_numbers
 from adis_gonio.device.sensor.driver import DEFAULT_SCAN, Adis16354, Quantity, open_sensor
-from adis_gonio.device.sensor.registers import REGISTERS, Register
+from adis_gonio.device.sensor.registers import REGISTERS, VARIANTS, Register, Variant
 from adis_gonio.device.sensor.scanning import ScanStream
 from adis_gonio.device.sensor.settings import (
     Alarm,
     Configuration,
     ManualSelfTest,
     Offsets,
+    ScanBlock,
     SelfTest,
     Status,
+    decode_numbers,
 )
-from adis_gonio.device.sensor.variants import VARIANTS, Variant
 
 __all__ = [
     "DEFAULT_SCAN", "REGISTERS", "VARIANTS", "Adis16354", "Alarm", "Configuration", "ManualSelfTest",

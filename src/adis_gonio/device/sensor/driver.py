@@ -31,16 +31,6 @@ from adis_gonio.base.errors import (
 )
 from adis_gonio.base.numbers import use_minus
 from adis_gonio.device.bus import Capability, SpiBus, open_bus
-from adis_gonio.device.sensor.data_ready import (
-    UPDATE_EDGE,
-    USED_BY,
-    DataReadyLoan,
-    UpdateEdge,
-    edge_at_update,
-    edges_arrive,
-    wrong_edge_error,
-)
-from adis_gonio.device.sensor.decoding import ScanBlock, join, scales
 from adis_gonio.device.sensor.registers import (
     ACCEL_OFF,
     ACCEL_OUT,
@@ -50,19 +40,29 @@ from adis_gonio.device.sensor.registers import (
     IDLE,
     NORMAL,
     REGISTERS,
+    VARIANTS,
     Register,
+    Variant,
     read_frames,
     register,
     registers,
     timing_for,
+    variant,
     write_frames,
 )
 from adis_gonio.device.sensor.scanning import (
     LONGEST_EXCHANGE_S,
+    UPDATE_EDGE,
+    USED_BY,
+    DataReadyLoan,
     PolledScans,
     ScanLayout,
     ScanStream,
     StreamedScans,
+    UpdateEdge,
+    edge_at_update,
+    edges_arrive,
+    wrong_edge_error,
 )
 from adis_gonio.device.sensor.settings import (
     ALARM_SOURCES,
@@ -70,12 +70,14 @@ from adis_gonio.device.sensor.settings import (
     Configuration,
     ManualSelfTest,
     Offsets,
+    ScanBlock,
     SelfTest,
     Status,
+    join,
+    scales,
     sens_avg_word,
     smpl_prd_for,
 )
-from adis_gonio.device.sensor.variants import VARIANTS, Variant, variant
 
 DEFAULT_SCAN = (*ACCEL_OUT, *GYRO_OUT, "XTEMP_OUT", "SUPPLY_OUT")
 """Registers of a scan by default: accelerometers, gyros, one temperature, supply."""
@@ -717,7 +719,7 @@ class Adis16354(Closing):
         return after
 
     def _follow(self) -> None:
-        """Read the configuration and adapt the SPI timing and the gyro scale to it."""
+        """Read the configuration of the chip again, and adapt the SPI timing and the gyro scale to it."""
         now = self.configuration()
         self._gyro_range = now.gyro_range_dps
         self.bus.configure(timing_for(now.smpl_prd))

@@ -14,9 +14,18 @@ import numpy as np
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.device.bus import FrameBlock, SpiTiming
 from adis_gonio.device.bus.recording import Call
-from adis_gonio.device.sensor.registers import BY_ADDRESS, EA, FAST, ND, WRITE, Kind, Register, timing_for
+from adis_gonio.device.sensor.registers import (
+    BY_ADDRESS,
+    EA,
+    FAST,
+    ND,
+    WRITE,
+    Kind,
+    Register,
+    Variant,
+    timing_for,
+)
 from adis_gonio.device.sensor.settings import Configuration
-from adis_gonio.device.sensor.variants import Variant
 
 BUSY_S = {"reset": 0.15, "restore": 0.15, "flash_update": 0.1, "precision_autonull": 30.0}
 """Time in s after a command during which the chip must not be addressed: the start-up time after a reset

@@ -64,7 +64,7 @@ def bringup_command(
     files = () if output is None else _report_files(output)
     from adis_gonio.bench.bringup import Permission, bring_up
     from adis_gonio.device.bus import open_bus
-    from adis_gonio.device.sensor.variants import variant as find_variant
+    from adis_gonio.device.sensor.registers import variant as find_variant
 
     def ask(question: str) -> bool:
         try:

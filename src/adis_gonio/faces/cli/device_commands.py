@@ -165,7 +165,7 @@ def frames_command(
     from adis_gonio.device.bus.capture import LogicCapture
     from adis_gonio.device.bus.recording import BusRecording
     from adis_gonio.device.sensor.frame_log import FrameLog
-    from adis_gonio.device.sensor.variants import variant as variant_of
+    from adis_gonio.device.sensor.registers import variant as variant_of
 
     wanted = {row.name for row in registers(names.split(","))} if names else None
     capture = recording.suffix.lower() == ".vcd"

@@ -114,8 +114,7 @@ def paper_command(*, output: Path | None, as_json: bool, seed: int, sessions: in
     Sessions are simulated through chip and driver, with the table's measured column as the true parameters.
     This takes about a minute. Without -o and --json the conclusions are printed.
     """
-    from adis_gonio.handover.paper_page import build_page, verdicts
-    from adis_gonio.handover.paper_study import reproduce
+    from adis_gonio.handover.paper_study import build_page, reproduce, verdicts
 
     check_page(output)
     with report_progress("the seed paper"):

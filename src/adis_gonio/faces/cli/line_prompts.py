@@ -44,7 +44,7 @@ def on_terminal() -> bool:
 
 
 class Lines:
-    """Reads standard input line by line, if wanted without waiting."""
+    """Reads standard input line by line, with or without waiting for a line."""
 
     def __init__(self) -> None:
         self._kept = b""
@@ -55,7 +55,7 @@ class Lines:
             self._file = None
 
     def next(self, *, wait: bool) -> str | None:
-        """Return the next line, or None if there is none yet and `wait` is false.
+        """Return the next line, or None if `wait` is false and there is none yet.
 
         Without a file descriptor that can be polled, it always waits. `EOFError` follows the last line.
         """
@@ -78,7 +78,7 @@ class Lines:
 
 @dataclass
 class _Question:
-    """An open question: its text and the action of each key."""
+    """A question that waits for an answer: its text, and the action of each key."""
 
     text: str
     keys: Actions
@@ -260,7 +260,7 @@ class PlainBench:
         self._prompt(question.text)
 
     def _obey(self, line: str, key: str, rest: str, question: _Question) -> None:
-        """Carry out a line that answers nothing: a note, a drawing, help, or a move of a simulated part."""
+        """Carry out a line that is no answer: a note, a drawing, help, or a move of a simulated part."""
         if key == words.NOTE.letter and question.takes_notes:
             self._take_note(rest)
         elif line == words.HELP.letter:

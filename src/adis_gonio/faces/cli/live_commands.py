@@ -23,13 +23,11 @@ from adis_gonio.base.uncertainty import NORMAL_95
 from adis_gonio.device.sensor import DEFAULT_SCAN, open_sensor
 from adis_gonio.device.sensor.registers import registers
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import say
-from adis_gonio.faces.cli.terminal import Interrupt
-from adis_gonio.live.angle_smoother import LAG_S
+from adis_gonio.faces.cli.show import Interrupt, say
 from adis_gonio.live.live_angle import LiveAngle, LiveBlocks, LiveSource, live_angles, open_live
+from adis_gonio.live.smoothed_meter import LAG_S
 from adis_gonio.record.blocks import Block, count_alarms
-from adis_gonio.record.settings import Settings
-from adis_gonio.record.source import SampleStream, has_frames, open_source, refuse_chip_options
+from adis_gonio.record.source import SampleStream, Settings, has_frames, open_source, refuse_chip_options
 
 if TYPE_CHECKING:
     from adis_gonio.record.samples_writer import SamplesRecorder
@@ -192,7 +190,7 @@ class ShownStream:
         self._scans = self._lost = self._dropped = self._alarms = 0
 
     def run(self, stream: SampleStream, seconds: float | None) -> None:
-        """Read blocks and show them until the time is over, the stream ends, or Ctrl-C."""
+        """Read blocks and show their values until the time is over, the stream ends, or Ctrl-C."""
         begin: float | None = None
         end = False
         with Interrupt() as interrupt:
@@ -416,7 +414,7 @@ def _show_angles(angles: Iterator[LiveAngle], line: _AngleLine, last_s: float) -
 
 
 class _AngleLine:
-    """Output of angles: a line that changes in place on a terminal, else one line per angle."""
+    """Printer of angles: on a terminal one line that changes in place, else one line for each angle."""
 
     def __init__(self, *, as_json: bool) -> None:
         self._as_json = as_json

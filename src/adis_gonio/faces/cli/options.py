@@ -18,7 +18,7 @@ from adis_gonio.model.records import ACCEL_UNITS, SENSORS, checked_gravity_mps2
 if TYPE_CHECKING:
     from adis_gonio.model.records import Session, StageCurve
     from adis_gonio.record.loading import AngleChange, Overrides
-    from adis_gonio.record.settings import Settings
+    from adis_gonio.record.source import Settings
 
 F = TypeVar("F", bound=Callable[..., Any])
 Option = Callable[[F], F]
@@ -410,7 +410,7 @@ def overrides(function: F) -> F:
 def measuring_settings(*, rate_hz: float | None, **more: Any) -> Settings:
     """Make the settings of a session; `rate_hz` is the value of `--rate`."""
     from adis_gonio.device.sensor.settings import smpl_prd_for
-    from adis_gonio.record.settings import Settings
+    from adis_gonio.record.source import Settings
 
     return Settings(smpl_prd=1 if rate_hz is None else smpl_prd_for(rate_hz), **more)
 

@@ -193,7 +193,7 @@ def loop_lines(summary: Mapping[str, Any]) -> list[str]:
 
 
 def print_loop(session: Session, result: TraceResult) -> None:
-    """Show the results before and after the proposed further positions, and why no more were proposed.
+    """Show the result before and after the further positions that the trace proposed, and why it ended.
 
     Nothing is printed if the advisor was never asked.
 
@@ -317,7 +317,7 @@ def _report_page(session: Session, time_limit: float | None, tolerance: Toleranc
 
 def _twin_sections(session: Session, traced: TraceResult) -> list[Section]:
     """Section of the report on the digital twin, as a list; empty if no twin is possible."""
-    from adis_gonio.handover.twin_comparison import twin_section
+    from adis_gonio.handover.digital_twin import twin_section
     from adis_gonio.page.document import Section
 
     try:

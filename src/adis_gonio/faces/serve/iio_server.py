@@ -23,13 +23,17 @@ from adis_gonio.faces.serve.iio_device import (
     DEBUG_ATTRIBUTES,
     DEVICE_ATTRIBUTES,
     OFFSET_OF,
+    QUEUE_S,
     WRITABLE,
+    Buffer,
+    FreshScans,
+    Hub,
+    Sampler,
     ScanFormat,
     ServedDevice,
     filter_for,
 )
 from adis_gonio.faces.serve.iiod_protocol import Errno, Parser, Refused, Request, Target
-from adis_gonio.faces.serve.scan_sampler import QUEUE_S, Buffer, FreshScans, Hub, Sampler
 
 T = TypeVar("T")
 
@@ -155,9 +159,9 @@ _READ = 1 << 16
 
 
 class ClientSession:
-    """Answers one client until it leaves.
+    """Answers the requests of one client until it disconnects.
 
-    One task reads the network and another one answers, so that a client that leaves is noticed while an
+    One task reads the network and another one answers, so that a disconnected client is noticed while an
     answer waits for scans. A client that does not read its answers holds up nothing but itself.
 
     Attributes
@@ -507,7 +511,7 @@ class IioServer:
                 )
 
     def _end_idlest(self) -> bool:
-        """End the connection that has been idle for the longest time; False if all are in use."""
+        """End the connection that has been idle for the longest time; False if no connection is idle."""
         idlest = max(self._clients, key=lambda client: client.idle_s)
         if idlest.idle_s < IDLE_S:
             return False

@@ -180,7 +180,7 @@ class BenchState:
 
     @property
     def passes(self) -> bool:
-        """True if the sensor is at the requested angle but has to approach it from the other side."""
+        """True if the sensor is at the requested angle, but must approach it from the other side."""
         asked, here = self.position, self.here
         if asked is None or here is None or not isinstance(self.question, events.PositionAsked):
             return False

@@ -2,6 +2,6 @@
 
 from adis_gonio.fitting.allan.allan_fit import fit_allan
 from adis_gonio.fitting.allan.allan_result import AllanResult, AxisNoise, NoiseParameter
-from adis_gonio.fitting.allan.noise_processes import AllanCurve, overlapping
+from adis_gonio.fitting.allan.spectral_likelihood import AllanCurve, overlapping
 
 __all__ = ["AllanCurve", "AllanResult", "AxisNoise", "NoiseParameter", "fit_allan", "overlapping"]

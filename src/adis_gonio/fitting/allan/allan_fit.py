@@ -15,20 +15,22 @@ from adis_gonio.base.budget import current
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.uncertainty import INADEQUATE, NORMAL_95, SLOW_NOISE, Value
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.device.sensor.settings import (
     filter_response,
     filter_weights,
     rounding_covariance,
     white_noise_gain,
 )
-from adis_gonio.device.sensor.variants import VARIANTS
 from adis_gonio.fitting.allan.allan_result import PARTS, AllanResult, AxisNoise, Part, notes_of, parameters
-from adis_gonio.fitting.allan.noise_processes import KINDS, Kind, curve
 from adis_gonio.fitting.allan.spectral_likelihood import (
+    KINDS,
+    Kind,
     Likelihood,
     Ordinates,
     Profile,
     SpectralLine,
+    curve,
     ordinates,
     profile,
     subtract_sinusoids,
@@ -298,7 +300,7 @@ def _flat(record: Floats) -> Floats:
 
 
 def _rounding(flat: Sequence[Floats], step: float, m: int) -> tuple[Floats, bool]:
-    """Autocovariance of the errors from rounding to `step`, by lag, behind a filter with parameter m.
+    """Autocovariance, by lag, of the errors that rounding to `step` causes behind a filter of parameter m.
 
     Also returns True if the step is too large against the noise for a prediction of this autocovariance.
     """
@@ -324,7 +326,7 @@ def _highest(m: int) -> float:
 
 
 def _filter_seen(rests: Rests) -> int:
-    """Estimate the filter setting m of the chip: the setting under which the samples are most likely."""
+    """Estimate the filter setting m of the chip, as the most likely one given the samples."""
     record = max(rests.records, key=len)[:_TRIAL]
     losses = np.zeros(MOST_M + 1)
     for axis in range(rests.axes):
@@ -355,7 +357,7 @@ def _fitted(data: Ordinates, band: float, kinds: Sequence[Kind]) -> _Fitted:
 
 
 def _kinds(m: int) -> Sequence[Kind]:
-    """Noise processes to fit; no quantization noise of the angle if the chip's filter is on (m > 0)."""
+    """Noise processes to fit; if the chip's filter is on (m > 0), quantization noise is not among them."""
     return KINDS if m == 0 else KINDS[1:]
 
 
@@ -444,7 +446,7 @@ def _quiet(parts: Sequence[Ordinates], highest: float) -> list[int]:
 
 
 def _drawn(fitted: _Fitted, profiles: dict[Kind, Profile]) -> Floats:
-    """Squared coefficients of the noise processes for the fitted Allan curve, zero for absent processes.
+    """Squared coefficients for the predicted Allan curve, with zero for processes that may be absent.
 
     If the data show slow noise but cannot tell flicker noise from random walk, both keep their
     coefficients.
@@ -483,7 +485,7 @@ def _ramp(fitted: _Fitted, slopes: list[float], period_s: float, unit: str) -> V
 
 
 def _joined(lines: list[SpectralLine]) -> tuple[SpectralLine, ...]:
-    """Merge the sinusoids that several records show within 1 % of one frequency.
+    """Merge sinusoids that several records show at one frequency (within 1 %).
 
     The sinusoid with the largest amplitude represents them.
     """

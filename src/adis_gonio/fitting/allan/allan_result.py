@@ -11,8 +11,14 @@ from typing import Any, Literal
 from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted, format_number, format_unit
 from adis_gonio.base.uncertainty import INADEQUATE, SLOW_NOISE, Value, finite_or_none
-from adis_gonio.fitting.allan.noise_processes import FLOOR_OF_B, KINDS, AllanCurve, Kind
-from adis_gonio.fitting.allan.spectral_likelihood import Profile, SpectralLine
+from adis_gonio.fitting.allan.spectral_likelihood import (
+    FLOOR_OF_B,
+    KINDS,
+    AllanCurve,
+    Kind,
+    Profile,
+    SpectralLine,
+)
 
 Part = Literal["gyro", "accelerometer"]
 PARTS: dict[Part, str] = {"gyro": "gyros", "accelerometer": "accelerometers"}

@@ -615,6 +615,13 @@ class Fit:
         # A stage at a larger angle than declared has turned ψ = α − θ the other way.
         return -self._placed_on(replace(data, fixture_rad=np.inf)).settled(4).values.attitude
 
+    def carried(self, there: Fit) -> Floats:
+        """Root (rows, k) of the covariance that this fit's parameters give to the predictions of `there`.
+
+        `there` is this fit on other dwells (`on`); its rows are whitened.
+        """
+        return np.asarray(there.jacobian @ self._half)
+
     def can_predict(self, data: Readings, most: float) -> NDArray[np.bool_]:
         """Mask (n,) of the dwells in `data` that this fit predicts with sufficient certainty.
 

@@ -41,10 +41,10 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import current
-from adis_gonio.base.computed_once import ComputedOnce
 from adis_gonio.base.errors import DataError, FitError, UsageError
+from adis_gonio.base.jsonable import ComputedOnce
 from adis_gonio.base.numbers import counted, name_positions
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.links import Links
 from adis_gonio.fitting.estimation.screening import (
     Converter,
@@ -260,7 +260,7 @@ class Readings(ComputedOnce):
 
     @property
     def equations_each(self) -> int:
-        """Number of equations from one reading: one if its attitude is free, otherwise one per axis."""
+        """Number of equations from each reading: one if the attitude is free, otherwise one per axis."""
         return 1 if self.free else self.axes
 
     @property
@@ -412,7 +412,7 @@ def _refuse_other_units(session: Session, readings: Readings) -> None:
 
 
 def _as_another(session: Session, length: float) -> str:
-    """Advice for an error message: units in which `length` g would be 1 g, and the option to state one."""
+    """Advice for a message: the units in which the reading at rest is 1 g, and how to state one."""
     own = mg_per_unit(session)
     fits = [
         unit
@@ -601,7 +601,7 @@ def _usable(session: Session, axes: int) -> tuple[list[Dwell], Converter, list[s
 def _of_flicker(
     dwells: Sequence[Dwell], flicker: Floats, many: NDArray[np.intp], n: int
 ) -> tuple[Floats, Floats | None]:
-    """1/f noise of dwell means: the own variance of each dwell (m, axes), and shared modes (n, axes, k).
+    """Split the 1/f noise of dwell means into own variances (m, axes) and shared modes (n, axes, k).
 
     Together they describe the deviation from the bias of a session twice as long (`covariance_of_means`).
     """
@@ -621,7 +621,7 @@ def _keeps_modes(dwells: int, flicker: Floats) -> bool:
 
 
 def flicker_parts(begin_s: Floats, end_s: Floats, flicker: Floats) -> tuple[Floats, Floats | None]:
-    """Variance of the dwell means by 1/f noise: own variances and modes that the dwells share.
+    """Variance of dwell means by 1/f noise: variances of single means, and modes that means share.
 
     Parameters
     ----------

@@ -154,7 +154,7 @@ def _is_lively(dwells: Sequence[Dwell], healthy: NDArray[np.bool_], axis: int) -
 
 
 def dwells_reading_alike(dwells: Sequence[Dwell]) -> list[int]:
-    """Positions of the constant dwells that read the same at different angles."""
+    """Positions of dwells with constant samples that read equal values at different angles."""
     constant = [d for d in dwells if len(d) == 1 or not np.ptp(d.accel, axis=0).any()]
     if len(constant) < 2:
         return []
@@ -288,7 +288,7 @@ def _limit(dwells: Sequence[Dwell], axis: int, value: float, inside: int) -> Lim
 
 
 def _moves(share: float, n: int) -> bool:
-    """True if a limit that cuts off this share of a normal distribution changes the mean of n samples.
+    """True if cutting off this share of a normal distribution at a limit changes the mean of n samples.
 
     Changes that are small against the noise of the mean do not count.
     """

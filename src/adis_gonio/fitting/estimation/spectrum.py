@@ -95,7 +95,7 @@ class MeanNoise:
 
 @dataclass(frozen=True)
 class _Ordinates:
-    """Periodograms (spectra) of all dwells that have a common length.
+    """Periodograms (spectra) of all dwells of equal length.
 
     The lowest ordinates are separate. Higher ordinates of a long dwell are joined into bins that lie within
     one band and one cell of `_cells`, so that sums over bands and cells do not change.
@@ -294,7 +294,7 @@ def _whittle_with_flicker(
 
 
 def _rises_like_flicker(groups: list[_Ordinates]) -> bool:
-    """True if the density at the lowest frequencies is more likely 1/f noise than a filtered noise."""
+    """True if 1/f noise explains the density at the lowest frequencies better than filtered noise."""
     lowest = _lowest(groups)
     if lowest is None:
         return False
@@ -319,7 +319,7 @@ def _flicker_at_foot(groups: list[_Ordinates]) -> bool:
 
 
 def _by_filter(k: Floats, total: Floats, mean: Floats) -> float:
-    """−2 log likelihood of a density as a filter gives it, flat near zero, for the lowest ordinates.
+    """−2 log likelihood of the lowest ordinates under a density that is flat near zero, as behind a filter.
 
     `k` are the numbers of the ordinates, `total` their weights and `mean` their pooled values.
     """
@@ -486,7 +486,7 @@ def _homogeneous(level: Floats, weight: Floats) -> bool:
 
 
 def _without_chance_correlation(level: Floats, dof: Floats) -> Floats:
-    """Set correlations between axes to zero if they are below three standard errors, so may be chance."""
+    """Set correlations between axes to zero if chance explains them (below three standard errors)."""
     deviation = np.sqrt(np.maximum(np.diagonal(level, axis1=1, axis2=2), 1e-300))
     correlation = level / (deviation[:, :, None] * deviation[:, None, :])
     keep = np.abs(correlation) > 3 / np.sqrt(dof)[:, None, None]
@@ -499,7 +499,7 @@ def _without_chance_correlation(level: Floats, dof: Floats) -> Floats:
 def _all_flicker(groups: list[_Ordinates]) -> Floats:
     """Allan variance (axes,) of 1/f noise if all power in the lowest ordinates were 1/f noise.
 
-    The sensor's own is one in all dwells, so that a dwell counts as much less as it is louder.
+    The sensor's 1/f noise is equal in all dwells, so louder dwells have a smaller weight.
     """
     axes = groups[0].cross.shape[-1]
     moment, total = np.zeros(axes), np.zeros(axes)
@@ -621,7 +621,10 @@ def spans(times_s: Sequence[Floats]) -> tuple[Floats, Floats]:
 
 
 def scatter_of_means(dwells: int) -> float:
-    """Variance of the means of consecutive dwells by 1/f noise with an Allan variance of 1."""
+    """Expected variance of dwell means about their average by 1/f noise with an Allan variance of 1.
+
+    The dwells are consecutive and equally long.
+    """
     return 1.0 if dwells < 2 else dwells * math.log(dwells) / (2 * (dwells - 1) * math.log(2))
 
 

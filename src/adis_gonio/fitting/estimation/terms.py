@@ -140,7 +140,7 @@ class NamedTerm(Term):
 
     @property
     def prior_sd(self) -> float | None:
-        """Prior standard deviation of each value: the attribute `spread`."""
+        """Prior standard deviation of each value, from the attribute `spread`."""
         return self.spread
 
     @property
@@ -160,7 +160,7 @@ class NamedTerm(Term):
         return [k for k in range(len(self.effect.parameters)) if k not in fixed]
 
     def amplitude_index(self, values: Floats) -> list[int]:
-        """Indices of the amplitudes: the attribute `amplitudes`, for any values."""
+        """Indices of the amplitudes, from the attribute `amplitudes`; `values` has no effect."""
         return self.amplitudes
 
     def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
@@ -303,7 +303,7 @@ class NamelessTerm(Term):
 
     @property
     def prior_sd(self) -> float | None:
-        """Prior standard deviation of each amplitude: the attribute `shrinkage`."""
+        """Prior standard deviation of each amplitude, from the attribute `shrinkage`."""
         return self.shrinkage
 
     @property
@@ -340,7 +340,10 @@ class NamelessTerm(Term):
         return join_columns(blocks, ideal.shape)
 
     def on_axis(self, axis: int, driven: Floats, conditions: Conditions) -> Floats:
-        """Columns (n, q) of one axis; scale errors multiply the stimulus `driven` (n, axes)."""
+        """Derivatives (n, q) of the readings of one axis by the amplitudes of this term.
+
+        If the term is a scale error, the basis functions are multiplied by the stimulus `driven` (n, axes).
+        """
         basis = self.basis
         if basis.common is not None:
             rows = basis.over(conditions)

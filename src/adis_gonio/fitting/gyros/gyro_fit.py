@@ -30,7 +30,7 @@ from adis_gonio.base.tables import Entries, ParameterTable
 from adis_gonio.base.uncertainty import INADEQUATE, Value
 from adis_gonio.calibrate.coefficients import NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit, adequacy
 from adis_gonio.fitting.estimation.readings import GYRO, Readings, readings_of_part
 from adis_gonio.fitting.estimation.terms import NamedTerm
@@ -408,7 +408,7 @@ class _Model:
         return whole.narrowed({})
 
     def narrowed(self, inflation: Mapping[str, float]) -> _Model:
-        """Copy with only those free parameters that the readings determine; itself if these are all.
+        """Copy in which only parameters that the readings determine are free.
 
         `inflation` has the factor on the noise variance of each gyro; 1 by default.
         """
@@ -435,7 +435,7 @@ class _Model:
 
     @property
     def lost(self) -> list[str]:
-        """Names of the parameters that the readings do not determine, as a result names them."""
+        """Names, as in a result, of the parameters that the readings do not determine."""
         return [_stated_name(name) for name, free in zip(self.names, self.free, strict=True) if not free]
 
     def _determined(self, inflation: Mapping[str, float]) -> NDArray[np.bool_]:
@@ -491,7 +491,7 @@ def _covariance(fit: Fit, free: NDArray[np.bool_]) -> Floats:
 
 
 def _inflation(model: _Model) -> dict[str, tuple[float, float]]:
-    """For each gyro, the factor on its noise variance that explains its residual, and its dof.
+    """Factor on the noise variance of each gyro that explains its residual, with its degrees of freedom.
 
     The factor is 1 if the residual agrees with the measured noise.
     """
@@ -527,7 +527,9 @@ def _unit(name: str) -> str:
 def stated_parameters(
     names: Sequence[str], values: Floats, covariance: Floats, free: NDArray[np.bool_] | None = None
 ) -> tuple[list[str], Floats, Floats]:
-    """Names, values and covariance of the free parameters, as scale factors K and misalignments of D.
+    """Names, values and covariance of the free parameters, in the form that a result reports.
+
+    Scale errors become scale factors K, misalignments become directions D.
 
     Parameters
     ----------
@@ -570,7 +572,7 @@ def gains_and_directions(names: Sequence[str], values: Floats) -> Floats:
 
 
 def _scores(data: Readings, model: _Model) -> dict[str, GyroScore]:
-    """Score the zero rate alone, the full gyro model, and this model with each drift, on left-out dwells.
+    """Prediction errors of the zero rate alone, the full gyro model, and this model with each drift.
 
     Each dwell at rest is left out once and predicted by a fit to all others.
     """
@@ -621,7 +623,7 @@ def _warnings(data: Readings, model: _Model, inflation: dict[str, tuple[float, f
 
 
 def _kinds(names: Sequence[str]) -> list[str]:
-    """Shorten a list of parameter names, such as `gyro_misalignment_xy, xz`, short for two names."""
+    """Shorten a list of parameter names: `gyro_misalignment_xy, xz` instead of two full names."""
     groups: dict[str, list[str]] = {}
     for name in names:
         stem, axes = name.rsplit("_", 1)
@@ -676,7 +678,7 @@ _STEM = "gyro_scale_"
 
 @dataclass(frozen=True)
 class Gains:
-    """Scale factors of the gyros from the turns between a session's positions, without extra measurements.
+    """Scale factors of the gyros that follow from the turns between a session's positions.
 
     Attributes
     ----------

@@ -26,7 +26,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats, central_differences
 from adis_gonio.base.errors import DataError
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.links import Links
 from adis_gonio.fitting.estimation.spectrum import covariance_of_means
 from adis_gonio.fitting.gyros.gyro_readings import GyroDwells, gyro_dwells_of
@@ -146,7 +146,10 @@ class GyroPrior:
 
 
 def _parameters(gyros: GyroCalibration, values: Floats) -> Floats:
-    """Convert the values of a calibration to the 21 gyro parameters of the prior."""
+    """Convert values of a calibration's parameters to the 21 gyro parameters of the prior.
+
+    Parameters that the calibration lacks get the values of perfect gyros.
+    """
     held = dict(zip((one.name for one in gyros.parameters), values.tolist(), strict=True))
     misalignment = np.array([[held.get(f"gyro_misalignment_{i}{j}", 0.0) for j in AXES] for i in AXES])
     gains = np.array([held.get(f"gyro_scale_{i}", 1.0) for i in AXES])
@@ -218,7 +221,7 @@ class GyroLinks:
 
     @cached_property
     def _wander(self) -> tuple[Floats, Floats]:
-        """Effect on each turn of 1/f noise with an Allan variance of 1.
+        """Effect of 1/f noise on the angle of each turn, for an Allan variance of 1.
 
         Returns its variance (m,) for each turn, and its covariance (m,) with the next turn.
         """

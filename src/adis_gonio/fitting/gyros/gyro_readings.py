@@ -26,30 +26,29 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.numbers import format_ranges
-from adis_gonio.device.sensor.variants import GYRO_LSB_DPS, VARIANTS
+from adis_gonio.device.sensor.registers import GYRO_LSB_DPS, VARIANTS
 from adis_gonio.fitting.estimation.readings import Readings, Unit, flicker_parts, quantization_variance
 from adis_gonio.fitting.estimation.screening import steps_of
 from adis_gonio.fitting.estimation.spectrum import MeanNoise, noise_of_means, spans
-from adis_gonio.fitting.gyros.accelerometer_triad import Triad, triad_of
 from adis_gonio.fitting.gyros.turn_integration import (
+    MARK_U_DEG,
     NOT_RECORDED,
     Integral,
     Path,
+    Reference,
     Sampling,
+    Triad,
     dps_per_unit,
     g_per_unit,
     integrate,
     path_between,
     period_of,
-    three_axes,
-)
-from adis_gonio.fitting.gyros.turn_references import (
-    MARK_U_DEG,
-    Reference,
     reference_as_declared,
     reference_in_space,
     reference_on_stage,
     steady_force,
+    three_axes,
+    triad_of,
 )
 from adis_gonio.model.effects import AXES, Conditions
 from adis_gonio.model.measurement import MeanRate
@@ -68,7 +67,7 @@ rate."""
 
 @dataclass(frozen=True)
 class _Interval:
-    """One row of `RateIntervals`; each field is an entry of the column with its name."""
+    """One row of `RateIntervals`; each field is named like the column that it goes to."""
 
     mean_dps: Floats
     covariance_dps2: Floats
@@ -330,9 +329,9 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
 
 
 def _consecutive(turns: Sequence[Turn]) -> dict[int, int]:
-    """For each dwell in which a whole turn ends, the number of such turns in a row without other moves.
+    """Number of consecutive whole turns, by the dwell in which the last of them ends.
 
-    Turns in a row share the error of the direction of their axis.
+    Such turns have no other move between them and share the error of the direction of their axis.
     """
     consecutive = {turn.position: 1 for turn in turns}
     group: list[int] = []
@@ -346,7 +345,7 @@ def _consecutive(turns: Sequence[Turn]) -> dict[int, int]:
 
 
 def _surroundings(part: Dwell | Turn) -> dict[str, Any]:
-    """Mean temperature, supply voltage and three gyro die temperatures of a dwell or turn, by name.
+    """Mean temperature, supply voltage and temperatures of the three gyro dies in a dwell or turn, by name.
 
     NaN if not recorded.
     """

@@ -1,4 +1,6 @@
-"""Integrate the rates of the three gyros over a turn, from rest to rest, to its angle and attitude.
+"""Turns by the gyros: rates integrated from rest to rest, and angles that other sources give.
+
+Integrate the rates of the three gyros over a turn, from rest to rest, to its angle and attitude.
 
 The mean rate of a turn needs only the integral of the rates (`integrate`). The trapezoidal rule runs on the
 times of the samples, from the last sample of one dwell to the first sample of the next. The Bartlett filter
@@ -21,19 +23,59 @@ rates turns the result by ε, u(t₁) → u(t₁) + ε × u(t₁), with
 
 This is linear in all parameters of the gyros: readings m, zero rate z, gains and directions A and
 asymmetry a give ω = A⁻¹ (m − z − a |m − z|), hence ε = ∫ Φ(t₁, t) A⁻¹ (δA ω + δz + δa |m − z|) dt.
+
+True rotation of the sensor between two dwells, as a rotation vector in the accelerometers' frame.
+
+Gravity on both sides
+    If the axis is not upright, the rotation is the angle between the two directions of gravity about the
+    axis, up to whole turns, and the gyro counts these. On a stage (plane xy) the axis is z of the frame,
+    and ψ decreases as the part turns forward; declared angles improve ψ by the fixture's uncertainty. In
+    space the axis is the gyro's own, so the angle about it is measured and its direction is not.
+Declared angle
+    On a level table the axis is vertical, and gravity does not depend on the angle. The operator declares
+    it: from a mark back to the mark the rotation is a whole number of turns, which is exact up to the error
+    of meeting the mark. The gyro counts the turns beyond the declared angle. Along the axis the
+    accelerometers' reading is constant during the turn: they read c + a cos θ + b sin θ (the table's tilt)
+    + d ω² + e dω/dt (a part away from the axis), c along it.
+
+A rotation vector equals the integral of the rate if the axis is constant in the part, as on a stage and
+on a table. In space a turn about an axis that wanders by more than `STRAIGHT` allows is refused.
+
+Directions of gravity by the accelerometers of a session, the reference of turns, with their uncertainty.
+
+Gains, skews and biases are taken from a fit of the same session if it determines them, else from a
+calibration of the part, else from a perfect triad with the spread of the family. An error of one of these
+nine parameters changes the directions of all turns of a session at once, in its own way: a bias of Y adds
+the same amount to the misalignments in every turn about X, and nothing in turns about Y.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats, rotation_matrices
-from adis_gonio.fitting.estimation.readings import mg_per_unit
+from adis_gonio.base.arrays import (
+    Floats,
+    central_differences,
+    mean_direction,
+    rotation_matrices,
+    wrap_degrees,
+)
+from adis_gonio.base.errors import AdisGonioError, UsageError
+from adis_gonio.device.sensor.registers import VARIANTS
+from adis_gonio.fitting.estimation.readings import Readings, mg_per_unit, readings_of
+from adis_gonio.fitting.estimation.spectrum import noise_of_means
+from adis_gonio.model.effects.base import AXES
+from adis_gonio.model.measurement import SKEW_AXES, sensitivity
 from adis_gonio.model.records import Dwell, Session, Turn
+
+if TYPE_CHECKING:
+    from adis_gonio.calibrate import Calibration
 
 LONGEST_GAP_S = 0.25
 """Longest gap that is bridged within a turn; a hand's submovements take longer (`sim.hand`)."""
@@ -316,9 +358,12 @@ def smooth_blocks(rate: Floats, window: int) -> Floats:
 
 
 def _bridges(time: Floats, rate: Floats, sampling: Sampling) -> tuple[Floats, int] | None:
-    """Covariance (3, 3) in deg² of the error by linear interpolation over lost samples, and their number.
+    """Uncertainty that gaps in the samples add to the integrated angle, and the number of lost samples.
 
-    None if too few samples around a gap show that error.
+    The rate is interpolated linearly over a gap. The covariance (3, 3) in deg² comes from the error that
+    such an interpolation makes in complete samples near the gap.
+
+    None if there are too few complete samples.
     """
     period = sampling.period_s
     lost = np.rint(np.diff(time) / period).astype(int) - 1
@@ -389,7 +434,7 @@ def gyro_directions(misalignment_deg: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Attitude:
-    """Rotation over a turn, as its effect on a direction that is fixed in space.
+    """Rotation of the sensor over a turn, with its derivatives by the gyro parameters.
 
     Attributes
     ----------
@@ -477,3 +522,408 @@ def _to_end(steps_rad: Floats) -> Floats:
         turns[block] = after @ turns[block]
         after = whole
     return np.concatenate([turns.reshape(-1, 3, 3)[:n], np.eye(3)[None]])
+
+
+MARK_U_DEG = 0.1
+"""Standard uncertainty of setting a part against a mark or a stop (an estimate, D)."""
+FARTHEST_DEG = 90.0
+"""Largest distance from a declared angle; a gain error of 2 % in ten turns is less."""
+LEAST_REFERENCE_DEG = 20.0
+"""Smallest turn, in degrees, from which a scale factor is determined."""
+LEAST_INCLINED = math.sin(math.radians(15))
+"""Smallest sine of the angle between the axis of a turn and gravity for a reference by gravity."""
+STRAIGHT = math.cos(math.radians(5))
+"""Least mean cosine between the rate and the axis of a turn in space."""
+_BLOCKS = 400
+
+
+@dataclass(frozen=True)
+class Reference:
+    """True rotation of the sensor in a turn, known from gravity or declared.
+
+    Attributes
+    ----------
+    kind : {"gravity", "declared"}
+    angle_deg : (3,) float
+        Rotation vector, right-handed about the accelerometers' axes.
+    covariance_deg2 : (3, 3) float
+        Its covariance; an unobserved component has a standard uncertainty of `UNSEEN` times the angle.
+    modes_deg : (3, k) float or None
+        Change of the rotation by one standard uncertainty of each of k errors that turns share.
+    """
+
+    kind: Literal["gravity", "declared"]
+    angle_deg: Floats
+    covariance_deg2: Floats
+    modes_deg: Floats | None = None
+
+
+UNSEEN = 0.2
+"""Relative standard uncertainty of an unobserved component: every gyro is more accurate."""
+
+
+def reference_on_stage(integral: Integral, psi_deg: tuple[float, float], u_deg: float) -> Reference | str:
+    """True rotation about the stage's axis, from the angle ψ of gravity before and after the turn.
+
+    Parameters
+    ----------
+    psi_deg : pair of float
+        Angle of gravity from X to Y before and after.
+    u_deg : float
+        Standard uncertainty of their difference.
+    """
+    seen = float(integral.turned_deg[2])
+    part = psi_deg[0] - psi_deg[1]
+    turns = round((seen - part) / 360.0)
+    angle = part + 360.0 * turns
+    if abs(seen - angle) > max(10.0, 0.1 * abs(angle)):
+        return f"the gyro turned {seen:.1f}°, by gravity {angle:.1f}°: not about the stage's axis"
+    if abs(angle) < LEAST_REFERENCE_DEG:
+        return f"a turn of {angle:.1f}° is too short; a gain needs {LEAST_REFERENCE_DEG:g}° or more"
+    return Reference("gravity", np.array([0.0, 0.0, angle]), np.diag([0.0, 0.0, u_deg**2]))
+
+
+def reference_in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad: float) -> Reference | str:
+    """True rotation about the axis that the gyros show, with its angle from gravity before and after.
+
+    Parameters
+    ----------
+    u_rad : float
+        Standard uncertainty of each direction of gravity.
+    """
+    size = float(np.linalg.norm(integral.turned_deg))
+    if size < LEAST_REFERENCE_DEG:
+        return f"a turn of {size:.1f}° is too short; a gain needs {LEAST_REFERENCE_DEG:g}° or more"
+    travelled = float(np.linalg.norm(integral.mean_abs_dps)) * integral.length_s
+    if size < STRAIGHT * travelled:
+        return "it was not turned about one axis; turn about one axis at a time"
+    axis = integral.turned_deg / size
+    # Components of both unit vectors of gravity across the axis.
+    across = [g / np.linalg.norm(g) - axis * (axis @ g) / np.linalg.norm(g) for g in gravity]
+    inclined = min(float(np.linalg.norm(a)) for a in across)
+    if inclined < LEAST_INCLINED:
+        return "the axis was upright, so gravity does not show the angle; declare it (turned_deg)"
+    # A direction fixed in space moves backwards in the part: from the second direction to the first.
+    part = math.degrees(
+        math.atan2(float(axis @ np.cross(across[1], across[0])), float(across[1] @ across[0]))
+    )
+    turns = round((size - part) / 360.0)
+    angle = part + 360.0 * turns
+    if abs(angle - size) > max(10.0, 0.1 * size):
+        return f"the gyro turned {size:.1f}°, by gravity {angle:.1f}°: not about one axis, or a slip"
+    u_deg = math.degrees(math.sqrt(2) * u_rad / inclined)
+    along = np.outer(axis, axis)
+    # Along the axis the uncertainty by gravity, across it the large one of an unobserved component.
+    covariance = u_deg**2 * along + (UNSEEN * angle) ** 2 * (np.eye(3) - along)
+    return Reference("gravity", angle * axis, covariance)
+
+
+def reference_as_declared(
+    integral: Integral,
+    declared_deg: float,
+    steady: Floats,
+    u_mark_deg: float,
+    axis_rad2: Floats,
+    consecutive: int = 1,
+) -> Reference | str:
+    """True rotation about the vertical by a declared angle, such as whole turns from mark to mark.
+
+    Parameters
+    ----------
+    declared_deg : float
+        Angle, positive counter-clockwise seen from above, up to whole turns.
+    steady : (3,) float
+        Constant part of the calibrated accelerometers' reading during the turn: opposite to the upward
+        axis, in any unit.
+    u_mark_deg : float
+        Standard uncertainty of meeting the mark, each time.
+    axis_rad2 : (3, 3) float
+        Covariance of that direction by errors of this turn alone; its component along the direction does
+        not count.
+    consecutive : int
+        Number of consecutive declared turns. One ends where the next begins, so an error of the
+        mark between them is in both, and twice in their difference.
+    """
+    up = -steady / np.linalg.norm(steady)
+    seen = float(up @ integral.turned_deg)
+    angle = declared_deg + 360.0 * round((seen - declared_deg) / 360.0)
+    if abs(angle) < LEAST_REFERENCE_DEG or abs(seen - angle) > min(
+        FARTHEST_DEG, max(10.0, 0.1 * abs(angle))
+    ):
+        where = (
+            "no whole number of turns" if declared_deg % 360 == 0 else f"not {declared_deg:g}° as declared"
+        )
+        return (
+            f"the gyro turned {seen:.0f}° about the vertical, which is {where}: begin and end at the marks,"
+            " or correct turned_deg"
+        )
+    if float(np.linalg.norm(integral.turned_deg - seen * up)) > 0.2 * abs(seen):
+        return "it was not turned about the vertical; leave it flat on the table"
+    along = np.outer(up, up)
+    across = np.eye(3) - along
+    # Two marks per turn; a mark between consecutive turns counts in both.
+    mark = 2 * u_mark_deg**2 * (2 - 1 / consecutive)
+    covariance = mark * along + angle**2 * across @ axis_rad2 @ across
+    return Reference("declared", angle * up, covariance)
+
+
+def steady_force(path: Path, begin_s: float, end_s: float) -> tuple[Floats, Floats]:
+    """Constant component of the accelerometers' reading while the sensor turns about one axis.
+
+    Returns
+    -------
+    (3,) and (3, 3) float
+        In the unit of `Path.force_g`, and its covariance by the residual's noise at frequency zero,
+        because a hand's shaking is not white.
+    """
+    rows = (path.time_s >= begin_s) & (path.time_s <= end_s)
+    time, force = path.time_s[rows], path.force_g[rows]
+    rate = path.rate_dps[rows] - path.zero_dps.mean(axis=0)
+    turned = np.trapezoid(rate, time, axis=0)
+    # Rate about the axis of the whole turn, and its integral.
+    spin = np.radians(rate @ (turned / np.linalg.norm(turned)))
+    angle = np.concatenate([[0.0], np.cumsum((spin[1:] + spin[:-1]) / 2 * np.diff(time))])
+    starts = np.unique(np.linspace(0, len(time), _BLOCKS, endpoint=False).astype(np.intp))
+    counts = np.diff(np.append(starts, len(time)))
+
+    def mean(series: Floats) -> Floats:
+        sums = np.add.reduceat(series, starts, axis=0)
+        return np.asarray((sums.T / counts).T)
+
+    # Least squares on means of blocks: constant, tilt of the table, and both terms of a lever arm.
+    speed = mean(spin)
+    jerk = np.gradient(speed, mean(time))
+    terms = [np.cos(angle), np.sin(angle), spin**2]
+    design = np.column_stack([np.ones(len(starts)), *(mean(term) for term in terms), jerk])
+    size = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+    seen = mean(force)
+    found = np.linalg.lstsq(design / size, seen, rcond=1e-8)[0] / size[:, None]
+    residual = seen - design @ found
+    inverse = np.linalg.pinv((design / size).T @ (design / size))[0, 0] / size[0] ** 2
+    noise, n = noise_of_means([residual]), len(residual)
+    covariance = n**2 / (n - design.shape[1]) * inverse * noise.covariance[0] + np.diag(noise.flicker)
+    return np.asarray(found[0]), covariance
+
+
+Source = tuple[Mapping[str, float], Sequence[str], "Floats | None"]
+"""Values by name as results state them (degrees, mg), and a covariance in the order of the names."""
+
+GAINS = tuple(f"scale_{axis}" for axis in AXES)
+SKEWS = tuple(f"skew_{AXES[i]}{AXES[j]}" for i, j in SKEW_AXES)
+BIASES = tuple(f"bias_{axis}" for axis in AXES)
+NAMES = (*GAINS, *SKEWS, *BIASES)
+CONSISTENT = 4.0
+"""Largest difference of the declared angle and the angle by gravity, in standard uncertainties, to
+average both."""
+UNKNOWN_SKEW_DEG = 0.25
+UNKNOWN_BIAS_MG = 50.0
+"""Of a part without a measurement: the one real ADIS16350 showed +57, −21, +46 mg. The default of 10 mg of
+simulated parts is an estimate, and no limit."""
+UNKNOWN_ACCEL_GAIN = 0.02
+_NOMINAL = np.array([1.0] * 3 + [0.0] * 6)
+_NATURAL = np.array([1.0] * 3 + [math.pi / 180] * 3 + [1.0] * 3)
+"""Factors from the units of results to the units used here: skews from degrees to rad."""
+_STEP = 0.01
+_NOT_CALIBRATED = (
+    "the accelerometers' biases are not determined: u of the directions of axes includes them;"
+    " rest each arrow up and down"
+)
+_NOT_SQUARE = (
+    "the angles between the accelerometers are not determined: u of the directions of axes includes"
+    " them; rest the part with gravity shared between two axes"
+)
+
+
+@dataclass(frozen=True)
+class Axes:
+    """Scale factors, skews and biases of three accelerometers, with their covariance.
+
+    Attributes
+    ----------
+    values : (9,) float
+        Scale factors, skews in rad, biases in mg.
+    factor : (9, k) float
+        Factor of the covariance, which is factor factorᵀ.
+    known : frozenset of str
+        Names of the measured parameters.
+    """
+
+    values: Floats
+    factor: Floats
+    known: frozenset[str]
+
+    @classmethod
+    def of(cls, prior: tuple[float, float, float], *sources: Source) -> Axes:
+        """Combine sources of the nine parameters; if several give a parameter, the first one counts.
+
+        Parameters
+        ----------
+        prior : (float, float, float)
+            Standard uncertainty of an unmeasured gain, skew in rad and bias in mg.
+        """
+        values = _NOMINAL.copy()
+        covariance, known = np.diag(np.repeat(np.array(prior, dtype=float), 3) ** 2), set[str]()
+        for found, order, matrix in sources:
+            # Parameters that no earlier source has measured.
+            new = [k for k, name in enumerate(NAMES) if name in found and name not in known]
+            if matrix is None or not new:
+                continue
+            values[new] = [found[NAMES[k]] * _NATURAL[k] for k in new]
+            rows = [list(order).index(NAMES[k]) for k in new]
+            # Covariance of the new parameters, from the units of results to those used here.
+            block = np.asarray(matrix)[np.ix_(rows, rows)] * np.outer(_NATURAL[new], _NATURAL[new])
+            covariance[np.ix_(new, new)] = block
+            known |= {NAMES[k] for k in new}
+        # One column per independent error: eigenvectors times standard uncertainties.
+        variance, vectors = np.linalg.eigh(covariance)
+        return cls(values, vectors * np.sqrt(np.maximum(variance, 0.0)), frozenset(known))
+
+    def direction(self, force_g: Floats) -> Floats:
+        """Direction of gravity (…, 3) in the accelerometers' frame, from readings (…, 3) in g.
+
+        The vectors are not normalized.
+        """
+        return _direction(self.values, force_g)
+
+    def modes(self, force_g: Floats) -> Floats:
+        """Change (3, k) of the direction that a reading shows, by each column of `factor`."""
+
+        def unit(values: Floats) -> Floats:
+            vector = _direction(values, force_g)
+            return np.asarray(vector / np.linalg.norm(vector))
+
+        return central_differences(unit, self.values, _STEP, self.factor.T)
+
+    def u_rad(self) -> float:
+        """Standard uncertainty in rad of a direction, along each of the two axes perpendicular to it.
+
+        It is the mean over directions along the three axes.
+        """
+        # A direction has two components across it, so half of the squared length counts for each.
+        sizes = [np.linalg.norm(self.modes(row)) for row in np.eye(3)]
+        return float(np.sqrt(np.mean(np.square(sizes)) / 2))
+
+
+def _direction(values: Floats, force_g: Floats) -> Floats:
+    return np.asarray((force_g - 1e-3 * values[6:]) @ np.linalg.inv(sensitivity(values[:6])).T)
+
+
+@dataclass(frozen=True)
+class Triad:
+    """Calibrated accelerometers of a session, which give the true rotation of each turn.
+
+    Attributes
+    ----------
+    axes : Axes
+        Direction of gravity by a reading, and its changes that all turns of the session share.
+    u_rad : float
+        Standard uncertainty of such a direction, each way across it.
+    psi_deg : mapping or None
+        On a stage: angle ψ of gravity in each dwell and its standard uncertainty, by position.
+    gravity : mapping
+        In space: direction of gravity (3,) in each dwell, by position.
+    notes : tuple of str
+        Remarks for the user.
+    """
+
+    axes: Axes
+    u_rad: float
+    psi_deg: dict[int, tuple[float, float]] | None
+    gravity: dict[int, Floats]
+    notes: tuple[str, ...] = ()
+
+
+def triad_of(session: Session, calibration: Calibration | None = None) -> Triad:
+    """Calibrate the accelerometers of a session by a fit to this session, as far as it determines them.
+
+    Parameters
+    ----------
+    calibration : Calibration, optional
+        Calibration of the same accelerometers, for parameters that the session does not determine.
+
+    Raises
+    ------
+    UsageError
+        The calibration states no uncertainties.
+    """
+    given: list[Source] = []
+    if calibration is not None:
+        if calibration.covariance is None:
+            raise UsageError(
+                "the calibration of the accelerometers states no uncertainties: fit one that does"
+            )
+        # Δφ of a calibration in the plane is the skew of X and Y.
+        stated = ["skew_xy" if one.name == "delta_phi" else one.name for one in calibration.parameters]
+        values = dict(zip(stated, calibration.values.tolist(), strict=True))
+        given.append((values, stated, calibration.covariance))
+    try:
+        from adis_gonio.fitting import fit
+        from adis_gonio.fitting.fit_result import calibration_as_recorded
+        from adis_gonio.fitting.methods import fit_of
+
+        readings = readings_of(session)
+        # In space by gravity alone, because the turns will calibrate the gyros.
+        result = fit(session, method="ml") if readings.planar else fit_of(readings, "ml")
+        own = calibration_as_recorded(result) if readings.planar else None
+    except AdisGonioError:
+        return _triad_in_space(session, *given)
+    u_mg = np.sqrt(np.diagonal(readings.covariance, axis1=1, axis2=2).mean(axis=0))
+    if own is None:
+        names = [one.name for one in result.parameters]
+        found = {one.name: one.value for one in result.parameters}
+        return _triad_in_space(
+            session, (found, names, result.covariance), *given, noise_mg=float(u_mg.max())
+        )
+    shown = own.angle(readings.mean, reading_u=list(u_mg))
+    biases_open = any(name.startswith("bias") for name in result.undetermined)
+    unseen = math.degrees(UNKNOWN_BIAS_MG / session.gravity_mg) if biases_open else 0.0
+    u = np.hypot(np.asarray(shown.u_deg), unseen)
+    note = "the accelerometers' biases are not determined: u of the turns includes them"
+    return replace(
+        _triad_in_space(session, *given),
+        psi_deg=_with_declared(readings, np.asarray(shown.angle_deg), u),
+        notes=(note,) if biases_open else (),
+    )
+
+
+def _triad_in_space(session: Session, *sources: Source, noise_mg: float = 0.0) -> Triad:
+    """Make the triad of a session in space from `sources` of its nine parameters.
+
+    Parameters without a source have the spread that the data sheet gives for this family of sensors.
+    """
+    variant = VARIANTS.get(session.sensor)
+    prior = (UNKNOWN_ACCEL_GAIN, math.radians(UNKNOWN_SKEW_DEG) / math.sqrt(3), UNKNOWN_BIAS_MG)
+    if variant is not None:
+        prior = (variant.performance.scale_error_typical, variant.performance.skew_u_rad, UNKNOWN_BIAS_MG)
+    axes = Axes.of(prior, *sources)
+    notes: tuple[str, ...] = ()
+    if not axes.known.issuperset(BIASES):
+        notes = (_NOT_CALIBRATED,)
+    elif not axes.known.issuperset(SKEWS):
+        notes = (_NOT_SQUARE,)
+    per_g = g_per_unit(session)
+    gravity = {
+        dwell.position: axes.direction(per_g * dwell.accel.mean(axis=0))
+        for dwell in session.dwells
+        if dwell.accel.shape[1] == 3 and math.isfinite(per_g)
+    }
+    return Triad(axes, math.hypot(noise_mg / session.gravity_mg, axes.u_rad()), None, gravity, notes)
+
+
+def _with_declared(readings: Readings, psi: Floats, u: Floats) -> dict[int, tuple[float, float]]:
+    """Average declared angle and angle ψ by gravity of each dwell, weighted by uncertainties.
+
+    Both are angles of one stage: ψ + θ is the start angle α for all dwells, apart from errors. Angles that
+    disagree are not averaged.
+    """
+    sigma = math.degrees(readings.fixture_rad)
+    theta = np.degrees(readings.angle_rad)
+    if readings.fixture_stated and 0 < sigma < math.inf and np.isfinite(theta).all():
+        alpha = math.degrees(mean_direction(np.radians(psi + theta)))
+        off = wrap_degrees(psi + theta - alpha)
+        agrees = np.abs(off) < CONSISTENT * np.hypot(u, sigma)
+        # Weighted mean of both angles, only for dwells in which they agree.
+        psi = psi - np.where(agrees, u**2 / (u**2 + sigma**2), 0.0) * off
+        u = np.where(agrees, u * sigma / np.hypot(u, sigma), u)
+    pairs = zip(psi.tolist(), u.tolist(), strict=True)
+    return dict(zip(readings.position.tolist(), pairs, strict=True))

@@ -19,8 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_radians
-from adis_gonio.fitting.slips.position_faults import PUSH_MG, Name, Pattern, patterns_of
-from adis_gonio.fitting.slips.position_model import Rows, common_zero
+from adis_gonio.fitting.slips.position_model import PUSH_MG, Name, Pattern, Rows, common_zero, patterns_of
 
 NOWHERE_RAD = 10.0
 """Standard deviation of the error of an undeclared angle."""
@@ -36,7 +35,7 @@ LARGER = (1.0, 8.0)
 LARGER_PRIOR = (0.7, 0.3)
 WANDERS = ((math.radians(0.1), 0.0), (math.radians(0.5), 0.0), (0.0, 0.002))
 """Rotation of a part that turns slowly in its mount at the end of a session (standard deviation of a
-random walk), and drift of the zero of an axis, in g."""
+random walk), and drift of the bias of an axis, in g."""
 WANDERS_PRIOR = 0.02
 """Prior probability of each entry of `WANDERS`."""
 NEGLIGIBLE = 40.0
@@ -101,7 +100,10 @@ class KnownFaults:
 
     @classmethod
     def of(cls, rows: Rows, accepted: Sequence[Pattern]) -> KnownFaults:
-        """Combine accepted faults; without any, all declared angles are taken as correct."""
+        """Combine the faults that were accepted so far to one object.
+
+        If there are none, all declared angles are taken as correct.
+        """
         error = sum((p.error_rad for p in accepted), np.zeros(len(rows)))
         zero = common_zero(wrap_radians(rows.seen_rad + error)[rows.declared])
         none = np.zeros((len(rows.by_error), 0))
@@ -154,7 +156,7 @@ class Whitened:
                 yield cls(rows, scatter, design, own, *roots)
 
     def weight(self, z: Floats) -> Floats:
-        """Ln of prior times likelihood (k,) of this grid point, for whitened residuals (m, k)."""
+        """Log of prior times likelihood (k,) of this grid point, for k columns of whitened residuals."""
         scale = -np.log(np.diag(self.root)).sum() - 0.5 * len(self.root) * math.log(2 * math.pi)
         return np.asarray(scale + self.scatter.log_prior - 0.5 * (z * z).sum(axis=0))
 
@@ -288,7 +290,7 @@ def _weighed(
 
 
 def _of_name(pattern: Pattern, name: Name, moments: Floats) -> Floats:
-    """Ln of the prior of a fault under a name, plus the gain in ln likelihood by its free sizes.
+    """Log prior of a fault under a name, plus the increase of log likelihood by fitting its size.
 
     The result has one value for each point of the grid.
 
@@ -310,9 +312,10 @@ def _of_name(pattern: Pattern, name: Name, moments: Floats) -> Floats:
 
 
 def _pushes(vv: Floats, vz: Floats, ww: Floats, wz: Floats, vw: Floats) -> Floats:
-    """Increase of ln likelihood if two amplitudes are free, averaged over several prior sizes.
+    """Increase of the log likelihood if two amplitudes are free, averaged over several prior sizes.
 
-    The arguments are scalar products of the whitened directions v and w and the residual z.
+    The arguments are scalar products of the whitened directions v and w of the amplitudes and the residual
+    z.
     """
     inverse = (1000.0 / np.array(PUSH_MG)[:, None]) ** 2
     # Two by two normal equations for each prior size, solved by hand.
@@ -333,7 +336,9 @@ _DRAWN = 200
 
 @dataclass(frozen=True)
 class Detectability:
-    """Simulates faults of several sizes in a session, from which the accepted faults are removed.
+    """Finds the smallest detectable error of each position by simulated sessions.
+
+    Faults of several sizes are added to the session, from which the accepted faults are removed.
 
     Attributes
     ----------

@@ -1,14 +1,23 @@
-"""Input of the diagnosis of positions: a session's declared angles, its readings, and its gyro turns."""
+"""Diagnosis of wrong positions: reduce a session to angles, search for faults, report them.
+
+The input are the declared angles of a session, its readings, and its gyro turns.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.base.arrays import Floats, wrap_degrees, wrap_radians
+from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.base.numbers import format_uncertain
+from adis_gonio.base.uncertainty import CREDIBLE_SET, NORMAL_95, Value
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.gyros.turn_integration import (
     LONGEST_GAP_S,
@@ -19,9 +28,539 @@ from adis_gonio.fitting.gyros.turn_integration import (
     path_between,
     period_of,
 )
-from adis_gonio.fitting.slips.position_diagnosis import LARGEST, Diagnosis, diagnose
-from adis_gonio.fitting.slips.position_model import Angles, Halts, Increments, halts_of
+from adis_gonio.fitting.slips.position_evidence import (
+    Detectability,
+    KnownFaults,
+    ScatterPoint,
+    Weighed,
+    Whitened,
+    scatters,
+    weigh,
+)
+from adis_gonio.fitting.slips.position_model import (
+    ACCUSED,
+    BASE,
+    Angles,
+    Halts,
+    Increments,
+    Name,
+    Pattern,
+    Rows,
+    calibrate_by_length,
+    halts_of,
+    patterns_of,
+    possible_entries,
+    rows_at,
+)
 from adis_gonio.model.records import Dwell, Session
+
+Angle = tuple[float, float]
+"""An angle and its standard uncertainty in degrees."""
+
+MEANINGS: dict[Name, str] = {
+    "mistyped": "mistyped",
+    "misset": "the stage was set or slipped there, in this position alone",
+    "swapped": "swapped",
+    "slipped": "the part slipped in its fixture (or the stage's scale on its axis)",
+    "reversed": "the stage counts the other way",
+    "gravity_wrong": "the reading is wrong: the part was pushed or tilted",
+    "gyro_wrong": "the gyro lost this turn",
+}
+
+SIZED: frozenset[Name] = frozenset({"mistyped", "misset", "slipped"})
+"""Names of faults with an error of one size at one position or at all later ones."""
+
+
+class Named(JsonRecord):
+    """One possible cause of an error, with its positions and probability.
+
+    The JSON document is one entry of `names`.
+
+    Attributes
+    ----------
+    positions : tuple of int
+        Accused positions; of a lasting change the first one.
+    probability : float
+        Share among all possible faults here.
+    """
+
+    name: Name
+    positions: tuple[int, ...]
+    probability: float
+
+
+@dataclass(frozen=True)
+class PositionFinding:
+    """One position away from its declared angle, or with a wrong reading.
+
+    Attributes
+    ----------
+    position : int
+        Number of the dwell; of a lasting change the first one.
+    finding : Name
+        The most probable cause.
+    declared_deg : float or None
+        None without a declared angle.
+    gravity_deg, gyro_deg : Angle or None
+        By the reading with the session's own calibration, and by the turn from the dwell before; None
+        without one. Calibration and neighbours are those without the accepted faults.
+    angle_deg : Angle
+        Combined angle of the part.
+    error_deg : Angle
+        Angle of the part minus declared angle.
+    meant_deg : float or None
+        Intended entry, if a usual typing error makes the declared angle of it.
+    others : tuple of int
+        Other positions of the same fault: the second of a swap, all later ones of a slip.
+    probability : float
+        Probability of a fault here.
+    names : tuple of Named
+        The smallest set of names with 95 % of that probability, the most probable first. An error of the
+        first or the last position has the same effect as a slip next to it.
+    """
+
+    position: int
+    finding: Name
+    declared_deg: float | None
+    gravity_deg: Angle
+    gyro_deg: Angle | None
+    angle_deg: Angle
+    error_deg: Angle
+    meant_deg: float | None
+    others: tuple[int, ...]
+    probability: float
+    names: tuple[Named, ...]
+
+    @property
+    def correction(self) -> str | None:
+        """Value for the option `--angles` that corrects the declared angles.
+
+        None if no declared angle can correct the session, so that the position must be measured again.
+        """
+        match self.finding:
+            case "swapped":
+                return (
+                    f"{self.position}={_plain(self.meant_deg)},{self.others[0]}={_plain(self.declared_deg)}"
+                )
+            case "mistyped" | "misset":
+                value = self.angle_deg[0] if self.meant_deg is None else self.meant_deg
+                return f"{self.position}={_plain(value)}"
+            case "slipped":
+                return f"{_range(self.position, self.others)}+={_plain(self.error_deg[0])}"
+            case "reversed":
+                return f"{_range(self.position, self.others)}=reverse"
+        return None
+
+    @property
+    def sentence(self) -> str:
+        """One sentence for the user: the suspected error of the position, and its remedy."""
+        where = f"position {self.position}"
+        declared = "" if self.declared_deg is None else f"declared {self.declared_deg:g}°, "
+        sources = "gravity" if self.gyro_deg is None else "gravity and gyro"
+        correct = f"correct the file or give --angles {self.correction}"
+        match self.finding:
+            case "gravity_wrong":
+                gyro = "" if self.gyro_deg is None else f", {_stated(self.gyro_deg)} by the gyro"
+                return (
+                    f"{where}: {declared}{_stated(self.gravity_deg)} by gravity{gyro}: "
+                    f"{self._named}; repeat it, or leave it out"
+                )
+            case "slipped":
+                off = f"{where} is {_signed(self.error_deg)} from its declared angle"
+                if self.others:
+                    those = f"positions {self.position} to {self.others[-1]}"
+                    off = f"{those} are {_signed(self.error_deg)} from their declared angles"
+                repeat = "repeat them" if self.others else "repeat it"
+                return (
+                    f"{off} by {sources}: {self._named}; clamp the part and {repeat},"
+                    f" or give --angles {self.correction}"
+                )
+            case "reversed":
+                return (
+                    f"from position {self.position} on the part turned against the declared angles by "
+                    f"{sources}: {self._named}; {correct}"
+                )
+        text = f"{where}: {declared}{_stated(self.angle_deg)} by {sources}: {self._named}"
+        if self.finding == "swapped":
+            text += f" with position {self.others[0]}"
+        return f"{text}; {correct}"
+
+    @property
+    def _named(self) -> str:
+        """Text with the most probable cause, then the other possible causes at this or another position."""
+        # If one angle differs from all others, all others differ from it by the opposite.
+        by = f"by {_signed((-self.error_deg[0], self.error_deg[1]))}"
+        own, elsewhere = [_meaning(self.finding, self.position)], dict[int, list[str]]()
+        for named in self.names:
+            if named.name == self.finding:
+                continue
+            place = self.position if self.position in named.positions else named.positions[0]
+            text = _meaning(named.name, place)
+            if place == self.position or named.name not in SIZED:
+                own.append(text)
+            elif named.name == "slipped":
+                own.append(f"{text}, {by}")
+            else:
+                elsewhere.setdefault(place, []).append(text.split(",")[0])
+        own += [f"position {k} alone {by}: {' or '.join(texts)}" for k, texts in elsewhere.items()]
+        return ", or ".join(dict.fromkeys(own))
+
+    def as_dict(self) -> dict[str, Any]:
+        """One entry of the JSON list `positions`."""
+        document: dict[str, Any] = {
+            "position": self.position, "finding": self.finding, "declared_deg": self.declared_deg
+        }  # fmt: skip
+        for name in ("gravity", "gyro", "angle", "error"):
+            document[f"{name}_deg"], document[f"{name}_u_deg"] = getattr(self, f"{name}_deg") or (
+                None,
+                None,
+            )
+        return document | {
+            "meant_deg": self.meant_deg,
+            "others": list(self.others),
+            "probability": self.probability,
+            "names": [name.as_dict() for name in self.names],
+            "angles": self.correction,
+            "sentence": self.sentence,
+        }
+
+
+def listed(findings: Sequence[PositionFinding]) -> dict[str, Any]:
+    """The entry `positions` of a JSON result, as a mapping; empty if no position is suspected."""
+    return {"positions": [found.as_dict() for found in findings]} if findings else {}
+
+
+def _meaning(name: Name, position: int) -> str:
+    return MEANINGS[name] + (f" before position {position}" if name == "slipped" else "")
+
+
+def _range(first: int, others: tuple[int, ...]) -> str:
+    return f"{first}-{others[-1]}" if others else str(first)
+
+
+def _plain(value: float | None) -> str:
+    return "" if value is None else f"{round(value, 3):g}"
+
+
+def _stated(angle: Angle) -> str:
+    return str(Value(*angle, "deg"))
+
+
+def _signed(angle: Angle) -> str:
+    return format_uncertain(angle[0], NORMAL_95 * angle[1], "deg", sign=True)
+
+
+CERTAIN = 0.99
+"""Posterior probability of a fault above which a position is reported."""
+MOST_FAULTS = 6
+LARGEST = 120
+"""Largest number of dwells of a diagnosis, because it computes the covariance of all rows."""
+LEAST = 3
+"""Smallest number of dwells of which one can be wrong and the others right; with a gyro two."""
+SETTLED_RAD = math.radians(0.5)
+"""Largest change of angles by the last calibration; its square is 0.004°."""
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Wrong positions of a session, found by comparing angles as declared, by gravity and by the gyro.
+
+    Attributes
+    ----------
+    findings : tuple of PositionFinding
+        Accused positions, in their order.
+    scatter_deg : float
+        Standard deviation of a position without the findings.
+    sight : Detectability or None
+        Detectable errors; None without a diagnosis.
+    """
+
+    findings: tuple[PositionFinding, ...] = ()
+    scatter_deg: float = math.nan
+    sight: Detectability | None = field(default=None, repr=False, compare=False)
+
+    def detectable_deg(self, name: Name = "slipped") -> dict[int, float]:
+        """For each position, the smallest error in degrees that is found with a probability of 99 %.
+
+        `name` is the kind of error. The value is inf if no error of up to half a turn would be found.
+        """
+        return {} if self.sight is None else self.sight.detectable_deg(name, CERTAIN)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Sentences for the user, one for each wrong position; two swapped positions share a sentence."""
+        lines: dict[tuple[object, ...], str] = {}
+        for found in self.findings:
+            key = (found.finding, *sorted((found.position, *found.others)))
+            lines.setdefault(key, found.sentence)
+        return tuple(lines.values())
+
+
+def diagnose(angles: Angles) -> Diagnosis:
+    """Compute the probability of every fault at every position, and report the certain faults.
+
+    The faults are listed in `position_faults`.
+    """
+    declared = int(np.isfinite(angles.declared_rad).sum())
+    watched = angles.turns is not None and bool(np.isfinite(angles.turns.angle_rad).any())
+    if declared < LEAST - watched or len(angles) > LARGEST:
+        return Diagnosis()
+    grid = scatters(angles.fixture_rad)
+    calibration = calibrate_by_length(angles)
+    rows = rows_at(angles, calibration)
+    accepted, last = _search(rows, grid)
+    # Calibrate again without the accepted faults, and repeat the search if that changes any angle.
+    step = _posterior(rows, accepted, last.scatter)[0][1 : 1 + BASE]
+    if float(np.abs(rows.design[: len(rows), 1 : 1 + BASE] @ step).max()) > SETTLED_RAD:
+        rows = rows_at(angles, calibration + step)
+        accepted, last = _search(rows, grid)
+    findings = _findings(angles, rows, grid, accepted)
+    return Diagnosis(
+        tuple(sorted(findings, key=lambda found: found.position)),
+        math.degrees(last.scatter.position_rad),
+        Detectability(angles.position, rows, tuple(grid), KnownFaults.of(rows, accepted)),
+    )
+
+
+def _search(rows: Rows, grid: Sequence[ScatterPoint]) -> tuple[list[Pattern], Weighed]:
+    """Accept faults one after another, the most probable first, while a fault is more probable than none.
+
+    Returns the accepted faults and the probabilities after the last one.
+    """
+    accepted: list[Pattern] = []
+    while True:
+        patterns, weighed = _weigh_others(rows, grid, accepted)
+        if weighed.best is None or len(accepted) == MOST_FAULTS:
+            return accepted, weighed
+        accepted.append(patterns[weighed.best])
+
+
+def _weigh_others(
+    rows: Rows, grid: Sequence[ScatterPoint], accepted: Sequence[Pattern]
+) -> tuple[list[Pattern], Weighed]:
+    """List the faults that are possible in addition to the accepted ones, with their probabilities."""
+    known = KnownFaults.of(rows, accepted)
+    taken = {(p.name, p.dwells) for p in accepted}
+    patterns = [p for p in patterns_of(rows, known.error_rad) if (p.name, p.dwells) not in taken]
+    return patterns, weigh(rows, grid, patterns, known)
+
+
+def _posterior(rows: Rows, accepted: Sequence[Pattern], scatter: ScatterPoint) -> tuple[Floats, Floats]:
+    """Posterior mean (p + q,) and covariance of the p calibration parameters and q sizes of faults.
+
+    `accepted` are the faults, and `scatter` the standard deviations of the ordinary errors.
+    """
+    known = KnownFaults.of(rows, accepted)
+    (white,) = Whitened.at_each(rows, [scatter], known.columns)
+    z = white.white_residual(known.residual(rows)[:, None])[:, 0]
+    # Posterior of a linear Gaussian model: prior covariance times design, whitened.
+    spread = white.white(white.design * white.prior_sd**2)
+    mean = spread.T @ z
+    mean[: len(rows.prior_mean)] += rows.prior_mean
+    return mean, np.diag(white.prior_sd**2) - spread.T @ spread
+
+
+# -- findings ------------------------------------------------------------------------------------------
+
+
+def _findings(
+    angles: Angles, rows: Rows, grid: Sequence[ScatterPoint], accepted: Sequence[Pattern]
+) -> list[PositionFinding]:
+    found: dict[tuple[int, Name], PositionFinding] = {}
+    for pattern in accepted:
+        if pattern.name not in ACCUSED:
+            continue
+        # Weigh all patterns again as if this one were the last to be found.
+        rest = [other for other in accepted if other is not pattern]
+        patterns, weighed = _weigh_others(rows, grid, rest)
+        if weighed.best is None:
+            continue
+        accusing = [v for (_, name), v in weighed.named.items() if name in ACCUSED]
+        # Posterior probability of all accusing patterns together.
+        total = np.logaddexp.reduce([weighed.none, *weighed.named.values()])
+        probability = float(np.exp(np.logaddexp.reduce(accusing) - total))
+        number, name = weighed.likeliest
+        if probability < CERTAIN or name not in ACCUSED:
+            continue
+        chosen = patterns[number]
+        names = _set_of_names(angles.position, patterns, weighed)
+        account = _Account(angles.position, rows, (*rest, chosen), chosen, weighed.scatter)
+        for k in chosen.dwells:
+            one = account.finding(k, name, probability, names)
+            found[one.position, one.finding] = one
+    return list(found.values())
+
+
+def _set_of_names(
+    position: Sequence[int], patterns: Sequence[Pattern], weighed: Weighed
+) -> tuple[Named, ...]:
+    """Most probable faults of the session with their probabilities, as a 95 % credible set.
+
+    The probabilities are relative to all faults that accuse a position.
+    """
+    accusing = {key: value for key, value in weighed.named.items() if key[1] in ACCUSED}
+    total = np.logaddexp.reduce(list(accusing.values()))
+    ordered = sorted(accusing.items(), key=lambda item: -item[1])
+    held, kept = 0.0, []
+    for (k, name), value in ordered:
+        share = math.exp(value - total)
+        kept.append(Named(name, tuple(position[j] for j in patterns[k].dwells), share))
+        held += share
+        if held >= CREDIBLE_SET:
+            break
+    return tuple(kept)
+
+
+@dataclass(frozen=True)
+class _Account:
+    """Computes the error of each position that one fault affects, given all accepted faults."""
+
+    position: Sequence[int]
+    rows: Rows
+    accepted: tuple[Pattern, ...]
+    pattern: Pattern
+    scatter: ScatterPoint
+
+    @cached_property
+    def known(self) -> KnownFaults:
+        return KnownFaults.of(self.rows, self.accepted)
+
+    @cached_property
+    def posterior(self) -> tuple[Floats, Floats]:
+        """Posterior mean and covariance of the calibration parameters and the sizes of faults."""
+        return _posterior(self.rows, self.accepted, self.scatter)
+
+    @cached_property
+    def error(self) -> tuple[Floats, float]:
+        """Error (n,) of each position by the accepted faults, in rad, and u of the size of this fault.
+
+        The u is 0 unless the size of this fault is a single free number.
+        """
+        error, first = self.known.error_rad.copy(), len(self.rows.prior_mean)
+        mean, covariance = self.posterior
+        u = 0.0
+        for p in self.accepted:
+            q = p.columns.shape[1]
+            # Only patterns with one free amplitude have an error of unknown size.
+            if q == 1:
+                error += p.unit * mean[first]
+                if p is self.pattern:
+                    u = math.sqrt(max(float(covariance[first, first]), 0.0))
+            first += q
+        return error, u
+
+    def finding(self, k: int, name: Name, probability: float, names: tuple[Named, ...]) -> PositionFinding:
+        """Finding for the position k: its error, the most probable cause and the other causes."""
+        declared = _degrees(self.rows.declared_rad[k])
+        gravity, gyro = self._gravity(k), self._gyro(k)
+        actual = _weighted_mean([gravity, gyro])
+        if name == "gravity_wrong":
+            actual = gyro or (0.0, math.degrees(self.scatter.position_rad))
+        size = actual
+        others = [self.position[j] for j in self.pattern.dwells if j != k]
+        if name in ("slipped", "reversed"):
+            size = math.degrees(self.error[0][k]), math.degrees(self.error[1])
+            others = list(self.position[k + 1 :])
+
+        def at(error: Angle) -> Angle:
+            return declared + error[0], error[1]
+
+        return PositionFinding(
+            self.position[k],
+            name,
+            declared if self.rows.declared[k] else None,
+            at(gravity),
+            None if gyro is None else at(gyro),
+            at(actual),
+            size,
+            self._intended(k, name, declared, actual),
+            tuple(others),
+            probability,
+            names,
+        )
+
+    def _intended(self, k: int, name: Name, declared: float, actual: Angle) -> float | None:
+        """Angle in degrees that the operator probably meant to enter; None if unknown.
+
+        For swapped positions it is the angle of the other position. For a typing error it is the nearest
+        angle on the list of usual angles, else a whole degree.
+        """
+        if name == "swapped":
+            other = next(j for j in self.pattern.dwells if j != k)
+            return _degrees(self.rows.declared_rad[other])
+        if name != "mistyped":
+            return None
+        others = [
+            _degrees(v) for j, v in enumerate(self.rows.declared_rad) if self.rows.declared[j] and j != k
+        ]
+        near = 3 * math.hypot(actual[1], math.degrees(self.scatter.position_rad))
+        angle = declared + actual[0]
+        for candidates in (possible_entries(declared, others), (float(round(angle)),)):
+            off = {c: abs(wrap_degrees(c - angle)) for c in candidates}
+            good = [c for c in candidates if off[c] < near]
+            if good:
+                # Of 270 and -90 the one within the range of the others, or closest to it.
+                low, high = min(others), max(others)
+                return min(good, key=lambda c: (max(0.0, low - c, c - high), off[c]))
+        return None
+
+    def _stated(self, e: float, row: int, variance: float) -> Angle:
+        """Convert an error in rad to an `Angle` in degrees with its standard uncertainty.
+
+        The u combines `variance` with the uncertainty of the calibration at one row of the linear model.
+        """
+        columns = self.rows.design[row]
+        p = len(columns)
+        u = math.sqrt(variance + float(columns @ self.posterior[1][:p, :p] @ columns))
+        return math.degrees(float(wrap_radians(np.array(e)))), math.degrees(u)
+
+    def _model(self, row: int) -> float:
+        """Value that the calibration, at its posterior mean, predicts for one row of the linear model."""
+        columns = self.rows.design[row]
+        return float(columns @ self.posterior[0][: len(columns)])
+
+    def _gravity(self, k: int) -> Angle:
+        """Error of the position k in degrees, from its reading calibrated by all other positions."""
+        rows, known = self.rows, self.known
+        about = wrap_radians(rows.seen_rad[k] + known.error_rad[k] - known.zero_rad)
+        e = known.error_rad[k] - (about - self._model(k))
+        return self._stated(e, k, float(rows.noise[k, k]) + self.scatter.reading**2)
+
+    def _gyro(self, k: int) -> Angle | None:
+        """Error of the position k in degrees, from the turn that the gyro measured between two positions.
+
+        It is the turn from the position before, or else the turn to the next one. None if both records are
+        incomplete.
+        """
+        rows = self.rows
+        for dwell, sign in ((k, 1.0), (k + 1, -1.0)):
+            found = np.flatnonzero(rows.turn == dwell)
+            if not found.size:
+                continue
+            row = 2 * len(rows) + int(found[0])
+            start = self.error[0][dwell - 1] if sign > 0 else self.error[0][dwell]
+            asked = rows.declared_rad[dwell] - rows.declared_rad[dwell - 1]
+            e = start + sign * (float(rows.gyro_rad[int(found[0])]) - self._model(row) - asked)
+            return self._stated(e, row, float(rows.noise[row, row]) + self.scatter.position_rad**2)
+        return None
+
+
+def _degrees(angle_rad: float) -> float:
+    return round(math.degrees(angle_rad), 9)
+
+
+def _weighted_mean(found: Sequence[Angle | None]) -> Angle:
+    """Weighted mean of angles in degrees with u; None entries are ignored.
+
+    All angles are first unwrapped to within half a turn of the first.
+    """
+    known = [one for one in found if one is not None]
+    weights = np.array([1 / max(u, 1e-6) ** 2 for _, u in known])
+    # Unwrap all angles to within half a turn of the first.
+    first = known[0][0]
+    values = np.array([first + wrap_degrees(value - first) for value, _ in known])
+    return float((weights * values).sum() / weights.sum()), float(1 / math.sqrt(weights.sum()))
+
 
 BIAS_MG = 60.0
 """Standard deviation of a bias before a measurement: one real ADIS16350 had +57, −21 and +46 mg (CHIP)."""
@@ -106,7 +645,7 @@ def _increments(session: Session, readings: Readings) -> Increments | None:
 
 
 def _noted(session: Session) -> dict[tuple[int, int], tuple[float, float]]:
-    """Turn about z and its u, in degrees, by the numbers of the two dwells, as `bench` recorded it.
+    """Turns about z that were noted while the session ran, with u, in degrees, by the two dwells.
 
     The u includes the g-sensitivity.
     """

@@ -458,13 +458,13 @@ class Effect(ABC):
 
 
 def did_you_mean(name: str, known: Sequence[str]) -> str:
-    """Text such as " (did you mean 'bias'?)" with the most similar known name; empty if none is similar."""
+    """Text such as " (did you mean 'bias'?)" with the known name most similar to `name`, or ""."""
     near = get_close_matches(name, known, n=1)
     return f" (did you mean '{near[0]}'?)" if near else ""
 
 
 def by_letters(prototypes: Sequence[Parameter], letters: Sequence[str]) -> tuple[Parameter, ...]:
-    """Copies of each prototype, named for each axis letter: `k2` becomes `k2_x`, `k2_y`.
+    """Parameters made from each prototype and each axis letter: `k2` becomes `k2_x`, `k2_y`.
 
     The order is letter by letter, with all prototypes of one letter together.
     """
@@ -478,7 +478,7 @@ def _by_letters(prototypes: tuple[Parameter, ...], letters: tuple[str, ...]) -> 
 
 @dataclass(frozen=True)
 class AxisEffect(Effect):
-    """An effect on the axes in `axes`, each by itself; by default x and y, the plane of rotation."""
+    """An effect that acts on each of its axes independently; by default on x and y, the plane of turns."""
 
     axes: tuple[str, ...] = ("x", "y")
 
@@ -550,7 +550,7 @@ class CrossEffect(LinearEffect):
 
     @abstractmethod
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
-        """Basis function (n,) from an axis' ideal reading, the reading across it, and the conditions."""
+        """Basis function (n,) from the ideal readings of an axis and of the axis across it."""
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Derivative of the readings (n, axes, p): the basis functions, independent of `values`."""

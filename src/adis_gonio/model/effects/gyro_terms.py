@@ -186,7 +186,7 @@ class GyroScale(LinearAxisEffect):
 
 
 class GyroScaleTemperature(LinearAxisEffect):
-    """The gain follows the temperature of the gyro's die."""
+    """The gain changes in proportion to the temperature of the gyro's die."""
 
     name = "gyro_scale_temperature"
     cause = "The sensitivity of a gyro changes with the temperature of its die."
@@ -267,7 +267,7 @@ class GyroMisalignment(AxisEffect):
 
 @dataclass(frozen=True)
 class GyroDrift(LinearAxisEffect):
-    """The zero rate moves evenly, with time or from dwell to dwell.
+    """The zero rate changes evenly, with time or from dwell to dwell.
 
     Attributes
     ----------
@@ -330,7 +330,7 @@ class GyroWarmUp(WarmUp):
 
 
 class GyroSupply(SupplyBias):
-    """The zero rate follows the supply."""
+    """The zero rate changes in proportion to the supply voltage."""
 
     name = "gyro_supply"
     cause = "The zero rate of a gyro moves with the supply voltage."

@@ -5,7 +5,7 @@ The static terms have the order of the model equation of IEEE Std 1293: E/K1 = K
 non-orthogonality ±0.25° and nonlinearity ±0.2 % of full scale (3.4 mg at 1.7 g, hence K3 ≈ 0.7 mg/g³).
 Estimates for the ADIS16354: 0.5 mg/°C and 40 ppm/°C like its better sibling; self-heating of a few degrees
 with a time constant of minutes; a gain that changes with the supply a hundred times less than in a fully
-ratiometric sensor (1/5 V, 200 000 ppm/V), and changes with time at 1 g as much as the zero.
+ratiometric sensor (1/5 V, 200 000 ppm/V), and changes with time at 1 g as much as the bias.
 """
 
 from __future__ import annotations
@@ -203,7 +203,7 @@ class CrossQuadratic(CrossEffect):
 
     name = "cross_quadratic"
     covariates = ("reading",)
-    cause = "Acceleration across an axis shifts its zero by its square (K_pp)."
+    cause = "Acceleration across an axis shifts its bias by its square (K_pp)."
     formula = "a_i += kpp_ip · (a_p/1000)²"
     separated_by = (
         "In one plane at 1 g, a_p² = 1 − a_i²: with a bias in the model it equals `quadratic` of opposite "
@@ -259,7 +259,7 @@ class BiasTemperature(LinearAxisEffect):
     degree: int = 1
 
     name = "bias_temperature"
-    cause = "The zero of an axis moves with the temperature of the die."
+    cause = "The bias of an axis changes with the temperature of the die."
     formula = "a_i += tempco_i · ΔT + tempco2_i · ΔT² + tempco3_i · ΔT³ up to `degree`, ΔT = T − 25 °C"
     separated_by = (
         "If the temperature only rises it is `bias_drift` or `warm_up`: let it fall again, or repeat "
@@ -294,7 +294,7 @@ class BiasTemperature(LinearAxisEffect):
 
 
 class ScaleTemperature(LinearAxisEffect):
-    """The gain follows the temperature."""
+    """The gain changes in proportion to the temperature."""
 
     name = "scale_temperature"
     cause = "The sensitivity of an axis changes with the temperature of the die."
@@ -341,15 +341,15 @@ class MisalignmentTemperature(CrossEffect):
 
 
 class ThermalLag(CourseEffect):
-    """The zero follows a component that warms later than the thermometer.
+    """The bias follows a component that warms later than the thermometer.
 
     With τ dT_lag/dt = T − T_lag and T_lag = T at the first record of the session, the term is
     lag_i (T_lag − T). It is zero at constant temperature, so that it does not compete with
-    `bias_temperature`; a zero that follows only T_lag has lag_i = tempco_i.
+    `bias_temperature`; a bias that follows only T_lag has lag_i = tempco_i.
     """
 
     name = "thermal_lag"
-    cause = "The element that shifts the zero warms later than the die with the thermometer."
+    cause = "The element that shifts the bias warms later than the die with the thermometer."
     formula = "a_i += lag_i · (T_lag − T), τ dT_lag/dt = T − T_lag"
     separated_by = (
         "`bias_temperature` is the same on the way up and on the way down: heat and cool at different "
@@ -369,10 +369,10 @@ class ThermalLag(CourseEffect):
 
 
 class SupplyBias(LinearAxisEffect):
-    """The zero follows the supply."""
+    """The bias changes in proportion to the supply voltage."""
 
     name = "supply_bias"
-    cause = "The zero of an axis moves with the supply voltage."
+    cause = "The bias of an axis changes with the supply voltage."
     formula = "a_i += supply_i · (V − 5 V)"
     separated_by = (
         "A supply that sinks while the part warms imitates `bias_temperature`, `bias_drift`: change the "
@@ -389,7 +389,7 @@ class SupplyBias(LinearAxisEffect):
 
 
 class SupplyScale(LinearAxisEffect):
-    """The gain follows the supply."""
+    """The gain changes in proportion to the supply voltage."""
 
     name = "supply_scale"
     cause = "The sensitivity of an axis changes with the supply voltage."
@@ -410,10 +410,10 @@ class SupplyScale(LinearAxisEffect):
 
 
 class BiasDrift(LinearAxisEffect):
-    """The zero moves evenly with time."""
+    """The bias changes evenly with time."""
 
     name = "bias_drift"
-    cause = "The zero of an axis moves evenly with time (ageing, relaxing stress, creep of the mount)."
+    cause = "The bias of an axis changes evenly with time (ageing, relaxing stress, creep of the mount)."
     formula = "a_i += drift_i · t/60, t from the session's start"
     separated_by = (
         "With positions in one order, time is angle: repeat positions in another order (forth and back, or "
@@ -429,7 +429,7 @@ class BiasDrift(LinearAxisEffect):
 
 
 class ScaleDrift(LinearAxisEffect):
-    """The gain moves evenly with time."""
+    """The gain changes evenly with time."""
 
     name = "scale_drift"
     cause = "The sensitivity of an axis moves evenly with time (ageing, a reference that drifts)."
@@ -450,10 +450,10 @@ class ScaleDrift(LinearAxisEffect):
 
 
 class WarmUp(CourseEffect):
-    """The zero settles exponentially after power-on."""
+    """The bias settles exponentially after power-on."""
 
     name = "warm_up"
-    cause = "The zero of an axis settles while the part heats itself after power-on."
+    cause = "The bias of an axis settles while the part heats itself after power-on."
     formula = "a_i += warm_up_i · exp(−t/τ), t from the session's start"
     separated_by = (
         "Shorter than τ it is `bias_drift`, much longer it is a `bias` of the first dwells; with the "

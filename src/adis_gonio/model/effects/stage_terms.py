@@ -46,7 +46,7 @@ _SAME_PHASE = 1e-6
 
 
 def alike(cycles: int, others: int, angle_rad: Floats) -> bool:
-    """True if, at these angles, waves with the two numbers of cycles a turn are equal except for phase.
+    """True if waves with two different numbers of cycles per turn differ only in phase at these angles.
 
     If the phase of e^{i(m ∓ n)θ} is constant over the angles, m cycles are an alias of n cycles. A constant
     has 0 cycles.
@@ -55,7 +55,7 @@ def alike(cycles: int, others: int, angle_rad: Floats) -> bool:
 
 
 def of_one_phase(cycles: NDArray[np.int_], angle_rad: Floats) -> NDArray[np.bool_]:
-    """For each number of cycles a turn (m,): True if the cycle has an equal phase at all the angles."""
+    """For each number of cycles per turn (m,): True if all the angles have one phase of its wave."""
     length = np.abs(np.exp(1j * cycles[:, None] * angle_rad).mean(axis=1))
     return np.asarray(length > 1 - _SAME_PHASE)
 
@@ -210,10 +210,10 @@ class PositionSlip(StageEffect):
 
 
 class Hysteresis(LinearAxisEffect):
-    """The zero depends on the direction of approach; half of the loop's width to either side."""
+    """The bias depends on the direction of approach; half of the loop's width to either side."""
 
     name = "hysteresis"
-    cause = "Stress of the last move stays in the sensor or its mount and shifts the zero of an axis."
+    cause = "Stress of the last move stays in the sensor or its mount and shifts the bias of an axis."
     formula = "a_i += hysteresis_i · approach/2"
     separated_by = (
         "`backlash` turns the part and so moves a reading only if it changes with the angle: approach "

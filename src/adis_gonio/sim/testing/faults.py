@@ -265,7 +265,10 @@ class FaultyBus(ForwardingBus):
         return words ^ (turned @ (1 << np.arange(FRAME_BITS))).astype(np.uint16)
 
     def _struck(self, kind: str, count: int) -> NDArray[np.bool_]:
-        """Draw which of `count` items a fault of this kind hits, as a mask (count,); add them to `seen`."""
+        """Draw which of `count` items a fault of this kind affects, as a mask (count,).
+
+        The affected items are counted in `seen`.
+        """
         rate = getattr(self._faults, kind)
         if not rate:
             return np.zeros(count, bool)

@@ -47,7 +47,7 @@ _ROUNDING_MG = 1e-9
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A course of the samples that dwells share on one axis: an exponential, or a line if no `tau`."""
+    """A shape that the samples of all dwells follow on one axis: a line, or with `tau` an exponential."""
 
     axis: int
     tau: float | None
@@ -60,7 +60,7 @@ class _Candidate:
 
 
 def courses(samples: Samples, most: int = 2) -> tuple[list[WithinFinding], Samples]:
-    """Find slopes and settling that all dwells share; return the findings and the samples without them."""
+    """Find slopes and settling common to all dwells; return findings, and samples without them."""
     found: list[WithinFinding] = []
     while len(found) < most:
         usable = samples.counts >= LEAST_SAMPLES
@@ -75,7 +75,7 @@ def courses(samples: Samples, most: int = 2) -> tuple[list[WithinFinding], Sampl
 
 
 def _regressors(samples: Samples) -> Floats:
-    """Return possible factors of a course's amplitude in each dwell and axis, (2, d, axes).
+    """Return possible causes of a course's amplitude in each dwell and axis, (2, d, axes).
 
     The first is 1, the second the change of the axis's reading in g since the dwell before.
     """
@@ -99,7 +99,7 @@ def _course(elapsed_s: Floats, tau: float | None) -> Floats:
 
 
 def projections(samples: Samples, usable: Usable, tau: float | None) -> tuple[Floats, Floats]:
-    """Return the projections (d, axes) of each dwell's samples on the course, and its norms (d,).
+    """Return the projections (d, axes) of the samples of each dwell on a course, and its norms (d,).
 
     A projection is the amplitude times the norm.
     """
@@ -114,7 +114,7 @@ def projections(samples: Samples, usable: Usable, tau: float | None) -> tuple[Fl
 
 
 def _best(samples: Samples, usable: Usable) -> _Candidate | None:
-    """Return the significant course that explains most of the samples' variance; None if none is."""
+    """Return the significant course that explains most of the variance; None if none is significant."""
     taus = grid(samples, usable)
     kinds = _regressors(samples)
     tests = len(taus) * 2 * samples.axes

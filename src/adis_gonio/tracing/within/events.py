@@ -52,7 +52,7 @@ _POINTS = 300
 
 @dataclass(frozen=True)
 class _Scale:
-    """Differences between the means of adjacent stretches of samples, for one length of a stretch.
+    """Differences between the means of neighbouring stretches of samples, for one length of the stretches.
 
     On one scale the length is half of the dwell.
     """
@@ -71,7 +71,7 @@ _Form = Literal["step", "drift", "settling", "disturbance"]
 
 @dataclass(frozen=True)
 class _Look:
-    """The most significant difference of each dwell and axis over all scales, and their noise."""
+    """The most significant difference of means in each dwell and axis, over all lengths of stretches."""
 
     place: Floats
     stretch: Floats
@@ -165,7 +165,7 @@ def _scales(samples: Samples, unit: Floats, reach: int) -> list[_Scale]:
 
 
 def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) -> None:
-    """Test the differences at one time scale; lower a dwell's p-value (d, axes) if it is smaller here."""
+    """Test the differences for one length of stretches, and lower p-values (d, axes) that are larger."""
     noise = np.zeros_like(p)
     look.noise.append((np.array([float(own[0]) if len(own) else 0.0 for own in scale.places]), noise))
     every = np.concatenate(scale.differences)
@@ -220,7 +220,7 @@ def _without_outliers(squares: Floats, weight: Floats) -> tuple[Floats, Floats]:
 
 
 def _independent(nominal: Floats, squares: Floats) -> Floats:
-    """Return the number (d,) of independent differences in each dwell.
+    """Return the effective number (d,) of independent differences in each dwell.
 
     It is limited by the scatter of the dwells' mean squares.
 
@@ -347,7 +347,7 @@ def _finding(
 
 
 def _view(samples: Samples, k: int, axis: int, model: Floats, kind: _Form) -> View:
-    """Return the figure of an event: samples of a dwell averaged to at most `_POINTS`, and the fit."""
+    """Return the data of an event's figure: averaged samples of the dwell, and the fitted form."""
     rows = samples.values[k][:, axis] - samples.values[k][:, axis].mean()
     time = samples.elapsed_s(k)
     x, y, shown = neighbour_means(_POINTS, time, rows, model)

@@ -33,7 +33,7 @@ from scipy import ndimage, optimize, special
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import format_number
 from adis_gonio.base.uncertainty import FOUND_WITHIN, Value
-from adis_gonio.device.sensor.variants import VARIANTS
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.readings import Readings, quantization_variance
 from adis_gonio.model.records import Session
 from adis_gonio.tracing.within.samples import (
@@ -109,10 +109,10 @@ def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding
 
 
 def _from_neighbours(column: Floats, reach: int) -> tuple[Floats, Floats, Floats]:
-    """Return each sample's distance (n,) from the medians of its neighbours, and that median (n,).
+    """Return the distance (n,) of each sample from the nearer of two medians of its neighbours.
 
-    Of the medians before and after a sample the nearer counts. The third result (m,) are distances from
-    the median before.
+    The medians are over the samples before and after. The second result (n,) is the nearer median, the
+    third (m,) the distances from the median before.
 
     The scatter is estimated from these, since the distance to the nearer of two medians is too small on
     average.
@@ -235,7 +235,7 @@ def _run_lengths(column: Floats) -> NDArray[np.intp]:
 
 
 def _tail(lengths: NDArray[np.intp]) -> tuple[float, float]:
-    """Return the length at which the exponential tail of run lengths begins, and its mean excess."""
+    """Return the run length at which the exponential tail of run lengths begins, and its mean excess."""
     if not lengths.size:
         return 1.0, 0.0
     start = float(np.quantile(lengths, _LONG_QUANTILE))
@@ -315,7 +315,7 @@ def quantization(session: Session, samples: Samples, reach: int) -> WithinFindin
 
 
 def _coarse(samples: Samples, axis: int, reach: int) -> float:
-    """Return the p-value of the hypothesis that the noise is large enough to dither the converter.
+    """Return the p-value of the hypothesis that noise spreads the samples over several converter steps.
 
     It is 1 if the samples scatter enough.
     """
@@ -340,9 +340,9 @@ def _coarse(samples: Samples, axis: int, reach: int) -> float:
 
 
 def _lost_bits(session: Session, samples: Samples, axis: int) -> float:
-    """Return the probability that all codes differ by multiples of a number by chance.
+    """Return the probability that chance makes all codes differ by multiples of a number above 1.
 
-    It is 1 if this number is 1 or the sensor's codes are unknown.
+    It is 1 if there is no such number, or if the sensor's codes are unknown.
     """
     if session.accel_unit != "lsb" or session.sensor not in VARIANTS:
         return 1.0

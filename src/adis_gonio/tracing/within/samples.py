@@ -85,7 +85,7 @@ class Samples:
         at: int | None = None,
         shift: float | None = None,
     ) -> Place:
-        """Make the record of a place in the samples, from the numbers of dwell, axis and sample (`at`)."""
+        """Make the record of a place in the samples from indices of dwell, axis and sample (`at`)."""
         time = None if at is None else float(self.time_s[dwell][at])
         size = Value(float(value), u, unit)
         return Place(int(self.position[dwell]), self.letters[axis], time, size, shift)

@@ -123,7 +123,7 @@ def probability(p_value: float) -> float:
 
 
 def _first_of_each(within: tuple[WithinFinding, ...]) -> list[WithinFinding]:
-    """Return one finding for each named effect: the most significant, for example of several lines."""
+    """Return one finding for each named effect: the most significant of its findings."""
     best: dict[str | None, WithinFinding] = {}
     for finding in within:
         if finding.effect not in best or finding.p_value < best[finding.effect].p_value:
@@ -325,7 +325,7 @@ def _noise_change(samples: Samples, density: Density | None) -> Detectable:
 
 
 def _joining(quiet: Floats, away: float) -> float:
-    """Return the variance in mg² of white noise that raises the log level of half the dwells by `away`.
+    """Return the variance in mg² of white noise that raises the log level of half of the dwells by `away`.
 
     The level is in units of the density (points,) of all dwells, which the added noise changes too.
     """

@@ -54,7 +54,7 @@ _MOST_POINTS = 600
 
 @dataclass(frozen=True)
 class _Peak:
-    """A frequency on the grid of the spectrum at which there is a significant line."""
+    """A frequency of the spectrum at which there is a significant line."""
 
     at: int
     p_value: float
@@ -192,7 +192,7 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
 
 
 def _dwells_with(density: Density, peak: _Peak) -> list[int]:
-    """Return the rows of the dwells that show a peak.
+    """Return the indices of the dwells that show a spectral line.
 
     These are all dwells if the peak was found in the average over all.
     """
@@ -435,10 +435,10 @@ def density_of(samples: Samples) -> Density | None:
 
 
 def _beside(pooled: Floats, searched: slice, each: float) -> Callable[[Floats, int], Floats]:
-    """Return a function that removes the highest peak of an axis from a density.
+    """Return a function that removes the highest peak from a noise density.
 
-    The peak is the highest point relative to its neighbours. The density (k,) there is replaced by the
-    geometric mean of the densities on both sides.
+    The peak on an axis is the highest point relative to its neighbours. The density (k,) there is replaced
+    by the geometric mean of the densities on both sides.
     """
     above = (pooled / np.maximum(_flanks(pooled, each), 1e-300))[searched]
     peaks = searched.start + above.argmax(axis=0)
@@ -456,9 +456,9 @@ def _beside(pooled: Floats, searched: slice, each: float) -> Callable[[Floats, i
 
 
 def _gain(own: Floats, with_peak: Floats, without: Floats, peak: NDArray[np.bool_]) -> float:
-    """Return how much more likely a peak is a part of the noise's shape than a spectral line.
+    """Return by how much a peak is more likely part of the noise's shape than a line, as log likelihood.
 
-    The result is a difference of log likelihoods, per dwell and independent point of the spectrum.
+    The difference is per dwell and independent point of the spectrum.
 
     Whittle likelihood with fitted scale: a shape fitted with the peak, against a shape fitted without it
     plus a line at the peak.
@@ -499,7 +499,7 @@ def without_line(rows: Floats) -> Floats:
 
 
 def _widths(points: int, each: float) -> Floats:
-    """Return the half width (k,) of the running median at each frequency.
+    """Return the half width (k,) of the running median at each frequency of a spectrum.
 
     The unit is the number of independent values of the spectrum (ordinates).
     """

@@ -40,7 +40,7 @@ TESTS = 4
 class Levels:
     """Variances (d,) of dwells on one axis in mg² and their levels, each with degrees of freedom.
 
-    A level is the mean over frequencies of the power in units of the density.
+    A level is a dwell's mean power over frequencies, in units of the noise density of all dwells.
     """
 
     variance: Floats
@@ -84,7 +84,7 @@ class Levels:
 
 
 def step_of(course: Floats, weight: Floats, cut: int) -> tuple[float, float]:
-    """Return the change of the mean of a series (d,) at `cut`, and its standard uncertainty."""
+    """Return the change of a series (d,) at index `cut` (mean after minus mean before), with its u."""
     parts = [(course[own], weight[own]) for own in (slice(cut), slice(cut, None))]
     means = [float(np.average(x, weights=w)) for x, w in parts]
     squares = sum(float(w @ (x - mean) ** 2) for (x, w), mean in zip(parts, means, strict=True))
@@ -168,7 +168,7 @@ def _ratio_p(one: Levels, other: Levels) -> float:
 
 
 def _best_cut(levels: list[Levels]) -> int | None:
-    """Return the first dwell after the best single increase of the noise; None if it decreases.
+    """Return the first dwell after the noise increases once; None if it does not increase.
 
     The best place is found by least squares over all axes.
     """
@@ -240,7 +240,7 @@ def _joining(
 def _joined(
     density: Density, axis: int, own: Levels, quiet: NDArray[np.bool_], loud: NDArray[np.bool_]
 ) -> Value:
-    """Return the standard deviation in mg of the noise that was added at the change.
+    """Return the standard deviation in mg of the noise that was added at a change of the noise.
 
     It follows from the variance of the samples or, if white noise describes the change of the spectrum
     better than the spectrum of the noise does, from the spectrum: behind a long filter the variance
@@ -272,7 +272,7 @@ def _joined(
 def _varying(
     samples: Samples, dwells: NDArray[np.intp], levels: list[Levels], axes: list[int], p_value: float
 ) -> WithinFinding:
-    """Return the finding for variances that differ between dwells in another way than by one change."""
+    """Return the finding for variances that differ between dwells, but not by a single change."""
     d = len(dwells)
     unusual = np.zeros(d, dtype=bool)
     places: list[Place] = []
@@ -319,7 +319,7 @@ def _varying(
 
 
 def _rectification(levels: list[Levels]) -> str:
-    """Return a text that the different variances could reveal a rectification of vibration."""
+    """Return a text for the user: different variances could reveal a rectification of vibration."""
     spread = max(float(np.ptp(own.variance)) for own in levels)
     return (
         f"; variances differ by up to {format_number(spread)} mg², in which a vibration_rectification could"

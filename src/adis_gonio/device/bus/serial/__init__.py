@@ -29,8 +29,7 @@ from adis_gonio.base.errors import (
 )
 from adis_gonio.device.bus.host import WALL, Clock, UrlOptions, busy, choose, gone, missing, no_permission
 from adis_gonio.device.bus.opening import BusUrl, Device
-from adis_gonio.device.bus.serial.bus import BOOT_S, SerialBus
-from adis_gonio.device.bus.serial.link import Port, SerialLink
+from adis_gonio.device.bus.serial.bus import BOOT_S, Port, SerialBus, SerialLink
 from adis_gonio.device.bus.wire import load_cobs, protocol as wire
 
 SLICE_S = 0.05
@@ -64,7 +63,7 @@ def load() -> Any:
 
 
 class SerialPort:
-    """Adapter from an open port of pyserial to `adis_gonio.device.bus.serial.link.Port`.
+    """Adapter from an open port of pyserial to `adis_gonio.device.bus.serial.bus.Port`.
 
     Ports without modem lines (a pty, many sockets) are as good as others: none is needed.
     """

@@ -114,11 +114,11 @@ class HelloRequest(Body, type=PacketType.HELLO_REQUEST, layout="BI"):
     protocol: int
     """Version that the host speaks."""
     nonce: int
-    """Drawn anew by the host for every session."""
+    """Random number that the host draws for each session."""
 
 
 class HelloReply(Body, type=PacketType.HELLO_REPLY, layout="BBBBHBBBHII6I", tail="text"):
-    """Answers hello."""
+    """Reply to the request hello."""
 
     protocol: int
     """Version that the firmware speaks."""
@@ -145,11 +145,11 @@ class HelloReply(Body, type=PacketType.HELLO_REPLY, layout="BBBBHBBBHII6I", tail
     clocks_hz: tuple[int, ...]
     """SPI clocks, fastest first, 0 where unused."""
     board: str
-    """Board, a blank, serial number; without the blank where it has none."""
+    """Board, a blank, serial number; the board alone if it has none."""
 
 
 class ConfigureRequest(Body, type=PacketType.CONFIGURE_REQUEST, layout="IHH"):
-    """Sets the SPI timing. The fastest clock not above clock_hz is taken; none is bad_value."""
+    """Sets the SPI timing. It takes the fastest clock not above clock_hz, or fails with bad_value."""
 
     clock_hz: int
     """Highest clock."""
@@ -160,7 +160,7 @@ class ConfigureRequest(Body, type=PacketType.CONFIGURE_REQUEST, layout="IHH"):
 
 
 class ConfigureReply(Body, type=PacketType.CONFIGURE_REPLY, layout="IHH"):
-    """Answers configure."""
+    """Reply to the request configure."""
 
     clock_hz: int
     """Clock in force."""
@@ -171,7 +171,7 @@ class ConfigureReply(Body, type=PacketType.CONFIGURE_REPLY, layout="IHH"):
 
 
 class ExchangeRequest(Body, type=PacketType.EXCHANGE_REQUEST, layout="B", tail="words"):
-    """Sends frames; the reply holds as many words. Refused whole or executed whole."""
+    """Sends frames; the reply has as many words. All are executed, or none if it is refused."""
 
     writes: int
     """How many of the frames have the write bit."""
@@ -180,7 +180,7 @@ class ExchangeRequest(Body, type=PacketType.EXCHANGE_REQUEST, layout="B", tail="
 
 
 class ExchangeReply(Body, type=PacketType.EXCHANGE_REPLY, tail="words"):
-    """Answers exchange."""
+    """Reply to the request exchange."""
 
     words: Words
     """Word shifted out during each frame."""
@@ -202,18 +202,18 @@ class StreamRequest(Body, type=PacketType.STREAM_REQUEST, layout="BBHI", tail="w
 
 
 class StreamReply(Body, type=PacketType.STREAM_REPLY, layout="I"):
-    """Answers stream."""
+    """Reply to the request stream."""
 
     now_us: int
     """Firmware's clock at the start."""
 
 
 class StopRequest(Body, type=PacketType.STOP_REQUEST):
-    """Ends the stream, whose last scans come before the reply; without one, the last totals."""
+    """Ends the stream; its last scans come before the reply. If none runs, the last totals come."""
 
 
 class StopReply(Body, type=PacketType.STOP_REPLY, layout="II"):
-    """Answers stop."""
+    """Reply to the request stop."""
 
     scans: int
     """Scans sent in all."""
@@ -229,18 +229,18 @@ class ResetRequest(Body, type=PacketType.RESET_REQUEST, layout="H"):
 
 
 class ResetReply(Body, type=PacketType.RESET_REPLY, layout="I"):
-    """Answers reset."""
+    """Reply to the request reset."""
 
     now_us: int
     """Firmware's clock at the release."""
 
 
 class StatisticsRequest(Body, type=PacketType.STATISTICS_REQUEST):
-    """Counters since power-on; they wrap and are never set back, so reading them changes nothing."""
+    """Reads the counters since power-on, which wrap and are never reset, and changes nothing."""
 
 
 class StatisticsReply(Body, type=PacketType.STATISTICS_REPLY, layout="IIIIHHHHHHH"):
-    """Answers statistics."""
+    """Reply to the request statistics."""
 
     now_us: int
     """Firmware's clock, wraps."""
@@ -267,7 +267,7 @@ class StatisticsReply(Body, type=PacketType.STATISTICS_REPLY, layout="IIIIHHHHHH
 
 
 class Scans(Body, type=PacketType.SCANS, layout="IHII", tail="words"):
-    """Scans of consecutive triggers of the stream whose request had this id."""
+    """Scans of consecutive triggers; the id is the id of the request that started the stream."""
 
     sequence: int
     """Scans sent in this stream before the first one here, wraps."""
