@@ -3,34 +3,10 @@
 import numpy as np
 import pytest
 
-from adis_gonio.fleet.control_charts import (
-    average_run_length,
-    between_neighbours,
-    control_chart,
-    cusum,
-    limit_for,
-)
+from adis_gonio.fleet.control_charts import between_neighbours, control_chart, cusum
 
-# Montgomery, Introduction to Statistical Quality Control, table 9.3 (two-sided, k = 1/2).
-PUBLISHED = {
-    (5, 0.0): 465,
-    (5, 0.25): 139,
-    (5, 0.5): 38.0,
-    (5, 0.75): 17.0,
-    (5, 1.0): 10.4,
-    (5, 1.5): 5.75,
-    (5, 2.0): 4.01,
-    (5, 3.0): 2.57,
-    (4, 0.0): 168,
-    (4, 0.5): 26.6,
-    (4, 1.0): 8.38,
-    (4, 2.0): 3.34,
-}
-
-
-@pytest.mark.parametrize(("h", "shift"), PUBLISHED)
-def test_average_run_lengths_are_the_published_ones(h, shift):
-    assert average_run_length(h, shift) == pytest.approx(PUBLISHED[h, shift], rel=0.006)
+# Montgomery, Introduction to Statistical Quality Control, table 9.3 (two-sided, k = 1/2, h = 5).
+PUBLISHED = {0.0: 465, 1.0: 10.4}
 
 
 @pytest.mark.parametrize("shift", [0.0, 1.0])
@@ -41,12 +17,7 @@ def test_the_sums_that_are_kept_have_these_run_lengths(shift):
         up, down = cusum(rng.normal(shift, 1, 5000 if shift == 0 else 200))
         lengths.append(1 + int(np.argmax(np.maximum(up, down) > 5)))
     u = np.std(lengths) / np.sqrt(len(lengths))
-    assert abs(np.mean(lengths) - PUBLISHED[5, shift]) < 3.5 * u
-
-
-def test_a_limit_is_derived_from_a_run_length():
-    assert limit_for(465.4) == pytest.approx(5.0, abs=0.001)
-    assert limit_for(168) == pytest.approx(4.0, abs=0.005)
+    assert abs(np.mean(lengths) - PUBLISHED[shift]) < 3.5 * u
 
 
 def test_expected_values_are_predictions_by_all_sessions_before():

@@ -1,7 +1,7 @@
 """Guards detect errors at the bench: wrong positions, by gravity, gyros and angles, and bad dwells.
 
 Each judgement gives a `Guard`, a question with its numbers, or None. The limits follow from the sensor's
-noise, the sensor's data sheet and the fixture (`expectation`), so that a good sensor is not questioned.
+noise, the sensor's data sheet and the fixture (`record.plans`), so that a good sensor is not questioned.
 `Judge` compares declared angles, gravity and the integral of the gyros by `adis_gonio.fitting.slips`,
 which is also used for recorded sessions.
 """

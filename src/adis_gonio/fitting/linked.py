@@ -20,13 +20,7 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.uncertainty import LINK_REFUSED
 from adis_gonio.device.sensor.registers import VARIANTS
-from adis_gonio.fitting.determination import (
-    Determination,
-    covariance,
-    determine,
-    is_determined,
-    shift_by_held,
-)
+from adis_gonio.fitting import determination
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.links import Links
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
@@ -180,8 +174,8 @@ class JudgedLinks:
     why: str = ""
     chi2: float | None = None
     dof: int = 0
-    plain: Determination | None = None
-    linked: Determination | None = None
+    plain: determination.Determination | None = None
+    linked: determination.Determination | None = None
 
     @classmethod
     def of(cls, readings: Readings, found: GyroLinks) -> JudgedLinks:
@@ -255,18 +249,18 @@ def _near(links: Links, fit: Fit) -> NDArray[np.bool_]:
     return np.asarray(away <= np.maximum(FAR_RAD, FAR_SHARE * turned))
 
 
-def _settled(found: GyroLinks, links: Links, data: Readings) -> tuple[Links, Determination]:
+def _settled(found: GyroLinks, links: Links, data: Readings) -> tuple[Links, determination.Determination]:
     """Fit readings with links, linearise the links again at the fitted gyro parameters, and return both."""
     size = np.maximum(np.sqrt(np.diagonal(found.prior.covariance)), 1e-12)
     values = found.prior.values
-    linked = determine(replace(data, links=links))
+    linked = determination.determine(replace(data, links=links))
     for _ in range(_PASSES):
         moved = probable_gyros(linked.fit, found.prior)
         if float(np.max(np.abs(moved - values) / size)) < _SETTLED:
             break
         values = moved
         links = _alike(found.at(values, data.position.tolist()), links)
-        linked = determine(replace(data, links=links))
+        linked = determination.determine(replace(data, links=links))
     return links, linked
 
 
@@ -299,7 +293,7 @@ def _worst(fit: Fit) -> int:
 
 
 def _gain(
-    plain: Determination | None, linked: Determination | None
+    plain: determination.Determination | None, linked: determination.Determination | None
 ) -> tuple[tuple[str, ...], float | None]:
     """Compare the uncertainties of the fits without and with links.
 
@@ -315,16 +309,16 @@ def _gain(
     return gained, float(np.median(together[both] / without[both])) if both.any() else None
 
 
-def _u_of(found: Determination) -> Floats:
+def _u_of(found: determination.Determination) -> Floats:
     """Standard uncertainty (p,) in natural units; inf for parameters that are not determined.
 
     It includes the data-sheet figure for skews that are taken as zero, as the u of a result does.
     """
-    variance = np.maximum(np.diagonal(covariance(found.fisher, found.free, found.null)), 0.0)
+    variance = np.maximum(np.diagonal(determination.covariance(found.fisher, found.free, found.null)), 0.0)
     sensor = found.fit.data.sensor
     skew_u_rad = VARIANTS[sensor].performance.skew_u_rad if sensor in VARIANTS else 0.0
     for k in found.held:
-        variance = variance + (skew_u_rad * shift_by_held(found, k)) ** 2
+        variance = variance + (skew_u_rad * determination.shift_by_held(found, k)) ** 2
     rows = enumerate(np.eye(len(variance)))
-    seen = [bool(found.free[k]) and is_determined(row, found.null) for k, row in rows]
+    seen = [bool(found.free[k]) and determination.is_determined(row, found.null) for k, row in rows]
     return np.where(seen, np.sqrt(variance), np.inf)

@@ -31,7 +31,6 @@ SHEWHART = 3.0
 """Limits in standard deviations: one false alarm in 370 sessions."""
 _MOVING_RANGE = 2 / math.sqrt(math.pi)
 """Mean distance of two neighbours in standard deviations (d₂ of two)."""
-_NODES = 80
 
 
 class ControlChart(JsonRecord):
@@ -86,7 +85,7 @@ class ControlChart(JsonRecord):
         return int(over[0]) if len(over) else None
 
 
-def control_chart(value: Floats, u: Floats, k: float = CUSUM_K, h: float = CUSUM_H) -> ControlChart:
+def control_chart(value: Floats, u: Floats) -> ControlChart:
     """Make the Shewhart and CUSUM charts of values (n,) with standard uncertainties (n,), in time order."""
     between = between_neighbours(value, u)
     variance = u**2 + between**2
@@ -96,10 +95,10 @@ def control_chart(value: Floats, u: Floats, k: float = CUSUM_K, h: float = CUSUM
     expected = np.concatenate([[np.nan], summed / total])
     sigma = np.sqrt(np.concatenate([[np.nan], variance[1:] + 1 / total]))
     z = (value - expected) / sigma
-    up, down = cusum(z[1:], k)
+    up, down = cusum(z[1:])
     low, high = expected - SHEWHART * sigma, expected + SHEWHART * sigma
     up, down = np.concatenate([[0.0], up]), np.concatenate([[0.0], down])
-    chart = ControlChart(expected, low, high, z, up, down, between, k=k, h=h)
+    chart = ControlChart(expected, low, high, z, up, down, between)
     return chart if chart.signal is None else replace(chart, since=_split(value, weight, chart.signal))
 
 
@@ -127,53 +126,14 @@ def between_neighbours(value: Floats, u: Floats) -> float:
     return math.sqrt(max(spread**2 - float((u**2).mean()), 0.0))
 
 
-def cusum(z: Floats, k: float = CUSUM_K) -> tuple[Floats, Floats]:
+def cusum(z: Floats) -> tuple[Floats, Floats]:
     """Upper and lower CUSUM (n,) of standardised values z: max(0, S + z − k) and max(0, S − z − k)."""
     up, down = np.zeros(len(z)), np.zeros(len(z))
     high = low = 0.0
     for n, one in enumerate(z):
-        up[n] = high = max(0.0, high + one - k)
-        down[n] = low = max(0.0, low - one - k)
+        up[n] = high = max(0.0, high + one - CUSUM_K)
+        down[n] = low = max(0.0, low - one - CUSUM_K)
     return up, down
-
-
-def average_run_length(h: float, shift: float = 0.0, k: float = CUSUM_K) -> float:
-    """Mean number of sessions until the two-sided CUSUM signals, from a sum of zero.
-
-    Solves Page's integral equation by Gauss–Legendre quadrature; the sides combine by 1/L = 1/L₊ + 1/L₋.
-
-    Parameters
-    ----------
-    h, k : float
-        Limit and slack in standard deviations.
-    shift : float
-        Shift of the mean in standard deviations.
-    """
-    return 1 / (1 / _one_sided(h, k - shift) + 1 / _one_sided(h, k + shift))
-
-
-def _one_sided(h: float, k: float) -> float:
-    """Mean number of sessions until a one-sided CUSUM with limit h gives a false alarm.
-
-    It is L(0) of the integral equation L(s) = 1 + L(0) Φ(k − s) + ∫₀ʰ L(x) φ(x + k − s) dx.
-    """
-    from scipy.special import ndtr
-
-    node, weight = np.polynomial.legendre.leggauss(_NODES)
-    # Nodes on 0 … h; row 0 of the linear system is L(0).
-    x, w = h * (node + 1) / 2, h * weight / 2
-    s = np.concatenate([[0.0], x])
-    step = x[None, :] + k - s[:, None]
-    # First column: probability to return to zero; the others: density at the nodes.
-    kernel = np.column_stack([ndtr(k - s), w * np.exp(-(step**2) / 2) / math.sqrt(2 * math.pi)])
-    return float(np.linalg.solve(np.eye(len(s)) - kernel, np.ones(len(s)))[0])
-
-
-def limit_for(run_length: float, k: float = CUSUM_K) -> float:
-    """Limit h of the CUSUM that gives one false alarm in `run_length` sessions on average."""
-    from scipy.optimize import brentq
-
-    return float(brentq(lambda h: math.log(average_run_length(h, 0.0, k) / run_length), 0.1, 20.0))
 
 
 YEAR_DAYS = 365.25

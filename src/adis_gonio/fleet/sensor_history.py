@@ -24,7 +24,7 @@ from adis_gonio.base.numbers import (
     use_minus,
 )
 from adis_gonio.base.uncertainty import DRIFTING, Value
-from adis_gonio.fleet.control_charts import CUSUM_H, CUSUM_K, ControlChart, Drift, control_chart, drift_of
+from adis_gonio.fleet.control_charts import ControlChart, Drift, control_chart, drift_of
 from adis_gonio.fleet.session_record import ANGLE, QUANTITIES, SessionRecord
 
 _IN_PLANE = ("delta_k", "delta_phi", "bias_x", "bias_y")
@@ -126,19 +126,11 @@ class History:
         )
 
 
-def history_of(
-    serial: str, records: Sequence[SessionRecord], *, k: float = CUSUM_K, h: float = CUSUM_H
-) -> History:
-    """Make the history of a sensor from the records of its sessions.
-
-    Parameters
-    ----------
-    k, h : float
-        Slack and limit of the CUSUM, in standard deviations.
-    """
+def history_of(serial: str, records: Sequence[SessionRecord]) -> History:
+    """Make the history of a sensor from the records of its sessions."""
     left_out = tuple((record, reason) for record in records if (reason := _unfit(record)))
     good = sorted((r for r in records if not _unfit(r)), key=lambda r: (day_of(r.when or ""), r.path))
-    tracks = [_track(name, good, k, h) for name in _names(good)]
+    tracks = [_track(name, good) for name in _names(good)]
     tested = sum(track.drift is not None for track in tracks)
     judged = {track.name: _judged(track, tested) for track in tracks if track.sessions}
     return History(serial, tuple(good), judged, left_out)
@@ -209,7 +201,7 @@ def _names(records: Sequence[SessionRecord]) -> list[str]:
     return [name for name in QUANTITIES if name.startswith(("bias_", "scale_", "skew_"))]
 
 
-def _track(name: str, records: Sequence[SessionRecord], k: float, h: float) -> Track:
+def _track(name: str, records: Sequence[SessionRecord]) -> Track:
     stated = [(n, r, r.values[name]) for n, r in enumerate(records) if _stated(r.values.get(name))]
     day = np.array([day_of(record.when or "") for _, record, _ in stated])
     values = tuple(value for _, _, value in stated)
@@ -221,7 +213,7 @@ def _track(name: str, records: Sequence[SessionRecord], k: float, h: float) -> T
     return replace(
         track,
         drift=drift_of(day, track.value, u, unit),
-        chart=control_chart(track.value, u, k, h),
+        chart=control_chart(track.value, u),
     )
 
 

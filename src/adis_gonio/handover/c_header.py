@@ -14,33 +14,7 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.calibrate.calibration import Calibration
 from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected, json_text
 from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, GyroCalibration
-from adis_gonio.handover.fixed_point import (
-    ATAN,
-    CORDIC_UDEG,
-    DEGREES,
-    FIXED_UDPS,
-    FLOAT_DEG,
-    FLOAT_DPS,
-    LIMIT,
-    LIMIT_DPS,
-    PARTS,
-    RANGE_G,
-    RATE_LIMIT,
-    RATE_Q,
-    STEP_DPS,
-    TAN_EIGHTH,
-    FixedPoint,
-    FixedRates,
-    FixedTerm,
-    Monomial,
-    Polynomial,
-    Q,
-    Scaled,
-    Whole,
-    cordic_table,
-    polynomial_of,
-    rate_polynomial_of,
-)
+from adis_gonio.handover import fixed_point
 from adis_gonio.model.effects import AXES
 
 DEFAULT_NAME = "adis_gonio"
@@ -86,8 +60,8 @@ def c_header(calibration: Calibration, name: str = DEFAULT_NAME) -> str:
 
 def _content(calibration: Calibration, name: str) -> dict[str, Any]:
     """Values that the template `header.h.jinja` needs for a calibration."""
-    polynomial = polynomial_of(calibration)
-    fixed = FixedPoint.of(polynomial)
+    polynomial = fixed_point.polynomial_of(calibration)
+    fixed = fixed_point.FixedPoint.of(polynomial)
     planes = _planes(calibration)
     needs = polynomial.needs
     where = calibration.provenance
@@ -109,11 +83,11 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
         "remarks": _remarks(calibration),
         "rates": None if gyro is None else _rates_content(calibration, gyro, name),
         "needs": needs,
-        "range_g": f"{RANGE_G:g}",
+        "range_g": f"{fixed_point.RANGE_G:g}",
         "fixed_udeg": FIXED_UDEG,
-        "cordic_udeg": CORDIC_UDEG,
-        "float_deg": f"{FLOAT_DEG:g}",
-        "float_udeg": round(FLOAT_DEG * 1e6),
+        "cordic_udeg": fixed_point.CORDIC_UDEG,
+        "float_deg": f"{fixed_point.FLOAT_DEG:g}",
+        "float_udeg": round(fixed_point.FLOAT_DEG * 1e6),
         "angle_u": "The u of an angle by the calibration is not known."
         if u_udeg is None
         else f"The u of an angle by the calibration is at most {u_udeg} udeg.",
@@ -122,26 +96,26 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
         "id": f"0x{zlib.crc32(json_text(calibration.as_dict()).encode()):08X}UL",
         "axes": polynomial.axes,
         "letters": AXES[: polynomial.axes],
-        "limit": f"{LIMIT}L",
-        "limitf": _single(RANGE_G),
+        "limit": f"{fixed_point.LIMIT}L",
+        "limitf": _single(fixed_point.RANGE_G),
         "passes": fixed.passes,
         "fixed_inputs": _fixed_inputs(fixed, needs),
         "fixed_axes": [_fixed_axis(fixed, k, name) for k in range(polynomial.axes)],
-        "table": [f"{step}L" for step in cordic_table()],
+        "table": [f"{step}L" for step in fixed_point.cordic_table()],
         "planes": planes,
         "float_inputs": _float_inputs(polynomial, needs),
         "float_axes": [_float_axis(polynomial, k) for k in range(polynomial.axes)],
-        "tan_eighth": _single(TAN_EIGHTH),
-        "atan": [_single(value) for value in ATAN],
-        "degrees": _single(DEGREES),
+        "tan_eighth": _single(fixed_point.TAN_EIGHTH),
+        "atan": [_single(value) for value in fixed_point.ATAN],
+        "degrees": _single(fixed_point.DEGREES),
         "checks": _checks(polynomial, fixed, planes[0]),
     }
 
 
 def _rates_content(calibration: Calibration, gyro: GyroCalibration, name: str) -> dict[str, Any]:
     """Values for the template `rates.h.jinja`; raises `FitError` like `rate_polynomial_of`."""
-    polynomial = rate_polynomial_of(calibration, gyro)
-    fixed = FixedRates(polynomial)
+    polynomial = fixed_point.rate_polynomial_of(calibration, gyro)
+    fixed = fixed_point.FixedRates(polynomial)
     letters = [factor[1] for factor in polynomial.needs if factor.startswith("f")]
     step, force = fixed.step, fixed.force_step
     fixed_axes, float_axes = [], []
@@ -172,25 +146,30 @@ def _rates_content(calibration: Calibration, gyro: GyroCalibration, name: str) -
         "lsb": f"{GYRO_OFFSET_DPS:g}",
         "force_mask": sum(1 << AXES.index(letter) for letter in letters),
         "step": _whole(step.number),
-        "shift": step.shift - RATE_Q,
-        "limit": f"{RATE_LIMIT}L",
-        "most": f"{2 * RATE_LIMIT - 1}L",
+        "shift": step.shift - fixed_point.RATE_Q,
+        "limit": f"{fixed_point.RATE_LIMIT}L",
+        "most": f"{2 * fixed_point.RATE_LIMIT - 1}L",
         "fixed_forces": [
-            {"name": f"f{x}", "letter": x, "step": _whole(force.number), "shift": force.shift - Q}
+            {
+                "name": f"f{x}",
+                "letter": x,
+                "step": _whole(force.number),
+                "shift": force.shift - fixed_point.Q,
+            }
             for x in letters
         ],
         "fixed_inputs": _fixed_inputs(fixed.accelerometers, polynomial.needs),
         "fixed_axes": fixed_axes,
-        "stepf": _single(STEP_DPS),
-        "limitf": _single(LIMIT_DPS),
+        "stepf": _single(fixed_point.STEP_DPS),
+        "limitf": _single(fixed_point.LIMIT_DPS),
         "float_forces": [
             {"name": f"f{x}", "letter": x, "step": _single(polynomial.accelerometers.step_g[0])}
             for x in letters
         ],
         "float_inputs": _float_inputs(polynomial.accelerometers, polynomial.needs),
         "float_axes": float_axes,
-        "fixed_udps": FIXED_UDPS,
-        "float_udps": round(FLOAT_DPS * 1e6),
+        "fixed_udps": fixed_point.FIXED_UDPS,
+        "float_udps": round(fixed_point.FLOAT_DPS * 1e6),
         "checks": _rate_checks(fixed, polynomial.accelerometers),
     }
 
@@ -230,22 +209,26 @@ def _factor(factor: str) -> str:
 # -- fixed point -------------------------------------------------------------------------------------
 
 
-def _fixed_inputs(fixed: FixedPoint, needs: Iterable[str]) -> list[dict[str, Any]]:
+def _fixed_inputs(fixed: fixed_point.FixedPoint, needs: Iterable[str]) -> list[dict[str, Any]]:
     found = []
     for condition in needs:
         if condition in _FIELDS:
             zero, step = getattr(fixed, _FIELDS[condition])
-            scaled = {"zero": _whole(zero), "step": _whole(step.number), "shift": step.shift - Q}
+            scaled = {
+                "zero": _whole(zero),
+                "step": _whole(step.number),
+                "shift": step.shift - fixed_point.Q,
+            }
             found.append({"name": condition, "field": _FIELDS[condition], **scaled})
     return found
 
 
-def _fixed_axis(fixed: FixedPoint, k: int, name: str) -> dict[str, Any]:
+def _fixed_axis(fixed: fixed_point.FixedPoint, k: int, name: str) -> dict[str, Any]:
     own = [term for term in fixed.terms if term.monomial.axis == k]
     return {
         "letter": AXES[k],
         "step": _whole(fixed.step[k].number),
-        "shift": fixed.step[k].shift - Q,
+        "shift": fixed.step[k].shift - fixed_point.Q,
         "bias": _whole(fixed.bias[k]),
         "steady": _fixed_sum([term for term in own if not term.monomial.of_reading], name),
         "moving": _fixed_sum([term for term in own if term.monomial.of_reading], name),
@@ -253,19 +236,19 @@ def _fixed_axis(fixed: FixedPoint, k: int, name: str) -> dict[str, Any]:
     }
 
 
-def _fixed_sum(terms: Sequence[FixedTerm], name: str) -> str:
+def _fixed_sum(terms: Sequence[fixed_point.FixedTerm], name: str) -> str:
     texts = []
     for term in terms:
         first, *rest = (_factor(factor) for factor in term.monomial.factors)
         product = f"(int64_t){first}"
         for factor in rest:
-            product = f"{name}_shifted_({product} * {factor}, {Q})"
+            product = f"{name}_shifted_({product} * {factor}, {fixed_point.Q})"
         own = term.coefficient
         texts.append(f"{name}_shifted_({product} * {_whole(own.number)}, {own.shift})")
     return " + ".join(texts)
 
 
-def _fixed_row(entries: Sequence[Scaled], variables: Sequence[str], name: str) -> str:
+def _fixed_row(entries: Sequence[fixed_point.Scaled], variables: Sequence[str], name: str) -> str:
     return " + ".join(
         f"{name}_shifted_((int64_t){variable} * {_whole(entry.number)}, {entry.shift})"
         for variable, entry in zip(variables, entries, strict=False)
@@ -276,7 +259,7 @@ def _fixed_row(entries: Sequence[Scaled], variables: Sequence[str], name: str) -
 # -- float -------------------------------------------------------------------------------------------
 
 
-def _float_inputs(polynomial: Polynomial, needs: Iterable[str]) -> list[dict[str, Any]]:
+def _float_inputs(polynomial: fixed_point.Polynomial, needs: Iterable[str]) -> list[dict[str, Any]]:
     found = []
     for condition in needs:
         if condition in _FIELDS:
@@ -286,7 +269,7 @@ def _float_inputs(polynomial: Polynomial, needs: Iterable[str]) -> list[dict[str
     return found
 
 
-def _float_axis(polynomial: Polynomial, k: int) -> dict[str, Any]:
+def _float_axis(polynomial: fixed_point.Polynomial, k: int) -> dict[str, Any]:
     own = [one for one in polynomial.monomials if one.axis == k]
     return {
         "letter": AXES[k],
@@ -298,7 +281,7 @@ def _float_axis(polynomial: Polynomial, k: int) -> dict[str, Any]:
     }
 
 
-def _float_sum(monomials: Sequence[Monomial]) -> str:
+def _float_sum(monomials: Sequence[fixed_point.Monomial]) -> str:
     return " + ".join(
         " * ".join([_single(one.coefficient), *map(_factor, one.factors)]) for one in monomials
     )
@@ -383,7 +366,9 @@ def _missing(assumed: Iterable[str], not_corrected: Iterable[NotCorrected]) -> l
     ]
 
 
-def _checks(polynomial: Polynomial, fixed: FixedPoint, plane: dict[str, Any]) -> list[dict[str, Any]]:
+def _checks(
+    polynomial: fixed_point.Polynomial, fixed: fixed_point.FixedPoint, plane: dict[str, Any]
+) -> list[dict[str, Any]]:
     """Test vectors of the header: scans at 1 g around a full turn, with the angles that it must compute.
 
     The angles avoid the multiples of 45°.
@@ -391,10 +376,12 @@ def _checks(polynomial: Polynomial, fixed: FixedPoint, plane: dict[str, Any]) ->
     psi = (np.arange(CHECKS) + 0.37) * 2 * np.pi / CHECKS
     g = np.zeros((CHECKS, polynomial.axes))
     g[:, 0], g[:, 1] = np.cos(psi), np.sin(psi)
-    scans: Whole = np.rint(g / np.array(polynomial.step_g) + np.array(polynomial.bias)).astype(np.int64)
+    scans: fixed_point.Whole = np.rint(g / np.array(polynomial.step_g) + np.array(polynomial.bias)).astype(
+        np.int64
+    )
     rise = np.arange(CHECKS) - CHECKS // 2
-    warm = polynomial.temperature.zero + 11 * PARTS * rise
-    volts = polynomial.supply.zero + 9 * PARTS * rise
+    warm = polynomial.temperature.zero + 11 * fixed_point.PARTS * rise
+    volts = polynomial.supply.zero + 9 * fixed_point.PARTS * rise
     angles = fixed.angle_udeg(scans, warm, volts, (plane["first"], plane["second"]))
     rows = []
     for k in range(CHECKS):
@@ -403,17 +390,20 @@ def _checks(polynomial: Polynomial, fixed: FixedPoint, plane: dict[str, Any]) ->
     return rows
 
 
-def _rate_checks(fixed: FixedRates, of: Polynomial) -> list[dict[str, str]]:
+def _rate_checks(fixed: fixed_point.FixedRates, of: fixed_point.Polynomial) -> list[dict[str, str]]:
     """Test vectors of the header: scans with their rates, and the corrected rates that it must compute.
 
     The turns are about every axis in both senses, at forces of 1 g and at other than nominal conditions.
     """
     dps = np.array([[250.0, -31.0, 7.0], [-250.0, 90.0, -60.0], [3.0, -4.0, 270.0], [0.0, 0.0, 0.0]])
     g = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.6, -0.8], [0.5, 0.5, 0.7]])
-    turns: Whole = np.rint(dps / STEP_DPS).astype(np.int64)
-    scans: Whole = np.rint(g / of.step_g[0]).astype(np.int64)
+    turns: fixed_point.Whole = np.rint(dps / fixed_point.STEP_DPS).astype(np.int64)
+    scans: fixed_point.Whole = np.rint(g / of.step_g[0]).astype(np.int64)
     rise = np.arange(RATE_CHECKS) - RATE_CHECKS // 2
-    warm, volts = of.temperature.zero + 23 * PARTS * rise, of.supply.zero + 17 * PARTS * rise
+    warm, volts = (
+        of.temperature.zero + 23 * fixed_point.PARTS * rise,
+        of.supply.zero + 17 * fixed_point.PARTS * rise,
+    )
     udps = fixed.rates_udps(turns, scans, warm, volts)
     return [
         {

@@ -1,7 +1,5 @@
 """The digital twin: a simulated world with the model of a session, and its comparison with the data.
 
-The digital twin: a simulated world with the model of a session, measured like the session.
-
 Comparison of measured data with the digital twin: residuals, Allan deviation, spectrum.
 """
 

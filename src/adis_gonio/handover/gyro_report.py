@@ -6,17 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from adis_gonio.base import numbers
 from adis_gonio.base.errors import AdisGonioError, DataError
-from adis_gonio.base.numbers import (
-    HEAD,
-    QuantityRow,
-    format_fixed,
-    format_number,
-    format_uncertain,
-    format_unit,
-    join_words,
-    signed,
-)
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.allan import AllanResult, AxisNoise, allan_result, fit_allan
 from adis_gonio.fitting.gyros.gyro_fit import GyroFit, fit_gyro, gains_in
@@ -39,8 +30,8 @@ def gyro_section(session: Session) -> Section | None:
         uncertainty_sentence(result),
         f"By the mean rates of {result.held}: a gyro reads K D ω + b + G f, with ω the rate of turn, b its "
         "zero rate, K its gain, D its axis in the accelerometers' frame, f their readings.",
-        f"Residual {format_number(result.residual_rms_dps)} °/s rms; χ² / degrees of freedom "
-        f"{format_number(result.chi2)} / {result.dof}.",
+        f"Residual {numbers.format_number(result.residual_rms_dps)} °/s rms; χ² / degrees of freedom "
+        f"{numbers.format_number(result.chi2)} / {result.dof}.",
     ]
     gains = gains_in(result)
     if gains is not None:
@@ -68,12 +59,12 @@ def uncertainty_sentence(result: GyroFit) -> str:
         "g_sensitivity": "sensitivity to acceleration to {} °/s/g",
     }
     parts = [
-        text.format(format_number(max(largest[kind]) * (100 if kind == "gyro_scale" else 1), 2))
+        text.format(numbers.format_number(max(largest[kind]) * (100 if kind == "gyro_scale" else 1), 2))
         + ("" if len(largest[kind]) in (3, 6, 9) else f" ({len(largest[kind])} of them)")
         for kind, text in texts.items()
         if kind in largest
     ]
-    return f"Determined: {join_words(parts)} (largest standard uncertainty of each)."
+    return f"Determined: {numbers.join_words(parts)} (largest standard uncertainty of each)."
 
 
 _KINDS = {
@@ -99,7 +90,7 @@ def _cell(result: GyroFit, name: str) -> str:
     if name not in result:
         towards_itself = name.startswith("gyro_misalignment") and name[-1] == name[-2]
         return "" if towards_itself else "–"
-    return format_uncertain(result[name].value, result[name].U)
+    return numbers.format_uncertain(result[name].value, result[name].U)
 
 
 def _every(result: GyroFit) -> list[Table]:
@@ -109,7 +100,12 @@ def _every(result: GyroFit) -> list[Table]:
         "Rotation of the gyros' triad against the accelerometers', and 90° minus its own angles.",
     )
     return [
-        Table(HEAD, [QuantityRow.of(*one).cells for one in values.items()], caption, numeric=(2, 3, 4, 5))
+        Table(
+            numbers.HEAD,
+            [numbers.QuantityRow.of(*one).cells for one in values.items()],
+            caption,
+            numeric=(2, 3, 4, 5),
+        )
         for values, caption in zip((result.parameters, result.triad), captions, strict=True)
         if values is not None
     ]
@@ -122,8 +118,8 @@ def _scores(result: GyroFit) -> list[Table]:
     rows = [
         [
             name,
-            *(format_number(rms) for rms in score.rms_dps.values()),
-            format_number(max(score.max_dps.values())),
+            *(numbers.format_number(rms) for rms in score.rms_dps.values()),
+            numbers.format_number(max(score.max_dps.values())),
         ]
         for name, score in result.scores.items()
     ]
@@ -143,9 +139,9 @@ def _offsets(session: Session) -> list[Table]:
     rows = [
         [
             word.name,
-            format_fixed(word.before, 0),
-            format_fixed(word.number, 0),
-            signed(word.remainder, 4),
+            numbers.format_fixed(word.before, 0),
+            numbers.format_fixed(word.number, 0),
+            numbers.signed(word.remainder, 4),
         ]
         for word in words
     ]
@@ -235,7 +231,7 @@ def allan_svg(result: AllanResult) -> str:
 
 
 def _deviation(result: AllanResult) -> str:
-    return f"Allan deviation / {format_unit(result.unit)}"
+    return f"Allan deviation / {numbers.format_unit(result.unit)}"
 
 
 def _reading() -> tuple[str, ...]:
@@ -258,7 +254,7 @@ def _section(result: AllanResult, axis: AxisNoise) -> Section:
                 (allan_result.name_shown(parameter), *row[1:]) for row in allan_result.cells(parameter)
             ]
         elif parameter.kind != "quantization":
-            unit = format_unit(parameter.unit)
+            unit = numbers.format_unit(parameter.unit)
             absent.append(
                 f"{allan_result.name_shown(parameter)} / {unit}: {allan_result.missing(parameter)}"
             )
@@ -288,9 +284,9 @@ def _figure(result: AllanResult, axis: AxisNoise) -> Figure:
 
 def _described(result: AllanResult, axis: AxisNoise) -> str:
     """Describe the Allan curve of an axis in a sentence, for a screen reader."""
-    tau, deviation, unit = axis.curve.tau_s, axis.curve.deviation, format_unit(result.unit)
+    tau, deviation, unit = axis.curve.tau_s, axis.curve.deviation, numbers.format_unit(result.unit)
     first, last, least = (
-        f"{format_number(deviation[k])} {unit} at {format_number(tau[k])} s"
+        f"{numbers.format_number(deviation[k])} {unit} at {numbers.format_number(tau[k])} s"
         for k in (0, -1, int(deviation.argmin()))
     )
     return f"{axis.axis.upper()}: from {first} to {last}, least {least}."

@@ -1,7 +1,5 @@
 """The seed paper repeated with simulated sessions: its table 1 and figure 3, and their page.
 
-The study of the seed paper, repeated with simulated sessions: its table 1 and figure 3.
-
 | printed | read as |
 |---|---|
 | SF | relative error of an axis's scale: K − 1 |

@@ -1,7 +1,5 @@
 """The archive: one SQLite file with all data of a session.
 
-The archive as an SQLite file: how it is created, opened, recognised and checked.
-
 | table | a row is |
 |---|---|
 | `meta` | a fact that is fixed at the beginning: URL, variant, settings, versions (JSON) |
@@ -23,8 +21,6 @@ Durability: a rollback journal (`journal_mode=DELETE`), so that between commits 
 `synchronous=EXTRA`, which syncs the file and, after the journal is deleted, the directory: a commit that
 was announced survives a power cut. If a killed program leaves a journal, the next program that opens the
 file rolls it back.
-
-The archive: one SQLite file with all data of a session; see `database` for its tables.
 
 A dwell is written in one transaction, with its samples, its moves and the reason of an interruption. It is
 complete or not there, and it is announced only when it is on the disk. A kill or a power cut therefore

@@ -10,15 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from adis_gonio.base.errors import DataError, UsageError
-from adis_gonio.model.records import (
-    ACCEL_UNITS,
-    SENSORS,
-    AccelUnit,
-    Dwell,
-    Session,
-    StageCurve,
-    checked_gravity_mps2,
-)
+from adis_gonio.model import records
 
 _REPLACED = ("gravity_mps2", "fixture_sigma_deg", "accel_unit", "sensor", "laboratory", "customer")
 _OPTIONS = re.compile(r"--(columns|unit|sensor|gravity|fixture|reverse)\b")
@@ -60,7 +52,7 @@ class AngleChange:
             return f"{where}={REVERSE}"
         return f"{where}{'+=' if self.added else '='}{self.degrees:g}"
 
-    def applied(self, dwells: tuple[Dwell, ...]) -> tuple[Dwell, ...]:
+    def applied(self, dwells: tuple[records.Dwell, ...]) -> tuple[records.Dwell, ...]:
         """Return all dwells of a session, with this correction of their angles.
 
         Raises
@@ -86,7 +78,7 @@ class AngleChange:
             for dwell in dwells
         )
 
-    def _changed(self, dwell: Dwell, pivot: float | None) -> Dwell:
+    def _changed(self, dwell: records.Dwell, pivot: float | None) -> records.Dwell:
         old = dwell.angle_deg
         if self.degrees is None:
             turned = None if old is None or pivot is None else 2 * pivot - old
@@ -133,27 +125,27 @@ class Overrides:
     gravity_mps2: float | None = None
     fixture_sigma_deg: float | None = None
     reverse: bool = False
-    accel_unit: AccelUnit | None = None
+    accel_unit: records.AccelUnit | None = None
     sensor: str | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     angles: tuple[AngleChange, ...] = ()
     laboratory: str | None = None
     customer: str | None = None
-    stage_curve: StageCurve | None = None
+    stage_curve: records.StageCurve | None = None
 
     def __post_init__(self) -> None:
         if self.gravity_mps2 is not None and not 0 < self.gravity_mps2 < math.inf:
-            checked_gravity_mps2(self.gravity_mps2)
+            records.checked_gravity_mps2(self.gravity_mps2)
         if self.fixture_sigma_deg is not None and not self.fixture_sigma_deg >= 0:
             raise UsageError(f"fixture is {self.fixture_sigma_deg:g}: give degrees, 0 or more, or free")
         for name, value, known in (
-            ("unit", self.accel_unit, ACCEL_UNITS),
-            ("sensor", self.sensor, SENSORS),
+            ("unit", self.accel_unit, records.ACCEL_UNITS),
+            ("sensor", self.sensor, records.SENSORS),
         ):
             if value is not None and value not in known:
                 raise UsageError(f"{name} is '{value}': known are {', '.join(known)}")
 
-    def apply(self, session: Session) -> Session:
+    def apply(self, session: records.Session) -> records.Session:
         """Return a copy of the session with the corrections.
 
         Raises
@@ -199,7 +191,7 @@ class Overrides:
             **settings,
         )
 
-    def _changed_angles(self, session: Session) -> tuple[Dwell, ...]:
+    def _changed_angles(self, session: records.Session) -> tuple[records.Dwell, ...]:
         source = session.source or "session"
         if session.plane != "xy" or not session.dwells:
             raise UsageError(f"{source}: has no declared angles of a plane, --angles changes nothing")
@@ -212,7 +204,7 @@ class Overrides:
         return dwells
 
 
-def _reversed(dwell: Dwell) -> Dwell:
+def _reversed(dwell: records.Dwell) -> records.Dwell:
     # Adding zero turns -0.0 into 0.0.
     angle = None if dwell.angle_deg is None else -dwell.angle_deg + 0.0
     return replace(dwell, angle_deg=angle, approach=-dwell.approach)
@@ -250,7 +242,7 @@ def _degrees(sigma: float | None) -> str:
 _SQLITE_MAGIC = b"SQLite format 3\x00"
 
 
-def load_session(path: str | Path, overrides: Overrides | None = None) -> Session:
+def load_session(path: str | Path, overrides: Overrides | None = None) -> records.Session:
     """Load a session from an archive (written by `calibrate` or `simulate`) or from a samples CSV.
 
     The first bytes determine the kind of file, not its name.

@@ -29,18 +29,10 @@ from adis_gonio.base.budget import current
 from adis_gonio.base.errors import DataError
 from adis_gonio.base.numbers import counted
 from adis_gonio.model.records import Dwell, Session
+from adis_gonio.record import samples_header
 from adis_gonio.record.loading import Overrides
 from adis_gonio.record.plans import MOST_POSITIONS
 from adis_gonio.record.samples_columns import AXES, COLUMNS, GYROS, SAME
-from adis_gonio.record.samples_header import (
-    SPACE,
-    Chunk,
-    Dialect,
-    Head,
-    find_decimal_mark,
-    read_chunks,
-    read_head,
-)
 from adis_gonio.record.segmentation import segment_with_notes, shows_a_free_turn
 
 _WALL_CLOCK = re.compile(
@@ -68,8 +60,8 @@ class SamplesTable:
     notes : tuple of str
     """
 
-    head: Head
-    dialect: Dialect
+    head: samples_header.Head
+    dialect: samples_header.Dialect
     series: dict[str, Floats]
     runs: dict[str, list[tuple[int, str]]]
     lines: list[tuple[int, int]]
@@ -112,7 +104,7 @@ class SamplesTable:
 class _Reader:
     """Collects the rows of a samples file in arrays."""
 
-    def __init__(self, head: Head, dialect: Dialect) -> None:
+    def __init__(self, head: samples_header.Head, dialect: samples_header.Dialect) -> None:
         self.head, self.dialect = head, dialect
         self.place = {name: column.place for name, column in head.columns.items()}
         self.series = [name for name in COLUMNS if name in self.place and not COLUMNS[name].per_dwell]
@@ -139,7 +131,7 @@ class _Reader:
     def fail(self, line: int, message: str) -> DataError:
         return DataError(f"{self.head.path.name}, row {line}: {message}")
 
-    def take(self, chunk: Chunk) -> None:
+    def take(self, chunk: samples_header.Chunk) -> None:
         """Add the next chunk of lines: all rows at once if they are regular, else row by row."""
         if self._waiting is None:
             cells = self._regular(chunk)
@@ -153,13 +145,13 @@ class _Reader:
                     return
         self._walk(chunk)
 
-    def _regular(self, chunk: Chunk) -> list[list[str]] | None:
+    def _regular(self, chunk: samples_header.Chunk) -> list[list[str]] | None:
         """Cells of a chunk by column if all rows have a simple, equal form; None if some row has not.
 
         Rows with quotes or comments are not simple.
         """
         delimiter, lines = self.dialect.delimiter, chunk.lines
-        if delimiter == SPACE or not lines or chunk.cut:
+        if delimiter == samples_header.SPACE or not lines or chunk.cut:
             return None
         more = lines[0].count(delimiter)
         if more < self.head.width - 1 or any(line.count(delimiter) != more for line in lines):
@@ -211,7 +203,7 @@ class _Reader:
             raise ValueError(text)
         return (at - self._began).total_seconds()
 
-    def _walk(self, chunk: Chunk) -> None:
+    def _walk(self, chunk: samples_header.Chunk) -> None:
         """Add a chunk row by row, which is slow but names a wrong cell."""
         kept: list[list[str]] = []
         numbers: list[int] = []
@@ -402,7 +394,7 @@ def read_table(path: Path, wanted: dict[str, str]) -> SamplesTable:
     UsageError
         See `read_head`.
     """
-    head = read_head(path, wanted)
+    head = samples_header.read_head(path, wanted)
     reader = _Reader(head, _with_decimal_mark(head))
     tell: Callable[[str], Any] = current().tell
     for chunk in _rows_of(head):
@@ -415,16 +407,16 @@ def _cut_note(number: int) -> str:
     return f"row {number} is the last one and was cut short: it was ignored"
 
 
-def _rows_of(head: Head) -> Iterator[Chunk]:
+def _rows_of(head: samples_header.Head) -> Iterator[samples_header.Chunk]:
     """Yield the lines of the file below the header, in chunks."""
-    for chunk in read_chunks(head.path):
+    for chunk in samples_header.read_chunks(head.path):
         skip = max(head.line + 1 - chunk.first, 0)
         lines = chunk.lines[skip:] if skip else chunk.lines
         if lines:
-            yield Chunk(chunk.first + skip, lines, chunk.share, chunk.last, chunk.cut)
+            yield samples_header.Chunk(chunk.first + skip, lines, chunk.share, chunk.last, chunk.cut)
 
 
-def _with_decimal_mark(head: Head) -> Dialect:
+def _with_decimal_mark(head: samples_header.Head) -> samples_header.Dialect:
     """The file's dialect with the decimal mark that a key states or that some number proves."""
     stated = head.keys.get("decimal")
     if stated is not None:
@@ -449,7 +441,7 @@ def _with_decimal_mark(head: Head) -> Dialect:
     )
 
 
-def _proof_in(head: Head, chunk: Chunk) -> tuple[str, tuple[int, str] | None]:
+def _proof_in(head: samples_header.Head, chunk: samples_header.Chunk) -> tuple[str, tuple[int, str] | None]:
     """Decimal mark that a chunk of lines proves, or "", and its first ambiguous number with line number."""
     places = [column.place for name, column in head.columns.items() if name not in ("approach", "use")]
     undecided: tuple[int, str] | None = None
@@ -461,7 +453,7 @@ def _proof_in(head: Head, chunk: Chunk) -> tuple[str, tuple[int, str] | None]:
         except ValueError:
             continue
         own = [cells[k].strip() for k in places if k < len(cells)]
-        proof = find_decimal_mark(own)
+        proof = samples_header.find_decimal_mark(own)
         if proof:
             return proof, None
         if undecided is None:

@@ -22,16 +22,10 @@ from adis_gonio.base import Closing
 from adis_gonio.base.errors import ChipError, SessionError, UsageError
 from adis_gonio.base.jsonable import OPTIONAL, JsonRecord
 from adis_gonio.device.bus.opening import SOURCE_GROUP, BusUrl
+from adis_gonio.device.sensor import settings as chip_settings
 from adis_gonio.device.sensor.driver import DEFAULT_SCAN, Adis16354, open_sensor
 from adis_gonio.device.sensor.registers import ACCEL_OUT, BY_NAME, READING_BITS, REGISTERS
 from adis_gonio.device.sensor.scanning import MASK as DATA_READY_BITS, DataReadyLoan
-from adis_gonio.device.sensor.settings import (
-    Configuration,
-    Status,
-    sample_period_s,
-    sens_avg_word,
-    white_noise_gain,
-)
 from adis_gonio.record.blocks import Block
 
 LEAST_SAMPLES = 16
@@ -95,10 +89,10 @@ class Settings(JsonRecord):
         if not (math.isfinite(self.settle_s) and self.settle_s >= 0):
             raise UsageError(f"settle_s is {self.settle_s}: take 0 s or more")
         missing = [name for name in ACCEL_OUT if name not in self.registers]
-        sens_avg_word(self.gyro_range_dps, self.filter_m)
+        chip_settings.sens_avg_word(self.gyro_range_dps, self.filter_m)
         if not 1 <= self.smpl_prd <= 0xFF:
             raise UsageError(f"smpl_prd is {self.smpl_prd}: take 1 (819.2 samples a second) to 255")
-        period_s = sample_period_s(self.smpl_prd)
+        period_s = chip_settings.sample_period_s(self.smpl_prd)
         if self.dwell_s < LEAST_SAMPLES * period_s:
             raise UsageError(
                 f"dwell_s is {self.dwell_s:g}: at {1 / period_s:.4g} samples a second"
@@ -260,7 +254,7 @@ class SampleSource(Closing):
     def samples(self, settings: Settings, block_samples: int) -> SampleStream:
         """Start a stream of samples from the sensor as `configure` has set it."""
 
-    def status(self) -> Status | None:
+    def status(self) -> chip_settings.Status | None:
         """Read the faults that the sensor reports, and clear them; None if it cannot report any."""
         return None
 
@@ -307,7 +301,7 @@ class ChipSource(SampleSource):
         """Observe a value through the bus, which may record or replay it, and return the value."""
         return self.sensor.bus.witness(name, observe)
 
-    def configure(self, settings: Settings) -> Configuration:
+    def configure(self, settings: Settings) -> chip_settings.Configuration:
         """Configure the chip, and enable data-ready if it is wired and the settings do not forbid it.
 
         Raises
@@ -418,8 +412,8 @@ class ChipSource(SampleSource):
 
     def expected_noise_mg(self, measuring: Measuring) -> float:
         """Noise of a sample in mg by the data of the variant, behind the present filter."""
-        filter_m = measuring.filter_m if isinstance(measuring, Configuration) else 0
-        return self.sensor.variant.performance.noise_mg * white_noise_gain(filter_m)
+        filter_m = measuring.filter_m if isinstance(measuring, chip_settings.Configuration) else 0
+        return self.sensor.variant.performance.noise_mg * chip_settings.white_noise_gain(filter_m)
 
     def samples(self, settings: Settings, block_samples: int) -> SampleStream:
         """Start a stream of scans of the registers that the settings name."""
@@ -431,7 +425,7 @@ class ChipSource(SampleSource):
             data_ready=self._loan is not None,
         )
 
-    def status(self) -> Status:
+    def status(self) -> chip_settings.Status:
         """Read STATUS, which clears its bits."""
         return self.sensor.status()
 

@@ -45,20 +45,8 @@ from adis_gonio.base.errors import (
     UsageError,
     install_extra,
 )
+from adis_gonio.device.bus import host
 from adis_gonio.device.bus.contract import Capability, SpiTiming
-from adis_gonio.device.bus.host import (
-    RESET_PULSE_S,
-    SAFE_TIMING,
-    WALL,
-    Clock,
-    UrlOptions,
-    UsbBus,
-    UsbOptions,
-    busy,
-    choose,
-    gone,
-    no_permission,
-)
 from adis_gonio.device.bus.opening import BusUrl, Device
 
 VENDOR_ID, PRODUCT_ID = 0x10C4, 0x87A0
@@ -167,7 +155,7 @@ _GONE = (errno.ENODEV, errno.ENOENT, errno.ESHUTDOWN)
 _LATE = (errno.ETIMEDOUT, 10060)
 
 
-class Cp2130Bus(UsbBus):
+class Cp2130Bus(host.UsbBus):
     """A bus over an open USB device with the CP2130.
 
     Parameters
@@ -201,8 +189,8 @@ class Cp2130Bus(UsbBus):
         claim: Callable[[], object],
         endpoints: tuple[int, int],
         url: str,
-        options: UsbOptions,
-        clock: Clock = WALL,
+        options: host.UsbOptions,
+        clock: host.Clock = host.WALL,
     ) -> None:
         super().__init__(url, options, clock)
         self._device = device
@@ -211,7 +199,7 @@ class Cp2130Bus(UsbBus):
         self._out_endpoint, self._in_endpoint = endpoints
         self._must_reset = False
         self._drain()
-        self._timing = self._configure(SAFE_TIMING)
+        self._timing = self._configure(host.SAFE_TIMING)
         self._drive_reset(1)
         self._counted = 0
         if options.event_counter:
@@ -258,7 +246,7 @@ class Cp2130Bus(UsbBus):
         self._settle()
         for level in (0, 1):
             self._drive_reset(level)
-            self.sleep_s(RESET_PULSE_S)
+            self.sleep_s(host.RESET_PULSE_S)
 
     def _drive_reset(self, level: int) -> None:
         if self._options.reset_gpio is not None:
@@ -307,7 +295,7 @@ class Cp2130Bus(UsbBus):
 
     def _typed(self, error: OSError, what: str) -> BusError:
         if error.errno in _GONE:
-            return gone(self.url)
+            return host.gone(self.url)
         if error.errno in _LATE:
             return BusTimeoutError(f"{self.url}: no answer to {what} within {self._options.timeout_s:g} s")
         if error.errno == errno.EACCES:
@@ -360,7 +348,7 @@ _OPTIONS = ("cs", "reset_gpio", "event_counter", "timeout_ms", "bus", "address")
 _INTERFACE = 0
 
 
-def open_from_url(url: BusUrl, *, backend: Any = None, clock: Clock = WALL) -> Cp2130Bus:
+def open_from_url(url: BusUrl, *, backend: Any = None, clock: host.Clock = host.WALL) -> Cp2130Bus:
     """Open a CP2130 board by its URL (see the module's text).
 
     Parameters
@@ -379,8 +367,8 @@ def open_from_url(url: BusUrl, *, backend: Any = None, clock: Clock = WALL) -> C
     CannotOpenError
         No such board, no permission, or another program has it.
     """
-    options = UrlOptions(url, _OPTIONS)
-    usual = UsbOptions.of(options, CHANNELS, EVENT_PIN, f"GPIO.{EVENT_PIN}")
+    options = host.UrlOptions(url, _OPTIONS)
+    usual = host.UsbOptions.of(options, CHANNELS, EVENT_PIN, f"GPIO.{EVENT_PIN}")
     place = options.number_or_none("bus", 0, 999), options.number_or_none("address", 0, 255)
     usb = _load()
     boards = _boards(usb, backend)
@@ -392,9 +380,9 @@ def open_from_url(url: BusUrl, *, backend: Any = None, clock: Clock = WALL) -> C
         and (not url.place or _serial(usb, board) == url.place)
     ]
     if not fits and (denied := [board for board in boards if _serial(usb, board) is None]):
-        raise no_permission(url.text, _node(denied[0]), "usb 87a0")
+        raise host.no_permission(url.text, _node(denied[0]), "usb 87a0")
     what = "such CP2130" if boards else "CP2130"
-    device = choose(url, what, fits, boards, lambda boards: _devices(usb, boards))
+    device = host.choose(url, what, fits, boards, lambda boards: _devices(usb, boards))
 
     def claim() -> None:
         usb.util.claim_interface(device, _INTERFACE)
@@ -497,9 +485,9 @@ def _devices(usb: Any, boards: Sequence[Any]) -> list[Device]:
 
 def _cannot_open(url: str, device: Any, error: Any) -> BusError:
     if error.errno == errno.EACCES:
-        return no_permission(url, _node(device), "usb 87a0")
+        return host.no_permission(url, _node(device), "usb 87a0")
     if error.errno == errno.EBUSY:
-        return busy(url, _node(device))
+        return host.busy(url, _node(device))
     if error.errno in (errno.ENODEV, errno.ENOENT):
-        return gone(url)
+        return host.gone(url)
     return ProtocolError(f"{url}: the CP2130 cannot be opened: {error.strerror or error}")

@@ -7,14 +7,7 @@ from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from urllib.parse import parse_qsl
 
-from adis_gonio.base.errors import (
-    BusError,
-    NotInstalledError,
-    UsageError,
-    install_extra,
-    one_line,
-    suggest,
-)
+from adis_gonio.base import errors
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.device.bus.contract import SpiBus
 
@@ -47,16 +40,16 @@ class BusUrl:
         """Parse a URL; `UsageError` explains a mistake in it."""
         scheme, colon, rest = text.partition(":")
         if not colon or not scheme:
-            raise UsageError(f"'{text}' is no bus URL: write scheme:place, such as sim:?seed=1")
+            raise errors.UsageError(f"'{text}' is no bus URL: write scheme:place, such as sim:?seed=1")
         place, _, query = rest.partition("?")
         try:
             pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
         except ValueError:
-            raise UsageError(f"'{text}': options are written ?name=value&name=value") from None
+            raise errors.UsageError(f"'{text}': options are written ?name=value&name=value") from None
         options: dict[str, str] = {}
         for name, value in pairs:
             if name in options:
-                raise UsageError(f"'{text}': option '{name}' is given twice")
+                raise errors.UsageError(f"'{text}': option '{name}' is given twice")
             options[name] = value
         return cls(text, scheme.lower(), place, options)
 
@@ -92,18 +85,20 @@ def open_bus(url: str) -> SpiBus:
             try:
                 opener: Opener = point.load()
             except ImportError as error:
-                raise NotInstalledError(
+                raise errors.NotInstalledError(
                     f"'{url}': the bus '{parsed.scheme}' needs {error.name or error}:"
-                    f" {install_extra(parsed.scheme)}"
+                    f" {errors.install_extra(parsed.scheme)}"
                 ) from error
             return opener(parsed)
     sources = {point.name for point in entry_points(group=SOURCE_GROUP)}
     if parsed.scheme in sources:
-        raise UsageError(
+        raise errors.UsageError(
             f"'{url}': gives samples, but carries no frames to a chip: stream and calibrate take it"
         )
-    hint = suggest(f"{parsed.scheme}:", [f"{scheme}:" for scheme in sorted({*bus_schemes(), *sources})])
-    raise UsageError(f"'{url}': no bus is called '{parsed.scheme}'; {hint}")
+    hint = errors.suggest(
+        f"{parsed.scheme}:", [f"{scheme}:" for scheme in sorted({*bus_schemes(), *sources})]
+    )
+    raise errors.UsageError(f"'{url}': no bus is called '{parsed.scheme}'; {hint}")
 
 
 DEVICE_GROUP = "adis_gonio.devices"
@@ -116,8 +111,8 @@ class Device(JsonRecord):
     description: str
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "url", one_line(self.url))
-        object.__setattr__(self, "description", one_line(self.description))
+        object.__setattr__(self, "url", errors.one_line(self.url))
+        object.__setattr__(self, "description", errors.one_line(self.description))
 
 
 def find_devices() -> list[Device]:
@@ -131,9 +126,9 @@ def find_devices() -> list[Device]:
         try:
             devices += _found(point)
         except ImportError as error:
-            need = f"not usable: {error.name or error} is missing; {install_extra(point.name)}"
+            need = f"not usable: {error.name or error} is missing; {errors.install_extra(point.name)}"
             devices.append(Device(f"{point.name}:", need))
-        except (BusError, NotInstalledError) as error:
+        except (errors.BusError, errors.NotInstalledError) as error:
             devices.append(Device(f"{point.name}:", f"not usable: {error}"))
         except Exception as error:  # another package may raise anything
             devices.append(Device(f"{point.name}:", f"not usable: {_blamed(point, error)}"))

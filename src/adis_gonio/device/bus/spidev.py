@@ -40,21 +40,8 @@ from typing import Any
 import numpy as np
 
 from adis_gonio.base.errors import BusError, BusTimeoutError, CannotOpenError, ProtocolError, UsageError
+from adis_gonio.device.bus import host
 from adis_gonio.device.bus.contract import FRAME_BITS, Capability, SpiTiming, Words
-from adis_gonio.device.bus.host import (
-    RESET_PULSE_S,
-    SAFE_TIMING,
-    WALL,
-    Clock,
-    HostBus,
-    UrlOptions,
-    busy,
-    choose,
-    gone,
-    missing,
-    no_permission,
-    readable_and_writable,
-)
 from adis_gonio.device.bus.opening import BusUrl, Device
 
 _WRITE, _READ = 1, 2
@@ -217,7 +204,7 @@ SLOWEST_HZ = 10_000
 _GONE = (errno.ENODEV, errno.ESHUTDOWN, errno.ENXIO)
 
 
-class SpidevBus(HostBus):
+class SpidevBus(host.HostBus):
     """A bus over an open spidev file of the Linux kernel.
 
     Parameters
@@ -250,7 +237,7 @@ class SpidevBus(HostBus):
         url: str,
         cs_high_us: float,
         reset_fd: int | None,
-        clock: Clock = WALL,
+        clock: host.Clock = host.WALL,
     ) -> None:
         super().__init__(url, clock)
         self._system = system
@@ -261,7 +248,7 @@ class SpidevBus(HostBus):
         if reset_fd is not None:
             self.capabilities = frozenset({Capability.HARD_RESET})
         self._set_mode()
-        self._timing = self._configure(SAFE_TIMING)
+        self._timing = self._configure(host.SAFE_TIMING)
 
     # -- frames ------------------------------------------------------------------------------------------
 
@@ -326,7 +313,7 @@ class SpidevBus(HostBus):
     def _pull_reset(self) -> None:
         for bit in (0, 1):
             self._call(self._reset_fd or 0, SET_VALUES, LineValues(bit, 1))
-            self.sleep_s(RESET_PULSE_S)
+            self.sleep_s(host.RESET_PULSE_S)
 
     # -- calls ---------------------------------------------------------------------------------------------
 
@@ -359,7 +346,7 @@ class SpidevBus(HostBus):
 
     def _typed(self, error: OSError) -> BusError:
         if error.errno in _GONE:
-            return gone(self.url)
+            return host.gone(self.url)
         if error.errno == errno.ETIMEDOUT:
             return BusTimeoutError(f"{self.url}: the SPI controller does not finish a transfer")
         if error.errno == errno.ENOTTY:
@@ -372,7 +359,7 @@ _LINE = re.compile(r"(gpiochip\d+):(\d+)")
 
 
 def open_from_url(
-    url: BusUrl, *, system: Kernel | None = None, clock: Clock = WALL, folder: str = "/dev"
+    url: BusUrl, *, system: Kernel | None = None, clock: host.Clock = host.WALL, folder: str = "/dev"
 ) -> SpidevBus:
     """Open a spidev device file by its URL (see the module's text).
 
@@ -392,7 +379,7 @@ def open_from_url(
     CannotOpenError
         No such file, no permission, or another program has it.
     """
-    options = UrlOptions(url, _OPTIONS)
+    options = host.UrlOptions(url, _OPTIONS)
     cs_high_us = options.number("cs_high_us", round(CS_HIGH_US), 0, 1_000_000)
     line = options.text("reset_gpio")
     if line.isdecimal():
@@ -403,7 +390,7 @@ def open_from_url(
     path = url.place
     if not path:
         found = find_devices(folder=folder)
-        only = choose(url, "SPI device file (on a Raspberry Pi: dtparam=spi=on)", found, [], list)
+        only = host.choose(url, "SPI device file (on a Raspberry Pi: dtparam=spi=on)", found, [], list)
         path = BusUrl.parse(only.url).place
     if system is None:
         try:
@@ -416,7 +403,7 @@ def open_from_url(
         try:
             system.lock(fd)
         except BlockingIOError:
-            raise busy(url.text, path) from None
+            raise host.busy(url.text, path) from None
         reset_fd = None
         if line:
             reset_fd = _request_line(system, url.text, *_find_line(system, url.text, line, folder), folder)
@@ -428,7 +415,9 @@ def find_devices(*, folder: str = "/dev") -> list[Device]:
     """List the SPI device files (spidev) of this computer."""
     devices = []
     for path in sorted(Path(folder).glob("spidev*")):
-        denied = "" if readable_and_writable(str(path)) else ", no permission (adis-gonio devices --udev)"
+        denied = (
+            "" if host.readable_and_writable(str(path)) else ", no permission (adis-gonio devices --udev)"
+        )
         devices.append(Device(f"spidev:{path}", f"SPI pins of this machine{denied}"))
     return devices
 
@@ -487,9 +476,9 @@ def _request_line(system: Kernel, url: str, path: str, offset: int, folder: str)
 
 def _cannot_open(error: OSError, url: str, path: str, rule: str, folder: str) -> BusError:
     if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
-        return missing(url, f"{path} (on a Raspberry Pi: dtparam=spi=on)", find_devices(folder=folder))
+        return host.missing(url, f"{path} (on a Raspberry Pi: dtparam=spi=on)", find_devices(folder=folder))
     if error.errno in (errno.EACCES, errno.EPERM):
-        return no_permission(url, path, rule)
+        return host.no_permission(url, path, rule)
     if error.errno == errno.EBUSY:
-        return busy(url, path)
+        return host.busy(url, path)
     return ProtocolError(f"{url}: {path} cannot be opened: {error.strerror or error}")

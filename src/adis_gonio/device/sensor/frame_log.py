@@ -14,17 +14,7 @@ import numpy as np
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.device.bus import FrameBlock, SpiTiming
 from adis_gonio.device.bus.recording import Call
-from adis_gonio.device.sensor.registers import (
-    BY_ADDRESS,
-    EA,
-    FAST,
-    ND,
-    WRITE,
-    Kind,
-    Register,
-    Variant,
-    timing_for,
-)
+from adis_gonio.device.sensor import registers
 from adis_gonio.device.sensor.settings import Configuration
 
 BUSY_S = {"reset": 0.15, "restore": 0.15, "flash_update": 0.1, "precision_autonull": 30.0}
@@ -79,13 +69,13 @@ class FrameLog:
         Make a row for each word of a stream; otherwise a row for each block.
     """
 
-    def __init__(self, part: Variant, *, scans: bool = False) -> None:
+    def __init__(self, part: registers.Variant, *, scans: bool = False) -> None:
         self._part, self._scans = part, scans
         self._gyro_range = 300
         self._timing: SpiTiming | None = None
         self._smpl_prd: int | None = None
         self._busy_until_s, self._busy_with = float("-inf"), ""
-        self._listed: list[Register | None] = []
+        self._listed: list[registers.Register | None] = []
         self._before: tuple[int, float, int, str] | None = None
         self._ended: tuple[float, float] | None = None
 
@@ -138,9 +128,9 @@ class FrameLog:
         self, number: int, time_s: float, frame: int, problem: str, word: int | None
     ) -> FrameRow:
         row, high = _addressed(frame)
-        action = "write" if frame & WRITE else "read"
+        action = "write" if frame & registers.WRITE else "read"
         name = f"0x{frame >> 8 & 0x3F:02X}" if row is None else row.name + ("+1" if high else "")
-        if frame & WRITE:
+        if frame & registers.WRITE:
             self._follow_write(row, high, frame & 0xFF, time_s)
             value = f"0x{frame & 0xFF:02X}{_written_fields(row, high, frame)}"
         else:
@@ -158,23 +148,23 @@ class FrameLog:
                 name = "" if row is None else row.name
                 yield FrameRow(call.number, time_s, "scan", name, None, word, self._decoded(row, word))
 
-    def _decoded(self, row: Register | None, word: int) -> str:
+    def _decoded(self, row: registers.Register | None, word: int) -> str:
         if row is None:
             return ""
         if row.name == "SMPL_PRD":
             self._smpl_prd = word & 0xFF
         elif row.name == "SENS_AVG":
             self._gyro_range = Configuration.from_words(0, word, 0).gyro_range_dps or self._gyro_range
-        if row.kind is Kind.FIELDS:
+        if row.kind is registers.Kind.FIELDS:
             return " ".join(f"{field.name}={field.of(word)}" for field in row.fields if field.of(word))
-        if row.kind is Kind.COUNT:
+        if row.kind is registers.Kind.COUNT:
             return str(row.number(word))
         lsb, zero, unit = self._part.lsb(row.kind, self._gyro_range)
-        flags = " (old)" if row.flags and not word & ND else ""
-        flags += " (error or alarm)" if row.flags and word & EA else ""
+        flags = " (old)" if row.flags and not word & registers.ND else ""
+        flags += " (error or alarm)" if row.flags and word & registers.EA else ""
         return f"{row.number(word) * lsb + zero:.6g} {unit}{flags}"
 
-    def _follow_write(self, row: Register | None, high: bool, byte: int, time_s: float) -> None:
+    def _follow_write(self, row: registers.Register | None, high: bool, byte: int, time_s: float) -> None:
         """Update the known mode and the time of silence by a written byte."""
         if row is None or high:
             return
@@ -190,8 +180,8 @@ class FrameLog:
             return f"sent {self._busy_until_s - time_s:.3g} s before the end of {self._busy_with}"
         if self._smpl_prd is None or self._timing is None:
             return ""
-        needed = timing_for(self._smpl_prd)
-        fastest_hz = FASTEST_FAST_HZ if needed is FAST else FASTEST_NORMAL_HZ
+        needed = registers.timing_for(self._smpl_prd)
+        fastest_hz = FASTEST_FAST_HZ if needed is registers.FAST else FASTEST_NORMAL_HZ
         now = self._timing
         if now.clock_hz > fastest_hz * (1 + TOLERANCE):
             return f"clock {now.clock_hz / 1e3:.4g} kHz, at most {fastest_hz / 1e3:g} kHz"
@@ -202,19 +192,19 @@ class FrameLog:
         return ""
 
 
-def _written_fields(row: Register | None, high: bool, frame: int) -> str:
+def _written_fields(row: registers.Register | None, high: bool, frame: int) -> str:
     """Names of the commands or fields that a written byte sets, in brackets."""
-    if row is None or row.kind is not Kind.FIELDS:
+    if row is None or row.kind is not registers.Kind.FIELDS:
         return ""
     shifted = (frame & 0xFF) << (8 if high else 0)
     names = [field.name for field in row.fields if shifted & field.mask]
     return f" ({', '.join(names)})" if names else ""
 
 
-def _addressed(frame: int) -> tuple[Register | None, bool]:
+def _addressed(frame: int) -> tuple[registers.Register | None, bool]:
     """Register that a frame addresses, and True if it addresses the high byte."""
     address = frame >> 8 & 0x3F
-    return BY_ADDRESS.get(address & ~1), bool(address & 1)
+    return registers.BY_ADDRESS.get(address & ~1), bool(address & 1)
 
 
 def _failure(call: Call) -> str:

@@ -11,17 +11,7 @@ import click
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.numbers import counted, format_uncertain
-from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import (
-    check_page,
-    console,
-    print_indented,
-    print_json,
-    print_table,
-    report_progress,
-    report_written,
-    write_page,
-)
+from adis_gonio.faces.cli import options as option, show
 
 if TYPE_CHECKING:
     from adis_gonio.base.conformity import Tolerance
@@ -46,7 +36,7 @@ def _indexed(
 
     places = places or (Path(),)
     with Store.of(places, index_path) as store:
-        with report_progress(f"reading {', '.join(map(str, places))}"):
+        with show.report_progress(f"reading {', '.join(map(str, places))}"):
             found = scan(store, places, trace=trace)
         for problem in store.problems:
             click.echo(problem, err=True)
@@ -96,11 +86,11 @@ def archive_command(
             "problems": list(store.problems),
         }
     if as_json:
-        print_json(document)
+        show.print_json(document)
         return 1 if document["problems"] else 0
-    screen = console(most=160)
+    screen = show.console(most=160)
     if good:
-        print_table(screen, _HEAD, [_archive_cells(row) for row in good], texts={0, 1, 2, 3, 4, 8, 9})
+        show.print_table(screen, _HEAD, [_archive_cells(row) for row in good], texts={0, 1, 2, 3, 4, 8, 9})
     for row in good:
         if row["copies"]:
             screen.print(f"the same file, counted once: {', '.join([row['path'], *row['copies']])}")
@@ -131,10 +121,6 @@ def _archive_cells(row: Mapping[str, Any]) -> list[str]:
 @click.argument("serial")
 @option.places
 @option.output("Write a page with figures (extra: report).")
-@click.option(
-    "--run-length", type=click.FloatRange(min=10), metavar="N",
-    help="Mean number of sessions between false alarms of the CUSUM (default: 465, from h = 5 σ).",
-)  # fmt: skip
 @option.index
 @option.json
 def history_command(
@@ -142,7 +128,6 @@ def history_command(
     serial: str,
     places: tuple[Path, ...],
     output: Path | None,
-    run_length: float | None,
     index_path: Path | None,
     trace: bool,
     as_json: bool,
@@ -153,20 +138,18 @@ def history_command(
     scatter between sessions), and lists the effects found each time.
     """
     from adis_gonio.fleet import sensor_history
-    from adis_gonio.fleet.control_charts import CUSUM_H, limit_for
 
-    check_page(output)
-    h = CUSUM_H if run_length is None else limit_for(run_length)
+    show.check_page(output)
     with _indexed(places, index_path, trace=trace) as (store, _):
-        found = sensor_history.history_of(serial, _records_of(store, serial), h=h)
+        found = sensor_history.history_of(serial, _records_of(store, serial))
     if output is not None:
         from adis_gonio.fleet.fleet_pages import history_page
 
-        write_page(output, history_page(found))
+        show.write_page(output, history_page(found))
     if as_json:
-        print_json(found.as_dict())
+        show.print_json(found.as_dict())
         return
-    screen = console(most=_HISTORY_WIDTH)
+    screen = show.console(most=_HISTORY_WIDTH)
     screen.print(f"Sensor {found.serial}: {sensor_history.headline(found)}", style="bold")
     for track in found.tracks.values():
         screen.print()
@@ -174,7 +157,7 @@ def history_command(
         for line in sensor_history.chart_lines(track, screen.width):
             screen.print(line)
         for text in (*sensor_history.drift_sentences(track), *sensor_history.chart_sentences(track, found)):
-            print_indented(screen, text)
+            show.print_indented(screen, text)
     screen.print()
     screen.print("Effects found", style="bold cyan")
     for row in sensor_history.effect_table(found):
@@ -224,15 +207,15 @@ def due_command(
     with _indexed(places, index_path, trace=trace) as (store, _):
         found = due_of(history_of(serial, _records_of(store, serial)), limits)
     if as_json:
-        print_json(found.as_dict())
+        show.print_json(found.as_dict())
         return
-    screen = console(most=100)
+    screen = show.console(most=100)
     date = f"{found.date}, by the {found.by}" if found.date else "unknown"
     screen.print(f"Next calibration of {found.serial}: {date}", style="bold")
     for rule in found.rules:
-        print_indented(screen, f"{rule.method}: {rule.date or 'no date'}: {rule.why}")
+        show.print_indented(screen, f"{rule.method}: {rule.date or 'no date'}: {rule.why}")
         if rule.assumes:
-            print_indented(screen, f"assumes: {rule.assumes}", 4)
+            show.print_indented(screen, f"assumes: {rule.assumes}", 4)
     if found.limits.assumed:
         screen.print(f"  {found.limits.tolerance} is assumed as tolerance: set yours with --tolerance")
 
@@ -294,7 +277,7 @@ def fleet_command(
     if journal is None and outputs:
         journal = outputs[0].with_name(f"{outputs[0].name}.journal")
     options = Options(trace=trace, evidence=population)
-    with _journal(journal) as store, report_progress(f"fleet of {counted(len(names), 'file')}"):
+    with _journal(journal) as store, show.report_progress(f"fleet of {counted(len(names), 'file')}"):
         tell = current().tell
         tell("reading")
         found = survey(names, current().share)
@@ -306,11 +289,11 @@ def fleet_command(
         for path in outputs:
             outcome.write(path)
     if as_json:
-        print_json(outcome.as_dict())
+        show.print_json(outcome.as_dict())
     else:
         _show_fleet(outcome)
     for path in outputs:
-        report_written(path, counted(len(outcome.rows), "session"))
+        show.report_written(path, counted(len(outcome.rows), "session"))
     if fleet.failed:
         click.echo(f"{counted(fleet.failed, 'session')} of {len(outcome.rows)} failed", err=True)
     return 1 if fleet.failed else 0
@@ -334,7 +317,7 @@ def _journal(path: Path | None) -> Iterator[Store]:
 def _show_fleet(outcome: FleetResult) -> None:
     from adis_gonio.fleet import fleet_summary
 
-    screen = console()
+    screen = show.console()
     summary = outcome.summary
 
     def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]], texts: int = 1) -> None:
@@ -342,7 +325,7 @@ def _show_fleet(outcome: FleetResult) -> None:
             return
         screen.print()
         screen.print(title, style="bold cyan")
-        print_table(screen, head, rows[:_MOST_ROWS], range(texts))
+        show.print_table(screen, head, rows[:_MOST_ROWS], range(texts))
         if len(rows) > _MOST_ROWS:
             screen.print(f"{len(rows) - _MOST_ROWS} more: in the JSON document")
 

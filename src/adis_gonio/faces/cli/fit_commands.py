@@ -10,16 +10,7 @@ import click
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.numbers import count_decimals, counted, format_fixed
-from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import (
-    WIDTH,
-    check_page,
-    console,
-    print_json,
-    report_progress,
-    table_of,
-    write_page,
-)
+from adis_gonio.faces.cli import options as option, show
 from adis_gonio.fitting.methods import METHOD_TABLE
 from adis_gonio.record.session_reader import FREE_TURN
 
@@ -107,7 +98,7 @@ def fit_command(
 
     loaded = option.load(session, overrides)
     what = "a free turn" if loaded.free_turn else counted(len(loaded.dwells), "dwell")
-    with report_progress(f"fitting {what} of {session.name}"):
+    with show.report_progress(f"fitting {what} of {session.name}"):
         answer = Answer.of(fit(loaded, method=method, gyros=gyros), own=method is not None)
         document = answer.as_dict()
     stated = None if tolerance is None else state_conformity(tolerance, answer.error_curves())
@@ -119,10 +110,10 @@ def fit_command(
 
         from adis_gonio.fitting.monte_carlo import monte_carlo
 
-        with report_progress(f"{trials} Monte Carlo trials"):
+        with show.report_progress(f"{trials} Monte Carlo trials"):
             run = monte_carlo(answer.result, trials, np.random.default_rng(seed))
     if as_json:
-        print_json(document if run is None else {**document, "monte_carlo": run.as_dict()})
+        show.print_json(document if run is None else {**document, "monte_carlo": run.as_dict()})
         return
     title = f"{loaded.title}: " if loaded.title else ""
     written = [f"{name} {getattr(loaded, name)}" for name in METADATA if getattr(loaded, name)]
@@ -134,9 +125,9 @@ def fit_command(
     print_gains(loaded)
     if stated is not None:
         first, *rest = stated.lines
-        console(most=WIDTH).print("\n".join([f"\n{first}", *(f"  {line}" for line in rest)]))
+        show.console(most=show.WIDTH).print("\n".join([f"\n{first}", *(f"  {line}" for line in rest)]))
     if run is not None:
-        _print_monte_carlo(console(most=WIDTH), run)
+        _print_monte_carlo(show.console(most=show.WIDTH), run)
 
 
 def print_answer(
@@ -160,7 +151,7 @@ def print_answer(
     everything : bool
         Show all methods in full.
     """
-    screen = console(most=WIDTH)
+    screen = show.console(most=show.WIDTH)
     for line in answer.doubt_lines(screen.width):
         screen.print(line, style="bold")
     for lines in (head, answer.headline(screen.width)):
@@ -174,7 +165,7 @@ def print_answer(
     names, rows = answer.budget_rows()
     if rows:
         screen.print("\nUncertainty budget: shares of the variance")
-        screen.print(table_of(names, rows, range(4)))
+        screen.print(show.table_of(names, rows, range(4)))
     _print_scores(screen, answer, everything=everything)
     for text in answer.warnings(everything=everything):
         if text not in shown:
@@ -189,7 +180,7 @@ def _parameter_table(answer: Answer, truth: Mapping[str, float] | None) -> Table
             row.insert(
                 2, format_fixed(truth[name], count_decimals(value.u or 0.0)) if name in truth else ""
             )
-    return table_of(columns, rows, (0, 1), bold=("ΔK", "Δφ"))
+    return show.table_of(columns, rows, (0, 1), bold=("ΔK", "Δφ"))
 
 
 def _print_scores(screen: Console, answer: Answer, *, everything: bool) -> None:
@@ -201,13 +192,13 @@ def _print_scores(screen: Console, answer: Answer, *, everything: bool) -> None:
     if len(rows) > 1 or failures:
         screen.print(f"\n{answer.scored_on}")
         if len(head) > 1:
-            screen.print(table_of(head, rows, bold=rows[0][:1] if rows else ()))
+            screen.print(show.table_of(head, rows, bold=rows[0][:1] if rows else ()))
     for method, reason in failures.items():
         screen.print(f"no result by {method}: {reason}")
     narrow = {"no_wrap": True}
     for block_head, block in method_tables(answer.comparison.results, screen.width) if everything else ():
         screen.print()
-        screen.print(table_of(block_head, block, (0, 1), number=narrow, text=narrow))
+        screen.print(show.table_of(block_head, block, (0, 1), number=narrow, text=narrow))
 
 
 def print_gains(session: Session) -> None:
@@ -216,12 +207,12 @@ def print_gains(session: Session) -> None:
 
     gains = gains_of(session)
     if gains is not None:
-        console(most=WIDTH).print(gains.line)
+        show.console(most=show.WIDTH).print(gains.line)
 
 
 def _print_monte_carlo(screen: Console, run: MonteCarlo) -> None:
     screen.print(f"\nMonte Carlo, {run.trials} trials (GUM Supplement 1)", style="bold")
-    screen.print(table_of(*run.rows(), (0, 1)))
+    screen.print(show.table_of(*run.rows(), (0, 1)))
     for line in run.remarks:
         screen.print(f"  {line}")
 
@@ -237,12 +228,12 @@ def show_gyro_fit(
         from adis_gonio.tracing.trace_calibrations import load_calibration
 
         accelerometers = load_calibration(calibration)
-    with report_progress("fitting the gyros"):
+    with show.report_progress("fitting the gyros"):
         result = fit(session, method, part="gyro", accelerometers=accelerometers)
     if as_json:
-        print_json(result.as_dict())
+        show.print_json(result.as_dict())
         return
-    screen = console(most=WIDTH)
+    screen = show.console(most=show.WIDTH)
     title = f"{session.title}: " if session.title else ""
     screen.print(f"{title}gyros, {result.held}, {session.sensor}\n", style="bold")
     screen.print(_gyro_table(result.parameters))
@@ -260,7 +251,7 @@ def show_gyro_fit(
         scores = [
             (name, *(f"{v:.3f}" for v in score.rms_dps.values())) for name, score in result.scores.items()
         ]
-        screen.print(table_of(("model", *"xyz"), scores))
+        screen.print(show.table_of(("model", *"xyz"), scores))
     for text in result.warnings:
         screen.print(text)
 
@@ -269,7 +260,7 @@ def _gyro_table(parameters: dict[str, Value]) -> Table:
     from adis_gonio.fitting.answer import parameter_row
 
     rows = [parameter_row(name, value) for name, value in parameters.items()]
-    return table_of(_PARAMETER_HEAD, rows, (0, 1))
+    return show.table_of(_PARAMETER_HEAD, rows, (0, 1))
 
 
 _ALLAN_ENDINGS = (".html", ".htm", ".svg")
@@ -304,18 +295,18 @@ def allan_command(
 
     if output is not None and output.suffix.lower() not in _ALLAN_ENDINGS:
         raise UsageError(f"{output}: its ending says the format: .html for the page, .svg for the plot")
-    check_page(output)
+    show.check_page(output)
     loaded = option.load(session, overrides)
-    with report_progress(f"noise of {session.name}"):
+    with show.report_progress(f"noise of {session.name}"):
         found = fit_allan(loaded, part, filter_m=filter_m)
     if output is not None:
         from adis_gonio.handover.gyro_report import allan_page, allan_svg
 
         draw = allan_svg if output.suffix.lower() == ".svg" else allan_page
-        write_page(output, draw(found))
+        show.write_page(output, draw(found))
     if as_json:
-        print_json(found.as_dict())
+        show.print_json(found.as_dict())
     else:
-        screen = console(most=80)
+        screen = show.console(most=80)
         for line in found.summary().splitlines():
             screen.print(line)

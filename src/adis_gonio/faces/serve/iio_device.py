@@ -33,17 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.errors import AdisGonioError, UsageError
-from adis_gonio.device.sensor import Adis16354, ScanBlock
-from adis_gonio.device.sensor.registers import (
-    ACCEL_OFF,
-    ACCEL_OUT,
-    GYRO_OFF,
-    GYRO_OUT,
-    Kind,
-    Register,
-    Variant,
-    registers,
-)
+from adis_gonio.device.sensor import Adis16354, ScanBlock, registers as register_table
 from adis_gonio.device.sensor.settings import Configuration, low_pass_3db_hz, sample_period_s, scales
 from adis_gonio.faces.serve.iiod_protocol import Errno, Refused
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
@@ -224,7 +214,7 @@ class Sampler:
 
 def state_of(sensor: Adis16354) -> SensorState:
     """Read configuration and offsets of the sensor, from which attributes are computed."""
-    rows = registers([*ACCEL_OFF, *GYRO_OFF])
+    rows = register_table.registers([*register_table.ACCEL_OFF, *register_table.GYRO_OFF])
     words = sensor.read_words(rows)
     offsets = {row.name: row.number(word) for row, word in zip(rows, words, strict=True)}
     return SensorState(sensor.configuration(), offsets)
@@ -370,7 +360,13 @@ class Hub:
 
 DEVICE_ID = "iio:device0"
 
-OFFSET_OF: dict[str, str] = dict(zip((*ACCEL_OUT, *GYRO_OUT), (*ACCEL_OFF, *GYRO_OFF), strict=True))
+OFFSET_OF: dict[str, str] = dict(
+    zip(
+        (*register_table.ACCEL_OUT, *register_table.GYRO_OUT),
+        (*register_table.ACCEL_OFF, *register_table.GYRO_OFF),
+        strict=True,
+    )
+)
 """Offset register for the calibbias of an output register."""
 
 _IDS = {
@@ -382,12 +378,12 @@ _IDS = {
 }
 _LABELS = {"SUPPLY_OUT": "supply"}
 
-_SI: dict[Kind, float] = {
-    Kind.ACCEL: STANDARD_GRAVITY_MPS2 / 1000.0,
-    Kind.GYRO: math.pi / 180.0,
-    Kind.TEMPERATURE: 1000.0,
-    Kind.SUPPLY: 1000.0,
-    Kind.AUX_ADC: 1000.0,
+_SI: dict[register_table.Kind, float] = {
+    register_table.Kind.ACCEL: STANDARD_GRAVITY_MPS2 / 1000.0,
+    register_table.Kind.GYRO: math.pi / 180.0,
+    register_table.Kind.TEMPERATURE: 1000.0,
+    register_table.Kind.SUPPLY: 1000.0,
+    register_table.Kind.AUX_ADC: 1000.0,
 }
 """IIO's unit per unit of this program: mg → m/s², °/s → rad/s, °C → m°C, V → mV."""
 
@@ -426,7 +422,7 @@ class Channel:
     """
 
     index: int
-    register: Register | None
+    register: register_table.Register | None
 
     @property
     def id(self) -> str:
@@ -458,9 +454,9 @@ class Channel:
         if self.register is None:
             return ()
         names = ["raw", "scale"]
-        if self.register.kind is Kind.TEMPERATURE:
+        if self.register.kind is register_table.Kind.TEMPERATURE:
             names.append("offset")
-        if self.register.kind in (Kind.ACCEL, Kind.GYRO):
+        if self.register.kind in (register_table.Kind.ACCEL, register_table.Kind.GYRO):
             names += ["calibbias", "filter_low_pass_3db_frequency"]
             names.append("filter_low_pass_3db_frequency_available")
         return tuple(names)
@@ -499,9 +495,9 @@ class ServedDevice:
         A register that is no output, or a duplicate.
     """
 
-    def __init__(self, part: Variant, names: Sequence[str], description: str) -> None:
+    def __init__(self, part: register_table.Variant, names: Sequence[str], description: str) -> None:
         self.part = part
-        self.table = registers(names)
+        self.table = register_table.registers(names)
         self.description = description
         for row in self.table:
             if row.name not in _IDS:
@@ -531,7 +527,7 @@ class ServedDevice:
 
     # -- values of attributes ---------------------------------------------------------------------
 
-    def scale_and_offset(self, row: Register, state: SensorState) -> tuple[float, float]:
+    def scale_and_offset(self, row: register_table.Register, state: SensorState) -> tuple[float, float]:
         """Scale in IIO's unit per LSB, and the offset added to the raw number before scaling."""
         lsb, zero, _ = scales([row], self.part, state.configuration.gyro_range_dps or 300)
         return float(lsb[0]) * _SI[row.kind], float(zero[0] / lsb[0])

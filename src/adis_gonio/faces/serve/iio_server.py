@@ -18,21 +18,7 @@ from adis_gonio.base import __version__
 from adis_gonio.base.errors import AdisGonioError, CannotOpenError, UsageError
 from adis_gonio.base.numbers import counted
 from adis_gonio.device.sensor import DEFAULT_SCAN, Adis16354
-from adis_gonio.faces.serve import iiod_protocol
-from adis_gonio.faces.serve.iio_device import (
-    DEBUG_ATTRIBUTES,
-    DEVICE_ATTRIBUTES,
-    OFFSET_OF,
-    QUEUE_S,
-    WRITABLE,
-    Buffer,
-    FreshScans,
-    Hub,
-    Sampler,
-    ScanFormat,
-    ServedDevice,
-    filter_for,
-)
+from adis_gonio.faces.serve import iio_device, iiod_protocol
 from adis_gonio.faces.serve.iiod_protocol import Errno, Parser, Refused, Request, Target
 
 T = TypeVar("T")
@@ -62,8 +48,8 @@ class AttributePort:
         Returns the values of the debug attributes.
     """
 
-    device: ServedDevice
-    sampler: Sampler
+    device: iio_device.ServedDevice
+    sampler: iio_device.Sampler
     allow_writes: bool
     debug: Callable[[], Mapping[str, int]]
 
@@ -73,9 +59,9 @@ class AttributePort:
             raise Refused(Errno.ENODEV, f"no device {target.device}")
         match target.kind:
             case "device":
-                return DEVICE_ATTRIBUTES
+                return iio_device.DEVICE_ATTRIBUTES
             case "debug":
-                return DEBUG_ATTRIBUTES
+                return iio_device.DEBUG_ATTRIBUTES
             case "buffer":
                 return ()
             case "input":
@@ -104,7 +90,7 @@ class AttributePort:
         """Write an attribute; `Refused` if that is not allowed, or the value is not possible."""
         if name not in self.names(target):
             raise Refused(Errno.ENOENT, f"no attribute {name}")
-        if name not in WRITABLE:
+        if name not in iio_device.WRITABLE:
             raise Refused(Errno.EACCES, f"{name} cannot be written")
         if not self.allow_writes:
             raise Refused(Errno.EPERM, f"{name}: this server is read-only")
@@ -114,12 +100,12 @@ class AttributePort:
                 register = self.device.channel(target.channel).register
                 if register is None or not number.is_integer():
                     raise Refused(Errno.EINVAL, f"calibbias is a whole number, not {number:g}")
-                offset = OFFSET_OF[register.name]
+                offset = iio_device.OFFSET_OF[register.name]
                 await self._change(lambda s: s.write(offset, int(number)))
             case "sampling_frequency":
                 await self._change(lambda s: s.configure(sample_rate_hz=number))
             case _:
-                taps = filter_for(number, self.sampler.state)
+                taps = iio_device.filter_for(number, self.sampler.state)
                 await self._change(lambda s: s.configure(filter_m=taps))
 
     async def _change(self, job: Callable[[Adis16354], object]) -> None:
@@ -174,9 +160,9 @@ class ClientSession:
         self,
         reader: asyncio.StreamReader,
         writer: asyncio.StreamWriter,
-        device: ServedDevice,
+        device: iio_device.ServedDevice,
         port: AttributePort,
-        hub: Hub,
+        hub: iio_device.Hub,
     ) -> None:
         self.sent = 0
         self._reader = reader
@@ -184,7 +170,7 @@ class ClientSession:
         self._device = device
         self._port = port
         self._hub = hub
-        self._buffer: Buffer | None = None
+        self._buffer: iio_device.Buffer | None = None
         self._lost_before = 0
         self._timeout_s: float | None = None
         self._gone = False
@@ -313,7 +299,7 @@ class ClientSession:
         if not self._device.knows(device):
             raise Refused(Errno.ENODEV, f"no device {device}")
 
-    def _require_buffer(self) -> Buffer:
+    def _require_buffer(self) -> iio_device.Buffer:
         if self._buffer is None:
             raise Refused(Errno.EBADF, "no buffer is open")
         return self._buffer
@@ -325,7 +311,7 @@ class ClientSession:
             raise Refused(Errno.EINVAL, "a buffer has samples, and a sensor's is not cyclic")
         if self._hub.failure is not None:
             raise Refused(Errno.EIO, str(self._hub.failure))
-        scan_format = ScanFormat.of_mask(self._device, request.mask)
+        scan_format = iio_device.ScanFormat.of_mask(self._device, request.mask)
         rate_hz = self._port.sampler.state.configuration.sample_rate_hz
         self._buffer = self._hub.open(scan_format, request.samples, rate_hz)
 
@@ -335,7 +321,7 @@ class ClientSession:
             self._hub.close(self._buffer)
             self._buffer = None
 
-    async def _send_scans(self, buffer: Buffer, size: int) -> bytes:
+    async def _send_scans(self, buffer: iio_device.Buffer, size: int) -> bytes:
         """Send `size` bytes of scans in pieces as they come; return the bytes that end the answer."""
         scan_size = buffer.format.dtype.itemsize
         wanted, first = size // scan_size, True
@@ -353,7 +339,7 @@ class ClientSession:
         # A zero ends the answer if the remaining size is less than a scan.
         return iiod_protocol.integer(0) if size % scan_size or not size else b""
 
-    async def _news(self, buffer: Buffer) -> None:
+    async def _news(self, buffer: iio_device.Buffer) -> None:
         """Wait for new scans in the buffer; `Refused` if none will come."""
         if self._hub.failure is not None:
             raise Refused(Errno.EIO, str(self._hub.failure))
@@ -386,7 +372,7 @@ class ServeSettings:
     port: int = PORT
     allow_writes: bool = False
     registers: tuple[str, ...] = DEFAULT_SCAN
-    queue_s: float = QUEUE_S
+    queue_s: float = iio_device.QUEUE_S
 
 
 class IioServer:
@@ -419,10 +405,10 @@ class IioServer:
         self._tell = tell
         self._ready = ready
         description = f"{sensor.variant.name.upper()} at {sensor.bus.url}, adis-gonio {__version__}"
-        self._device = ServedDevice(sensor.variant, settings.registers, description)
+        self._device = iio_device.ServedDevice(sensor.variant, settings.registers, description)
         names = [row.name for row in self._device.table]
-        self._sampler = Sampler(sensor, names, self._scans_came, self._sensor_failed)
-        self._hub = Hub(self._sampler.want, settings.queue_s)
+        self._sampler = iio_device.Sampler(sensor, names, self._scans_came, self._sensor_failed)
+        self._hub = iio_device.Hub(self._sampler.want, settings.queue_s)
         self._port = AttributePort(self._device, self._sampler, settings.allow_writes, self._hub.counts)
         self._clients: dict[ClientSession, asyncio.Task[None]] = {}
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -520,7 +506,7 @@ class IioServer:
 
     # -- from the sampler's thread ------------------------------------------------------------------
 
-    def _scans_came(self, scans: FreshScans) -> None:
+    def _scans_came(self, scans: iio_device.FreshScans) -> None:
         self._call(lambda: self._hub.publish(scans))
 
     def _sensor_failed(self, error: Exception) -> None:

@@ -31,7 +31,7 @@ _NAMES: dict[Part, tuple[str, ...]] = {
         "acceleration_random_walk",
     ),
 }
-"""Names of `noise_processes.KINDS` by part."""
+"""Names of `spectral_likelihood.KINDS` by part."""
 _UNITS = {
     "dps": ("deg", "dps/√Hz", "dps", "dps/√s"),
     "mg": ("mg·s", "mg/√Hz", "mg", "mg/√s"),
@@ -141,7 +141,7 @@ class AxisNoise:
     axis : str
         `x`, `y` or `z`.
     parameters : tuple of NoiseParameter
-        In the order of `noise_processes.KINDS`; without quantization behind the chip's filter.
+        In the order of `spectral_likelihood.KINDS`; without quantization behind the chip's filter.
     ramp : Value
         Drift per second: weighted mean of the slopes of straight lines through the records.
     slow_p_value : float

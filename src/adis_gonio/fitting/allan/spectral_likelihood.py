@@ -424,7 +424,7 @@ class Ordinates:
     power : (b,) float
         Mean of their squares.
     shapes : (b, 4) float
-        Mean variance per squared coefficient of each of `noise_processes.KINDS`.
+        Mean variance per squared coefficient of each of `spectral_likelihood.KINDS`.
     rounding : (b,) float
         Mean variance of the converter's rounding.
     lines : tuple of (first, ordinate, line)

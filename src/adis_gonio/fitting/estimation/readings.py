@@ -45,22 +45,8 @@ from adis_gonio.base.errors import DataError, FitError, UsageError
 from adis_gonio.base.jsonable import ComputedOnce
 from adis_gonio.base.numbers import counted, name_positions
 from adis_gonio.device.sensor.registers import VARIANTS
+from adis_gonio.fitting.estimation import screening, spectrum
 from adis_gonio.fitting.estimation.links import Links
-from adis_gonio.fitting.estimation.screening import (
-    Converter,
-    converter_of,
-    limit_notes,
-    refuse_dead_data,
-    steps_of,
-)
-from adis_gonio.fitting.estimation.spectrum import (
-    MeanNoise,
-    covariance_of_means,
-    modes,
-    noise_of_means,
-    scatter_of_means,
-    spans,
-)
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn, gains_and_skews
 from adis_gonio.model.records import ACCEL_UNITS, MG_PER_MPS2, Dwell, Session
@@ -191,7 +177,7 @@ class Readings(ComputedOnce):
     notes: tuple[str, ...] = ()
     fitted: NDArray[np.bool_] | None = None
     measurement: Measurement | None = None
-    converter: Converter | None = None
+    converter: screening.Converter | None = None
     links: Links | None = None
 
     def __len__(self) -> int:
@@ -516,9 +502,9 @@ def reduced(session: Session) -> Readings:
     many = np.flatnonzero(~lone)
     if many.size:
         rows = [dwells[k].accel[:, :axes] for k in many.tolist()]
-        noise = noise_of_means(rows, mg)
+        noise = spectrum.noise_of_means(rows, mg)
         # Dwells at a limit show other steps than the converter's, so they are left out here.
-        steps = steps_of(rows) if converter.spoiled else converter.steps
+        steps = screening.steps_of(rows) if converter.spoiled else converter.steps
         quantum = mg * (np.maximum(steps, 1.0) if session.accel_unit == "lsb" else steps)
         flicker = _flicker(session, noise)
         own, slow = _of_flicker([dwells[k] for k in many.tolist()], flicker, many, n)
@@ -580,7 +566,7 @@ def _without_noise(session: Session, dwells: list[Dwell], axes: int) -> bool:
     return not bool(np.any(ranges, axis=0).all())
 
 
-def _usable(session: Session, axes: int) -> tuple[list[Dwell], Converter, list[str]]:
+def _usable(session: Session, axes: int) -> tuple[list[Dwell], screening.Converter, list[str]]:
     """Select the usable dwells; also return the converter's steps and limits, and notes on the others."""
     source = session.source or "session"
     dwells = [dwell for dwell in session.dwells if len(dwell)]
@@ -588,14 +574,16 @@ def _usable(session: Session, axes: int) -> tuple[list[Dwell], Converter, list[s
         raise DataError(f"{source}: no dwell to fit; every dwell is empty or for checking")
     if dwells[0].accel.shape[1] < axes:
         raise DataError(f"{source}: plane none needs three axes, there are two")
-    converter = converter_of([replace(dwell, accel=dwell.accel[:, :axes]) for dwell in dwells])
+    converter = screening.converter_of([replace(dwell, accel=dwell.accel[:, :axes]) for dwell in dwells])
     limits = converter.limits
-    refuse_dead_data(session, limits, None if session.accel_unit == "counts" else mg_per_unit(session))
+    screening.refuse_dead_data(
+        session, limits, None if session.accel_unit == "counts" else mg_per_unit(session)
+    )
     if len(dwells) > 1:  # a single pose is kept even at a limit
         dwells = [dwell for dwell in dwells if dwell.position not in converter.spoiled]
     if not dwells:
         raise DataError(f"{source}: every dwell is at a limit of the range; record with a wider range")
-    return dwells, converter, limit_notes(limits, session.accel_unit)
+    return dwells, converter, screening.limit_notes(limits, session.accel_unit)
 
 
 def _of_flicker(
@@ -607,7 +595,7 @@ def _of_flicker(
     """
     begin, end = (np.zeros(len(dwells)),) * 2
     if _keeps_modes(len(dwells), flicker):
-        begin, end = spans([dwell.time_s for dwell in dwells])
+        begin, end = spectrum.spans([dwell.time_s for dwell in dwells])
     own, shared = flicker_parts(begin, end, flicker)
     if shared is None:
         return own, None
@@ -634,8 +622,8 @@ def flicker_parts(begin_s: Floats, end_s: Floats, flicker: Floats) -> tuple[Floa
     """
     m, axes = len(begin_s), len(flicker)
     if not _keeps_modes(m, flicker):
-        return np.tile(flicker * scatter_of_means(m), (m, 1)), None
-    factor, left = modes(covariance_of_means(begin_s, end_s))
+        return np.tile(flicker * spectrum.scatter_of_means(m), (m, 1)), None
+    factor, left = spectrum.modes(spectrum.covariance_of_means(begin_s, end_s))
     k = factor.shape[1]
     slow = np.zeros((m, axes, axes * k))
     for axis in range(axes):
@@ -751,7 +739,7 @@ def quantized_means(variance_mg2: Floats, quantum_mg: Floats) -> Floats:
     return np.asarray(quantum_mg**2 / (2 * math.pi**2) * series.sum(axis=-1))
 
 
-def _flicker(session: Session, noise: MeanNoise) -> Floats:
+def _flicker(session: Session, noise: spectrum.MeanNoise) -> Floats:
     """Allan variance (axes,) in mg² of the 1/f noise, measured or from the data sheet."""
     variant = VARIANTS.get(session.sensor)
     stated = 0.0 if variant is None else variant.performance.bias_instability_mg**2

@@ -29,17 +29,8 @@ from adis_gonio.base.errors import DataError
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.links import Links
 from adis_gonio.fitting.estimation.spectrum import covariance_of_means
+from adis_gonio.fitting.gyros import turn_integration
 from adis_gonio.fitting.gyros.gyro_readings import GyroDwells, gyro_dwells_of
-from adis_gonio.fitting.gyros.turn_integration import (
-    NOT_RECORDED,
-    PARAMETERS,
-    AssumedGyros,
-    attitude,
-    gyro_directions,
-    integrate,
-    path_between,
-    smooth_blocks,
-)
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Session, Turn
 
@@ -89,7 +80,7 @@ class GyroPrior:
         Gains and misalignments of each gyro are independent. The whole triad is rotated against the
         triad of the accelerometers: the direction of each in the package is equally uncertain.
         """
-        values = np.concatenate([np.eye(3).ravel(), np.zeros(PARAMETERS - 9)])
+        values = np.concatenate([np.eye(3).ravel(), np.zeros(turn_integration.PARAMETERS - 9)])
         gain, per_g = UNKNOWN_GAIN, UNKNOWN_G_DPS
         misalignment = turned = math.radians(UNKNOWN_MISALIGNMENT_DEG)
         if sensor in VARIANTS:
@@ -104,7 +95,7 @@ class GyroPrior:
         )
         for i, j in ((0, 1), (0, 2), (1, 2)):
             # A small rotation in the plane of axes i and j changes two elements of A by ± its angle.
-            apart = np.zeros(PARAMETERS)
+            apart = np.zeros(turn_integration.PARAMETERS)
             apart[3 * i + j], apart[3 * j + i] = turned, -turned
             covariance += np.outer(apart, apart)
         return cls(values, covariance)
@@ -153,7 +144,7 @@ def _parameters(gyros: GyroCalibration, values: Floats) -> Floats:
     held = dict(zip((one.name for one in gyros.parameters), values.tolist(), strict=True))
     misalignment = np.array([[held.get(f"gyro_misalignment_{i}{j}", 0.0) for j in AXES] for i in AXES])
     gains = np.array([held.get(f"gyro_scale_{i}", 1.0) for i in AXES])
-    rows = gains[:, None] * gyro_directions(misalignment)
+    rows = gains[:, None] * turn_integration.gyro_directions(misalignment)
     per_g = np.array([[held.get(f"g_sensitivity_{i}{j}", 0.0) for j in AXES] for i in AXES])
     return np.concatenate([rows.ravel(), per_g.ravel(), np.zeros(3)])
 
@@ -247,9 +238,11 @@ class GyroLinks:
         """
         place = {int(number): row for row, number in enumerate(position)}
         used = [k for k, leg in enumerate(self.legs) if all(p in place for p in leg.positions)]
-        gyros = AssumedGyros.of(values)
+        gyros = turn_integration.AssumedGyros.of(values)
         turned = [
-            attitude(leg.time_s, leg.rate_dps, leg.force_g, gyros, self.noise_dps2, leg.size_dps)
+            turn_integration.attitude(
+                leg.time_s, leg.rate_dps, leg.force_g, gyros, self.noise_dps2, leg.size_dps
+            )
             for leg in self.legs
         ]
         own_wander, next_wander = self._wander
@@ -318,9 +311,9 @@ def _leg(session: Session, turn: Turn, rests: GyroDwells) -> Leg | str:
     before, after = (rests.by_position.get(position) for position in (turn.before, turn.position))
     if before is None or after is None:
         return "one of its dwells has no gyros"
-    path = path_between(session, turn, rests.dwells[before], rests.dwells[after])
+    path = turn_integration.path_between(session, turn, rests.dwells[before], rests.dwells[after])
     sampling = rests.sampling
-    integral = NOT_RECORDED if path is None else integrate(path, sampling)
+    integral = turn_integration.NOT_RECORDED if path is None else turn_integration.integrate(path, sampling)
     if path is None or isinstance(integral, str):
         return str(integral)
     rows = slice(
@@ -337,7 +330,7 @@ def _leg(session: Session, turn: Turn, rests: GyroDwells) -> Leg | str:
         time,
         rate,
         np.where(np.isfinite(force), force, 0.0),
-        np.abs(smooth_blocks(rate, sampling.window)),
+        np.abs(turn_integration.smooth_blocks(rate, sampling.window)),
         (rests.variance_dps2[before] + rests.variance_dps2[after]) / 4,
         math.radians(1.0) ** 2 * missing,
         np.array([rests.spans_s[before], (integral.begin_s, integral.end_s), rests.spans_s[after]]),

@@ -1,6 +1,6 @@
 """Readings of the gyros: mean rates over dwells and turns, with the true rotation of the sensor.
 
-Nothing rotates in a dwell, and a turn counts if its true rotation is known (`turn_references`). Both are
+Nothing rotates in a dwell, and a turn counts if its true rotation is known (`turn_integration`). Both are
 means over time. Everything linear in the rate (gain, direction of the axis, zero rate, g-sensitivity)
 depends on the mean alone, however uneven a hand turns. The mean of |rate| (`abs_dps`) is kept for the
 asymmetry of the gain, which is not linear. Turns beyond the range are refused.
@@ -30,26 +30,7 @@ from adis_gonio.device.sensor.registers import GYRO_LSB_DPS, VARIANTS
 from adis_gonio.fitting.estimation.readings import Readings, Unit, flicker_parts, quantization_variance
 from adis_gonio.fitting.estimation.screening import steps_of
 from adis_gonio.fitting.estimation.spectrum import MeanNoise, noise_of_means, spans
-from adis_gonio.fitting.gyros.turn_integration import (
-    MARK_U_DEG,
-    NOT_RECORDED,
-    Integral,
-    Path,
-    Reference,
-    Sampling,
-    Triad,
-    dps_per_unit,
-    g_per_unit,
-    integrate,
-    path_between,
-    period_of,
-    reference_as_declared,
-    reference_in_space,
-    reference_on_stage,
-    steady_force,
-    three_axes,
-    triad_of,
-)
+from adis_gonio.fitting.gyros import turn_integration
 from adis_gonio.model.effects import AXES, Conditions
 from adis_gonio.model.measurement import MeanRate
 from adis_gonio.model.records import Dwell, Session, Turn
@@ -113,7 +94,7 @@ class RateIntervals:
         Covariance of `rotation_dps` that is independent in each turn; 0 for dwells.
     rotation_modes_dps : (n, 3, k) float or None
         Change of `rotation_dps` by one standard uncertainty of each of k errors of the accelerometers,
-        which all turns share (`accelerometer_triad`).
+        which all turns share (`turn_integration.Axes`).
     force_g : (n, 3) float
         Mean reading of the accelerometers in g; z is 0 without a Z accelerometer.
     abs_dps : (n, 3) float
@@ -200,7 +181,7 @@ class GyroDwells:
     scale: float
     per_g: float
     noise: MeanNoise
-    sampling: Sampling
+    sampling: turn_integration.Sampling
     allan_dps2: Floats
 
     @property
@@ -221,7 +202,9 @@ class GyroDwells:
     @cached_property
     def force_g(self) -> Floats:
         """Mean reading (n, 3) of the accelerometers in each dwell, in g."""
-        return self.per_g * np.array([three_axes(dwell.accel).mean(axis=0) for dwell in self.dwells])
+        return self.per_g * np.array(
+            [turn_integration.three_axes(dwell.accel).mean(axis=0) for dwell in self.dwells]
+        )
 
     @cached_property
     def spans_s(self) -> Floats:
@@ -250,7 +233,7 @@ def gyro_dwells_of(session: Session) -> GyroDwells:
         )
     if session.gyro_unit == "counts":
         raise DataError(f"{source}: gyros in counts have no known scale; state gyro_unit dps or radps")
-    scale = dps_per_unit(session)
+    scale = turn_integration.dps_per_unit(session)
     rows = tuple(np.asarray(dwell.gyro) for dwell in dwells)
     for dwell, gyro in zip(dwells, rows, strict=True):
         if not np.isfinite(gyro).all():
@@ -262,14 +245,14 @@ def gyro_dwells_of(session: Session) -> GyroDwells:
     allan = np.where(noise.flicker > 0, noise.flicker, np.minimum(stated, noise.flicker_limit))
     configuration = session.facts.get("configuration") or {}
     counts = np.array([len(dwell) for dwell in dwells], dtype=float)
-    sampling = Sampling(
-        period_s=period_of([dwell.time_s for dwell in dwells]),
+    sampling = turn_integration.Sampling(
+        period_s=turn_integration.period_of([dwell.time_s for dwell in dwells]),
         filter_m=int(configuration.get("filter_m", 0)),
         range_dps=float(configuration.get("gyro_range_dps") or (300.0 if variant else math.inf)),
         density_dps2=(noise.covariance * counts[:, None, None] ** 2).sum(axis=0) / counts.sum(),
         drift_dps=np.sqrt(allan),
     )
-    return GyroDwells(dwells, rows, scale, g_per_unit(session), noise, sampling, allan)
+    return GyroDwells(dwells, rows, scale, turn_integration.g_per_unit(session), noise, sampling, allan)
 
 
 def rate_intervals(session: Session, calibration: Calibration | None = None) -> RateIntervals:
@@ -288,7 +271,7 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
     rests = gyro_dwells_of(session)
     rows = _intervals_of_dwells(session, rests)
     turns = [t for t in session.turns if {t.before, t.position} <= rests.by_position.keys()]
-    triad = triad_of(session, calibration) if turns else None
+    triad = turn_integration.triad_of(session, calibration) if turns else None
     refused: dict[str, list[int]] = {}
     if triad is not None:
         consecutive, whole = _consecutive(turns), any(turn.turned_deg is not None for turn in turns)
@@ -383,12 +366,14 @@ def _intervals_of_dwells(session: Session, rests: GyroDwells) -> list[_Interval]
 
 
 def _interval_of_turn(
-    session: Session, turn: Turn, rests: GyroDwells, triad: Triad, consecutive: int
+    session: Session, turn: Turn, rests: GyroDwells, triad: turn_integration.Triad, consecutive: int
 ) -> _Interval | str:
     """Mean rates during a turn as a row of the table, or the reason why the turn gives none."""
     before, after = (rests.dwells[rests.by_position[k]] for k in (turn.before, turn.position))
-    path = path_between(session, turn, before, after)
-    integral = NOT_RECORDED if path is None else integrate(path, rests.sampling)
+    path = turn_integration.path_between(session, turn, before, after)
+    integral = (
+        turn_integration.NOT_RECORDED if path is None else turn_integration.integrate(path, rests.sampling)
+    )
     if path is None or isinstance(integral, str):
         return str(integral)
     if turn.turned_deg is not None:
@@ -423,19 +408,23 @@ def _interval_of_turn(
 def _declared(
     session: Session,
     declared_deg: float,
-    path: Path,
-    integral: Integral,
-    triad: Triad,
+    path: turn_integration.Path,
+    integral: turn_integration.Integral,
+    triad: turn_integration.Triad,
     delay_s: float,
     consecutive: int,
-) -> Reference | str:
+) -> turn_integration.Reference | str:
     """True rotation by a declared angle about the vertical, or the reason why it is unknown."""
-    steady, covariance = steady_force(path, integral.begin_s + delay_s, integral.end_s + delay_s)
+    steady, covariance = turn_integration.steady_force(
+        path, integral.begin_s + delay_s, integral.end_s + delay_s
+    )
     axis = covariance / max(float(steady @ steady), 1e-18)
     sigma = session.fixture_sigma_deg
-    mark_u_deg = MARK_U_DEG if sigma is None or not math.isfinite(sigma) else sigma
+    mark_u_deg = turn_integration.MARK_U_DEG if sigma is None or not math.isfinite(sigma) else sigma
     down = triad.axes.direction(steady)
-    found = reference_as_declared(integral, declared_deg, down, mark_u_deg, axis, consecutive)
+    found = turn_integration.reference_as_declared(
+        integral, declared_deg, down, mark_u_deg, axis, consecutive
+    )
     if isinstance(found, str):
         return found
     # The rotation is upward, opposite to the accelerometers' reading.
@@ -443,17 +432,21 @@ def _declared(
     return replace(found, modes_deg=-size * triad.axes.modes(steady))
 
 
-def _by_gravity(integral: Integral, triad: Triad, positions: tuple[int, int]) -> Reference | str:
+def _by_gravity(
+    integral: turn_integration.Integral, triad: turn_integration.Triad, positions: tuple[int, int]
+) -> turn_integration.Reference | str:
     """True rotation in a turn between two dwells, from gravity at both, or why it is unknown."""
     if triad.psi_deg is not None:
         here, there = (triad.psi_deg.get(position) for position in positions)
         if here is None or there is None:
             return "one of its dwells has no angle by gravity"
-        return reference_on_stage(integral, (here[0], there[0]), math.hypot(here[1], there[1]))
+        return turn_integration.reference_on_stage(
+            integral, (here[0], there[0]), math.hypot(here[1], there[1])
+        )
     before, after = (triad.gravity.get(position) for position in positions)
     if before is None or after is None:
         return "one of its dwells has no direction of gravity"
-    return reference_in_space(integral, (before, after), triad.u_rad)
+    return turn_integration.reference_in_space(integral, (before, after), triad.u_rad)
 
 
 def gyro_readings_of(session: Session) -> Readings:

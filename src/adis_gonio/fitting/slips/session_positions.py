@@ -19,15 +19,7 @@ from adis_gonio.base.numbers import format_uncertain
 from adis_gonio.base.uncertainty import CREDIBLE_SET, NORMAL_95, Value
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
-from adis_gonio.fitting.gyros.turn_integration import (
-    LONGEST_GAP_S,
-    Path,
-    Sampling,
-    dps_per_unit,
-    integrate,
-    path_between,
-    period_of,
-)
+from adis_gonio.fitting.gyros import turn_integration
 from adis_gonio.fitting.slips.position_evidence import (
     Detectability,
     KnownFaults,
@@ -299,7 +291,7 @@ class Diagnosis:
 def diagnose(angles: Angles) -> Diagnosis:
     """Compute the probability of every fault at every position, and report the certain faults.
 
-    The faults are listed in `position_faults`.
+    The faults are listed in `position_model`.
     """
     declared = int(np.isfinite(angles.declared_rad).sum())
     watched = angles.turns is not None and bool(np.isfinite(angles.turns.angle_rad).any())
@@ -635,7 +627,7 @@ def _increments(session: Session, readings: Readings) -> Increments | None:
     for k, pair in enumerate(pairs):
         if pair in turns and pair[0] in by_position and pair[1] in by_position:
             ends = by_position[pair[0]], by_position[pair[1]]
-            path = path_between(session, turns[pair], *ends)
+            path = turn_integration.path_between(session, turns[pair], *ends)
             found = None if path is None else _turned(path, sampling, zero_dps2)
             rows[k] = np.nan if found is None else found
             halts[k] = None if path is None or found is None else halts_of(path, sampling)
@@ -658,16 +650,16 @@ def _noted(session: Session) -> dict[tuple[int, int], tuple[float, float]]:
     }
 
 
-def _sampling(session: Session, dwells: Sequence[Dwell]) -> tuple[Sampling, float]:
+def _sampling(session: Session, dwells: Sequence[Dwell]) -> tuple[turn_integration.Sampling, float]:
     """Describe the sampling of the gyros, and compute the variance of the mean rate about z in a dwell."""
     configuration = session.facts.get("configuration") or {}
     variant = VARIANTS.get(session.sensor)
     range_dps = configuration.get("gyro_range_dps") or (math.inf if variant is None else 300.0)
     drift = INSTABILITY_DPS if variant is None else variant.performance.gyro_instability_dps
-    period = period_of([dwell.time_s for dwell in dwells])
+    period = turn_integration.period_of([dwell.time_s for dwell in dwells])
     density = _density(session, dwells, period)
     samples = float(np.mean([len(dwell) for dwell in dwells]))
-    sampling = Sampling(
+    sampling = turn_integration.Sampling(
         period, int(configuration.get("filter_m", 0)), float(range_dps), density, np.full(3, drift)
     )
     return sampling, float(density[2, 2]) / samples
@@ -689,15 +681,17 @@ def _density(session: Session, dwells: Sequence[Dwell], period_s: float) -> Floa
         left = means - means.mean(axis=0)
         squares += left.T @ left
         count += whole - 1
-    return np.asarray(dps_per_unit(session) ** 2 * block * squares / max(count, 1))
+    return np.asarray(turn_integration.dps_per_unit(session) ** 2 * block * squares / max(count, 1))
 
 
-def _turned(path: Path, sampling: Sampling, zero_dps2: float) -> tuple[float, float, float, float] | None:
+def _turned(
+    path: turn_integration.Path, sampling: turn_integration.Sampling, zero_dps2: float
+) -> tuple[float, float, float, float] | None:
     """Turn about z and its u in degrees, and the integral of the force minus the force at rest, in g·s.
 
     None if the record of the turn has a gap.
     """
-    found = integrate(path, sampling)
+    found = turn_integration.integrate(path, sampling)
     if not isinstance(found, str):
         angle, variance = float(found.turned_deg[2]), float(found.covariance_deg2[2, 2])
         length, mean = found.length_s, found.force_g
@@ -716,9 +710,9 @@ def _turned(path: Path, sampling: Sampling, zero_dps2: float) -> tuple[float, fl
     return angle, math.sqrt(variance + zero), float(beyond[0]), float(beyond[1])
 
 
-def _stayed(path: Path, sampling: Sampling) -> bool:
+def _stayed(path: turn_integration.Path, sampling: turn_integration.Sampling) -> bool:
     """True if the gyro record between two dwells has no gap and shows no turn."""
-    if float(np.diff(path.time_s).max()) > LONGEST_GAP_S:
+    if float(np.diff(path.time_s).max()) > turn_integration.LONGEST_GAP_S:
         return False
     window = min(sampling.window, len(path.time_s))
     whole = len(path.time_s) // window
