@@ -57,9 +57,12 @@ def fit_ml(readings: Readings) -> FitResult:
     wanted = ("delta_k", "delta_phi") if readings.planar else names
     if not any(o.name in wanted for o in reported):
         directions = "; ".join(format_directions(null, names))
+        advice = advise_positions(lost)
+        if readings.planar and not np.isfinite(readings.angle_rad).any():
+            advice = "declare the stage's angle of each position (column angle_deg)"
         raise SingularError(
             f"{counted(len(readings), 'position')} cannot determine {' or '.join(wanted[:2])}: they "
-            f"contain no information on {directions}; {advise_positions(lost)}"
+            f"contain no information on {directions}; {advice}"
         )
     warnings = [*readings.notes, *noise.notes, *_warnings(determination, held, lost, reported)]
     sources = _sources(readings, settled)

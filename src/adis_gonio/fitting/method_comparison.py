@@ -196,7 +196,7 @@ def _why(
     else:
         reasons.append("no dwell can be left out to compare the methods by")
     if len(good) > 1 and _doubt(result) < math.inf:
-        reasons.append("no other is surer of ΔK and Δφ")
+        reasons.append("no other gives a smaller u of ΔK and Δφ")
     return "; ".join(reasons)
 
 

@@ -171,7 +171,7 @@ def _residuals(result: GyroFit) -> Figure:
 
 
 LONG_S = 30.0
-"""Length of a rest that shows a gyro's floor (docs/noise.md); shorter ones show little but white noise."""
+"""Length of a rest that shows a gyro's floor (docs/gyros.md); shorter ones show little but white noise."""
 _TIME = "averaging time / s"
 _SLOW = ("flicker", "walk")
 

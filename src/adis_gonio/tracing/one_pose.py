@@ -153,7 +153,7 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
         )
     if dwell.temperature_c is None:
         raise FitError(
-            f"{where}one position only and no temperature: nothing that the readings could follow; record"
+            f"{where}one position only and no temperature: there is nothing to trace; record"
             " the temperature with the samples (temp_c), or measure at least two positions"
         )
     conditions = series_conditions(dwell)
@@ -171,7 +171,7 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
         none = 1 - sum(share.values())
         if chosen is None or none > limits.certain:
             reasons = {
-                one.effect.name: f"a jump or slow noise of the zero is in its place with {none:.0%}"
+                one.effect.name: f"a jump or slow noise of the bias is more probable ({none:.0%})"
                 for one in share
                 if share[one] > 1 - limits.set_level
             }
@@ -196,12 +196,12 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
     uncaused: list[str] = attempt("movements without a cause", partial(_uncaused, problem, model), [])
     one_way = _one_way(conditions)
     advice: tuple[str, ...] = (
-        "one pose cannot tell a change of zero from a change of gain: repeat the cycle with the part "
+        "one pose does not show whether bias or gain changes: repeat the cycle with the sensor "
         "turned over (each axis once up and once down)",
     )
     if one_way:
         advice = (
-            "the temperature only went one way, so that it cannot be told from time: let it come back",
+            "the temperature only rose or only fell, so its effect looks like a drift: let it come back",
             *advice,
         )
     return TraceResult(

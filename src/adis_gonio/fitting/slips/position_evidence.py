@@ -259,7 +259,7 @@ def weigh(
 def _weighed(
     rows: Rows, grid: Sequence[ScatterPoint], patterns: Sequence[Pattern], known: KnownFaults
 ) -> tuple[Floats, list[tuple[int, Name]]]:
-    """Ln of prior times likelihood (1 + names, grid), for no further fault and for each fault and name.
+    """Log of prior times likelihood (1 + names, grid): of no further fault, then of each fault and name.
 
     Also returns the pairs of fault number and name that rows 1, 2, … belong to.
     """

@@ -73,7 +73,7 @@ class Named(JsonRecord):
     positions : tuple of int
         Accused positions; of a lasting change the first one.
     probability : float
-        Share among all possible faults here.
+        Share of the probability of all faults that accuse a position.
     """
 
     name: Name
