@@ -135,6 +135,8 @@ class Outcome(StrEnum):
     CONTRADICTS = "contradicts"
     MEASURED = "measured"
     """The table has no value, and one was measured."""
+    OPEN = "open"
+    """The observations do not decide between the table and its rivals."""
     NOT_MEASURED = "not measured"
 
 
