@@ -180,10 +180,11 @@ def test_the_drawing_agrees_with_the_simulated_part():
     start = world.stage.at(np.array([0.0])).direction[0]
     end_s = world.stage.move_to(1.0, 90.0)
     turned = world.stage.at(np.array([end_s + 1.0])).direction[0]
-    text = "\n".join(PLANE)
-    assert "X arrow down (reads +1 g), Y level (0)" in text
+    # The words for the start are on the left, the words for +90° on the right.
+    left, right = (" ".join(line[part].strip() for line in PLANE) for part in (slice(47), slice(47, None)))
+    assert "X arrow down (reads +1 g), Y level (0)" in left
     assert start == pytest.approx([1, 0, 0], abs=1e-9)
-    assert "X level (0), Y arrow up (reads -1 g)" in text
+    assert "X level (0), Y arrow up (reads -1 g)" in right
     assert turned == pytest.approx([0, -1, 0], abs=1e-9)
     # Z towards the viewer: X down with Y right is right-handed, and so is X right with Y up.
     right, up, toward = [1, 0, 0], [0, 1, 0], [0, 0, 1]
