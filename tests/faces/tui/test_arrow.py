@@ -115,4 +115,4 @@ def test_a_turn_during_a_pause_is_not_counted_and_not_guessed(ends_at, tmp_path)
             hand.see(runner, event)
     assert said
     assert not any(arrow(line) for line in said), said
-    assert all(("there" in line) == (ends_at == 0.0) for line in said)
+    assert all(("by the scale" in line) == (ends_at == 0.0) for line in said)

@@ -76,7 +76,7 @@ class Operator:
         self.turn(angle_deg)
         if number > 1:
             # Gravity knows the angle to a degree or two before biases and gains are known.
-            self.sees(r"target .*(● there|turn [+−][0-2]\.\d°)")
+            self.sees(r"target .*(● within|turn [+−][0-2]\.\d°)")
         self.terminal.press("Enter")
 
 
