@@ -392,12 +392,13 @@ class RecordedChip:
 
     def _conditions(self, row: Register, word: int, time_s: float) -> None:
         """Note that an alarm begins, or that a write ends a condition of which the flag EA has told."""
-        span = self.spans[-1]
-        self._settled_s = time_s + 0.02 + 140 * (0 if math.isnan(span.period_s) else span.period_s)
+        period_s = self.spans[-1].period_s
+        # The condition acts with the next update.
+        self._settled_s = time_s + (0.1 if math.isnan(period_s) else 3 * period_s)
         if row.name == "ALM_CTRL":
             self._over = "alarm" if not word and self._alarming is not None else ""
             self._proved = self._flagged
-            self._alarming = time_s + 0.02 if word else None
+            self._alarming = self._settled_s if word else None
         elif row.name in ACCEL_OFF and self._flagged and self._alarming is None:
             self._over = "over_range"
 
