@@ -66,7 +66,7 @@ class Check:
 
 
 @dataclass
-class Span:
+class RegisterSpan:
     """Time between two changes of the registers: contents and words of the outputs, by register.
 
     Readings have begun to settle at `changed_s`. `verified` has the names of the registers that were read
@@ -119,7 +119,7 @@ class Span:
 
 
 @dataclass(frozen=True)
-class Rest:
+class RestStatistics:
     """Means and standard deviations (6,) of accelerometers and gyros in a span, in LSB of the outputs.
 
     Attributes
@@ -132,7 +132,7 @@ class Rest:
         Filter setting and range of the gyros.
     """
 
-    span: Span
+    span: RegisterSpan
     mean: Floats
     sigma: Floats
     count: int
@@ -155,7 +155,7 @@ class RecordedChip:
     ----------
     checks : list of Check
         Words of control registers.
-    spans : list of Span
+    spans : list of RegisterSpan
     after_writes : list of (frame, content, reply before, reply)
         Word that answers each write.
     waits : dict of str to list of (float, bool)
@@ -190,7 +190,7 @@ class RecordedChip:
         self._contents: dict[str, Content] = {}
         self._parts: dict[str, tuple[int, int]] = {}
         self._flash: dict[str, int] = {}
-        self.spans = [Span(-math.inf, {})]
+        self.spans = [RegisterSpan(-math.inf, {})]
         self._edge_rises = edge_rises
         self._listed: list[Register | None] = []
         self._pending: tuple[str, float] | None = None
@@ -205,7 +205,7 @@ class RecordedChip:
         self._follow(calls)
 
     @cached_property
-    def rests(self) -> list[Rest]:
+    def rests(self) -> list[RestStatistics]:
         """Spans with at least 16 updates of the accelerometers, with NaN for gyros that were not read."""
         found = []
         for span in self.spans:
@@ -217,7 +217,7 @@ class RecordedChip:
             times = columns[0][0]
             spacing = max(float(times[-1] - times[0]) / (len(times) - 1) / span.period_s, 1.0)
             found.append(
-                Rest(
+                RestStatistics(
                     span,
                     np.array([values.mean() if len(values) else math.nan for values in numbers]),
                     np.array([values.std(ddof=1) if len(values) > 1 else math.nan for values in numbers]),
@@ -434,7 +434,7 @@ class RecordedChip:
     def _new_span(self, time_s: float) -> None:
         image = {name: content.word for name, content in self._contents.items()}
         verified = {name for name, content in self._contents.items() if content.cause == "read"}
-        span, before = Span(time_s, image, time_s, verified), self.spans[-1]
+        span, before = RegisterSpan(time_s, image, time_s, verified), self.spans[-1]
         if self._pending is None and span.settings(*READING_BITS) == before.settings(*READING_BITS):
             span.changed_s = before.changed_s
         self.spans.append(span)
