@@ -28,7 +28,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.bench.bringup.bringup_step import FALSE_ALARM, QUESTIONS, Outcome, Question
-from adis_gonio.bench.bringup.recorded_chip import SELF_TEST, RecordedChip, RestStatistics, RegisterSpan
+from adis_gonio.bench.bringup.recorded_chip import SELF_TEST, RecordedChip, RegisterSpan, RestStatistics
 from adis_gonio.device.bus.capture import LogicCapture
 from adis_gonio.device.bus.recording import BusRecording
 from adis_gonio.device.sensor.registers import (
