@@ -237,7 +237,7 @@ def measured(part: Part, plan_name: str) -> Session:
             gravity_mps2=world.settings.gravity_mps2,
             fixture_sigma_deg=world.settings.fixture_sigma_deg,
         )
-        for _ in runner.run():
+        for _ in runner.run(so_far=False):
             pass
         return load_session(path)
 
