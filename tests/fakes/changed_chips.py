@@ -701,7 +701,7 @@ def _null(sensor: Adis16354) -> None:
 def _precise(sensor: Adis16354) -> None:
     sensor.precision_autonull()
     sensor.read_all()
-    _rest(sensor, 24_000)
+    _rest(sensor, 6_000)
 
 
 SERVICE: tuple[Callable[[Adis16354], None], ...] = (

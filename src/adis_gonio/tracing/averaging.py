@@ -116,7 +116,7 @@ class AveragedFit(Fit):
         return self.mixed_used
 
     def carried(self, there: Fit) -> Floats:
-        """Root (rows, k) of the predictions' covariance: within the members and between them."""
+        """Root (rows, k) of the covariance of the predictions, within members and between them."""
         width = len(self.mixed_covariance)
         weights = np.sqrt([weight for weight, _ in self.solutions])
         columns = [member.columns(there, width) for _, member in self.solutions]
