@@ -25,7 +25,7 @@ from adis_gonio.calibrate.calibration_document import (
     gyro_calibration_from,
     json_document,
 )
-from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected
+from adis_gonio.calibrate.calibration import Coefficient, NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
