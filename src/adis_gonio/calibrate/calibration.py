@@ -12,30 +12,25 @@ this equation is solved for g. Effects are small against the reading, so the fix
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+
 import numpy as np
 from numpy.typing import ArrayLike
-from adis_gonio.base.arrays import Floats
-from adis_gonio.base.errors import DataError, UsageError
-from adis_gonio.base.jsonable import HIDDEN, OPTIONAL, JsonRecord
+
+from adis_gonio.base.arrays import Floats, central_differences, wrap_radians
+from adis_gonio.base.conformity import ErrorCurve
+from adis_gonio.base.errors import DataError, FitError, UsageError
+from adis_gonio.base.jsonable import HIDDEN, OPTIONAL, JsonRecord, json_object
+from adis_gonio.base.numbers import counted, join_words
 from adis_gonio.base.output import check_output, replacing, write_utf8
 from adis_gonio.base.tables import ParameterTable
 from adis_gonio.base.uncertainty import Value
-from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
-from adis_gonio.record.provenance import Provenance
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
-from adis_gonio.base.arrays import Floats, central_differences, wrap_radians
-from adis_gonio.base.conformity import ErrorCurve
-from adis_gonio.base.errors import FitError, UsageError
-from adis_gonio.base.jsonable import json_object
-from adis_gonio.base.numbers import counted, join_words
 from adis_gonio.model.effects import AXES, Conditions, Effect
+from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn
 from adis_gonio.model.records import METADATA, MG_PER_MPS2
 from adis_gonio.record.provenance import Covered, Provenance
@@ -310,6 +305,7 @@ def checked_offsets(offsets_lsb: Sequence[int]) -> tuple[int, int, int]:
         raise UsageError(f"offsets are three numbers (x, y, z), not {len(offsets_lsb)}")
     x, y, z = (int(number) for number in offsets_lsb)
     return x, y, z
+
 
 _PASSES = 60
 _SETTLED_MG = 1e-9

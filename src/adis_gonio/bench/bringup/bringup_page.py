@@ -16,7 +16,7 @@ from adis_gonio.bench.bringup.bringup_step import (
     Verdict,
 )
 from adis_gonio.page.document import Figure, Section, Table, render
-from adis_gonio.page.svg import Series, plot
+from adis_gonio.page.document import Series, plot
 
 
 def build_page(found: Bringup) -> str:
