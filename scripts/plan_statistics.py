@@ -245,7 +245,7 @@ def through_the_chip(case: Case, sessions: int, seed: int) -> list[Line]:
                     auto=True,
                     fixture_sigma_deg=case.bench.fixture_deg,
                 )
-                for _ in runner.run():
+                for _ in runner.run(so_far=False):
                     pass
             session = load_session(path)
             result, truth = fit(session), session.facts["truth"]

@@ -46,7 +46,7 @@ def write_back(seed: int, folder: Path, variant: str, plan_name: str, dwell_s: f
     bus = SimBus(seed=seed, part=variant, url=f"sim:?seed={seed}")
     sensor, path = Adis16354(bus, variant), folder / f"{seed}.session"
     runner = SessionRunner.begin(sensor, path, plan(plan_name), Settings(dwell_s=dwell_s), auto=True)
-    for _ in runner.run():
+    for _ in runner.run(so_far=False):
         pass
     writer = OffsetWriter(sensor, path, WriteSettings(save=True, dwell_s=dwell_s))
     made = writer.plan()

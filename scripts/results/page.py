@@ -118,7 +118,7 @@ def paper(found: Document) -> str:
             table(("row", *(f"`{name}`" for name in names)), rows),
             "The paper's method is better than MMPM in ΔK if the fixture is worse than "
             f"{crossing[0.0]:.3f}° (no bias) or {crossing[10.0]:.1f}° (10 mg), because two positions "
-            "hardly feel the fixture in the gains. In Δφ it never is. "
+            "hardly show fixture errors in the gains. In Δφ it is never better. "
             "[Theory](../theory.md#open-points-of-the-seed-paper) lists the points that the paper leaves "
             "open.",
         )

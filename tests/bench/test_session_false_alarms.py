@@ -21,7 +21,7 @@ def alarms(url, path, name, positions=None):
         runner = SessionRunner.begin(
             sensor, path, plan(name, positions), QUICK, auto=True, fixture_sigma_deg=0.02
         )
-        events = list(runner.run())
+        events = list(runner.run(so_far=False))
     found = [event for event in events if isinstance(event, Problem) and event.kind in get_args(GuardKind)]
     return found, sum(isinstance(event, DwellDone) for event in events)
 

@@ -28,7 +28,7 @@ def path(tmp_path_factory):
         runner = SessionRunner.begin(
             sensor, made, plan("four-position"), Settings(dwell_s=0.5), auto=True, **WRITTEN
         )
-        list(runner.run())
+        list(runner.run(so_far=False))
     return made
 
 

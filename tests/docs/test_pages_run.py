@@ -15,7 +15,7 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
 @pytest.mark.parametrize(
-    "name", ["first_calibration", "bringup", "plans", "gyros", "many_sessions", "noise"], ids=str
+    "name", ["first_calibration", "hardware", "plans", "gyros", "many_sessions"], ids=str
 )
 def test_the_commands_of_the_page_run(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -1,4 +1,4 @@
-"""The example of docs/writing.md, command by command, with the outputs that it shows."""
+"""The example of docs/handover.md, command by command, with the outputs that it shows."""
 
 import re
 import shlex
@@ -8,9 +8,9 @@ import pytest
 
 from adis_gonio.faces.cli import main
 
-PAGE = (Path(__file__).parents[2] / "docs" / "writing.md").read_text("utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "handover.md").read_text("utf-8")
 CONSOLE = re.search(r"```console\n(.*?)```", PAGE, re.S)[1]
-PYTHON = re.search(r"```python\n(.*?)```", PAGE, re.S)[1]
+PYTHON = next(text for text in re.findall(r"```python\n(.*?)```", PAGE, re.S) if "bias_left_mg" in text)
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
 
 

@@ -127,11 +127,7 @@ class FaultyChip:
         def act(now_s: float) -> None:
             chip = self.inner
             chip.run_to(now_s)
-            before = chip.memory["SMPL_PRD"]
             chip.memory[name] = word
-            chip._sampler.configure(chip.memory)
-            if chip.memory["SMPL_PRD"] != before:
-                chip._restart_sampling(now_s, empty=True)
 
         self.actions.append((at_s, act))
 
@@ -176,7 +172,6 @@ def _change_control(chip: FaultyChip, at_s: float) -> None:
     def act(now_s: float) -> None:
         chip.inner.run_to(now_s)
         chip.inner.memory["MSC_CTRL"] = chip.inner.memory["MSC_CTRL"] ^ bit
-        chip.inner._sampler.configure(chip.inner.memory)
 
     chip.actions.append((at_s, act))
     chip.cut_s = at_s
@@ -293,7 +288,6 @@ class FaultyBus(SimBus):
             self.chip.memory.save()
         for name, number in self._preset(own.get("preset", "0")).items():
             self.chip.memory[name] = BY_NAME[name].word(number)
-        self.chip._sampler.configure(self.chip.memory)
         self.chip = FaultyChip(self.chip, np.random.default_rng(int(own.get("draw", 0))))
         self.stage = FaultyStage(self, self.world.stage)
         self._arm()

@@ -141,6 +141,10 @@ class PicoRig:
         """Remember every frame from now on."""
         self._ask(op="keep")
 
+    def capture(self, path: Path) -> None:
+        """Write the SPI pins from now on to a VCD file."""
+        self._ask(op="vcd", path=str(path))
+
     def frames(self, first: int = 0) -> list[tuple[int, float, float, float, int]]:
         """Word, fall and rise of chip select in ns, clock in Hz and reply of the frames kept."""
         return [tuple(frame) for frame in self._ask(op="frames", **{"from": first})["frames"]]

@@ -12,6 +12,7 @@ from adis_gonio.device.bus.serial import SerialBus, open_from_url
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.sim.testing.bus_contract import BusContract, Rig as ContractRig, WireFrame
 from firmware.board_tests import SEVEN, DriverTests, open_serial
+from firmware.captures import compare, exercise
 from firmware.pico_rig import PicoRig, PtyCable
 from firmware.soak import soak
 
@@ -173,3 +174,10 @@ class TestPicoBinary(BusContract):
 
     def make(self) -> ContractRig:
         raise NotImplementedError
+
+
+def test_a_capture_of_the_pins_has_the_frames_and_words_of_the_host(make_pico, tmp_path):
+    rig = make_pico(accelMg=UP_X)
+    rig.capture(tmp_path / "pins.vcd")
+    exercise(open_serial(rig), tmp_path / "host.rec")
+    assert compare(tmp_path / "pins.vcd", tmp_path / "host.rec") > 100

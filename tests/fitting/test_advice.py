@@ -12,6 +12,7 @@ from scipy.optimize import root
 
 from adis_gonio import fit
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import SingularError
 from adis_gonio.fitting.linked import LinkReport
 from adis_gonio.fitting.maximum_likelihood import advise_positions
 from adis_gonio.model.measurement import sensitivity
@@ -38,6 +39,13 @@ from fitting.test_uncertainty import FOUR, turn
 )
 def test_positions_that_would_show_what_is_lost_are_named(lost: list[str], advice: str) -> None:
     assert advise_positions(lost) == advice
+
+
+def test_a_session_without_declared_angles_is_advised_to_declare_them() -> None:
+    session = turn(FOUR)
+    session = replace(session, dwells=tuple(replace(dwell, angle_deg=None) for dwell in session.dwells))
+    with pytest.raises(SingularError, match=r"declare the stage's angle .*column angle_deg"):
+        fit(session)
 
 
 @pytest.mark.parametrize(

@@ -336,7 +336,7 @@ def test_one_position_is_no_calibration(angles: tuple[float, ...]) -> None:
     lost = replace(turned(angles[:1]), angle_rad=np.full(1, np.nan))
     with pytest.raises(FitError, match="one position only"):
         fit_readings(lost)
-    with pytest.raises(FitError, match="needs declared angles and fixture_sigma_deg is free here"):
+    with pytest.raises(FitError, match="needs declared angles and here fixture_sigma_deg is free"):
         fit_readings(turned((0.0, 90.0), fixture_rad=math.inf), "two-position")
 
 

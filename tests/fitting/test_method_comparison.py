@@ -100,15 +100,15 @@ def test_the_reason_says_what_decided() -> None:
     )
     several = chosen([result("mmpm"), result("ml")])
     assert several.why == (
-        "it predicts the 8 dwells as well as any, each left out of its fit (0.057° rms); no other is "
-        "surer of ΔK and Δφ"
+        "it predicts the 8 dwells as well as any, each left out of its fit (0.057° rms); no other "
+        "gives a smaller u of ΔK and Δφ"
     )
     blind = chosen([result("paper", bias=False), result("two-position", bias=False)])
     assert blind.why.startswith("no method sees the biases in these positions, which are taken as zero; ")
     nothing = {name: DwellPrediction(np.ones(3), np.full((3, 2), np.nan)) for name in ("mmpm", "ml")}
     told = recommend([result("mmpm"), result("ml")], nothing, scores_of(nothing), "ml")
     assert told.why == (
-        "no dwell can be left out to compare the methods by; no other is surer of ΔK and Δφ"
+        "no dwell can be left out to compare the methods by; no other gives a smaller u of ΔK and Δφ"
     )
     assert told.as_dict() == {"method": "ml", "effects": [], "why": told.why}
 

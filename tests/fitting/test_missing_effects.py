@@ -10,6 +10,7 @@ from adis_gonio import fit, load_session
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.answer import Answer
 from adis_gonio.fitting.methods import fit_ml
+from tracing.recorded import record
 
 HIDDEN = (
     "quadratic:k2_x=8",
@@ -23,16 +24,19 @@ LED_BY = "The model does not describe this session"
 
 
 @pytest.fixture(scope="module")
-def lacking(tmp_path_factory):
-    """Return fits by `ml` of sessions that each hide an effect, with the truth."""
-    folder, found = tmp_path_factory.mktemp("lacking"), []
-    for seed, effect in enumerate(HIDDEN):
-        path = folder / f"{seed}.session"
-        given = ["--plan", "tumble", "--seed", str(seed), "--dwell", "2", "--effect", effect]
-        assert main(["simulate", *given, "-o", str(path)]) == 0
-        session = load_session(path)
-        found.append((fit(session, method="ml"), session.facts["truth"]))
-    return found
+def paths(tmp_path_factory):
+    """Return files of tumbles that each hide an effect."""
+    folder = tmp_path_factory.mktemp("lacking")
+    return [
+        record(folder / f"{seed}.session", seed, effect, dwell_s=2.0) for seed, effect in enumerate(HIDDEN)
+    ]
+
+
+@pytest.fixture(scope="module")
+def lacking(paths):
+    """Return fits by `ml` of these sessions, with the truth."""
+    sessions = list(map(load_session, paths))
+    return [(fit(session, method="ml"), session.facts["truth"]) for session in sessions]
 
 
 @pytest.fixture(scope="module")
@@ -83,11 +87,8 @@ def test_a_model_that_does_not_describe_the_session_leads_the_answer_and_names_t
         assert "adis-gonio trace" in Answer.of(result).text()
 
 
-def test_the_command_says_so_in_its_first_line_and_its_first_warning(tmp_path, capsys):
-    path = tmp_path / "a.session"
-    given = ["--plan", "tumble", "--seed", "0", "--dwell", "2", "--effect", HIDDEN[0]]
-    assert main(["simulate", *given, "-o", str(path)]) == 0
-    capsys.readouterr()
+def test_the_command_says_so_in_its_first_line_and_its_first_warning(paths, capsys):
+    path = paths[0]
     assert main(["fit", str(path)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith(LED_BY)

@@ -31,5 +31,5 @@ def test_thousands_of_samples_are_not_too_few_readings(tmp_path):
     assert "bias_temperature (x, y, z)" in said
     assert "as many parameters as there are readings" not in said
     assert "more positions" not in said.lower()
-    assert "One pose does not show whether zero or gain" in said
+    assert "One pose does not show whether bias or gain" in said
     assert "noise of neighbouring samples" in said

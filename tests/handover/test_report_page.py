@@ -14,8 +14,7 @@ from adis_gonio.base.numbers import format_p, format_percent, format_uncertain, 
 from adis_gonio.handover.calibration_report import build_page, views
 from adis_gonio.model.effects import Conditions, effect
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.page.document import Figure, Section, Table
-from adis_gonio.page.document import Series, plot
+from adis_gonio.page.document import Figure, Section, Series, Table, plot
 from adis_gonio.tracing.trace_summary import confounded, headline, how_sure, sight
 from adis_gonio.tracing.traced_answer import answer_with_trace
 
@@ -111,8 +110,8 @@ def test_the_page_is_well_formed_and_loads_nothing(page):
 def test_the_page_answers_every_question(page):
     wanted = {
         "Summary", "Results by method", "Effects found", "Error before and after",
-        "Residual, step by step", "Remaining residual", "Rivals", "Smallest detectable amplitudes",
-        "What to measure next", "Data and configuration",
+        "Residual, step by step", "Remaining residual", "Other probable models",
+        "Smallest detectable amplitudes", "What to measure next", "Data and configuration",
     }  # fmt: skip
     assert wanted <= set(outline(page).headings)
 
@@ -279,8 +278,8 @@ def test_nothing_is_called_absent_that_cannot_be_told_from_others(curved):
 def test_nothing_is_called_absent_beside_an_inadequate_model(curved):
     from adis_gonio.tracing.trace_summary import absent
 
-    assert absent(curved[1]).startswith("not there")
-    assert not absent(replace(curved[1], adequate=False)).startswith("not there")
+    assert absent(curved[1]).startswith("absent")
+    assert not absent(replace(curved[1], adequate=False)).startswith("absent")
 
 
 def test_effects_of_what_was_not_recorded_are_said_to_be_unseen(curved):

@@ -79,6 +79,7 @@ export class Pins {
 
   end(frame, rise) {
     this.frame = null;
+    this.vcd?.frame(frame, rise);
     const limits = LIMITS[frame.mode];
     const [sent] = frame.words;
     if (frame.words.length !== 1 || sent.bits !== 16) {

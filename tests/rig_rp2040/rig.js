@@ -7,6 +7,7 @@ import { boot, readUf2 } from './image.js';
 import { Pins } from './pins.js';
 import { Silicon } from './silicon.js';
 import { StockHost, UsbHost } from './usb_host.js';
+import { Vcd } from './vcd.js';
 
 const FLASH_NUMBER = [0xe6, 0x61, 0x41, 0x03, 0xe7, 0x35, 0x29, 0x2b];
 const PAINT = 0xc5;
@@ -65,6 +66,9 @@ class Rig {
         return { ns: pins.edges };
       case 'keep':
         pins.log = [];
+        return {};
+      case 'vcd': // a capture of the SPI pins from now on
+        pins.vcd = new Vcd(request.path);
         return {};
       case 'frames':
         return { frames: pins.log.slice(request.from) };

@@ -23,8 +23,8 @@ class Board:
     ----------
     program, elf : Path
         The rig and the firmware that it runs.
-    options : float
-        Options of rig.c, and parameters of the chip.
+    options : float or Path
+        Options of rig.c, and parameters of the chip; `vcd` is the file of a capture of the pins.
 
     Attributes
     ----------
@@ -32,13 +32,16 @@ class Board:
         The pty.
     """
 
-    def __init__(self, program: Path, elf: Path, **options: float) -> None:
+    def __init__(self, program: Path, elf: Path, **options: float | Path) -> None:
         self._clock_file = tempfile.NamedTemporaryFile(prefix="rig-clock-")  # noqa: SIM115
         self._clock_file.write(bytes(8))
         self._clock_file.flush()
         self._clock = mmap.mmap(self._clock_file.fileno(), 8, prot=mmap.PROT_READ)
         self._seen_s, self._moved_s = 0.0, time.monotonic()
-        words = [f"{name}={value:.12g}" for name, value in options.items()]
+        words = [
+            f"{name}={value if isinstance(value, Path) else format(value, '.12g')}"
+            for name, value in options.items()
+        ]
         self._process = subprocess.Popen(
             [str(program), f"elf={elf}", f"clock={self._clock_file.name}", *words],
             stdin=subprocess.PIPE,

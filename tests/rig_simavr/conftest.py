@@ -41,7 +41,7 @@ def make_board() -> Iterator[Callable[..., Board]]:
     boards: list[Board] = []
     judged: list[Board] = []
 
-    def make(*, sound: bool = True, **options: float) -> Board:
+    def make(*, sound: bool = True, **options: float | Path) -> Board:
         boards.append(Board(program, elf, **{"seconds": 60, **options}))
         if sound:
             judged.append(boards[-1])

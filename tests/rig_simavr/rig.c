@@ -3,7 +3,9 @@
  * SPI master, UART and pins are this file's own: simavr's do not make edges. Time is the simulated board's; it never
  * runs ahead of the wall clock (speed=1) and does not catch up where the machine was busy.
  *
- *   rig elf=gonio.elf [NAME=VALUE ...]        NAME: see options below, or a parameter of the chip
+ *   rig elf=gonio.elf [vcd=FILE] [NAME=VALUE ...]     NAME: see options below, or a parameter of the chip
+ *
+ * vcd=FILE is a capture of the pins as of a logic analyser, complete after each report.
  *
  * First line on stdout: the pty. Then one line for each line on stdin: report | set NAME VALUE | input NAME VALUE |
  * forget | quit. The board starts, and restarts, when the pty is opened, and stands still while it is closed.
@@ -110,6 +112,35 @@ static void at_time(ps_t at, avr_cycle_timer_t call)
     avr_cycle_timer_register(avr, cycle > avr->cycle ? cycle - avr->cycle : 1, call, NULL);
 }
 
+/* -- capture --------------------------------------------------------------------------------------------------- */
+
+static FILE *vcd;
+static void fail(const char *what);
+
+static void open_vcd(const char *path)
+{
+    vcd = fopen(path, "w");
+    if (vcd == NULL) {
+        fail("vcd: cannot be written");
+    }
+    fprintf(vcd, "$timescale 1 ns $end\n$scope module pins $end\n$var wire 1 c cs $end\n$var wire 1 k sclk $end\n"
+                 "$var wire 1 o mosi $end\n$var wire 1 i miso $end\n$var wire 1 d dio1 $end\n$upscope $end\n"
+                 "$enddefinitions $end\n#0\n1c\n1k\n0o\n1i\n1d\n");
+}
+
+static void capture(ps_t now, char wire, int level)
+{
+    static ps_t last = 0;
+    if (vcd == NULL) {
+        return;
+    }
+    if (now / 1000 != last) {
+        last = now / 1000;
+        fprintf(vcd, "#%lld\n", (long long)last);
+    }
+    fprintf(vcd, "%d%c\n", level != 0, wire);
+}
+
 /* -- pins ------------------------------------------------------------------------------------------------------ */
 
 static avr_cycle_count_t dio_timer(avr_t *mcu, avr_cycle_count_t when, void *param);
@@ -122,6 +153,7 @@ static void follow_dio(ps_t now)
             seen.edges++;
         }
         level_dio = level;
+        capture(now, 'd', level);
         avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), 2), (uint32_t)level);
     }
     ps_t next = chip_next_event(chip, now);
@@ -141,6 +173,7 @@ static void set_cs(ps_t now, int level)
 {
     if (level != level_cs) {
         level_cs = level;
+        capture(now, 'c', level);
         chip_cs(chip, now, level);
         if (level) {
             follow_dio(now); /* a write may have changed the lines */
@@ -152,6 +185,7 @@ static void set_sck(ps_t now, int level)
 {
     if (level != level_sck) {
         level_sck = level;
+        capture(now, 'k', level);
         chip_sck(chip, now, level);
     }
 }
@@ -160,6 +194,7 @@ static void set_mosi(ps_t now, int level)
 {
     if (level != level_mosi) {
         level_mosi = level;
+        capture(now, 'o', level);
         chip_mosi(chip, now, level);
     }
 }
@@ -214,7 +249,9 @@ static avr_cycle_count_t spi_edge(avr_t *mcu, avr_cycle_count_t when, void *para
             set_mosi(now, (spi.out >> bit) & 1);
         }
         if (leading != late) { /* the one that samples; a wire that nothing drives reads high */
-            spi.in |= (uint8_t)((chip_miso(chip, now) != 0) << bit);
+            int miso = chip_miso(chip, now) != 0;
+            capture(now, 'i', miso);
+            spi.in |= (uint8_t)(miso << bit);
         }
         set_sck(now, leading ? !idle : idle);
         if (!late && !leading && done < 15) {
@@ -690,6 +727,9 @@ static int obey(char *line, ps_t now)
     }
     if (n >= 1 && strcmp(word, "report") == 0) {
         report(now);
+        if (vcd) {
+            fflush(vcd);
+        }
     } else if (n >= 1 && strcmp(word, "forget") == 0) {
         chip_forget_extremes(chip);
         fprintf(out, "done\n");
@@ -790,6 +830,10 @@ static int take_option(const char *text)
     name[equals - text] = 0;
     if (strcmp(name, "elf") == 0) {
         option.elf = equals + 1;
+        return 1;
+    }
+    if (strcmp(name, "vcd") == 0) {
+        open_vcd(equals + 1);
         return 1;
     }
     if (strcmp(name, "clock") == 0) {

@@ -12,6 +12,7 @@ import pytest
 from adis_gonio.base.errors import BusTimeoutError
 from adis_gonio.device.bus import SpiTiming
 from adis_gonio.device.sensor import Adis16354
+from firmware.captures import compare, exercise
 from rig_simavr.board import violations
 from rig_simavr.client import RATE_HZ, Streamed, open_board, stream
 
@@ -146,3 +147,11 @@ def test_a_line_that_is_six_percent_off_is_silence_not_nonsense(make_board):
         open_board(board, boot_ms=700)
     assert board.report()["board_framing"] > 0
     assert board.report()["frames"] == 0
+
+
+def test_a_capture_of_the_pins_has_the_frames_and_words_of_the_host(make_board, tmp_path):
+    capture, recording = tmp_path / "pins.vcd", tmp_path / "host.rec"
+    board = make_board(boot=0, vcd=capture)
+    exercise(open_board(board), recording)
+    board.report()
+    assert compare(capture, recording) > 100

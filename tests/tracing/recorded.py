@@ -21,10 +21,6 @@ class _Unattended(SessionRunner):
 
     judges_places = False
 
-    def __init__(self, *given: object, **options: object) -> None:
-        super().__init__(*given, **options)
-        self._knowledge.running = lambda: None
-
 
 def record(
     path: Path,
@@ -64,6 +60,6 @@ def record(
             gravity_mps2=world.gravity_mps2,
             fixture_sigma_deg=world.fixture_sigma_deg,
         )
-        for _ in runner.run():
+        for _ in runner.run(so_far=False):
             pass
     return path

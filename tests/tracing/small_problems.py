@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from adis_gonio.base.jsonable import ComputedOnce
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm, Term
 from adis_gonio.model.effects import Conditions, Enters
@@ -106,12 +107,16 @@ def named(name: str | None, cost: float = 0.0, covariates: tuple[str, ...] = ())
     )
 
 
+class _Believed(SimpleNamespace, ComputedOnce):
+    """What the functions of the trace ask of a selection."""
+
+
 def believed(problem: LinearProblem, weights: dict[Model, float], **others: Any) -> Any:
     """A selection whose models have these shares of the posterior, the first of them chosen."""
     scores = {model: math.log(share) for model, share in weights.items()}
     found = Search(problem, np.zeros(len(problem.terms)), scores=scores)
     verdict = replace(weigh(found), best=next(iter(weights)))
-    return SimpleNamespace(problem=problem, found=found, verdict=verdict, inflation=1.0, **others)
+    return _Believed(problem=problem, found=found, verdict=verdict, inflation=1.0, **others)
 
 
 def names_only(*names: str) -> LinearProblem:

@@ -42,6 +42,18 @@ def mean_direction(angle_rad: Floats) -> float:
     return float(np.angle(np.exp(1j * angle_rad).sum()))
 
 
+def log_sum_exp(values: Floats, axis: int | tuple[int, ...] | None = None) -> Floats:
+    """Logarithm of the sum of exponentials along `axis` (default: of all values), without overflow.
+
+    Unlike `scipy.special.logsumexp` it is for real finite numbers and −∞ only, and several times as fast.
+    """
+    top = values.max(axis=axis, keepdims=True)
+    top = np.where(np.isfinite(top), top, 0.0)
+    with np.errstate(divide="ignore"):  # the sum is zero if all values are −∞
+        total = np.log(np.exp(values - top).sum(axis=axis, keepdims=True)) + top
+    return np.asarray(total.reshape(()) if axis is None else total.squeeze(axis))
+
+
 def central_differences(
     function: Callable[[Floats], Floats],
     at: Floats,

@@ -21,13 +21,6 @@ def exists_error(path: str | Path, cure: str = "choose another name") -> UsageEr
     return UsageError(f"{path}: exists already; {cure} (nothing was changed)")
 
 
-def set_aside(path: Path) -> Path:
-    """Rename a file to the first free name of the form `stem.1.suffix`, and return that name."""
-    free = (path.with_name(f"{path.stem}.{k}{path.suffix}") for k in count(1))
-    aside = next(one for one in free if not one.exists())
-    return path.rename(aside)
-
-
 def check_output(
     path: str | Path, *, force: bool = False, cure: str = "choose another name, or --force to replace it"
 ) -> Path:

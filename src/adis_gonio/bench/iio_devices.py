@@ -557,7 +557,7 @@ class NetworkDevice:
             data, length = b"", self._number(f"READBUF {self._id} {size}")
             while length > 0:
                 if not data and (mask := self._line()).lower() != self._mask:
-                    raise ProtocolError(f"{self.where}: scans of mask {mask} where {self._mask} was asked")
+                    raise ProtocolError(f"{self.where}: scans of mask {mask} instead of {self._mask}")
                 data += self._exactly(min(length, size))
                 if len(data) >= size:
                     return data
@@ -611,7 +611,7 @@ class NetworkDevice:
         try:
             return int(line)
         except ValueError:
-            raise ProtocolError(f"{self.where}: '{line[:40]}' where a number is expected") from None
+            raise ProtocolError(f"{self.where}: expected a number, not '{line[:40]}'") from None
 
     def _line(self) -> str:
         while (end := self._received.find(b"\n")) < 0:

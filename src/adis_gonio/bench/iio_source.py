@@ -119,7 +119,7 @@ class IioSource(SampleSource):
             raise CannotOpenError(f"{url}: {facts.name} has no buffer for all of its axes: add ?poll=HZ")
         rate = poll_hz or rate_hz or facts.rate_hz
         if rate is None:
-            raise CannotOpenError(f"{url}: {facts.name} does not say its sampling_frequency: add ?rate=HZ")
+            raise CannotOpenError(f"{url}: {facts.name} lacks sampling_frequency: add ?rate=HZ")
         low, high = RATES_HZ
         if not low <= rate <= high:
             raise CannotOpenError(

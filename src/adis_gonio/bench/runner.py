@@ -403,8 +403,13 @@ class SessionRunner(Operator):
         """True if a recording answers instead of the sensor and the operator."""
         return self._bench.replayed
 
-    def run(self) -> Iterator[Event]:
+    def run(self, *, so_far: bool = True) -> Iterator[Event]:
         """Run the session to its end; can be used once.
+
+        Parameters
+        ----------
+        so_far : bool
+            If False, there are no `Running` events, each of which takes the time of a fit.
 
         Yields
         ------
@@ -421,6 +426,7 @@ class SessionRunner(Operator):
         if self._ran:
             raise UsageError("a runner runs once; resume the session with a new one")
         self._ran = True
+        self._knowledge.fits_dwells = so_far
         try:
             yield from self._prepare()
             yield from self._visiting.run()

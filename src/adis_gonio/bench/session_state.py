@@ -167,13 +167,15 @@ class RunningFit:
 
     def result(self, plan: Plan, *, reverse: bool) -> Running | None:
         """Fit the dwells so far; None if they do not allow a fit, or few were added since the last fit."""
-        from adis_gonio.fitting import fit
+        from adis_gonio.fitting.estimation.readings import readings_of
+        from adis_gonio.fitting.methods import fit_of
 
         count = len(self._means)
         if count > EVERY_UP_TO and count < 1.1 * self._fitted:
             return None
         try:
-            result = fit(self._session(plan, reverse=reverse))
+            # The guards search for wrong positions; in `fit` that search takes most of the time.
+            result = fit_of(readings_of(self._session(plan, reverse=reverse)))
         except (AdisGonioError, np.linalg.LinAlgError):
             # Too few dwells or positions; the next dwell may change that.
             return None
@@ -316,6 +318,8 @@ class Knowledge:
         None before the noise is known.
     reversed : bool
         True if the session is reversed.
+    fits_dwells : bool
+        False if nobody sees the result of the dwells so far.
     """
 
     def __init__(self, bench: SessionBench, ledger: Ledger, *, judging: bool) -> None:
@@ -328,6 +332,7 @@ class Knowledge:
         self.judge: Judge | None = None
         self.limits: StillnessLimits | None = None
         self.reversed = bool(ledger.archive.last("reversed"))
+        self.fits_dwells = True
 
     def take_noise(self, noise: list[float]) -> NoiseMeasured:
         """Set the limits of stillness by the noise at rest (mg), and prepare the check of positions."""
@@ -405,4 +410,6 @@ class Knowledge:
 
     def running(self) -> Running | None:
         """Fit the dwells so far; None if they do not allow a fit, or few were added since the last fit."""
+        if not self.fits_dwells:
+            return None
         return self._running.result(self._ledger.plan, reverse=self.reversed)

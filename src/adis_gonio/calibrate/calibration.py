@@ -158,7 +158,7 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
         for one in (found, None if found is None else found.gyro):
             if isinstance(one, cls):
                 return one
-        raise DataError(f"{path}: is no such calibration; fit a session by adis_gonio.fit")
+        raise DataError(f"{path}: is not this kind of calibration; fit a session by adis_gonio.fit")
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
         """Write it as JSON (`schema/calibration-1.json`); `load` gives exactly the same numbers.

@@ -224,7 +224,7 @@ def _checked(calibration: Calibration) -> Calibration:
     if calibration.provenance.counts != (calibration.counts_per_mg is not None):
         raise ValueError("counts_per_mg is needed with unit counts, and allowed with no other unit")
     if calibration.counts_per_mg is not None and len(calibration.counts_per_mg) != calibration.axes:
-        raise ValueError(f"counts_per_mg has to hold {calibration.axes} numbers")
+        raise ValueError(f"counts_per_mg needs {calibration.axes} numbers")
     for one in calibration.parameters:
         if one.name in _GAINS and not _LEAST_GAIN <= abs(one.value) <= 1 / _LEAST_GAIN:
             raise ValueError(f"{one.name} is {one.value:g}: no gain of a sensor")

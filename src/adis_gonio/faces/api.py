@@ -81,11 +81,11 @@ def fit(
     """
     if known_part(part) != GYRO:
         if accelerometers is not None:
-            raise UsageError("a calibration of the accelerometers goes with part='gyro'")
+            raise UsageError("a calibration of the accelerometers needs part='gyro'")
         given = _load(session, "fit")
         return _fit(given, method=method, gyros=_load_gyros(given, gyros))
     if gyros is not None:
-        raise UsageError("a calibration of gyros serves a fit of the accelerometers; part is gyro")
+        raise UsageError("a calibration of gyros is for a fit of the accelerometers, not for part='gyro'")
     if method not in (None, GYRO_METHOD):
         raise UsageError(f"gyros have no method '{method}'; theirs is {GYRO_METHOD}")
     return fit_gyro(_load(session, "fit"), accelerometers)

@@ -204,7 +204,7 @@ class Answer:
             u = DASH if first.u is None else with_unit(format_number(first.u, 2), first.unit)
             shares = [format_share(row.share) for row in each]
             rows.append([first.source, first.kind, first.distribution, u, *shares])
-        return ["source", "type", "distribution", "u of it", *names], rows
+        return ["source", "type", "distribution", "u of source", *names], rows
 
     @property
     def scored_as(self) -> str:

@@ -200,9 +200,9 @@ def _null_space(fit: Fit, free: NDArray[np.bool_]) -> Floats:
 
 
 def covariance(fisher: Floats, free: NDArray[np.bool_], null: Floats) -> Floats:
-    """Covariance (p, p) of the parameters in natural units, zero for fixed parameters and along `null`.
+    """Covariance (p, p) of the parameters in natural units, without the undetermined directions `null`.
 
-    It is valid only for functions of the parameters with a gradient orthogonal to `null`.
+    It is zero for fixed parameters, and valid only for functions with a gradient orthogonal to `null`.
     """
     basis = _complement(free, null)
     # Invert the information within the determined directions, scaled to a unit diagonal.

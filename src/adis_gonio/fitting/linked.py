@@ -127,7 +127,7 @@ def _linked(session: Session, gyros: GyroCalibration | None = None) -> tuple[Rea
     readings = readings_of(session)
     if readings.planar or readings.check.all():
         if gyros is not None:
-            raise UsageError("a calibration of gyros serves poses in space; this session has a plane")
+            raise UsageError("a calibration of gyros is for poses in space; this session has a plane")
         return readings, None
     from adis_gonio.fitting.gyros.gyro_links import GyroPrior, gyro_links
 
@@ -155,7 +155,7 @@ def _linked(session: Session, gyros: GyroCalibration | None = None) -> tuple[Rea
 
 @dataclass(frozen=True)
 class JudgedLinks:
-    """Links of a session that agree with gravity, and the refused ones.
+    """Links (recorded turns between poses) that agree with gravity, and the refused links.
 
     Attributes
     ----------

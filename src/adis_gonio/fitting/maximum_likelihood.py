@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from adis_gonio.base.errors import SingularError
+from adis_gonio.base.errors import FitError, SingularError
 from adis_gonio.base.numbers import counted, signed, with_unit
 from adis_gonio.fitting.determination import (
     Determination,
@@ -57,9 +57,12 @@ def fit_ml(readings: Readings) -> FitResult:
     wanted = ("delta_k", "delta_phi") if readings.planar else names
     if not any(o.name in wanted for o in reported):
         directions = "; ".join(format_directions(null, names))
+        advice = advise_positions(lost)
+        if readings.planar and not np.isfinite(readings.angle_rad).any():
+            advice = "declare the stage's angle of each position (column angle_deg)"
         raise SingularError(
             f"{counted(len(readings), 'position')} cannot determine {' or '.join(wanted[:2])}: they "
-            f"contain no information on {directions}; {advise_positions(lost)}"
+            f"contain no information on {directions}; {advice}"
         )
     warnings = [*readings.notes, *noise.notes, *_warnings(determination, held, lost, reported)]
     sources = _sources(readings, settled)
@@ -142,10 +145,19 @@ def refit_ml(readings: Readings, made: Origin) -> Fit:
     """Repeat the fit of the method `ml` on other readings, or on a subset of the dwells.
 
     The fit starts from the values of the original fit.
+
+    Raises
+    ------
+    FitError
+        If these dwells do not determine the parameters that all dwells determine.
     """
-    assert made.determination is not None
+    found = made.determination
+    assert found is not None
     row = {position: k for k, position in enumerate(made.fit.data.position.tolist())}
     attitude = made.fit.values.attitude[[row[position] for position in readings.position.tolist()]]
-    start = replace(made.fit, values=replace(made.fit.values, attitude=attitude))
     readings = replace(readings, fitted=made.fit.data.fitted)
-    return replace(made.determination, fit=start).refitted(readings)
+    start = replace(made.fit, data=readings, values=replace(made.fit.values, attitude=attitude))
+    # Along a direction without information a refit runs for many steps, so this is checked before it.
+    if not found.determined_by(start):
+        raise FitError("the other dwells do not determine the parameters")
+    return replace(found, fit=start).refitted(readings)

@@ -414,7 +414,7 @@ def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> lis
             else "measure 180° and 270° too and use method four-position"
         )
     return [
-        "a bias cannot be seen in two positions: 1 mg of it on X moves"
+        "a bias cannot be seen in two positions: 1 mg on X moves"
         f" {_pair(k[0], phi[0])}, on Y {_pair(k[1], phi[1])}, and {stated}; {remedy}"
     ]
 
@@ -576,7 +576,7 @@ def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
         raise FitError(f"method {method} needs a plane of rotation; this session has none: use method ml")
     if method != "ml" and readings.free:
         raise FitError(
-            f"method {method} needs declared angles and fixture_sigma_deg is free here: use method ml"
+            f"method {method} needs declared angles and here fixture_sigma_deg is free: use method ml"
         )
     return METHOD_TABLE[method].fit(readings)
 

@@ -614,7 +614,7 @@ def budget_of(sources: Sources, gradient: Floats, reading: Floats | None = None)
     Parameters
     ----------
     gradient : (m, p) float
-        Derivative of the quantity by the parameters in natural units; its mean square over m counts.
+        Derivative by the parameters in natural units; the quantity is the root mean square of m values.
     reading : (m, axes) float, optional
         Derivative by one further reading, per mg.
     """

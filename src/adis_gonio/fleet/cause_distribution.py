@@ -7,9 +7,8 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.special import logsumexp
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, log_sum_exp
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.fleet.population_likelihood import (
@@ -50,7 +49,7 @@ def share_of(
                 for weight, block in blocks
             ]
             log_posterior.append([_at(factors, share) for share in _SHARES])
-    by_share = logsumexp(np.array(log_posterior), axis=0)
+    by_share = log_sum_exp(np.array(log_posterior), axis=0)
     # Normalise the posterior on the uneven grid of shares, and read off its quantiles.
     density = np.exp(by_share - by_share.max())
     weight = density * np.gradient(_SHARES)
@@ -62,7 +61,7 @@ def share_of(
 
 def _at(factors: Sequence[tuple[Floats, Floats]], share: float) -> float:
     rows = [weight + mixed(factor, share, MOST_OF_KNOWN) for weight, factor in factors]
-    return float(logsumexp(np.stack(rows), axis=0).sum())
+    return float(log_sum_exp(np.stack(rows), axis=0).sum())
 
 
 def means_of(

@@ -25,6 +25,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,6 +131,7 @@ class Grid:
         return np.tile(self.log_prior - np.log(2), 2)
 
 
+@cache
 def grid_of(width: int) -> Grid:
     """Make the grid for a cause with `width` amplitudes.
 
@@ -174,7 +176,9 @@ def gains(block: Block, grid: Grid, most: float = MOST) -> Floats:
     for spread in np.unique(grid.spread[:h]):  # all means of one spread in one call
         rows = np.flatnonzero(grid.spread[:h] == spread)
         factors[:, rows] = log_factors(block, grid.mean[rows], float(spread))
-    return np.concatenate([mixed(factors, share, most) for share in SHARES], axis=1)
+    cut = np.minimum(factors, most)
+    excess = np.expm1(cut)
+    return np.concatenate([_mixed(cut, share, excess) for share in SHARES], axis=1)
 
 
 def mixed(log_factor: Floats, share: float, most: float = MOST) -> Floats:
@@ -182,10 +186,14 @@ def mixed(log_factor: Floats, share: float, most: float = MOST) -> Floats:
 
     B is the Bayes factor, affected against unaffected; ln B is limited to `most`.
     """
-    cut = np.minimum(log_factor, most)
+    return _mixed(np.minimum(log_factor, most), share)
+
+
+def _mixed(cut: Floats, share: float, excess: Floats | None = None) -> Floats:
+    """Like `mixed` for a limited ln B; `excess` is B − 1 if it is computed already."""
     if share >= 1:
-        return np.asarray(cut)
-    return np.asarray(np.logaddexp(np.log1p(-share), np.log(share) + cut))
+        return cut
+    return np.asarray(np.log1p(share * (np.expm1(cut) if excess is None else excess)))
 
 
 _FOREIGN = 1e-3

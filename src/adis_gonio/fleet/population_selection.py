@@ -16,9 +16,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, log_sum_exp
 from adis_gonio.fleet.population_likelihood import (
     MOST,
     MOST_OF_KNOWN,
@@ -259,7 +258,7 @@ class Population:
                 )
             chosen = [part for part, there in zip(parts, present, strict=True) if there]
             out.append(self._block_given(chosen, index, own, log_prior, relative))
-        norm = logsumexp(np.stack([weight for weight, _ in out]), axis=0)
+        norm = log_sum_exp(np.stack([weight for weight, _ in out]), axis=0)
         return [(weight - norm, block) for weight, block in out]
 
     def _block_given(
@@ -305,7 +304,7 @@ class Population:
         for relative in (False, True):
             blocks = self.blocks_given(parts, candidate.index, relative)
             rows = [weight[:, None] + gains(block, grid, most) for weight, block in blocks]
-            out.append(rows[0] if len(rows) == 1 else logsumexp(np.stack(rows), axis=0))
+            out.append(rows[0] if len(rows) == 1 else log_sum_exp(np.stack(rows), axis=0))
         return np.concatenate(out, axis=1)
 
     def scores(self, parts: Sequence[ChosenCause], only: Sequence[Candidate] | None = None) -> Scores:
@@ -319,9 +318,9 @@ class Population:
             # Sum of the gains by group and fold, then over all folds, and over all folds but one.
             by_fold = (self._sums @ self.by_unit(parts, candidate)).reshape(len(self.groups), FOLDS, -1)
             whole = by_fold.sum(axis=1)
-            evidence[k] = logsumexp(whole + prior, axis=1)
+            evidence[k] = log_sum_exp(whole + prior, axis=1)
             best[k] = (whole + prior).argmax(axis=1)
-            trained[k] = logsumexp(whole[:, None] - by_fold + prior, axis=2)
+            trained[k] = log_sum_exp(whole[:, None] - by_fold + prior, axis=2)
             foreseen[k] = evidence[k][:, None] - trained[k]
         return Scores(evidence, trained, foreseen, best)
 
@@ -331,7 +330,7 @@ class Population:
         scores = self.scores(parts)
         prior = self.log_prior
         weighed = scores.log_evidence + prior
-        any_ = float(logsumexp(weighed.ravel()))
+        any_ = float(log_sum_exp(weighed.ravel()))
         share = np.exp(weighed - any_)  # posterior of each candidate in each group
         posterior: dict[Kind, float] = defaultdict(float)
         for k, candidate in enumerate(self.candidates):
@@ -378,7 +377,7 @@ class Population:
                 + mixed(log_factor(b, amplitudes.mean, amplitudes.spread), amplitudes.share, MOST_OF_KNOWN)
                 for w, b in blocks
             ]
-            return float(logsumexp(np.stack(rows), axis=0).sum())
+            return float(log_sum_exp(np.stack(rows), axis=0).sum())
 
         # Refine from the best distribution of the grid.
         found = minimize(  # type: ignore[call-overload]
@@ -400,7 +399,7 @@ class Population:
             factor = log_factor(block, amplitudes.mean, amplitudes.spread)
             with_.append(weight + np.log(share) + factor)
             without.append(weight + np.log1p(-share))
-        odds = logsumexp(np.stack(with_), axis=0) - logsumexp(np.stack(without), axis=0)
+        odds = log_sum_exp(np.stack(with_), axis=0) - log_sum_exp(np.stack(without), axis=0)
         return np.where(part.group.inside, 1 / (1 + np.exp(-np.clip(odds, -500, 500))), 0.0)
 
     def without_foremost(self, parts: Sequence[ChosenCause], part: ChosenCause, count: int) -> float:
@@ -413,7 +412,7 @@ class Population:
             w + mixed(log_factor(b, amplitudes.mean, amplitudes.spread), amplitudes.share)
             for w, b in self.blocks_given(parts, part.candidate.index, part.amplitudes.relative)
         ]
-        own = np.sort(logsumexp(np.stack(rows), axis=0)[part.group.inside])
+        own = np.sort(log_sum_exp(np.stack(rows), axis=0)[part.group.inside])
         return float(own[: max(len(own) - count, 0)].sum())
 
 

@@ -37,8 +37,7 @@ from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.slips import PositionFinding
 from adis_gonio.fitting.slips.session_positions import Angle
 from adis_gonio.model.records import METADATA, Session
-from adis_gonio.page.document import Figure, KeyFigure, Section, Table, render
-from adis_gonio.page.document import Role, Series, Style, plot
+from adis_gonio.page.document import Figure, KeyFigure, Role, Section, Series, Style, Table, plot, render
 from adis_gonio.record.provenance import digest_of_file
 from adis_gonio.tracing import trace_summary as words
 from adis_gonio.tracing.trace_figures import Panel, Views, series_views, views_of
@@ -239,7 +238,7 @@ def budget_section(answer: Answer) -> Section:
         ]
         value = answer.values.get(name)
         contribution = label_quantity("contribution", "" if value is None else value.unit)
-        head = ["source", "type", "distribution", "u of it", "sensitivity", contribution, "share"]
+        head = ["source", "type", "distribution", "u of source", "sensitivity", contribution, "share"]
         dof = "–" if value is None else format_dof(value.dof)
         caption = f"{NAMES.get(name, name)}: effective degrees of freedom {dof}."
         tables.append(Table(head, cells, caption=caption, numeric=(3, 4, 5, 6)))
@@ -326,7 +325,7 @@ def found_section(traced: TraceResult) -> Section:
         caption = "“Explains” is the share of the base model's residual beyond the measured noise."
         tables.append(Table(head, rows, caption=caption, numeric=(2, 3)))
     parts = [
-        Section("Which this session cannot tell apart", points=words.confounded(traced, most=8)),
+        Section("Effects that this session cannot distinguish", points=words.confounded(traced, most=8)),
         Section("Unnamed causes", points=[words.unnamed(traced)] if traced.unnamed else []),
         Section("Candidates not accepted", points=words.open_names(traced)),
     ]
@@ -463,7 +462,7 @@ def rivals_section(traced: TraceResult) -> Section:
     tables = (
         [Table(["model", "probability"], rows, caption=caption, numeric=(1,), strong=(0,))] if rows else []
     )
-    return Section("Rivals", tables=tables, notes=same, folded=True)
+    return Section("Other probable models", tables=tables, notes=same, folded=True)
 
 
 def sight_section(traced: TraceResult) -> Section:
@@ -485,7 +484,7 @@ def sight_section(traced: TraceResult) -> Section:
             rows.append([name, words.amplitude(entry), words.typical(name, entry), verdict])
     rows += [[", ".join(names), "–", "", f"could not be seen: {reason}"] for names, reason in seen.blind]
     table = Table(
-        ["effect", "smallest amplitude", "of a usual bench", "so it is"],
+        ["effect", "smallest amplitude", "typical size", "conclusion"],
         rows,
         numeric=(1, 2),
         caption="Smallest amplitude that this session would have shown with 90 % power.",

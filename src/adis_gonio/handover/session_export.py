@@ -206,8 +206,8 @@ class ExportSource:
         changed = changed_registers(session)
         if changed:
             raise FitError(
-                f"{self.path}: {'; '.join(changed)}: a calibration would hold for no state of the"
-                " registers; record the session again, or export its data (csv, parquet, json)"
+                f"{self.path}: {'; '.join(changed)}: no calibration is valid for both "
+                "states of the registers; record the session again, or export its data (csv, parquet, json)"
             )
         try:
             own = self._result(session).calibration()

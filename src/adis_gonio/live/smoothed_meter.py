@@ -5,7 +5,7 @@ The angle of the sensor as samples arrive, from gyros and gravity, by a smoother
 A Kalman filter runs over time steps of about 20 ms. The reported angle lags behind the newest sample and
 uses all samples up to it. For this the model of every step within the lag is computed again from the
 present estimate of the disturbance around it.
-`smooth` computes the angle of a whole recording with the same model. docs/noise.md explains the
+`smooth` computes the angle of a whole recording with the same model. docs/theory.md explains the
 model.
 
 The smoothed angle of a running sensor, with an uncertainty that includes the calibration.

@@ -27,15 +27,15 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
+
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from adis_gonio.base.errors import NotInstalledError, install_extra
-from adis_gonio.base.numbers import format_number
-from collections.abc import Sequence
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
+from numpy.typing import ArrayLike, NDArray
+
 from adis_gonio.base import __version__
-from adis_gonio.base.numbers import NO_BREAK
+from adis_gonio.base.errors import NotInstalledError, install_extra
+from adis_gonio.base.numbers import NO_BREAK, format_number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -385,6 +385,7 @@ def _legend(figure: Drawing, lines: Sequence[Line2D], width: int) -> None:
             handletextpad=0.5,
             columnspacing=1.2,
         )
+
 
 @dataclass(frozen=True)
 class Figure:

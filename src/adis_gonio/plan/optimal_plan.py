@@ -713,7 +713,7 @@ def _fewest_interleaved(bench: Bench, tolerance: Tolerance) -> int:
 
     if not decides(MOST):
         raise UsageError(
-            f"{counted(MOST, 'position')} do not decide on {tolerance}: take longer dwells, a better stage"
+            f"{counted(MOST, 'position')} cannot decide on {tolerance}: take longer dwells, a better stage"
             " or a quieter part"
         )
     # `high` always decides, `low` does not.

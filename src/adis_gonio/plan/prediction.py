@@ -119,7 +119,7 @@ class Bench:
         if not (math.isfinite(self.gravity_mps2) and self.gravity_mps2 > 0):
             raise UsageError(f"gravity is {self.gravity_mps2:g} m/s²: take a value above 0")
         if self.white_mg == 0 and self.floor_mg == 0:
-            raise UsageError("noise_mg and flicker_mg are both 0: of no noise nothing is to be predicted")
+            raise UsageError("noise_mg and flicker_mg are 0: without noise there is nothing to predict")
 
     @property
     def part(self) -> Variant:

@@ -33,8 +33,9 @@ import math
 import os
 import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -42,7 +43,7 @@ from urllib.parse import quote
 import numpy as np
 
 from adis_gonio.base import Closing, __version__
-from adis_gonio.base.errors import DataError, SessionError, one_line
+from adis_gonio.base.errors import AdisGonioError, DataError, SessionError, one_line
 from adis_gonio.base.output import exists_error
 from adis_gonio.base.shapes import ShapeError, anything
 from adis_gonio.device.sensor.registers import ACCEL_OUT, BY_NAME
@@ -154,6 +155,18 @@ def create(path: Path) -> sqlite3.Connection:
     return connection
 
 
+def set_aside(path: Path) -> Path:
+    """Rename a file to the first free name of the form `stem.1.suffix`, and return that name.
+
+    If a killed program left a journal, it is rolled back first: it belongs to the file's present name, and
+    SQLite would otherwise apply it to the next file of this name.
+    """
+    with suppress(AdisGonioError):
+        connect(path, write=True).close()
+    free = (path.with_name(f"{path.stem}.{k}{path.suffix}") for k in count(1))
+    return path.rename(next(one for one in free if not one.exists()))
+
+
 def make_durable(connection: sqlite3.Connection) -> None:
     """Set the SQLite options of a writer, so that a power cut loses nothing; see the module's text."""
     connection.execute("PRAGMA journal_mode = DELETE")
@@ -259,7 +272,8 @@ def _check_content(path: Path, connection: sqlite3.Connection) -> None:
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     if not tables and not application:
         raise SessionError(
-            f"{path}: has no session yet, it was interrupted at its beginning; begin a new session"
+            f"{path}: has no session yet, it was interrupted at its beginning;"
+            " begin a new session with --force"
         )
     if application != APPLICATION_ID:
         raise DataError(f"{path}: is an SQLite file, but no session file")
@@ -772,4 +786,4 @@ class Archive(ArchiveView):
     def _require_own_run(self) -> None:
         (latest,) = self._connection.execute("SELECT max(run) FROM runs").fetchone()
         if not self._run or latest != self._run:
-            raise SessionError(f"{self.path}: another program has resumed this session; this one stops")
+            raise SessionError(f"{self.path}: another program has resumed this session; this program stops")

@@ -243,7 +243,9 @@ class SimulatedChip:
         self._state = State.STARTING
         self._time_s = start_s
         self._last_start = self._last_rise = -math.inf
+        self._smpl_prd = self._memory["SMPL_PRD"]
         self._start_up(start_s)
+        self._memory.changed = self._follow_registers
 
     # -- access past the serial port ---------------------------------------------------------------
 
@@ -369,7 +371,7 @@ class SimulatedChip:
             The frame lies before the last one.
         """
         if start_s < self._last_start or start_s < self._time_s - TOLERANCE_S:
-            raise UsageError(f"frame at {start_s} s: the chip has already lived until {self._time_s} s")
+            raise UsageError(f"frame at {start_s} s: the chip is already simulated until {self._time_s} s")
         self._advance(start_s)
         rise = start_s + bits / clock_hz + cs_hold_s
         stall, period = start_s - self._last_rise, start_s - self._last_start
@@ -544,7 +546,6 @@ class SimulatedChip:
         return self._memory.at(address)
 
     def _write(self, address: int, data: int, cs_hold_s: float, limits: SerialLimits) -> None:
-        before = self._memory["SMPL_PRD"]
         row = self._memory.write_byte(address, data)
         if row is None:
             return
@@ -553,9 +554,6 @@ class SimulatedChip:
             if not address & 1:
                 self._command(data, now)
             return
-        self._sampler.configure(self._memory)
-        if self._memory["SMPL_PRD"] != before:
-            self._restart_sampling(now, empty=True)
         if self._state is not State.RUNNING:
             return
         if row.name == "MSC_CTRL" and self._memory["MSC_CTRL"] & _SELF_TEST:
@@ -607,7 +605,14 @@ class SimulatedChip:
         self._null_sum, self._null_count = np.zeros(3), 0
         self._restart_sampling(self._until, empty=True)
 
+    def _follow_registers(self) -> None:
+        """Act on registers that a frame, the chip or a fault has changed."""
+        self._sampler.configure(self._memory)
+        if self._memory["SMPL_PRD"] != self._smpl_prd:
+            self._restart_sampling(self._time_s, empty=True)
+
     def _restart_sampling(self, now: float, *, empty: bool = False) -> None:
+        self._smpl_prd = self._memory["SMPL_PRD"]
         self._epoch, self._k = now, 0
         self._period = update_period_s(self._memory["SMPL_PRD"])
         if empty:
@@ -651,7 +656,6 @@ class SimulatedChip:
     def _null(self, mean: Floats) -> None:
         for name, number in zip(GYRO_OFF, self._sampler.null_offset(mean), strict=True):
             self._memory[name] = BY_NAME[name].word(number)
-        self._sampler.configure(self._memory)
 
     def _sample_to(self, time_s: float) -> None:
         if self._state not in _SAMPLING:

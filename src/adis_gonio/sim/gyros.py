@@ -220,7 +220,7 @@ def _sensitivity(settings: WorldSettings) -> Floats:
     misalignment = np.sin(np.radians(misalignment))
     beside = (misalignment**2).sum(axis=1)
     if beside.max() >= 1:
-        raise UsageError(f"gyro_misalignment_{AXES[int(beside.argmax())]}…: no axis leans so far")
+        raise UsageError(f"gyro_misalignment_{AXES[int(beside.argmax())]}…: no axis is misaligned so much")
     # The direction of each gyro is a unit vector.
     own = np.sqrt(1 - beside)
     sensitivity = gains[:, None] * (misalignment + np.diag(own))

@@ -98,6 +98,9 @@ class Memory:
         A name is unknown, or a word has bits without a flash copy.
     """
 
+    changed: Callable[[], None] = staticmethod(lambda: None)
+    """Called after a register has changed by any way, so that the chip acts on the new content."""
+
     def __init__(
         self,
         flash: Mapping[str, int] | None = None,
@@ -120,6 +123,7 @@ class Memory:
 
     def __setitem__(self, name: str, word: int) -> None:
         self._words[name] = word & 0xFFFF
+        self.changed()
 
     def at(self, address: int) -> int:
         """16-bit content of the register at an even or odd byte address; 0 if none is readable there."""
@@ -142,7 +146,7 @@ class Memory:
         if row.readable:
             shift = 8 * (address & 1)
             mask = row.write_mask & (0xFF << shift)
-            self._words[row.name] = (self._words[row.name] & ~mask) | ((data << shift) & mask)
+            self[row.name] = (self._words[row.name] & ~mask) | ((data << shift) & mask)
         return row
 
     def load(self) -> None:
@@ -151,6 +155,7 @@ class Memory:
         for row in REGISTERS:
             self._words[row.name] = (row.default & ~row.flash_mask) | self._flash.get(row.name, 0)
         self._words["ENDURANCE"] = endurance
+        self.changed()
 
     def save(self) -> None:
         """Copy the registers to flash and add one to ENDURANCE, the count of flash updates."""
@@ -163,7 +168,7 @@ class Memory:
     def zero_offsets(self) -> None:
         """Set all six offset registers to zero, as the factory restore does."""
         for name in (*GYRO_OFF, *ACCEL_OFF):
-            self._words[name] = 0
+            self[name] = 0
 
 
 @dataclass(frozen=True)

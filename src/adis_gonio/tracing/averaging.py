@@ -28,7 +28,7 @@ Member = tuple[float, NamelessTerm, Floats]
 
 @dataclass(frozen=True)
 class Solution:
-    """The ridge regression of one member: fixed columns, then its unnamed terms.
+    """Fit of one member (a set of unnamed terms) with priors, in addition to the fixed columns.
 
     Attributes
     ----------
@@ -49,14 +49,14 @@ class Solution:
     visible: float
 
     def columns(self, there: Fit, width: int) -> Floats:
-        """Return the whitened columns (rows, p) of a fit, whose first `width` ones are the fixed ones."""
+        """Return the whitened columns (rows, p) of a fit; its first `width` columns are the fixed ones."""
         own = [there.white(there.candidate(term)) for term in self.terms]
         return np.concatenate([there.jacobian[:, :width], *own], axis=1)
 
 
 @dataclass(frozen=True)
 class AveragedTerm(NamelessTerm):
-    """Weighted mean of fitted unnamed functions, as a fixed term without parameters.
+    """Weighted mean of fitted unnamed functions, as a term that has no parameters to fit.
 
     Attributes
     ----------
@@ -131,7 +131,7 @@ class AveragedFit(Fit):
 
 @dataclass(frozen=True)
 class Averaged:
-    """A model with named effects and an average over unnamed functions.
+    """A model with named effects, and with the mean of several possible unnamed functions.
 
     Attributes
     ----------
@@ -158,13 +158,14 @@ class Averaged:
 
 
 def average(selection: Selection, candidates: Sequence[Process] | None = None) -> Averaged | None:
-    """Return a model with the average of unnamed functions in addition to the named effects.
+    """Return a model with the mean of unnamed functions in addition to the named effects.
 
-    None if the named effects are enough.
+    None if the named effects explain the readings.
 
-    The candidates (formulas and processes) are first weighed with the measured noise. If their average does
-    not agree with this noise, they are weighed again with the larger noise that the best formula leaves.
-    This is not done first, because with the larger noise a wrong formula may outweigh the right process.
+    The candidates (formulas and Gaussian processes) are first weighed with the measured noise. If their
+    mean does not agree with this noise, they are weighed again with the larger noise that the best formula
+    leaves. This is not done first, because with the larger noise a wrong formula may outweigh the right
+    process.
 
     Parameters
     ----------
@@ -235,7 +236,7 @@ def _named_columns(fit: Fit) -> list[Floats]:
 
 
 def _covered_by_process(term: NamelessTerm, covered: set[tuple[Where, tuple[str, ...]]]) -> bool:
-    """Return True if a term is a polynomial approximation of a function that a process also describes.
+    """Return True if a term approximates a function that a Gaussian process also describes.
 
     Both fit the readings equally well, but outside their range a polynomial diverges.
     """
@@ -248,7 +249,7 @@ def _formulas(
     """Return the unnamed terms of each probable model that has exactly these named terms.
 
     Each comes with its log evidence minus the log evidence of the model with the named terms alone. Terms
-    that a process covers are omitted.
+    that approximate a function which a process also describes are omitted.
     """
     problem, found = selection.problem, selection.found
 
@@ -274,7 +275,7 @@ def fit_members(
     pool: Sequence[tuple[float, tuple[NamelessTerm, ...]]],
     weights: Floats,
 ) -> tuple[tuple[float, Solution], ...]:
-    """Fit each member with a weight; return the solutions with the weights that they have together."""
+    """Fit each member that has a weight; return the fits with their weights, which sum to 1."""
     likely = np.flatnonzero(weights).tolist()
     solved = [(float(weights[k]), solve_ridge(selection, fixed, target, pool[k][1])) for k in likely]
     # Members that base and named terms could imitate are dropped, unless this would drop all of them.

@@ -209,6 +209,20 @@ def votes(
     averaged : Averaged, optional
         Average that replaces the unnamed part of the chosen model.
     """
+    counted, none = selection.once(_count_votes, cause)
+    weight = defaultdict(float, counted)
+    total = sum(weight.values())
+    if not total > 0:
+        return {cause: 1.0}, 0.0
+    if averaged is not None and _may_be_piece(selection, cause, averaged):
+        piece = weight[cause] * averaged.weight
+        weight[cause] -= piece
+        weight[cause_name(averaged.smooth)] += piece
+    return {word: w / total for word, w in weight.items()}, total / (total + none)
+
+
+def _count_votes(selection: Selection, cause: str) -> tuple[dict[str, float], float]:
+    """Return the sum of the votes for each name that could explain a cause, and of those for none."""
     near = selection.found.near(limits.voting)
     top = max(near.values())
     place = _Place.of(selection, cause)
@@ -220,14 +234,7 @@ def votes(
         for word, part in choice.items():
             weight[word] += vote * part
         none += vote * (1 - sum(choice.values()))
-    total = sum(weight.values())
-    if not total > 0:
-        return {cause: 1.0}, 0.0
-    if averaged is not None and _may_be_piece(selection, cause, averaged):
-        piece = weight[cause] * averaged.weight
-        weight[cause] -= piece
-        weight[cause_name(averaged.smooth)] += piece
-    return {word: w / total for word, w in weight.items()}, total / (total + none)
+    return weight, none
 
 
 def probability_of(selection: Selection, cause: str, averaged: Averaged | None = None) -> float:

@@ -17,7 +17,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,7 +25,6 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm, Where
 from adis_gonio.model.effects import AXES, Conditions
-from adis_gonio.model.effects.base import lagged
 from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
 from adis_gonio.tracing.named_candidates import choices_of_axes
 from adis_gonio.tracing.thresholds import limits
@@ -117,6 +116,7 @@ def nameless_terms(data: Readings) -> list[NamelessTerm]:
     total = sum(weight[family] for family in sorted(weight))
     placed: dict[tuple[str, bool], list[tuple[Basis, Where, tuple[int, ...]]]] = {}
     subsets = choices_of_axes(range(data.axes))
+    letters = {subset: f"[{''.join(AXES[k] for k in subset)}]" for subset in subsets} | {(): ""}
     for m in made:
         members = placed.setdefault((m.family, m.basis.approximates), [])
         for where in m.places:
@@ -124,7 +124,7 @@ def nameless_terms(data: Readings) -> list[NamelessTerm]:
                 members += [(m.basis, where, subset) for subset in subsets]
             elif data.planar and m.basis.common is not None:
                 members.append((m.basis, where, ()))
-    terms = []
+    terms, stimulus = [], data.model.stimulus
     # Families share the prior by weight, then formulas against smooth functions, then evenly.
     for (family, smooth), members in placed.items():
         both = placed.get((family, not smooth))
@@ -133,10 +133,9 @@ def nameless_terms(data: Readings) -> list[NamelessTerm]:
             if data.model.constant and basis.with_constant:
                 continue  # the base model contains the constant; the form without it keeps its share
             share = limits.nameless_share * weight[family] / total * part / len(members)
-            axes = f"[{''.join(AXES[k] for k in subset)}]" if subset else ""
-            label, cost = f"{where}{axes}~{basis.form}", -math.log(share)
-            term = NamelessTerm(label, basis.covariates, cost, where, subset, basis)
-            terms.append(replace(term, stimulus=data.model.stimulus))
+            label, cost = f"{where}{letters[subset]}~{basis.form}", -math.log(share)
+            own = NamelessTerm(label, basis.covariates, cost, where, subset, basis, stimulus=stimulus)
+            terms.append(own)
     return terms
 
 
@@ -524,8 +523,7 @@ def _of_rate(data: Readings) -> Iterator[_Made]:
     for tau in np.geomspace(0.5 * step, max(1.5 * length, step), 7).tolist():
 
         def late(c: Conditions, tau: float = tau) -> Floats:
-            assert c.temperature_history is not None
-            return lagged(*c.temperature_history, c.time_s, tau)[0] - c.covariate("temperature_c")
+            return c.late("temperature_history", None, tau)[0] - c.covariate("temperature_c")
 
         yield from _both("temperature_rate", f"T_lag − T with τ = {tau:.3g} s", late, named)
 

@@ -418,7 +418,8 @@ def _back_maps(
 def _column_prices(columns: Floats, first: NDArray[np.intp]) -> Floats:
     """Return the price of each term's columns, ½ Σ ln(1 + s² n), in nats.
 
-    The sum is over the columns u of the term; n = 1/Σ u⁴ is the effective number of rows of a column.
+    The sum is over the columns u of the term; s is the prior standard deviation in units of the noise; n =
+    1/Σ u⁴ is the effective number of rows of a column.
     """
     if not len(first):
         return np.zeros(0)

@@ -157,7 +157,7 @@ class _Climb:
         self.nameless = frozenset(np.flatnonzero(~self.named).tolist())
         # The best of all models and of those with names only, by their names and covariates.
         kinds = {key: i for i, key in enumerate(dict.fromkeys((t.name, t.covariates) for t in terms))}
-        self.kind = [kinds[term.name, term.covariates] for term in terms]
+        self.kind = np.array([kinds[term.name, term.covariates] for term in terms], dtype=np.intp)
         nothing: dict[frozenset[int], tuple[float, Model]] = {frozenset(): (0.0, ())}
         self.leads = nothing, dict(nothing)
         self.top = 0.0
@@ -237,11 +237,14 @@ class _Climb:
         wider = np.empty((len(added), len(model) + added.shape[1]), dtype=np.intp)
         wider[:, : len(model)], wider[:, len(model) :] = model, added
         wider.sort(axis=1)
-        fresh: dict[Model, float] = dict(zip(map(tuple, wider.tolist()), scores.tolist(), strict=True))
-        self.found.scores.update(fresh)
+        self.found.scores.update(zip(map(tuple, wider.tolist()), scores.tolist(), strict=True))
         self.top = max(self.top, float(scores.max(initial=-np.inf)))
-        for one, score in fresh.items():
-            kinds = frozenset([self.kind[k] for k in one])
+        # Of the terms of one kind, all are named or none is, so only the best score of each can lead.
+        group = (self.kind[added] * len(self.kind) ** np.arange(added.shape[1])).sum(axis=1)
+        order = np.lexsort((-scores, group))
+        for k in order[np.diff(group[order], prepend=-1) > 0].tolist():
+            one, score = tuple(wider[k].tolist()), float(scores[k])
+            kinds = frozenset(self.kind[wider[k]].tolist())
             for leads in self.leads if self.nameless.isdisjoint(one) else self.leads[:1]:
                 if kinds not in leads or score > leads[kinds][0]:
                     leads[kinds] = score, one

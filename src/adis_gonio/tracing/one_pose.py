@@ -25,9 +25,10 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, log_sum_exp
 from adis_gonio.base.budget import attempt, check
 from adis_gonio.base.errors import FitError
+from adis_gonio.base.jsonable import ComputedOnce
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.uncertainty import Detectable, Value
 from adis_gonio.fitting.estimation.readings import mg_per_unit
@@ -77,7 +78,7 @@ class _Candidate:
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _Problem(ComputedOnce):
     """The regression of the samples on the columns of all variants of all effects.
 
     Attributes
@@ -152,7 +153,7 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
         )
     if dwell.temperature_c is None:
         raise FitError(
-            f"{where}one position only and no temperature: nothing that the readings could follow; record"
+            f"{where}one position only and no temperature: there is nothing to trace; record"
             " the temperature with the samples (temp_c), or measure at least two positions"
         )
     conditions = series_conditions(dwell)
@@ -170,7 +171,7 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
         none = 1 - sum(share.values())
         if chosen is None or none > limits.certain:
             reasons = {
-                one.effect.name: f"a jump or slow noise of the zero is in its place with {none:.0%}"
+                one.effect.name: f"a jump or slow noise of the bias is more probable ({none:.0%})"
                 for one in share
                 if share[one] > 1 - limits.set_level
             }
@@ -195,12 +196,12 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
     uncaused: list[str] = attempt("movements without a cause", partial(_uncaused, problem, model), [])
     one_way = _one_way(conditions)
     advice: tuple[str, ...] = (
-        "one pose cannot tell a change of zero from a change of gain: repeat the cycle with the part "
+        "one pose does not show whether bias or gain changes: repeat the cycle with the sensor "
         "turned over (each axis once up and once down)",
     )
     if one_way:
         advice = (
-            "the temperature only went one way, so that it cannot be told from time: let it come back",
+            "the temperature only rose or only fell, so its effect looks like a drift: let it come back",
             *advice,
         )
     return TraceResult(
@@ -489,8 +490,6 @@ def _log_evidence(problem: _Problem, model: Model) -> Floats:
     J. Am. Stat. Assoc. 103, 2008): with a share R² explained, they multiply the evidence by
     (1 + g)^((n − 1 − p)/2) (1 + g (1 − R²))^(−(n − 1)/2).
     """
-    from scipy.special import logsumexp
-
     choices = _choices(model)
     out = np.empty((len(problem.noises), 2, problem.readings.shape[1]))
     for k, noise in enumerate(problem.noises):
@@ -519,9 +518,9 @@ def _log_evidence(problem: _Problem, model: Model) -> Floats:
             floor = np.maximum(total, 1e-300)
             parts[0, j] = factor(rest / floor, len(columns))
             jumped = factor((rest[:, None] - gain) / floor[:, None], len(columns) + 1)
-            parts[1, j] = logsumexp(jumped, axis=1) - np.log(jumped.shape[1])
+            parts[1, j] = log_sum_exp(jumped, axis=1) - np.log(jumped.shape[1])
         parts += alone
-        out[k] = logsumexp(parts, axis=(1, 2)) - np.log(len(choices) * len(alone))
+        out[k] = log_sum_exp(parts, axis=(1, 2)) - np.log(len(choices) * len(alone))
     jump = 1 / (1 + problem.tried)
     return out + np.log([1 - jump, jump])[:, None]
 
@@ -532,9 +531,8 @@ def _log_odds(problem: _Problem, model: Model, simpler: Model) -> float:
     An effect has the prior odds 1 to the number of candidates. It may be absent on some axes, each with
     probability ½.
     """
-    from scipy.special import logsumexp
-
-    by_axis = [logsumexp(_log_evidence(problem, one), axis=(0, 1)) for one in (model, simpler)]
+    evidence = (problem.once(_log_evidence, one) for one in (model, simpler))
+    by_axis = [log_sum_exp(one, axis=(0, 1)) for one in evidence]
     gained = by_axis[0] - by_axis[1]
     # Π (1 + BF) over the axes, without the product in which the effect is absent on each.
     product = float(np.logaddexp(0.0, gained).sum())
@@ -563,7 +561,7 @@ def _uncaused(problem: _Problem, model: Model) -> list[str]:
     from scipy.special import softmax
 
     out = []
-    chance = softmax(_log_evidence(problem, model), axis=(0, 1))
+    chance = softmax(problem.once(_log_evidence, model), axis=(0, 1))
     for axis in range(chance.shape[2]):
         ways = {
             "a jump": chance[:, 1, axis].sum(),
@@ -577,12 +575,16 @@ def _uncaused(problem: _Problem, model: Model) -> list[str]:
 
 def _one_way(conditions: Conditions) -> bool:
     """Return True if the temperature only rises or only falls with time, except for noise."""
-    from scipy import stats
-
     temperature = conditions.covariate("temperature_c")
     if np.ptp(temperature) == 0:
         return False
-    return abs(float(stats.spearmanr(conditions.time_s, temperature).statistic)) > ONE_WAY
+    # Spearman's rank correlation, with the mean rank of equal values.
+    ranks = []
+    for values in (conditions.time_s, temperature):
+        _, place, count = np.unique(values, return_inverse=True, return_counts=True)
+        ranks.append((np.cumsum(count) - (count - 1) / 2)[place])
+    one, other = (rank - rank.mean() for rank in ranks)
+    return abs(float(one @ other)) > ONE_WAY * float(np.linalg.norm(one) * np.linalg.norm(other))
 
 
 def _figures(problem: _Problem, model: Model) -> ErrorFigures:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adis_gonio.base.budget import spent
+from adis_gonio.base.jsonable import ComputedOnce
 from adis_gonio.fitting.estimation.fit import Fit, adequacy
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
@@ -17,7 +18,7 @@ from adis_gonio.tracing.thresholds import limits
 
 
 @dataclass(frozen=True)
-class Selection:
+class Selection(ComputedOnce):
     """The chosen model, with the search that found it and its test.
 
     Attributes

@@ -47,9 +47,9 @@ class Process:
     Attributes
     ----------
     term : NamelessTerm
-        Features of the kernel; its shrinkage is the amplitude of the process.
+        The kernel's features as basis functions; the attribute `shrinkage` is the amplitude of the process.
     price : float
-        −ln of its share of the prior.
+        −ln of its prior probability.
     """
 
     term: NamelessTerm

@@ -159,7 +159,7 @@ def _trace(session: Session, max_effects: int, part: str) -> TraceResult:
 
 
 def with_time_left_out(result: TraceResult, *, checked: bool) -> TraceResult:
-    """Return the result with a record of the stages that the time limit cut off, if there are any."""
+    """Return the result with a record of the stages that the time limit ended or skipped, if any."""
     budget = current()
     return replace(result, stopped=Stopped.of(budget, checked=checked)) if budget.left_out else result
 
@@ -216,12 +216,12 @@ class TraceRun:
 
     @property
     def final(self) -> Selection:
-        """The selection that the result reports: the chosen model, or the average that replaces it."""
+        """The selection for the result: of the chosen model, or of the average over unnamed functions."""
         return self.selection if self.averaged is None else self.selection.with_fit(self.averaged.fit)
 
     @property
     def judged(self) -> Selection:
-        """The chosen model with the posterior by which its causes are judged."""
+        """The chosen model with the posterior probabilities that are used to judge its causes."""
         judge, best = self.weighed, self.selection.verdict.best
         verdict = replace(judge.verdict, best=best)
         return replace(self.selection, problem=judge.problem, found=judge.found, verdict=verdict)
@@ -253,7 +253,7 @@ class TraceRun:
                 break
 
     def nest(self, selection: Selection) -> None:
-        """Store a selection, and compute the nested models of its terms and their held-out errors."""
+        """Store a selection and compute its nested models, of one term more each, with held-out errors."""
         self.selection = selection
         self.averaged = attempt("the average of functions without a name", lambda: average(selection), None)
         self.fold = Fold.of(selection, self.terms, self.averaged, self.max_effects)
@@ -308,7 +308,7 @@ class TraceRun:
         self.reasons = cut
 
     def judge_findings(self) -> None:
-        """Make the findings of the accepted names, reject weak ones, and test the model on check dwells."""
+        """Turn accepted names into findings, reject weak findings, and test the model on `check` dwells."""
         final, noise_known = self.final, self.measured.noise_known
         judged = self.judged
         findings = [finding_of(final, name, self.averaged, judged) for name in self.names.accepted]
@@ -341,7 +341,10 @@ class TraceRun:
 
     @property
     def unnamed(self) -> Unnamed | None:
-        """The unnamed part of the model; one that no fold could check has at most the limit of names."""
+        """The unnamed part of the model.
+
+        If no fold could check it, its probability is limited to the one needed to accept a name.
+        """
         found = unnamed_of(self.selection, self.averaged, self.judged)
         if found is None or self.functions_checked:
             return found
@@ -412,7 +415,7 @@ class TraceRun:
 def shown_findings(
     findings: Sequence[Finding], data: Readings, scatter: Scatter | None, of_step: dict[str, float]
 ) -> tuple[Finding, ...]:
-    """Return the findings in the file's units with the share each explains, and any scatter last."""
+    """Return the findings in the file's units with the share that each explains; scatter is the last."""
     seen = with_shares([in_units_of_file(finding, data.unit) for finding in findings], of_step)
     if scatter is None:
         return seen
@@ -422,7 +425,7 @@ def shown_findings(
 def search_model(
     training: Readings, terms: Sequence[Term], max_effects: int
 ) -> tuple[Selection, Scatter | None]:
-    """Choose a model of the readings and, if this explains them better, dwell-to-dwell scatter."""
+    """Choose a model of the readings, with dwell-to-dwell scatter if this explains them better."""
     current().tell("the search for effects")
     first = select(training, terms, max_effects)
     if spent():
@@ -441,7 +444,7 @@ def reported_errors(figures: Sequence[ErrorFigures]) -> tuple[float, float] | No
 
 
 def likelier_functions(sets: Sequence[CredibleSet], terms: Sequence[Term]) -> dict[str, str]:
-    """Return the named causes for which an unnamed function is more probable, each with this function."""
+    """Map each named cause to the unnamed function that is more probable in its place, if any."""
     names = {term.name for term in terms}
     return {one.cause: one.names[0] for one in sets if one.names[0] not in names and one.cause in names}
 
@@ -452,7 +455,7 @@ def weak_names(
     likelier: Mapping[str, str],
     places: Sequence[CredibleSet],
 ) -> dict[str, str]:
-    """Return the effects that must not be reported as found, by name, each with the reason."""
+    """Return the effects that are too uncertain to be reported as found, each with the reason."""
     weak = {}
     empty = {one.cause: 1 - one.present for one in places if one.present < limits.certain}
     for finding in findings:
@@ -508,12 +511,12 @@ def correct_slips(data: Readings, positions: Diagnosis) -> Readings:
 
 
 def _large_slips(data: Readings, positions: Diagnosis) -> list[PositionFinding]:
-    """Return the lasting slips of the position that are too large for the linearised model."""
+    """Return the lasting slips that are too large for the linearised model."""
     return [f for f in positions.findings if f.finding == "slipped" and _out_of_reach(data, f)]
 
 
 def _out_of_reach(data: Readings, found: PositionFinding) -> bool:
-    """Return True if an error of a position is too large for the linearised model.
+    """Return True if the declared angle of a dwell is too wrong for the linearised model.
 
     If a dwell is off by δ, its reading along the declared direction is G (1 − cos δ) shorter than the
     linear term predicts (2 mg at 4°). The error is too large if that difference exceeds the reading's

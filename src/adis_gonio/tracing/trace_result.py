@@ -184,7 +184,7 @@ class NextDwell(JsonRecord):
 
     @property
     def separates(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """The effects that only the one and only the other of the two compared models contains."""
+        """Effects that only the first of the two compared models contains, and those of only the second."""
         return self.one, self.other
 
 

@@ -236,7 +236,7 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
     if result.before.heldout_by_axis is not None and not result.fits:
         return (
             f"{what or 'No condition was found that the readings follow.'} One pose does not show whether"
-            " zero or gain changes. Adequacy cannot be tested, since the noise of neighbouring samples is"
+            " bias or gain changes. Adequacy cannot be tested, since the noise of neighbouring samples is"
             " correlated."
         )
     if not result.tested:
@@ -294,7 +294,7 @@ def gains(result: TraceResult) -> str:
 
 
 def confounded(result: TraceResult, most: int = 4) -> list[str]:
-    """Return the groups of effects that the session cannot distinguish, one line per first name."""
+    """Return the groups of effects that the session cannot distinguish, one line for each group."""
     groups: dict[str, list[str]] = {}
     for names in result.confounded:
         if len(names) == 1:
@@ -311,7 +311,7 @@ def confounded(result: TraceResult, most: int = 4) -> list[str]:
         listed = named[:most] + nameless[:1]
         if listed:
             more = len(named[most:]) + len(nameless[1:])
-            kind = "more" if named[most:] else f"other form{'s' * (more > 1)} without a name"
+            kind = "more" if named[most:] else f"other unnamed form{'s' * (more > 1)}"
             text = f"{first} — or {', or '.join(listed)}" + (f" (or {more} {kind})" if more else "")
         reason = result.reasons.get(first)
         lines.append(f"{text}: {reason}" if reason else text)
@@ -365,8 +365,8 @@ def sight(result: TraceResult) -> SightWords:
 def absent(result: TraceResult) -> str:
     """Return the statement about effects that the session could show but that were not found."""
     if result.adequate and result.unnamed is None:
-        return "not there: it would have shown"
-    return "not recognised; it would have shown alone"
+        return "absent: it would have been found"
+    return "not found: without other effects it would have been found"
 
 
 def amplitude(entry: Detectable) -> str:

@@ -59,7 +59,7 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class Chosen:
-    """A model fitted without the dwells of a fold.
+    """A model fitted without the held-out dwells.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Chosen:
 
 
 def residuals_on(fit: Fit, data: Readings) -> HeldOut:
-    """Return the residuals of dwells that a model was not fitted to."""
+    """Return the residuals of a model on dwells that it was not fitted to."""
     there = fit.on(data)
     turned = fit.angle_error_rad(data)
     return HeldOut(there.misfit, turned, np.ones(len(data), dtype=bool))
@@ -91,7 +91,7 @@ def rms(residual: Floats, by_axis: bool) -> float:
 
 
 def folds(data: Readings) -> dict[str, list[NDArray[np.bool_]]]:
-    """Return the possible ways to hold out dwells: name → masks (n,) of the dwells of each fold."""
+    """Return the possible ways to hold out dwells: for each name the masks (n,) of its folds."""
     n = len(data)
     count = min(limits.folds, n) if n > limits.alone else n
     order = np.arange(n)
@@ -135,7 +135,7 @@ def masks_about_axes(data: Readings) -> list[NDArray[np.bool_]]:
 def predicted_dwells(
     data: Readings, designs: Mapping[str, list[NDArray[np.bool_]]], model: Sequence[Term]
 ) -> dict[str, NDArray[np.bool_]]:
-    """Return by design a mask (n,) of the dwells that count in the held-out error.
+    """Return for each way to hold out dwells a mask (n,) of the dwells that count in the held-out error.
 
     Under designs that leave out whole ranges of angle or time, a dwell counts if the other dwells predict
     it by the base model and the unnamed functions of the model. If a quarter of a turn is left out, the
@@ -213,7 +213,7 @@ def cross_validate(
     designs: dict[str, list[NDArray[np.bool_]]],
     fit: Callable[[Readings], Chosen],
 ) -> dict[str, HeldOut]:
-    """Return by design the residual of every dwell under a model fitted without its fold.
+    """Return, by the way to hold out dwells, the residuals under models fitted without each fold.
 
     `fit` selects and fits a model of the remaining dwells.
     """
@@ -237,7 +237,7 @@ def cross_validate(
 
 
 def select_counted(left: Mapping[str, HeldOut], counts: Mapping[str, NDArray[np.bool_]]) -> list[HeldOut]:
-    """Return for each design the held-out residuals of the dwells selected by the masks `counts`."""
+    """Return, for each way to hold out dwells, the residuals of the dwells in the masks `counts`."""
     return [left[name].rows(own) for name, own in counts.items()]
 
 
@@ -260,7 +260,7 @@ def drop_unpredicted(
 
 @dataclass(frozen=True)
 class Fold:
-    """The choice and fit of a model that are repeated without the dwells of each fold.
+    """The choice and fit of a model, to be repeated without the dwells of each fold.
 
     Attributes
     ----------
@@ -288,7 +288,7 @@ class Fold:
     def left_out(
         self, data: Readings, designs: Mapping[str, list[NDArray[np.bool_]]], fit: Fit | None = None
     ) -> dict[str, HeldOut]:
-        """Return held-out residuals under each design; computed once for the guard and the figures.
+        """Return the residuals on held-out dwells, for each way to hold them out; computed once.
 
         Parameters
         ----------
@@ -301,7 +301,7 @@ class Fold:
         return {name: self._made[id(fit), name][1] for name in designs}
 
     def chosen_anew(self, rows: Readings) -> Chosen:
-        """Choose and fit a model of the dwells that are not held out."""
+        """Choose and fit a model from the dwells that are not held out."""
         chosen = select(
             rows, self.terms, self.max_effects, explored=limits.fold_explored, rounds=limits.fold_rounds
         )
@@ -390,7 +390,7 @@ def without_folds(
 
 
 def figures_of_fit(fit: Fit, measured: Readings, left: Sequence[HeldOut]) -> ErrorFigures:
-    """Return the errors of a fit: residual, held-out error, angle error and χ².
+    """Return the error figures of a fit: residual, held-out error, angle error and χ².
 
     `left` are its residuals on held-out dwells.
     """
@@ -502,7 +502,7 @@ def reject_unchecked(names: Names, selection: Selection) -> Names:
 
 
 def reject_names(names: Names, reasons: dict[str, str]) -> Names:
-    """Return the names without the rejected ones, which are listed under `confounded` instead."""
+    """Return the names with some of them rejected; rejected names are then listed as `confounded`."""
     more = tuple((name,) for name in reasons if name in names.accepted)
     accepted = tuple(name for name in names.accepted if name not in reasons)
     return Names(accepted, names.rejected, tuple(dict.fromkeys((*names.confounded, *more))))
@@ -539,7 +539,7 @@ def never_worse(
     reported: tuple[float, float] | None,
     unit: str = "mg",
 ) -> tuple[int, Names, dict[str, str]]:
-    """Find the longest nested model with hardly more held-out error than any shorter model.
+    """Find the longest nested model with a held-out error hardly larger than of any shorter model.
 
     Parameters
     ----------

@@ -285,7 +285,7 @@ def test_a_model_that_lacks_something_is_refused_unless_told(tmp_path):
         return PowerBus(world=world, url="sim:?seed=3")
 
     path = record(tmp_path / "bent.session", bent(), "tumble", fixture_sigma_deg=0.02)
-    refused(bent(), path, SessionError, "no sound base .*chi2")
+    refused(bent(), path, SessionError, "not reliable enough .*chi2")
     told = WriteSettings(dwell_s=0.5, doubtful=True)
     plan = writer(bent(), path, told).plan()
     assert plan.changes

@@ -97,7 +97,7 @@ class TypedRunner(PlayedRunner):
 
     virtual_time, one_recording, fastest_dps, replayed = True, False, 180.0, False
 
-    def run(self):
+    def run(self, *, so_far=True):
         for step in self._script:
             yield step
             if self.told:

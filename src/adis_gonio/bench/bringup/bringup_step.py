@@ -135,6 +135,8 @@ class Outcome(StrEnum):
     CONTRADICTS = "contradicts"
     MEASURED = "measured"
     """The table has no value, and one was measured."""
+    OPEN = "open"
+    """The observations do not decide between the table and its rivals."""
     NOT_MEASURED = "not measured"
 
 
@@ -515,7 +517,7 @@ class BringupBench:
     def scans(self, count: int, names: Sequence[str]) -> tuple[ScanBlock, bool]:
         """Read at most `count` scans, for at most `LONGEST_S`; return them, and True if they have no gap.
 
-        The bridge streams if data-ready may be lent and works, else it polls. If there are gaps, the
+        The bridge streams if data-ready may be enabled and works, else it polls. If there are gaps, the
         longest run without a gap is returned if it is long enough, else all scans.
         """
         blocks: list[ScanBlock] = []

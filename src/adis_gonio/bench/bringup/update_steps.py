@@ -385,7 +385,7 @@ def _jitter(time_s: Floats, period_s: float) -> tuple[float, float]:
 
 
 def _delay_us(edges: _Edges, period_s: float, bench: BringupBench) -> tuple[float, float]:
-    """Earliest and latest time in µs from a data-ready edge to the sample update; negative if before it.
+    """Earliest and latest time in µs from a data-ready edge to the update; negative before the edge.
 
     A word is taken at the end of its frame, so that the update lies between the ends of the read with ND
     and the read before it, which may be the last read of the scan before.

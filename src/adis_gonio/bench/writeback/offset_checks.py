@@ -461,7 +461,7 @@ def compare_autonull(
         The dwell has no gyros.
     """
     if rest.sample_dps is None or rest.u_dps is None:
-        raise UsageError("an autonull is compared in a dwell with gyros")
+        raise UsageError("an autonull needs a dwell with gyros for comparison")
     zero, u = part.zero(rest)
     recorded = {axis.register: axis.recorded for axis in plan.axes}
     lsb = plan.axes[0].lsb
@@ -577,7 +577,7 @@ class Gyros:
         """Calibration of the gyros with the offsets that they had during the recording."""
         made = gyros_as_recorded(self.session)
         if made.covariance is None:
-            raise FitError(f"{self.session.source}: nothing states the uncertainty of its zero rates")
+            raise FitError(f"{self.session.source}: the uncertainty of its zero rates is unknown")
         return made
 
     def plan(self, now: Numbers) -> WritePlan:
@@ -655,5 +655,5 @@ def part_of(
     if not gyros:
         return Accelerometers(session, method, angle_deg)
     if method is not None:
-        raise UsageError(f"{Path(session.source).name}: --method is of the accelerometers; leave it out")
+        raise UsageError(f"{Path(session.source).name}: --method is for accelerometers; leave it out")
     return Gyros(session)

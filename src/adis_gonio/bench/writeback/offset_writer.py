@@ -251,8 +251,8 @@ class OffsetWriter:
             self._tell(f"gyros: {remark}")
         if plan.doubts and not self.settings.doubtful:
             raise SessionError(
-                f"{self.path}: the fit is no sound base ({'; '.join(plan.doubts)}); see `adis-gonio trace`,"
-                " or write anyway with --even-if-inadequate"
+                f"{self.path}: the fit is not reliable enough ({'; '.join(plan.doubts)}); see `adis-gonio "
+                "trace`, or write anyway with --even-if-inadequate"
             )
         earlier = find_undoable(self.known)
         if earlier is not None and earlier.new != plan.new:
@@ -338,7 +338,7 @@ class OffsetWriter:
         """
         earlier = find_undoable(self.known)
         if earlier is None:
-            raise SessionError(f"{self.path}: has no write that is in force, so there is nothing to undo")
+            raise SessionError(f"{self.path}: no write is active, so there is nothing to undo")
         now, endurance = self._read()
         standing = held_offsets(self.known, now, endurance, self.others)
         if standing.registers == "other":

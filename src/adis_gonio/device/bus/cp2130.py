@@ -276,7 +276,7 @@ class Cp2130Bus(host.UsbBus):
     def _bulk_out(self, data: bytes) -> None:
         sent = self._call("a frame", self._device.write, self._out_endpoint, data, self._ms)
         if sent != len(data):
-            raise ProtocolError(f"{self.url}: {sent} of {len(data)} bytes of a command left")
+            raise ProtocolError(f"{self.url}: only {sent} of {len(data)} bytes of a command were sent")
 
     def _bulk_in(self, size: int, timeout_s: float) -> bytes:
         ms = round(timeout_s * 1000)

@@ -200,7 +200,7 @@ class UsbOptions:
         used = [cs, *([] if reset_gpio is None else [reset_gpio]), *([event_pin] if event_counter else [])]
         if len(set(used)) != len(used):
             raise UsageError(
-                f"{options.url.text}: cs, reset_gpio and the event counter ({event_name}) need pins apart"
+                f"{options.url.text}: cs, reset_gpio and event counter ({event_name}) need different pins"
             )
         return cls(cs, reset_gpio, event_counter, timeout_ms / 1000)
 

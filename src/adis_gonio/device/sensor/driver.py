@@ -269,7 +269,9 @@ class Adis16354(Closing):
             As `read_checked`: a stuck line gives no values.
         """
         smpl_prd, sens_avg, msc_ctrl = self.read_checked(["SMPL_PRD", "SENS_AVG", "MSC_CTRL"])
-        return Configuration.from_words(smpl_prd, sens_avg, msc_ctrl)
+        found = Configuration.from_words(smpl_prd, sens_avg, msc_ctrl)
+        self._gyro_range = found.gyro_range_dps
+        return found
 
     def read_checked(self, names: Sequence[str | Register]) -> list[int]:
         """Return words that agree in two successive readings, with SENS_AVG read before and after them.
@@ -720,9 +722,7 @@ class Adis16354(Closing):
 
     def _follow(self) -> None:
         """Read the configuration of the chip again, and adapt the SPI timing and the gyro scale to it."""
-        now = self.configuration()
-        self._gyro_range = now.gyro_range_dps
-        self.bus.configure(timing_for(now.smpl_prd))
+        self.bus.configure(timing_for(self.configuration().smpl_prd))
 
     def _check_sens_avg(self, number: int) -> None:
         row = BY_NAME["SENS_AVG"]

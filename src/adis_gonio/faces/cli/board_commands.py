@@ -25,8 +25,12 @@ def _report_files(output: Path) -> tuple[Path, Path]:
     return output.with_suffix(".html"), output.with_suffix(".json")
 
 
-@option.command("bringup", "--output --allow-writes --yes")
-@option.url
+@option.command("bringup", "--output --allow-writes --yes --from")
+@click.argument("url", required=False)
+@click.option(
+    "--from", "recordings", type=option.FILE, multiple=True, metavar="FILE",
+    help="Compare the register table with this recording or capture; may be given several times.",
+)  # fmt: skip
 @option.output("Write FILE.html and FILE.json.", paths=_report_files)
 @option.flag("--allow-writes", "--writes", help="Also run the steps that write registers.")
 @option.flag("--flash", help="With --allow-writes: also write the flash once.")
@@ -36,7 +40,8 @@ def _report_files(output: Path) -> tuple[Path, Path]:
 @option.json
 def bringup_command(
     *,
-    url: str,
+    url: str | None,
+    recordings: tuple[Path, ...],
     output: Path | None,
     allow_writes: bool,
     flash: bool,
@@ -52,15 +57,15 @@ def bringup_command(
     stream). With --allow-writes, further steps settle open questions of the register table. Each asks
     first, and everything written is undone and read back, also after Ctrl-C. The exit status is 1 if a step
     found a fault.
+
+    With --from, and without a URL, files of record: or VCD captures are compared with the rows of the
+    register table instead: bringup --from run.rec --from capture.vcd. All files must be of one part.
     """
-    if not allow_writes and (flash or yes):
-        raise UsageError(f"--{'flash' if flash else 'yes'} goes with --allow-writes")
-    if allow_writes and leave_registers:
-        raise UsageError("--leave-registers writes nothing, so it excludes --allow-writes")
-    if allow_writes and not (yes or at_a_terminal()):
-        raise UsageError(
-            "--allow-writes asks before each step, and standard input is no terminal: add --yes"
-        )
+    if recordings and not (url or output or allow_writes):
+        return _judge(recordings, variant, as_json=as_json)
+    if recordings or url is None:
+        raise UsageError("give the URL of a board, or --from FILE without URL, --output and --allow-writes")
+    _check_permission(allow_writes, flash or yes, yes, leave_registers)
     files = () if output is None else _report_files(output)
     from adis_gonio.bench.bringup import Permission, bring_up
     from adis_gonio.device.bus import open_bus
@@ -89,6 +94,30 @@ def bringup_command(
     if found.stopped:
         raise KeyboardInterrupt
     return 0 if found.sound else 1
+
+
+def _check_permission(writes: bool, more: bool, yes: bool, leave_registers: bool) -> None:
+    if not writes and more:
+        raise UsageError(f"--{'yes' if yes else 'flash'} goes with --allow-writes")
+    if writes and leave_registers:
+        raise UsageError("--leave-registers writes nothing, so it excludes --allow-writes")
+    if writes and not (yes or at_a_terminal()):
+        raise UsageError(
+            "--allow-writes asks before each step, and standard input is no terminal: add --yes"
+        )
+
+
+def _judge(recordings: tuple[Path, ...], variant: str, *, as_json: bool) -> int:
+    from adis_gonio.bench.bringup.chip_rows import findings_text, judge_recordings
+    from adis_gonio.device.sensor.registers import variant as find_variant
+
+    findings = judge_recordings(recordings, find_variant(variant))
+    if as_json:
+        files = [str(path) for path in recordings]
+        print_json({"files": files, "rows": [finding.as_dict() for finding in findings]})
+    else:
+        click.echo(findings_text(findings))
+    return 0
 
 
 def _write_report(found: Bringup, page: Path, document: Path) -> None:

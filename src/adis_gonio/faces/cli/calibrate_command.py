@@ -10,7 +10,7 @@ import click
 
 from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.output import exists_error, set_aside
+from adis_gonio.base.output import exists_error
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import print_json, report_progress, say
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
@@ -146,6 +146,7 @@ def calibrate_command(
     measures them until the model is adequate or no position is expected to show more.
     """
     from adis_gonio.bench.advisor import MOST_EXTRA, TraceAdvisor
+    from adis_gonio.record.archive import set_aside
     from adis_gonio.record.loading import load_session
     from adis_gonio.record.plans import GYRO_TURNS
     from adis_gonio.record.source import refuse_chip_options
@@ -272,7 +273,7 @@ def _trace(session: Session, advisor: TraceAdvisor) -> TraceResult | None:
 
 
 def _is_complete(path: Path) -> bool:
-    """True if all positions are done and the plan has no longer form to offer."""
+    """True if all positions are done and no extension of the plan can be offered."""
     from adis_gonio.record.archive import ArchiveView
     from adis_gonio.record.plans import extension
 

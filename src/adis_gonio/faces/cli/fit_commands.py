@@ -289,7 +289,7 @@ def allan_command(
 
     The estimate is by maximum likelihood, from the dwells of a session or the rests of a continuous
     recording; the Allan deviation is shown next to it. A kind of noise that is not found gets an upper
-    limit. docs/noise.md explains how long to record.
+    limit. docs/gyros.md explains how long to record.
     """
     from adis_gonio.fitting.allan import fit_allan
 

@@ -110,7 +110,7 @@ class PlainBench:
             Progress(*columns, console=self._screen, transient=True) as self._progress,
         ):
             self._task = self._progress.add_task("", total=None, note="", visible=False)
-            for event in self._runner.run():
+            for event in self._runner.run(so_far=not self._auto):
                 complete = self._handle(event) or complete
         return complete
 

@@ -110,7 +110,7 @@ class Fit:
         return self.values.terms[self.terms.index(term)]
 
     def slice_of(self, index: int) -> slice:
-        """Slice of the parameter array that contains the values of the term with this index."""
+        """Slice of the parameter array with the values of the term number `index`."""
         start = len(self.values.base) + sum(len(own) for own in self.values.terms[:index])
         return slice(start, start + len(self.values.terms[index]))
 
@@ -172,7 +172,7 @@ class Fit:
         return self.data.model.calibrated(self.values.base, self.data.mean - added)
 
     def added(self, index: int) -> Floats:
-        """Contribution (n, axes) of the term with this index to the readings.
+        """Contribution (n, axes) of the term number `index` to the readings.
 
         If the term is an error of the angle, the contribution is computed to first order.
         """
@@ -245,7 +245,7 @@ class Fit:
         return _factors(self.modes)
 
     def white(self, columns: Floats) -> Floats:
-        """Convert columns of readings (n, axes, d) to rows (rows, d) with unit covariance of the noise.
+        """Convert columns of readings (n, axes, d) to rows (rows, d) with noise of unit covariance.
 
         The rows of the dwells come first, then the rows of the links.
         """
@@ -398,7 +398,7 @@ class Fit:
 
     @cached_property
     def equations(self) -> int:
-        """Number of equations that the readings give; each angle without a prior uses up one of them."""
+        """Number of equations that the readings give; the unknown angle of a dwell uses up one of them."""
         spare = (
             0 if self.data.free else int(np.isinf(self.data.fixture).sum()) * (self.data.model.freedom == 1)
         )
@@ -406,7 +406,7 @@ class Fit:
 
     @cached_property
     def _half(self) -> Floats:
-        """Square root (p + q, k) of the parameters' covariance: it equals root times its transpose."""
+        """Root (p + q, k) of the covariance of all parameters; root times transposed root gives it."""
         # Scale columns to unit length first: parameters have different units.
         scaled = self._with_prior(self.jacobian)
         size = np.linalg.norm(scaled, axis=0)
@@ -423,7 +423,7 @@ class Fit:
 
     @cached_property
     def used(self) -> float:
-        """Effective number of fitted parameters: one with an informative prior counts less than one."""
+        """Effective number of fitted parameters; informative priors make a parameter count less than 1."""
         used = float(((self.jacobian @ self._half) ** 2).sum())
         if all(term.prior_sd is None for term in self.terms):
             used = float(round(used))  # the base's prior is wide: a parameter counts fully or not at all
@@ -461,7 +461,7 @@ class Fit:
         return self.chi2 + float((self._away**2).sum())
 
     def _with_prior(self, rows: Floats) -> Floats:
-        """Append one row for each prior to the given rows."""
+        """Append the equations of the priors to the given whitened rows, one row for each prior."""
         precision, _ = self._prior
         return np.concatenate([rows, np.diag(precision)[precision > 0]])
 
@@ -482,7 +482,7 @@ class Fit:
     # -- refitting ---------------------------------------------------------------------------------
 
     def settled(self, passes: int = 2) -> Fit:
-        """Copy with the attitude of each dwell fitted again, at unchanged parameters."""
+        """Copy in which the attitude of each dwell is fitted again, with the parameters unchanged."""
         data, model = self.data, self.data.model
         freedom = model.freedom
         fixed = data.fixture == 0
@@ -517,8 +517,9 @@ class Fit:
     ) -> Fit:
         """Fit base parameters and terms to the readings by nonlinear least squares (Gauss–Newton).
 
-        The derivative leaves out that an effect depends on the ideal reading; the model does not. Steps
-        therefore converge linearly, with a factor of about the size of the effect over 1 g.
+        The model contains effects that depend on the ideal reading, but the derivative neglects this
+        dependence. Steps therefore converge linearly, with a factor of about the size of the effect over 1
+        g.
 
         Parameters
         ----------
@@ -596,7 +597,7 @@ class Fit:
     # -- dwells that were not fitted ------------------------------------------------------------------
 
     def on(self, data: Readings) -> Fit:
-        """Copy with these parameters for other dwells; only the attitudes of the dwells are fitted."""
+        """Copy with these parameters for other dwells; only the attitudes of these dwells are fitted."""
         return self._placed_on(data).settled(4)
 
     def _placed_on(self, data: Readings) -> Fit:
@@ -635,7 +636,7 @@ class Fit:
 
 
 def _factors(modes: Floats | None) -> tuple[Floats, Floats] | None:
-    """Factors for `Fit._shared` of shared modes (rows, k)."""
+    """The factors that `Fit._shared` describes, from the shared modes (rows, k); None without modes."""
     if modes is None:
         return None
     values, vectors = np.linalg.eigh(modes.T @ modes)

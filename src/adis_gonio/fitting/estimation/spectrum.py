@@ -97,8 +97,8 @@ class MeanNoise:
 class _Ordinates:
     """Periodograms (spectra) of all dwells of equal length.
 
-    The lowest ordinates are separate. Higher ordinates of a long dwell are joined into bins that lie within
-    one band and one cell of `_cells`, so that sums over bands and cells do not change.
+    The lowest ordinates (values of a periodogram) are separate. Higher ones of a long dwell are joined into
+    bins of frequency, which never cross a limit between the bands of the fit.
     """
 
     dwell: NDArray[np.intp]

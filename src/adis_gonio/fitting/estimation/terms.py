@@ -2,7 +2,7 @@
 
 A term is a group of columns ∂reading/∂parameter (or ∂angle/∂parameter). A *named* term is an effect of the
 catalogue on some axes; its shapes (time constants) are taken from a grid in the search and are free in the
-fit. A *nameless* term is a combination of the grammar: the place at which it enters × its covariates.
+fit. An *unnamed* term is a combination of the grammar: the place at which it enters × its covariates.
 """
 
 from __future__ import annotations

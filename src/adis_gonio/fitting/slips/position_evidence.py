@@ -13,9 +13,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -123,65 +122,73 @@ class Whitened:
 
     Attributes
     ----------
-    known : (m, q) float
-        Directions in which these sizes are free.
+    design : (m, p + q) float
+        Columns of all values with a prior: calibration, effects, sizes of known faults.
+    prior_sd : (p + q,) float
+        Prior standard deviation of the value of each column of `design`.
+    root, inverse : (m, m) float
+        Cholesky factor of the total covariance of the rows, and its inverse.
     """
 
     rows: Rows
     scatter: ScatterPoint
-    known: Floats
+    design: Floats
+    prior_sd: Floats
+    root: Floats
+    inverse: Floats
 
-    @cached_property
-    def design(self) -> Floats:
-        """Columns (m, p + q) of all values with a prior: calibration, effects, sizes of known faults."""
-        return np.hstack([self.rows.design, self.known])
-
-    @cached_property
-    def prior_sd(self) -> Floats:
-        """Prior standard deviation (p + q,) of the value of each column of `design`."""
-        sd = self.rows.prior_sd * np.where(self.rows.effect, self.scatter.effects, 1.0)
-        return np.concatenate([sd, np.full(self.known.shape[1], np.pi)])
-
-    @cached_property
-    def noise(self) -> Floats:
-        """Covariance (m, m) of the rows from noise and ordinary errors, without the columns of `design`."""
-        n = len(self.rows)
-        # e without a fault scatters around the declared angle, or anywhere without one.
-        turned = self.rows.by_error * np.where(self.rows.declared, self.scatter.position_rad, NOWHERE_RAD)
-        added = np.zeros(len(self.rows.by_error))
-        added[: 2 * n] = self.scatter.reading**2
-        noise = self.rows.noise + turned @ turned.T + np.diag(added)
-        if not (self.scatter.turns_rad or self.scatter.drifts):
-            return np.asarray(noise)
-        # Random walks over the session: of the part in its mount, and of the zeros of both axes.
-        walk = np.minimum(self.rows.course[:, None], self.rows.course)
-        noise = noise + self.scatter.turns_rad**2 * self.rows.by_error @ walk @ self.rows.by_error.T
-        readings = np.tile(walk, (2, 2)) * (self.rows.reading[: 2 * n] @ self.rows.reading[: 2 * n].T)
-        noise[: 2 * n, : 2 * n] += self.scatter.drifts**2 * readings
-        return np.asarray(noise)
-
-    @cached_property
-    def root(self) -> Floats:
-        """Cholesky factor (m, m) of the total covariance of the rows."""
-        spread = self.design * self.prior_sd
-        return np.asarray(np.linalg.cholesky(self.noise + spread @ spread.T))
+    @classmethod
+    def at_each(cls, rows: Rows, grid: Sequence[ScatterPoint], known: Floats) -> Iterator[Whitened]:
+        """Whiten for each point of the grid; `known` (m, q) are directions in which sizes are free."""
+        design = np.hstack([rows.design, known])
+        free = np.full((len(grid), known.shape[1]), np.pi)
+        larger = np.array([[scatter.effects] for scatter in grid])
+        prior_sd = np.hstack([rows.prior_sd * np.where(rows.effect, larger, 1.0), free])
+        # Together, since one call costs more than a small matrix; of large ones a few fill the memory.
+        step = max(1, _TOGETHER // design.shape[0] ** 2)
+        for start in range(0, len(grid), step):
+            part = slice(start, start + step)
+            spread = design * prior_sd[part, None, :]
+            covariance = _noise(rows, grid[part]) + spread @ spread.transpose(0, 2, 1)
+            root = np.linalg.cholesky(covariance)
+            for one in zip(grid[part], prior_sd[part], root, np.linalg.inv(root), strict=True):
+                scatter, own, *roots = one
+                yield cls(rows, scatter, design, own, *roots)
 
     def weight(self, z: Floats) -> Floats:
         """Log of prior times likelihood (k,) of this grid point, for k columns of whitened residuals."""
         scale = -np.log(np.diag(self.root)).sum() - 0.5 * len(self.root) * math.log(2 * math.pi)
         return np.asarray(scale + self.scatter.log_prior - 0.5 * (z * z).sum(axis=0))
 
-    @cached_property
-    def _inverse(self) -> Floats:
-        return np.asarray(np.linalg.inv(self.root), np.float64)
-
     def white(self, values: Floats) -> Floats:
         """Whiten columns (m, …): scale and mix the rows so that their covariance is the identity."""
-        return np.asarray(self._inverse @ values)
+        return np.asarray(self.inverse @ values)
 
     def white_residual(self, values: Floats) -> Floats:
         """Subtract the prediction at the prior mean from columns (m, k), and whiten the difference."""
         return self.white(values - (self.rows.design @ self.rows.prior_mean)[:, None])
+
+
+_TOGETHER = 10**6
+"""Numbers in the matrices that are factorised together."""
+
+
+def _noise(rows: Rows, grid: Sequence[ScatterPoint]) -> Floats:
+    """Covariance (g, m, m) of the rows from noise and ordinary errors, at each point of the grid."""
+    n = len(rows)
+    every = [(s.position_rad, s.reading, s.turns_rad, s.drifts) for s in grid]
+    position, reading, turns, drifts = np.array(every).T[:, :, None]
+    # e without a fault scatters around the declared angle, or anywhere without one.
+    turned = rows.by_error * np.where(rows.declared, position, NOWHERE_RAD)[:, None, :]
+    noise = rows.noise + turned @ turned.transpose(0, 2, 1)
+    own = np.arange(2 * n)
+    noise[:, own, own] += reading**2
+    # Random walks over the session: of the part in its mount, and of the zeros of both axes.
+    walk = np.minimum(rows.course[:, None], rows.course)
+    noise += turns[:, :, None] ** 2 * (rows.by_error @ walk @ rows.by_error.T)
+    readings = np.tile(walk, (2, 2)) * (rows.reading[: 2 * n] @ rows.reading[: 2 * n].T)
+    noise[:, : 2 * n, : 2 * n] += drifts[:, :, None] ** 2 * readings
+    return np.asarray(noise)
 
 
 @dataclass(frozen=True)
@@ -252,7 +259,7 @@ def weigh(
 def _weighed(
     rows: Rows, grid: Sequence[ScatterPoint], patterns: Sequence[Pattern], known: KnownFaults
 ) -> tuple[Floats, list[tuple[int, Name]]]:
-    """Ln of prior times likelihood (1 + names, grid), for no further fault and for each fault and name.
+    """Log of prior times likelihood (1 + names, grid): of no further fault, then of each fault and name.
 
     Also returns the pairs of fault number and name that rows 1, 2, … belong to.
     """
@@ -271,11 +278,10 @@ def _weighed(
     keys = [(k, name) for k, pattern in enumerate(patterns) for name in pattern.names]
     plain = np.empty((1 + len(patterns), len(grid)))
     moments = np.empty((5, 1 + len(patterns), len(grid)))
-    for g, scatter in enumerate(grid):
-        white = Whitened(rows, scatter, known.columns)
-        z, v = white.white_residual(residual), white.white(first)
-        w = np.zeros_like(v)
-        w[:, twice] = white.white(second[:, twice])
+    columns = np.hstack([residual - (rows.design @ rows.prior_mean)[:, None], first, second[:, twice]])
+    w = np.zeros_like(first)
+    for g, white in enumerate(Whitened.at_each(rows, grid, known.columns)):
+        z, v, w[:, twice] = np.split(white.white(columns), [first.shape[1], 2 * first.shape[1]], axis=1)
         plain[:, g] = white.weight(z)
         for k, (a, b) in enumerate(((v, v), (v, z), (w, w), (w, z), (v, w))):
             moments[k, :, g] = (a * b).sum(axis=0)
@@ -359,11 +365,10 @@ class Detectability:
             return {}
         residual = self.known.residual(self.rows)[:, None]
         likely = []
-        for scatter in self.grid:
-            white = Whitened(self.rows, scatter, self.known.columns)
+        for white in Whitened.at_each(self.rows, self.grid, self.known.columns):
             likely.append(float(white.weight(white.white_residual(residual))[0]))
         none = self.known.columns[:, :0]
-        accounts = [Whitened(self.rows, scatter, none) for scatter in self.grid]
+        accounts = list(Whitened.at_each(self.rows, self.grid, none))
         root = accounts[int(np.argmax(likely))].root
         drawn = root @ np.random.default_rng(0).standard_normal((len(root), _DRAWN))
         whitened = [(account, account.white(drawn)) for account in accounts]

@@ -37,7 +37,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Literal
 
 import numpy as np
@@ -483,6 +483,13 @@ def possible_entries(declared_deg: float, others_deg: Iterable[float] = ()) -> t
     The errors are a sign, a quarter or half turn (90 for 270), two digits exchanged, one digit wrong,
     dropped or doubled, a misplaced decimal point, and the angle of another position of the session.
     """
+    found = {*_wrongly_typed(declared_deg), *others_deg}
+    return tuple(sorted(v + 0.0 for v in found if abs(v) <= LARGEST_DEG and v != declared_deg))
+
+
+@lru_cache(1000)  # one search for faults asks several times for each angle of a session
+def _wrongly_typed(declared_deg: float) -> frozenset[float]:
+    """Like `possible_entries`, without the other positions and without a limit."""
     text = f"{abs(declared_deg):g}"
     sign = -1.0 if declared_deg < 0 else 1.0
     written = {text[:k] + text[k + 1] + text[k] + text[k + 2 :] for k in range(len(text) - 1)}
@@ -491,12 +498,12 @@ def possible_entries(declared_deg: float, others_deg: Iterable[float] = ()) -> t
     written |= {
         text[:k] + digit + text[k + 1 :] for k in range(len(text)) if text[k] != "." for digit in DIGITS
     }
-    found = {-declared_deg, 10 * declared_deg, declared_deg / 10, *others_deg}
+    found = {-declared_deg, 10 * declared_deg, declared_deg / 10}
     found |= {declared_deg + turn for turn in (-180.0, -90.0, 90.0, 180.0)}
     for entry in written:
         with suppress(ValueError):
             found.add(sign * float(entry))
-    return tuple(sorted(v + 0.0 for v in found if abs(v) <= LARGEST_DEG and v != declared_deg))
+    return frozenset(found)
 
 
 Name = Literal["mistyped", "misset", "swapped", "slipped", "reversed", "gravity_wrong", "gyro_wrong"]

@@ -73,7 +73,7 @@ class Named(JsonRecord):
     positions : tuple of int
         Accused positions; of a lasting change the first one.
     probability : float
-        Share among all possible faults here.
+        Share of the probability of all faults that accuse a position.
     """
 
     name: Name
@@ -343,7 +343,7 @@ def _posterior(rows: Rows, accepted: Sequence[Pattern], scatter: ScatterPoint) -
     `accepted` are the faults, and `scatter` the standard deviations of the ordinary errors.
     """
     known = KnownFaults.of(rows, accepted)
-    white = Whitened(rows, scatter, known.columns)
+    (white,) = Whitened.at_each(rows, [scatter], known.columns)
     z = white.white_residual(known.residual(rows)[:, None])[:, 0]
     # Posterior of a linear Gaussian model: prior covariance times design, whitened.
     spread = white.white(white.design * white.prior_sd**2)

@@ -71,7 +71,7 @@ def catalogue(part: str | None = None) -> dict[str, type[Effect]]:
         if not (isinstance(kind, type) and issubclass(kind, Effect)):
             raise UsageError(f"effect '{point.name}': {point.value} is no subclass of Effect")
         if getattr(kind, "name", None) != point.name:
-            raise UsageError(f"effect '{point.name}': {point.value} calls itself something else")
+            raise UsageError(f"effect '{point.name}': {point.value} has another name")
         if not hasattr(kind, "covariates"):
             raise UsageError(
                 f"effect '{point.name}' of {point.value} declares neither covariates nor needs that "

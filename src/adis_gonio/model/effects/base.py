@@ -255,18 +255,20 @@ class Conditions:
         return found
 
     @cached_property
-    def _late(self) -> dict[tuple[int, float], tuple[Floats, Floats]]:
-        """Cache of the results of `late_load` by axis and τ, because a search repeats few values of τ."""
+    def _late(self) -> dict[tuple[str, int | None, float], tuple[Floats, Floats]]:
+        """Cache of the results of `late` by its arguments, because a search repeats few values of τ."""
         return {}
 
-    def late_load(self, axis: int, tau_s: float) -> tuple[Floats, Floats]:
-        """Load (n,) of an axis in mg, lagged with time constant τ, and its derivative by τ in mg/s."""
-        if self.load_history is None:
-            raise UsageError("the session does not record load_history")
-        if (axis, tau_s) not in self._late:
-            times, loads = self.load_history
-            self._late[axis, tau_s] = lagged(times, loads[:, axis], self.time_s, tau_s)
-        return self._late[axis, tau_s]
+    def late(self, history: str, axis: int | None, tau_s: float) -> tuple[Floats, Floats]:
+        """Quantity (n,), lagged with time constant τ, and its derivative by τ per s.
+
+        `history` is the name of a field; `axis` is the column of a history that has one per axis.
+        """
+        key = history, axis, tau_s
+        if key not in self._late:
+            times, values = self.covariate(history)
+            self._late[key] = lagged(times, values if axis is None else values[:, axis], self.time_s, tau_s)
+        return self._late[key]
 
     def rows(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Conditions:
         """Return the conditions of the selected rows; the histories are not cut."""

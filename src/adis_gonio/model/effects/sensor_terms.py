@@ -27,7 +27,6 @@ from adis_gonio.model.effects.base import (
     LinearAxisEffect,
     Parameter,
     decay,
-    lagged,
 )
 from adis_gonio.model.records import MG_PER_G
 
@@ -365,10 +364,7 @@ class ThermalLag(CourseEffect):
 
     def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
         """Lagged minus present temperature (n,) in °C, and its derivative with respect to τ in °C/s."""
-        history = conditions.temperature_history
-        if history is None:
-            raise UsageError("the session does not record temperature_history")
-        late, by_tau = lagged(*history, conditions.time_s, shape)
+        late, by_tau = conditions.late("temperature_history", None, shape)
         return late - conditions.covariate("temperature_c"), by_tau
 
 

@@ -257,7 +257,9 @@ class Creep(CourseEffect):
 
     def courses(self, shape: float, ideal: Floats, conditions: Conditions) -> list[tuple[Floats, Floats]]:
         """For each axis: lagged minus present load in g, (n,), and its derivative with respect to τ."""
-        late = [(column, *conditions.late_load(column, shape)) for column in self.columns_of(ideal)]
+        late = [
+            (column, *conditions.late("load_history", column, shape)) for column in self.columns_of(ideal)
+        ]
         return [((load - ideal[:, k]) / MG_PER_G, by_tau / MG_PER_G) for k, load, by_tau in late]
 
 

@@ -1,0 +1,119 @@
+"""The simulated bench without end: stories from seeds, with every invariant after each command.
+
+The bench is in tests/simulated_bench. A failing seed is shrunk and printed as a story that a person reads,
+with the Python of the story for a test.
+Every minute one line states the seeds, the bench hours and the bench hours in an hour of one core.
+
+    nice -n 19 python scripts/bench_stories.py                      # for ever, from seed 0
+    python scripts/bench_stories.py --first 5000 --minutes 30
+    python scripts/bench_stories.py --again 4711                    # one story, told in full
+    python scripts/bench_stories.py --defects --most 300            # seeds until each defect is found
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import os
+import sys
+import tempfile
+import time
+from itertools import count
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from simulated_bench.defects import DEFECTS, put_back
+from simulated_bench.stories import Outcome, Story, draw, play, shrink, tell
+
+
+def played(story: Story) -> Outcome:
+    """Play a story in a folder of its own."""
+    memory = "/dev/shm" if Path("/dev/shm").is_dir() else None
+    with tempfile.TemporaryDirectory(dir=memory) as outer:
+        folder = Path(outer) / "bench"
+        folder.mkdir()
+        return play(story, folder)
+
+
+def name_of(outcome: Outcome) -> str:
+    """Name of the first invariant that did not hold; empty without one."""
+    return outcome.wrong[0].split(": ")[1] if outcome.wrong else ""
+
+
+def report(story: Story, outcome: Outcome) -> None:
+    """Print a failing story, shrunk."""
+    which = name_of(outcome)
+    small = shrink(story, lambda one: name_of(played(one)) == which)
+    print(f"\nFAILED, shrunk from seed {story.seed}:\n{tell(played(small))}\n{small!r}\n", flush=True)
+
+
+def run(first: int, minutes: float) -> int:
+    """Play stories from a seed on; return the number of failing ones."""
+    began_s, told_s, core_s = time.monotonic(), time.monotonic(), time.process_time()
+    hours = measured = 0.0
+    failed: list[int] = []
+    values = outside = 0
+    for seed in count(first):
+        story = draw(seed)
+        outcome = played(story)
+        hours += outcome.hours
+        measured += outcome.measured_hours
+        values += len(outcome.off) * (not outcome.lied)
+        outside += sum(abs(off) > 1 for off in outcome.off.values()) * (not outcome.lied)
+        used_h = (time.process_time() - core_s) / 3600
+        if outcome.wrong:
+            failed.append(seed)
+            report(story, outcome)
+        over = time.monotonic() - began_s > 60 * minutes
+        if over or time.monotonic() - told_s > 60:
+            told_s = time.monotonic()
+            print(
+                f"seeds {first} to {seed}: {hours:.0f} bench hours, {measured:.2f} of them in commands;"
+                f" {hours / used_h:.0f} bench hours ({measured / used_h:.0f} in commands) in an hour of one"
+                f" core; outside U {outside} of {values} values; failed: {failed}",
+                flush=True,
+            )
+        if over:
+            break
+    return len(failed)
+
+
+def find_defects(first: int, most: int) -> int:
+    """Print how many seeds it takes to find each known defect; return the number of those not found."""
+    missed = 0
+    for name, defect in DEFECTS.items():
+        for number, seed in enumerate(range(first, first + most), 1):
+            with put_back(name):
+                outcome = played(draw(seed))
+            if outcome.wrong:
+                print(f"{name:20} {number:4}  {name_of(outcome):50}  {defect.text}", flush=True)
+                break
+        else:
+            missed += 1
+            print(f"{name:20} not found in {most} seeds  {defect.text}", flush=True)
+    return missed
+
+
+def main() -> int:
+    """Run and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--minutes", type=float, default=float("inf"))
+    parser.add_argument("--again", type=int, help="play one seed and tell it")
+    parser.add_argument("--defects", action="store_true")
+    parser.add_argument("--most", type=int, default=200, help="with --defects: most seeds for each")
+    options = parser.parse_args()
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    gc.freeze()
+    if options.again is not None:
+        outcome = played(draw(options.again))
+        print(f"{tell(outcome)}\n{outcome.digest}")
+        return 1 if outcome.wrong else 0
+    if options.defects:
+        return 1 if find_defects(options.first, options.most) else 0
+    return 1 if run(options.first, options.minutes) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

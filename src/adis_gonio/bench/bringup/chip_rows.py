@@ -1,0 +1,620 @@
+"""Hypotheses on rows of the register table, and their probabilities after recordings.
+
+Each row of `ROWS` has the statement of the table and its rivals, of which the last is always "something
+else". An observation is either a label, the alternative that one event agrees with, or a `Figure`, which
+each alternative predicts as an interval. The prior probability of the table's statement follows from its
+confidence. Observations multiply:
+
+* labels: each event has the label of the alternative, but one in 10 000 differs (a bit error). If
+  something else is true, the events have unknown probabilities with a Dirichlet prior, so that a chip that
+  does one thing each time is more probable than one that changes.
+* figures: uniform in the predicted interval, with a normal error. One figure in 10 000 may be anything. If
+  something else is true, an unknown share of the figures agrees with the table, and the others are uniform
+  over the row's range.
+"""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.bench.bringup.bringup_step import FALSE_ALARM, QUESTIONS, Outcome, Question
+from adis_gonio.bench.bringup.recorded_chip import SELF_TEST, RecordedChip, Rest, Span
+from adis_gonio.device.bus.capture import LogicCapture
+from adis_gonio.device.bus.recording import BusRecording
+from adis_gonio.device.sensor.registers import (
+    ACCEL_OFF,
+    ACCEL_OUT,
+    BY_NAME,
+    GYRO_OFF,
+    GYRO_OUT,
+    ND,
+    Kind,
+    Variant,
+)
+from adis_gonio.device.sensor.settings import (
+    FAST_BASE_S,
+    SLOW_BASE_S,
+    white_noise_gain,
+)
+
+ELSE = "something else"
+PRIOR = {"A": 0.999, "B": 0.99, "C": 0.9, "D": 0.7}
+"""Probability that a statement of the table is right before any recording, by its confidence."""
+ODD_EVENT = FALSE_ALARM
+"""Probability of an event or a figure that its own alternative does not predict."""
+DECIDED = 0.01
+"""A row is contradicted below this probability, and confirmed above one minus this probability."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A measured number `x` with standard uncertainty `u`, and the intervals that alternatives predict."""
+
+    x: float
+    u: float
+    predicted: Mapping[str, tuple[float, float]]
+
+
+Observation = str | Figure
+Observer = Callable[[RecordedChip, Variant], Iterable[Observation]]
+Figures = Callable[[RecordedChip, Variant], Iterable[Figure]]
+
+
+@dataclass(frozen=True)
+class ChipRow:
+    """A row of the register table as hypotheses.
+
+    Attributes
+    ----------
+    question : Question
+        Statement of the table, its source and its confidence.
+    observe : callable
+        Yields the observations of a recorded chip.
+    alternatives : tuple of str
+        Labels or keys of the figures; the first one is the statement of the table.
+    wide : (float, float)
+        Range of a figure if something else is true.
+    """
+
+    question: Question
+    observe: Observer
+    alternatives: tuple[str, ...]
+    wide: tuple[float, float] = (-10.0, 10.0)
+
+    def judge(self, observed: Sequence[Observation]) -> RowFinding:
+        """Compute the probabilities of the alternatives after some observations."""
+        names = (*self.alternatives, ELSE)
+        prior = PRIOR[self.question.confidence]
+        priors = np.array([prior, *[(1 - prior) / len(self.alternatives)] * len(self.alternatives)])
+        labels = Counter(one for one in observed if isinstance(one, str))
+        figures = [one for one in observed if isinstance(one, Figure)]
+        likelihood = _of_labels(names, labels)
+        if figures:
+            likelihood = likelihood + _of_figures(names, figures, self.wide)
+        logs = np.log(priors) + likelihood
+        # Odds of the table against the best rival, and normalised probabilities.
+        odds = float(logs[0] - logs[1:].max()) / math.log(10)
+        weights = np.exp(logs - logs.max())
+        chances = dict(zip(names, (weights / weights.sum()).tolist(), strict=True))
+        outcome, table = Outcome.OPEN, chances[names[0]]
+        if not observed:
+            outcome = Outcome.NOT_MEASURED
+        elif table < DECIDED:
+            outcome = Outcome.CONTRADICTS
+        elif table > 1 - DECIDED and likelihood[0] > likelihood[1:].max():
+            outcome = Outcome.CONFIRMS
+        return RowFinding(
+            self.question.name, self.question.text, names[0], self.question.source,
+            self.question.confidence, outcome, max(chances, key=lambda name: chances[name]),
+            len(observed), odds, chances, _described(labels, figures),
+        )  # fmt: skip
+
+
+class RowFinding(JsonRecord):
+    """Finding on one row of the register table.
+
+    Attributes
+    ----------
+    best : str
+        Most probable alternative.
+    observations : int
+        Number of events and figures.
+    log10_odds : float
+        Decimal logarithm of the odds of the table's statement against its best rival.
+    probabilities : dict of str to float
+    seen : str
+        Summary of the observations.
+    """
+
+    name: str
+    question: str
+    table: str
+    source: str
+    confidence: str
+    outcome: Outcome
+    best: str
+    observations: int
+    log10_odds: float
+    probabilities: dict[str, float]
+    seen: str
+
+
+def _of_labels(names: Sequence[str], labels: Counter[str]) -> Floats:
+    """Log-likelihood of each alternative for the counts of labels (see the module)."""
+    keys = [*names[:-1], *sorted({*labels} - {*names[:-1]}), ELSE]
+    keys = list(dict.fromkeys(keys))
+    counts = np.array([labels[key] for key in keys], np.float64)
+    total = float(counts.sum())
+    named = [
+        labels[name] * math.log(1 - ODD_EVENT) + (total - labels[name]) * math.log(ODD_EVENT / len(keys))
+        for name in names[:-1]
+    ]
+    flat = sum(math.lgamma(n + 0.5) - math.lgamma(0.5) for n in counts)
+    flat += math.lgamma(len(keys) / 2) - math.lgamma(len(keys) / 2 + total)
+    return np.array([*named, flat], np.float64)
+
+
+def _of_figures(names: Sequence[str], figures: Sequence[Figure], wide: tuple[float, float]) -> Floats:
+    """Log-likelihood of each alternative for figures (see the module)."""
+    flat = 1 / (wide[1] - wide[0])
+    density = np.array([[_density(figure, name) for name in names[:-1]] for figure in figures])
+    named = np.log((1 - ODD_EVENT) * density + ODD_EVENT * flat).sum(axis=0)
+    # Something else: a share p of the figures, but not all, agree with the table; the others are flat.
+    p = (np.arange(100) + 0.5)[:, None] / 100
+    table = np.maximum(density[:, 0], 1e-300)
+    some = np.log(p * table + (1 - p) * flat).sum(axis=1)
+    every = np.log(p * table).sum(axis=1)
+    logs = some + np.log(-np.expm1(every - some))
+    other = float(logs.max()) + math.log(float(np.mean(np.exp(logs - logs.max()))))
+    return np.array([*named, other])
+
+
+def _density(figure: Figure, name: str) -> float:
+    """Density of a figure that is uniform in a predicted interval, with a normal error."""
+    low, high = figure.predicted[name]
+    z = np.array([figure.x - low, figure.x - high]) / figure.u
+    if high - low < figure.u:
+        return math.exp(-0.5 * float(z.mean()) ** 2) / figure.u / math.sqrt(2 * math.pi)
+    below, above = (0.5 * math.erfc(-one / math.sqrt(2)) for one in z.tolist())
+    return (below - above) / (high - low)
+
+
+def _described(labels: Counter[str], figures: Sequence[Figure]) -> str:
+    parts = [f"{label}: {count}" for label, count in labels.most_common(3)]
+    if figures:
+        x = [figure.x for figure in figures]
+        few = ", ".join(f"{one:.3g}" for one in x)
+        parts.append(few if len(x) < 5 else f"{len(x)} figures {min(x):.3g} … {max(x):.3g}")
+    return "; ".join(parts)
+
+
+# -- observers --------------------------------------------------------------------------------------------
+
+
+def _replies_to_writes(chip: RecordedChip, _: Variant) -> Iterator[str]:
+    for frame, content, before, reply in chip.after_writes:
+        candidates = {"zeros": 0, "the frame": frame, "the content": content, "the reply before": before}
+        hits = [name for name, word in candidates.items() if word == reply]
+        if len({*candidates.values()}) == len(candidates) or len(hits) == 1:
+            yield hits[0] if hits else ELSE
+
+
+def _reserved_bits(chip: RecordedChip, _: Variant) -> Iterator[str]:
+    # Each content of a register counts once.
+    for row, word in {(check.row, check.word) for check in chip.checks if check.row.kind is Kind.FIELDS}:
+        unused, extra = ~row.write_mask & 0xFFFF, word & ~row.write_mask
+        if unused:
+            yield "zeros" if not extra else "ones" if extra == unused else ELSE
+
+
+def _upper_bits(chip: RecordedChip, _: Variant) -> Iterator[str]:
+    for row, word in {(check.row, check.word) for check in chip.checks if check.row.signed}:
+        extra, upper = word & ~row.data_mask & 0xFFFF, ~row.data_mask & 0xFFFF
+        negative = word >> (row.bits - 1) & 1
+        if negative or extra:
+            yield "zeros" if not extra else ELSE if extra != upper else "the sign" if negative else "ones"
+
+
+def _contents(cause: str, changed: int = 0xFFFF, flash: bool | None = None) -> Observer:
+    """Labels of register contents after a cause that changes some of the bits `changed`.
+
+    `flash` chooses registers with a flash copy (True) or volatile ones (False).
+    """
+
+    def observe(chip: RecordedChip, _: Variant) -> Iterator[str]:
+        for row, word, due in ((one.row, one.word, one.expected) for one in chip.checks):
+            mask = row.write_mask & ~(SELF_TEST if row.name == "MSC_CTRL" else 0)
+            chosen = flash is None or flash == (row.flash_mask == row.write_mask)
+            if (
+                chosen
+                and due is not None
+                and due.cause == cause
+                and (due.word ^ due.before) & mask & changed
+            ):
+                held = word & mask
+                right, unchanged = due.word & mask, due.before & mask
+                yield "right" if held == right else "unchanged" if held == unchanged else ELSE
+
+    return observe
+
+
+def _counts(chip: RecordedChip, _: Variant) -> Iterator[str]:
+    yield from (f"{change:+d}" for name, change in chip.counts if name == "flash_update")
+
+
+def _saves(chip: RecordedChip, _: Variant) -> Iterator[str]:
+    """Labels of nulls and restores by the change of ENDURANCE, relative to a flash update."""
+    step = max((change for name, change in chip.counts if name == "flash_update"), default=1)
+    for name, change in chip.counts:
+        if name != "flash_update" and step:
+            yield "once" if change == step else "never" if not change else ELSE
+
+
+def _waits(command: str, table_s: float) -> Observer:
+    def observe(chip: RecordedChip, _: Variant) -> Iterator[str]:
+        for after_s, ready in chip.waits.get(command, []):
+            if ready:
+                yield "in time" if after_s > 0.9 * table_s else "shorter"
+            elif after_s > 1.1 * table_s:
+                yield "longer"
+
+    return observe
+
+
+def _status_clears(chip: RecordedChip, _: Variant) -> Iterator[str]:
+    yield from ("kept" if word else "cleared" for _, word in chip.statuses)
+    yield from ("cleared by any read" for label in chip.error_flags if label == "lost")
+
+
+def _ends(condition: str) -> Observer:
+    """Labels of conditions that a write ended; nothing if any read clears STATUS, which looks the same."""
+
+    def observe(chip: RecordedChip, _: Variant) -> Iterator[str]:
+        if "lost" not in chip.error_flags:
+            yield from ("stays" if stayed else "falls" for name, stayed in chip.ended if name == condition)
+
+    return observe
+
+
+def _error_flag(chip: RecordedChip, _: Variant) -> Iterator[str]:
+    yield from ("set" if label == "lost" else label for label in chip.error_flags)
+
+
+def _new_data(chip: RecordedChip, _: Variant) -> Iterator[str]:
+    for words in chip.scans:
+        flags = (words[1:] & ND).astype(bool)
+        if flags.size and flags.shape[1] > 2:
+            first, rest = flags[:, 0].mean(), flags[:, 1:].mean()
+            yield "never" if first + rest == 0 else "by any read" if first - rest > 0.5 else "by its read"
+    shares: dict[int, list[float]] = {}
+    for span, step_s, flags, period_s in _bursts(chip):
+        if step_s < period_s / 2.5 and len(flags) * step_s > 3 * period_s:
+            shares.setdefault(id(span), []).append(float(flags.mean()))
+    for share in (np.mean(of_span) for of_span in shares.values()):
+        yield "stays" if share == 1 else "never" if share == 0 else "by its read"
+
+
+def _bursts(chip: RecordedChip) -> Iterator[tuple[Span, float, np.ndarray, float]]:
+    """Yield consecutive reads of one register: span, time of a read, flags ND, and nominal period."""
+    for span in chip.spans:
+        for runs in span.outputs.values():
+            for times, words in runs:
+                step_s = float(np.median(np.diff(times))) if len(times) > 8 else 0.0
+                if step_s > 0 and not math.isnan(span.period_s):
+                    yield span, step_s, (words & ND).astype(bool), span.period_s
+
+
+def _periods(chip: RecordedChip, _: Variant) -> Iterator[Figure]:
+    measured: dict[int, list[float]] = {}
+    for span, step_s, flags, _period_s in _bursts(chip):
+        at = np.flatnonzero(flags)
+        if len(at) > 3 and (at[-1] - at[1]) / (len(at) - 2) > 2.5:
+            period_s = (at[-1] - at[1]) / (len(at) - 2) * step_s
+            measured.setdefault(span.image["SMPL_PRD"] & 0xFF, []).append(period_s)
+    for code, periods in measured.items():
+        base, n = (FAST_BASE_S, SLOW_BASE_S)[code >> 7], code & 0x7F
+        due = {"base × (N + 1)": base * (n + 1), "base × N": base * max(n, 1)}
+        due["bit 7 has no effect"] = FAST_BASE_S * (n + 1)
+        predicted = {name: (math.log(0.97 * one), math.log(1.03 * one)) for name, one in due.items()}
+        yield Figure(math.log(float(np.median(periods))), 0.01, predicted)
+
+
+def _mean_u(part: Variant, rest: Rest, columns: slice) -> float:
+    """Standard uncertainty of the difference of two means, in LSB: white noise, flicker and rounding."""
+    figures, gyros = part.performance, columns.start == 3
+    lsb = part.lsb(Kind.GYRO if gyros else Kind.ACCEL, rest.dps)[0]
+    white, floor = figures.noise[columns.start] / lsb, figures.floor[columns.start] / lsb
+    return math.sqrt(2 * white**2 / rest.count + 4 * floor**2 + 1 / 6)
+
+
+def _offset_steps(
+    outputs: Sequence[str], offsets: Sequence[str], columns: slice, rivals: Mapping[str, float]
+) -> Figures:
+    """Steps of the outputs divided by steps of their offset registers."""
+
+    def observe(chip: RecordedChip, part: Variant) -> Iterator[Figure]:
+        for one, two in pairwise(chip.rests):
+            if one.span.settings("SENS_AVG", "MSC_CTRL") != two.span.settings("SENS_AVG", "MSC_CTRL"):
+                continue
+            for k, name in enumerate(offsets):
+                then, now = one.span.image.get(name), two.span.image.get(name)
+                if then is None or now is None or name not in one.span.verified & two.span.verified:
+                    continue
+                row = BY_NAME[name]
+                step = (row.number(now) - row.number(then)) / (one.dps / 75 if columns.start else 1)
+                moved = two.mean[columns][k] - one.mean[columns][k]
+                u = _mean_u(part, min(one, two, key=lambda rest: rest.count), columns)
+                if abs(step) > 10 * u and math.isfinite(moved):
+                    predicted = {key: (value - 0.01, value + 0.01) for key, value in rivals.items()}
+                    yield Figure(moved / step, u / abs(step), predicted)
+
+    return observe
+
+
+def _after_filter(chip: RecordedChip, part: Variant) -> Iterator[Figure]:
+    """Share of an offset's step that the first word shows, scaled to 1 after and 0 before the filter."""
+    ratio = float(np.median([figure.x for figure in _accel_steps(chip, part)] or [1.0]))
+    level: dict[str, tuple[Span, float]] = {}
+    for span in chip.spans:
+        for name, out in zip(ACCEL_OFF, ACCEL_OUT, strict=True):
+            first, (before, mean) = span.first(out), level.get(out, (None, 0.0))
+            _, numbers = span.settled(out)
+            if len(numbers) >= 8:
+                level[out] = span, float(numbers.mean())
+            alike = before and span.settings("SENS_AVG", "MSC_CTRL") == before.settings(
+                "SENS_AVG", "MSC_CTRL"
+            )
+            if (
+                not alike
+                or before is None
+                or first is None
+                or name not in before.image.keys() & span.image.keys()
+            ):
+                continue
+            changed = BY_NAME[name].number(span.image[name]) - BY_NAME[name].number(before.image[name])
+            passed = (first[0] - span.begin_s) / span.period_s
+            taps = 1 << (span.m or 0)
+            ramp = min(passed, taps) ** 2 / 2 / taps**2
+            # One update has to pass before the offset can act.
+            if abs(changed) > 500 and ramp < 0.4 and passed > 1:
+                share = (first[1] - mean) / (changed * ratio)
+                predicted = {"after": (0.9, 1.1), "before": (-0.1, 0.1)}
+                yield Figure((share - ramp) / (1 - ramp), 0.05, predicted)
+
+
+def _levels(chip: RecordedChip, part: Variant) -> dict[int, tuple[float, float]]:
+    """Logarithm of the noise of the accelerometers in LSB, and its degrees of freedom, by M."""
+    found: dict[int, tuple[float, float]] = {}
+    floor = part.performance.floor[0] / part.accel_mg_per_lsb
+    for rest in chip.rests:
+        variance = float(np.mean(rest.sigma[:3] ** 2)) - 1 / 12 - floor**2
+        if variance > 0 and 3 * rest.dof > found.get(rest.m, (0.0, 100.0))[1]:
+            found[rest.m] = math.log(variance) / 2, 3 * rest.dof
+    return found
+
+
+def _gain_of_taps(taps: int) -> float:
+    return float(np.linalg.norm(np.convolve(np.ones(taps), np.ones(taps)))) / taps**2
+
+
+_GAINS: dict[str, Callable[[int], float]] = {
+    "two boxcars of 2^M": white_noise_gain,
+    "one boxcar of 2^M": lambda m: 2 ** (-m / 2),
+    "twice the taps": lambda m: white_noise_gain(m + (m > 0)),
+    "M + 1 taps": lambda m: _gain_of_taps(m + 1),
+}
+"""Noise gain of the filter by M, for each alternative."""
+
+
+def _filter_gain(chip: RecordedChip, part: Variant) -> Iterator[Figure]:
+    found = _levels(chip, part)
+    least = min(found, default=0)
+    for m, (log, dof) in found.items():
+        if m != least:
+            u = math.hypot(math.sqrt(0.5 / dof + 0.5 / found[least][1]), 0.02)
+            predicted = {
+                name: (math.log(gain(m) / gain(least)) - 0.02, math.log(gain(m) / gain(least)) + 0.02)
+                for name, gain in _GAINS.items()
+            }
+            yield Figure(log - found[least][0], u, predicted)
+
+
+def _noise(columns: slice) -> Observer:
+    """Logarithm of the noise before the filter, relative to the table's figure.
+
+    The gain of the filter is the measured gain of the accelerometers if M = 0 was recorded too.
+    """
+
+    def observe(chip: RecordedChip, part: Variant) -> Iterator[Figure]:
+        rests = [rest for rest in chip.rests if np.isfinite(rest.sigma[columns]).all() and rest.dof > 30]
+        levels = _levels(chip, part)
+        if rests:
+            rest = max(rests, key=lambda one: (one.m == 0, one.dof))
+            lsb = part.lsb(Kind.GYRO if columns.start else Kind.ACCEL, rest.dps)[0]
+            gain = math.log(white_noise_gain(rest.m))
+            if {0, rest.m} <= levels.keys():
+                gain = levels[rest.m][0] - levels[0][0]
+            variance = max(float(np.mean(rest.sigma[columns] ** 2)) - 1 / 12, 1e-9)
+            x = math.log(variance) / 2 - gain + math.log(lsb / part.performance.noise[columns.start])
+            u = math.sqrt(0.5 / (3 * rest.dof) + sum(0.5 / dof for _, dof in levels.values()))
+            yield Figure(x, u, {"as the table": (-0.05, 0.05)})
+
+    return observe
+
+
+def _self_test(columns: slice, part_of: Callable[[bool, bool, bool], str]) -> Observer:
+    """Labels of three axes by their answers to both signs of the manual self-test."""
+
+    def observe(chip: RecordedChip, part: Variant) -> Iterator[str]:
+        latest: dict[int, Rest] = {}
+        for rest in chip.rests:
+            if np.isfinite(rest.mean).all():
+                latest[rest.span.image.get("MSC_CTRL", 0) >> 8 & 3] = rest
+        if {0, 1, 2} <= latest.keys():
+            up, down = (latest[key].mean[columns] - latest[0].mean[columns] for key in (1, 2))
+            limit = 8 * max(_mean_u(part, rest, columns) for rest in latest.values())
+            for plus, minus in zip(up.tolist(), down.tolist(), strict=True):
+                yield part_of(abs(plus) > limit, abs(minus) > limit, plus * minus < 0)
+
+    return observe
+
+
+def _of_gyro(plus: bool, minus: bool, opposite: bool) -> str:
+    if plus and minus:
+        return "to both" if opposite else "the same way"
+    return "to the positive" if plus else ELSE
+
+
+def _of_accel(plus: bool, minus: bool, _: bool) -> str:
+    return "to both" if plus and minus else "to the positive" if plus else ELSE
+
+
+def _never(chip: RecordedChip, _: Variant) -> Iterator[str]:
+    """No command of this package sends such frames."""
+    yield from ()
+
+
+def _edge(chip: RecordedChip, _: Variant) -> Iterator[str]:
+    for words in chip.edges:
+        flags = (words & ND).astype(bool)
+        if np.all(flags.sum(axis=1) == 1):
+            yield "the first" if np.median(np.argmax(flags, axis=1)) == 0 else "the second"
+
+
+def _rounding(chip: RecordedChip, part: Variant) -> Iterator[Figure]:
+    """Rate after a precision autonull in LSB of the offsets, positive along the bias before it."""
+    steps = [figure.x for figure in _gyro_steps(chip, part)] or [1.0]
+    if abs(float(np.median(steps)) - 1) > 0.1:
+        return  # the unit of the residual is not known
+    ends = [*(at for at, _ in chip.nulls), len(chip.spans)]
+    for (begin, command), end in zip(chip.nulls, ends[1:], strict=True):
+        after = {id(span) for span in chip.spans[begin:end]}
+        rests = [rest for rest in chip.rests if id(rest.span) in after and rest.count > 2000]
+        for name, mean in zip(GYRO_OFF, rests[0].mean[3:] if rests else [], strict=False):
+            held = rests[0].span.image.get(name)
+            number = 0 if held is None else BY_NAME[name].number(held)
+            scale = rests[0].dps / 75  # LSB of the offsets in an LSB of the output
+            u = scale * _mean_u(part, rests[0], slice(3, 6))
+            if number and math.isfinite(mean) and command == "precision_autonull":
+                predicted = {"rounded": (-0.5, 0.5), "truncated to its LSB": (0.0, 1.0)}
+                predicted["truncated to the output's LSB"] = 0.0, scale
+                yield Figure(-math.copysign(scale, number) * float(mean), u, predicted)
+
+
+# -- table ------------------------------------------------------------------------------------------------
+
+
+def _entry(
+    text: str, observe: Observer, *alternatives: str, wide: tuple[float, float] = (-10.0, 10.0)
+) -> ChipRow:
+    """Make a row; `text` names a question of the bring-up, or has name, question, source and confidence."""
+    name, *own = text.split(" | ")
+    asked = {question.name: question for question in QUESTIONS}
+    question = Question(name, own[0], alternatives[0], own[1], own[2], "") if own else asked[name]
+    return ChipRow(question, observe, alternatives, wide)
+
+
+_ACCELS, _GYROS = slice(0, 3), slice(3, 6)
+_ACCEL_STEPS = {"1": 1.0, "−1": -1.0, "0": 0.0, "1/2": 0.5, "2": 2.0, "the sibling's": 5.398}
+_GYRO_STEPS = {"1": 1.0, "−1": -1.0, "0": 0.0, "4": 4.0}
+_accel_steps = _offset_steps(ACCEL_OUT, ACCEL_OFF, _ACCELS, _ACCEL_STEPS)
+_gyro_steps = _offset_steps(GYRO_OUT, GYRO_OFF, _GYROS, _GYRO_STEPS)
+
+# fmt: off
+ROWS: tuple[ChipRow, ...] = (
+    _entry("reply_to_write | Reply to a write? | estimate | D", _replies_to_writes,
+           "zeros", "the frame", "the content", "the reply before"),
+    _entry("reserved_bits | Reserved bits of control registers? | estimate | D", _reserved_bits,
+           "zeros", "ones"),
+    _entry("offset_upper_bits | Bits above the number of an offset? | estimate | D", _upper_bits,
+           "zeros", "the sign", "ones"),
+    _entry("byte_write | Content after its bytes were written? | DS | A", _contents("write", 0xFF00),
+           "right", "unchanged"),
+    _entry("new_data_flag | When is bit ND cleared? | DS | A", _new_data,
+           "by its read", "by any read", "stays", "never"),
+    _entry("error_flag | Bit EA during an alarm? | DS | A", _error_flag, "set", "missing"),
+    _entry("status_clears | STATUS after it was read? | DS | A", _status_clears,
+           "cleared", "kept", "cleared by any read"),
+    _entry("alarm_stays", _ends("alarm"), "stays", "falls"),
+    _entry("over_range_falls", _ends("over_range"), "falls", "stays"),
+    _entry("flash_count", _counts, "+1", "+0"),
+    _entry("null_saves | Do nulls and restores save to flash? | DS | A", _saves, "once", "never"),
+    _entry("restore_zeroes | Offsets after a factory restore? | DS | A", _contents("restore"),
+           "right", "unchanged"),
+    _entry("reset_loads | Registers with a flash copy after a reset? | DS | A",
+           _contents("reset", flash=True), "right", "unchanged"),
+    _entry("reset_volatile | Volatile registers after a reset? | DS | A",
+           _contents("reset", flash=False), "right", "unchanged"),
+    _entry("reset_time | Recovery from a reset within 0.15 s? | DS, start-up | B", _waits("reset", 0.15),
+           "in time", "longer", "shorter"),
+    _entry("flash_time | Flash update within 0.1 s? | DS | B", _waits("flash_update", 0.1),
+           "in time", "longer", "shorter"),
+    _entry("self_test_time | Self-test within 35 ms? | DS | B", _waits("self_test", 0.035),
+           "in time", "longer", "shorter"),
+    _entry("precision_time | Precision autonull within 30 s? | DS | B", _waits("precision_autonull", 30.1),
+           "in time", "longer", "shorter"),
+    _entry("accel_offset_lsb", _accel_steps, *_ACCEL_STEPS),
+    _entry("gyro_offset_lsb | LSB of the gyro offsets, in 0.018315 °/s? | DS | A", _gyro_steps,
+           *_GYRO_STEPS),
+    _entry("offset_after_filter", _after_filter, "after", "before"),
+    _entry("autonull_rounding | Does an autonull round or truncate? | estimate | D", _rounding,
+           "rounded", "truncated to its LSB", "truncated to the output's LSB", wide=(-50.0, 50.0)),
+    _entry("sample_period", _periods,
+           "base × (N + 1)", "base × N", "bit 7 has no effect", wide=(-10.0, 5.0)),
+    _entry("filter_gain", _filter_gain, *_GAINS, wide=(-7.0, 2.0)),
+    _entry("accel_noise", _noise(_ACCELS), "as the table", wide=(-3.0, 3.0)),
+    _entry("gyro_noise", _noise(_GYROS), "as the table", wide=(-3.0, 3.0)),
+    _entry("self_test_gyro", _self_test(_GYROS, _of_gyro), "to both", "the same way", "to the positive"),
+    _entry("self_test_accel", _self_test(_ACCELS, _of_accel), "to the positive", "to both"),
+    _entry("data_ready_edge", _edge, "the first", "the second"),
+    _entry("stall | Effect of too short a pause between frames? | later parts | C", _never, "silence"),
+    _entry("idle_ones | Is a frame of ones a write to COMMAND? | code | C", _never, "a write"),
+    _entry("reserved_read | Reply to a read of COMMAND or 0x18? | estimate | D", _never, "zeros"),
+    _entry("self_test_outputs | Outputs during the self-test? | estimate | D", _never, "zero, ND 0"),
+)
+# fmt: on
+"""Rows in the order of the report. A new row is one entry here."""
+
+
+def judge_recordings(paths: Iterable[str | Path], part: Variant) -> tuple[RowFinding, ...]:
+    """Judge all rows by some recordings or captures together; each file is a power-on of its own.
+
+    Raises
+    ------
+    DataError
+        A file cannot be read, or is neither a recording nor a capture.
+    """
+    chips = []
+    for path in paths:
+        capture = Path(path).suffix.lower() == ".vcd"
+        source = LogicCapture(path) if capture else BusRecording(path)
+        rises = None if isinstance(source, LogicCapture) else source.header["edge_rises"]
+        chips.append(RecordedChip(source, rises))
+    return tuple(row.judge([one for chip in chips for one in row.observe(chip, part)]) for row in ROWS)
+
+
+def findings_text(findings: Sequence[RowFinding]) -> str:
+    """Table of findings in 80 columns, contradicted rows first, with the observations below each row."""
+    lines = [f"{'row':19}{'the table says':17}{'the recording says':19}{'odds':>8}  verdict"]
+    order = [Outcome.CONTRADICTS, Outcome.OPEN, Outcome.CONFIRMS]
+    for one in sorted((f for f in findings if f.observations), key=lambda f: order.index(f.outcome)):
+        odds = "1:" if one.log10_odds < 0 else ""
+        size = abs(one.log10_odds)
+        odds += f"{10**size:.0f}" if size < 4 else f"1e{min(size, 99):.0f}"
+        odds += "" if one.log10_odds < 0 else ":1"
+        lines.append(f"{one.name:19}{one.table[:16]:17}{one.best[:18]:19}{odds:>8}  {one.outcome}")
+        lines.append(f"  {one.question} {one.seen}"[:80])
+    idle = ", ".join(one.name for one in findings if not one.observations)
+    return "\n".join(
+        [*lines, *textwrap.wrap(f"not exercised: {idle or 'none'}", 80, subsequent_indent="  ")]
+    )

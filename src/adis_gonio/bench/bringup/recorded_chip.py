@@ -1,0 +1,477 @@
+"""The registers of a chip, followed through the frames of a recording or a capture.
+
+`RecordedChip` keeps the contents that the register table predicts after each write, command and reset. It
+compares each reply with them and stores the comparisons, which `chip_rows` judges. It writes nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.bench.bringup.link_steps import legal
+from adis_gonio.bench.bringup.noise_steps import degrees_of_freedom
+from adis_gonio.device.bus import FrameBlock
+from adis_gonio.device.bus.recording import Call
+from adis_gonio.device.sensor.registers import (
+    ACCEL_OFF,
+    ACCEL_OUT,
+    BY_ADDRESS,
+    BY_NAME,
+    EA,
+    GYRO_OFF,
+    GYRO_OUT,
+    ND,
+    READING_BITS,
+    WRITE,
+    Register,
+)
+from adis_gonio.device.sensor.settings import Configuration, filter_settling_samples, sample_period_s
+
+Integers = NDArray[np.int64]
+_COMMAND, _MISC = BY_NAME["COMMAND"], BY_NAME["MSC_CTRL"]
+SELF_TEST = _MISC.field("self_test").mask
+_ALARM = BY_NAME["STATUS"].field("alarm1").mask
+_MOVING = ("SLP_CNT", "GPIO_CTRL")
+"""Registers that also change without a write."""
+_BUSY = ("reset", "restore", "flash_update", "autonull", "precision_autonull")
+_SAVING = _BUSY[1:]
+_IS_OUTPUT = np.array([slot in BY_ADDRESS and BY_ADDRESS[slot].flags for slot in range(64)])
+_BATCH_GAP_S = 2e-3
+"""Frames of a capture with longer pauses belong to different batches."""
+
+
+@dataclass
+class Content:
+    """Predicted content of a register, its content before, and the cause of the change."""
+
+    word: int
+    before: int
+    cause: str
+
+
+@dataclass(frozen=True)
+class Check:
+    """A word read from a control register; `expected` is None if nothing predicts it."""
+
+    row: Register
+    word: int
+    expected: Content | None
+
+
+@dataclass
+class Span:
+    """Time between two changes of the registers: contents and words of the outputs, by register.
+
+    Readings have begun to settle at `changed_s`. `verified` has the names of the registers that were read
+    since they changed.
+    """
+
+    begin_s: float
+    image: dict[str, int]
+    changed_s: float = -math.inf
+    verified: set[str] = field(default_factory=set)
+    outputs: dict[str, list[tuple[Floats, Integers]]] = field(default_factory=dict)
+
+    @property
+    def period_s(self) -> float:
+        """Nominal period of the update; NaN if SMPL_PRD is not known."""
+        code = self.image.get("SMPL_PRD", 0) & 0xFF
+        return sample_period_s(code) if code else math.nan
+
+    @property
+    def m(self) -> int | None:
+        """Filter setting M; None if SENS_AVG is not known."""
+        word = self.image.get("SENS_AVG")
+        return None if word is None else word & 7
+
+    def settings(self, *names: str) -> tuple[int | None, ...]:
+        """Bits of some registers that affect readings."""
+        return tuple(
+            self.image[name] & READING_BITS.get(name, -1) if name in self.image else None for name in names
+        )
+
+    def first(self, name: str) -> tuple[float, int] | None:
+        """Time in s and number of the first word of an output register."""
+        runs = self.outputs.get(name)
+        return (float(runs[0][0][0]), BY_NAME[name].number(int(runs[0][1][0]))) if runs else None
+
+    def settled(self, name: str) -> tuple[Floats, Floats]:
+        """Times (n,) in s and numbers (n,) of the updates of an output register after settling."""
+        runs = self.outputs.get(name)
+        if not runs or self.m is None or math.isnan(self.period_s):
+            return np.empty(0), np.empty(0)
+        times, words = (np.concatenate(part) for part in zip(*runs, strict=True))
+        settled_s = self.changed_s + (filter_settling_samples(self.m) + 2) * self.period_s
+        new = (words & ND).astype(bool)
+        used = (times > settled_s) & (new | (not new.any()))
+        row = BY_NAME[name]
+        data = words[used] & row.data_mask
+        return times[used], np.where(
+            data >> (row.bits - 1) & row.signed, data - (1 << row.bits), data
+        ) * 1.0
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Means and standard deviations (6,) of accelerometers and gyros in a span, in LSB of the outputs.
+
+    Attributes
+    ----------
+    count : int
+        Number of updates.
+    dof : float
+        Degrees of freedom of the variance of one axis.
+    m, dps : int
+        Filter setting and range of the gyros.
+    """
+
+    span: Span
+    mean: Floats
+    sigma: Floats
+    count: int
+    dof: float
+    m: int
+    dps: int
+
+
+class RecordedChip:
+    """The history of a chip's registers, by the calls of a recording.
+
+    Parameters
+    ----------
+    calls : iterable of Call
+        Calls of a `BusRecording` or a `LogicCapture`.
+    edge_rises : bool or None
+        Edge of data-ready that starts a scan of a stream; None if it is not known.
+
+    Attributes
+    ----------
+    checks : list of Check
+        Words of control registers.
+    spans : list of Span
+    after_writes : list of (frame, content, reply before, reply)
+        Word that answers each write.
+    waits : dict of str to list of (float, bool)
+        By command: times in s after it at which the chip was seen ready (True) or not.
+    counts : list of (command, int)
+        Change of ENDURANCE by each command that saves to flash.
+    statuses : list of (bool, int)
+        By STATUS word that follows an alarm whose condition has ended: True if it is the first one.
+    error_flags : list of (str)
+        Behaviour of the flag EA: `set`, `missing`, `lost`.
+    ended : list of (str, bool)
+        Name of a condition that a write ended, and True if its bit stayed until STATUS was read.
+    nulls : list of (int, str)
+        Index of the span after each autonull, and its command.
+    edges : list of (k, n) int64
+        Words of scans of one register, each started at the first edge of the data-ready pulse.
+    scans : list of (n, k) int64
+        Words of scans of several output registers, one scan for each update.
+    """
+
+    def __init__(self, calls: Iterable[Call], edge_rises: bool | None = None) -> None:
+        self.checks: list[Check] = []
+        self.after_writes: list[tuple[int, int, int, int]] = []
+        self.waits: dict[str, list[tuple[float, bool]]] = {}
+        self.counts: list[tuple[str, int]] = []
+        self.statuses: list[tuple[bool, int]] = []
+        self.error_flags: list[str] = []
+        self.ended: list[tuple[str, bool]] = []
+        self.nulls: list[tuple[int, str]] = []
+        self.edges: list[Integers] = []
+        self.scans: list[Integers] = []
+        self._contents: dict[str, Content] = {}
+        self._parts: dict[str, tuple[int, int]] = {}
+        self._flash: dict[str, int] = {}
+        self.spans = [Span(-math.inf, {})]
+        self._edge_rises = edge_rises
+        self._listed: list[Register | None] = []
+        self._pending: tuple[str, float] | None = None
+        self._unsure: list[tuple[Floats, Integers, Integers]] = []
+        self._testing: float | None = None
+        self._endurance: int | None = None
+        self._counting: list[str] = []
+        self._flagged = False
+        self._alarming: float | None = None
+        self._over = ""
+        self._cleared = self._proved = False
+        self._follow(calls)
+
+    @cached_property
+    def rests(self) -> list[Rest]:
+        """Spans with at least 16 updates of the accelerometers, with NaN for gyros that were not read."""
+        found = []
+        for span in self.spans:
+            columns = [span.settled(name) for name in (*ACCEL_OUT, *GYRO_OUT)]
+            numbers = [values for _, values in columns]
+            count = min(len(values) for values in numbers[:3])
+            if count < 16 or span.m is None:
+                continue
+            times = columns[0][0]
+            spacing = max(float(times[-1] - times[0]) / (len(times) - 1) / span.period_s, 1.0)
+            found.append(
+                Rest(
+                    span,
+                    np.array([values.mean() if len(values) else math.nan for values in numbers]),
+                    np.array([values.std(ddof=1) if len(values) > 1 else math.nan for values in numbers]),
+                    count,
+                    degrees_of_freedom(count, span.m, spacing),
+                    span.m,
+                    Configuration.from_words(1, span.image["SENS_AVG"], 0).gyro_range_dps or 300,
+                )
+            )
+        return found
+
+    # -- calls --------------------------------------------------------------------------------------------
+
+    def _follow(self, calls: Iterable[Call]) -> None:
+        for call in _in_batches(calls):
+            if call.name in ("exchange", "frame") and call.frames is not None:
+                n = len(call.frames)
+                times = np.linspace(call.begin_s, call.end_s, n, endpoint=False)
+                if call.result is None:
+                    self._contents.clear()
+                    continue
+                # The word of a frame is shifted out during the next frame.
+                words = np.append(np.asarray(call.result[1:], np.int64), -1)
+                self._batch(times, call.frames.astype(np.int64), words)
+            elif call.name == "hard_reset":
+                self._command("reset", call.begin_s)
+            elif call.name == "stream" and call.frames is not None:
+                self._listed = [BY_ADDRESS.get(int(frame) >> 8 & 0x3E) for frame in call.frames]
+            elif call.name == "block" and isinstance(call.result, FrameBlock) and not self._pending:
+                self._block(call.result)
+
+    def _block(self, block: FrameBlock) -> None:
+        words = block.words.astype(np.int64)
+        names = [row.name for row in self._listed if row is not None]
+        span = self.spans[-1]
+        if len(names) != words.shape[1] or not len(words):
+            return
+        if len(set(names)) == 1 and len(names) > 3:
+            rises = bool(_MISC.field("polarity").of(span.image.get("MSC_CTRL", 0)))
+            if self._edge_rises == rises:
+                self.edges.append(words[1:])
+            return
+        self.scans.append(words)
+        for k, name in enumerate(names):
+            if BY_NAME[name].flags:
+                span.outputs.setdefault(name, []).append((block.time_s, words[:, k]))
+
+    # -- frames -------------------------------------------------------------------------------------------
+
+    def _batch(self, times: Floats, frames: Integers, words: Integers) -> None:
+        if self._pending is not None:
+            ready = _is_ready(frames, words)
+            if ready is None:
+                self._unsure.append((times, frames, words))
+                return
+            command, since_s = self._pending
+            self.waits.setdefault(command, []).append((float(times[0]) - since_s, ready))
+            earlier, self._unsure = self._unsure, []
+            if not ready:
+                return
+            self._pending = None
+            for one in earlier:
+                self._batch(*one)
+        begin = 0
+        for at in np.flatnonzero(frames & WRITE):
+            self._reads(times[begin:at], frames[begin:at], words[begin:at])
+            reply = int(words[at])
+            self._write(int(frames[at]), float(times[at]), int(words[at - 1]) if at else -1, reply)
+            begin = int(at) + 1
+            if self._pending is not None:
+                return
+        self._reads(times[begin:], frames[begin:], words[begin:])
+
+    def _reads(self, times: Floats, frames: Integers, words: Integers) -> None:
+        known = words >= 0
+        times, frames, words = times[known], frames[known], words[known]
+        slots = frames >> 8 & 0x3E
+        for slot in np.unique(slots):
+            row = BY_ADDRESS.get(int(slot))
+            chosen = slots == slot
+            if row is None or not row.readable:
+                continue
+            if row.flags:
+                self.spans[-1].outputs.setdefault(row.name, []).append((times[chosen], words[chosen]))
+            else:
+                for time_s, word in dict(zip(times[chosen], words[chosen], strict=True)).items():
+                    self._control(row, int(word), float(time_s))
+        outputs = _IS_OUTPUT[slots]
+        if outputs.any():
+            self._flags(times[outputs], (words[outputs] & EA).astype(bool))
+
+    def _flags(self, times: Floats, flags: NDArray[np.bool_]) -> None:
+        if self._alarming is not None and times[0] > self._alarming:
+            if not flags.any():
+                self.error_flags.append("missing")
+            elif len(flags) >= 3:
+                self.error_flags.append("set" if flags.all() else "lost")
+        if self._over and not flags[-1] and self._flagged and times[-1] > self._settled_s:
+            self.ended.append((self._over, False))
+            self._over = ""
+        self._flagged = bool(flags[-1])
+
+    def _control(self, row: Register, word: int, time_s: float) -> None:
+        if row.name == "STATUS":
+            self._status(word)
+        elif row.name == "ENDURANCE":
+            if self._endurance is not None and len(self._counting) == 1:
+                self.counts.append((self._counting[0], (word - self._endurance) % 32768))
+            self._endurance, self._counting = word, []
+        elif row.name not in _MOVING:
+            if row is _MISC and self._testing is not None:
+                ready = not word & SELF_TEST
+                self.waits.setdefault("self_test", []).append((time_s - self._testing, ready))
+                self._testing = None if ready else self._testing
+            self.checks.append(Check(row, word, self._contents.get(row.name)))
+            held = word & row.write_mask
+            self._contents[row.name] = Content(held, held, "read")
+            if self.spans[-1].image.setdefault(row.name, held) != held:
+                self._new_span(time_s)
+            self.spans[-1].verified.add(row.name)
+
+    def _status(self, word: int) -> None:
+        control = self._contents.get("ALM_CTRL")
+        alone = control is not None and not control.word
+        if self._over == "alarm":
+            self._cleared = bool(word & _ALARM)
+            if self._cleared or self._proved:
+                self.ended.append(("alarm", self._cleared))
+        elif alone and self._cleared:
+            self.statuses.append((False, word & _ALARM))
+            self._cleared = False
+        elif self._over == "over_range":
+            self.ended.append((self._over, bool(word & BY_NAME["STATUS"].field("over_range").mask)))
+        self._over = ""
+        self._flagged = False
+
+    # -- changes ------------------------------------------------------------------------------------------
+
+    def _write(self, frame: int, time_s: float, reply_before: int, reply: int) -> None:
+        address, byte = frame >> 8 & 0x3F, frame & 0xFF
+        row = BY_ADDRESS.get(address & ~1)
+        if row is None or not row.writable:
+            return
+        if row is _COMMAND:
+            if not address & 1:
+                for name in _BUSY:
+                    if byte & row.field(name).mask:
+                        self._command(name, time_s)
+                        break
+            return
+        shift = 8 * (address & 1)
+        mask = row.write_mask & 0xFF << shift
+        old = self._contents.get(row.name)
+        if row is _MISC and shift and byte << 8 & SELF_TEST:
+            self._testing = time_s
+        if old is None:
+            # The content is known as soon as every byte was written.
+            done, word = self._parts.pop(row.name, (0, 0))
+            done, word = done | mask, word & ~mask | byte << shift & mask
+            if done != row.write_mask:
+                self._parts[row.name] = done, word
+                self._new_span(time_s)
+                return
+            old = Content(word, -1, "write")
+        word = old.word & ~mask & row.write_mask | byte << shift & mask
+        before = old.before if old.cause == "write" else old.word
+        self._contents[row.name] = Content(word, before, "write")
+        if reply >= 0:
+            self.after_writes.append((frame, word, reply_before, reply))
+        self._conditions(row, word, time_s)
+        self._new_span(time_s)
+
+    def _conditions(self, row: Register, word: int, time_s: float) -> None:
+        """Note that an alarm begins, or that a write ends a condition of which the flag EA has told."""
+        span = self.spans[-1]
+        self._settled_s = time_s + 0.02 + 140 * (0 if math.isnan(span.period_s) else span.period_s)
+        if row.name == "ALM_CTRL":
+            self._over = "alarm" if not word and self._alarming is not None else ""
+            self._proved = self._flagged
+            self._alarming = time_s + 0.02 if word else None
+        elif row.name in ACCEL_OFF and self._flagged and self._alarming is None:
+            self._over = "over_range"
+
+    def _command(self, name: str, time_s: float) -> None:
+        known = {key: content.word for key, content in self._contents.items()}
+        if name in _SAVING:
+            changed = {"restore": (*GYRO_OFF, *ACCEL_OFF)}.get(name, GYRO_OFF if "null" in name else ())
+            for key in changed:
+                if name == "restore":
+                    self._contents[key] = Content(0, known.get(key, 0), name)
+                else:
+                    self._contents.pop(key, None)
+            self._flash = {
+                key: content.word & BY_NAME[key].flash_mask
+                for key, content in self._contents.items()
+                if BY_NAME[key].flash_mask
+            }
+            self._counting.append(name)
+        else:
+            self._contents = {
+                row.name: Content(self._flash.get(row.name, 0), known.get(row.name, 0), name)
+                for row in BY_NAME.values()
+                if row.name in self._flash or (row.write_mask and not row.flash_mask)
+            }
+            self._contents.pop("COMMAND", None)
+            self._over, self._alarming, self._flagged = "", None, False
+        self._pending = name, time_s
+        self._testing = None
+        self._new_span(time_s)
+        if "null" in name:
+            self.nulls.append((len(self.spans) - 1, name))
+
+    def _new_span(self, time_s: float) -> None:
+        image = {name: content.word for name, content in self._contents.items()}
+        verified = {name for name, content in self._contents.items() if content.cause == "read"}
+        span, before = Span(time_s, image, time_s, verified), self.spans[-1]
+        if self._pending is None and span.settings(*READING_BITS) == before.settings(*READING_BITS):
+            span.changed_s = before.changed_s
+        self.spans.append(span)
+
+
+def _is_ready(frames: Integers, words: Integers) -> bool | None:
+    """True if a batch shows that the chip answers, False that it does not; None if it shows neither.
+
+    SENS_AVG and SMPL_PRD are never zero, and different registers do not all have one content.
+    """
+    got = words[words >= 0]
+    telling = [
+        legal(BY_ADDRESS[slot], int(word) & BY_ADDRESS[slot].write_mask)
+        for slot, word in zip((frames >> 8 & 0x3E).tolist(), words.tolist(), strict=True)
+        if word >= 0 and slot in (BY_NAME["SENS_AVG"].address, BY_NAME["SMPL_PRD"].address)
+    ]
+    if not telling or np.any(frames & WRITE):
+        return None
+    return all(telling) and not (len(got) > 2 and np.all(got == got[0]))
+
+
+def _in_batches(calls: Iterable[Call]) -> Iterator[Call]:
+    """Yield calls, with the frames of a capture joined to batches."""
+    waiting: list[Call] = []
+
+    def joined() -> Iterator[Call]:
+        good = [call for call in waiting if call.error is None and call.frames is not None]
+        if good:
+            frames = np.array([int(call.frames[0]) for call in good if call.frames is not None], np.uint16)
+            replies = np.array([int(call.result[0]) for call in good], np.uint16)
+            yield Call(good[0].number, "frame", good[0].begin_s, good[-1].end_s, frames, (), replies)
+        waiting.clear()
+
+    for call in calls:
+        if waiting and (call.name != "frame" or call.begin_s - waiting[-1].end_s > _BATCH_GAP_S):
+            yield from joined()
+        if call.name == "frame":
+            waiting.append(call)
+        else:
+            yield call
+    yield from joined()

@@ -1,0 +1,429 @@
+"""What has to hold after every command at the bench, whatever went wrong: the one list is `INVARIANTS`."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import sqlite3
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from adis_gonio.base.errors import AdisGonioError
+from adis_gonio.device.sensor.registers import ACCEL_OFF
+from adis_gonio.record.archive import ArchiveView
+from adis_gonio.record.write_journal import operations
+from fakes.faulty_chip import FAULTS
+from simulated_bench.bench import Bench, Ended
+
+if TYPE_CHECKING:
+    from simulated_bench.stories import Step, Story
+
+SESSION = "a.session"
+LARGEST_FILE = 40_000_000
+MOST_FILES = 24
+LSB_MG = 0.4672
+HONEST = frozenset(
+    {"shake", "bump", "unplug", "walk_away", "nonsense", "pause", "note", "quit", "undo", "repeat"}
+)
+"""Mistakes after which the declared angles still hold."""
+FAR = 3.0
+"""Units of U beyond which no value of an honest session may be: 6 standard deviations."""
+TAMPERING = frozenset(FAULTS) - {"stuck-high", "stuck-low", "dip"}
+"""Faults that change registers of the part."""
+
+
+@dataclass
+class Found:
+    """What a check found: violations, and the error of each value of an answer in units of its U."""
+
+    wrong: list[str] = field(default_factory=list)
+    off: dict[str, float] = field(default_factory=dict)
+    lied: bool = False
+
+
+class Record:
+    """What the judge knows from earlier steps.
+
+    Attributes
+    ----------
+    rows : dict of str to list
+        Rows of all tables of the session file after the last step.
+    tampered : bool
+        A fault has changed registers of the part.
+    base : tuple of int
+        Offsets of the part before any write of the session.
+    """
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+        self.rows: dict[str, list[Any]] = {}
+        self.aside: dict[str, list[Any]] = {}
+        self.tampered = False
+        self.base = self.offsets()
+        self.loaned = self.borrowed()
+        self.files = _open_files()
+
+    def offsets(self) -> tuple[int, int, int]:
+        """Offsets of the accelerometers in the part's registers."""
+        memory = self.bench.chip.inner.memory
+        return tuple(_signed(memory[name]) for name in ACCEL_OFF)
+
+    def flash(self) -> tuple[int, int, int]:
+        """Offsets of the accelerometers in the part's flash."""
+        return tuple(_signed(self.bench.chip.inner.memory._flash[name]) for name in ACCEL_OFF)
+
+    def borrowed(self) -> dict[str, int]:
+        """Registers that a command borrows and gives back."""
+        memory = self.bench.chip.inner.memory
+        return {name: memory[name] for name in ("ALM_MAG1", "ALM_MAG2")}
+
+    def forget(self) -> None:
+        """A new session begins in a new file."""
+        self.aside, self.rows = self.rows, {}
+        self.base = self.offsets()
+
+    def readable(self) -> bool:
+        """True if the session file holds a session."""
+        return "attempts" in self.rows and bool(self.rows["attempts"])
+
+
+@dataclass(frozen=True)
+class Case:
+    """A command that has ended, with all that the invariants ask."""
+
+    record: Record
+    ended: Ended
+    step: Step
+    story: Story
+    before: dict[str, list[Any]]
+    after: dict[str, list[Any]]
+    found: Found
+
+    @property
+    def bench(self) -> Bench:
+        return self.record.bench
+
+    @property
+    def document(self) -> dict[str, Any] | None:
+        """The JSON that the command printed; None without one."""
+        try:
+            return json.loads(self.ended.out)
+        except ValueError:
+            return None
+
+    @property
+    def ran(self) -> bool:
+        """True if the command came to an exit status."""
+        return self.ended.how == "exit"
+
+
+# -- the list ------------------------------------------------------------------------------------------
+
+
+def every_failure_is_one_line(case: Case) -> str:
+    """No traceback; an exit status of the contract; a failure says something."""
+    ended = case.ended
+    if ended.how == "traceback" or "Traceback (most recent call last)" in ended.err:
+        return f"traceback: {ended.err[-1500:]}"
+    if case.ran and ended.status not in (0, 1, 130):
+        return f"exit status {ended.status}: {ended.last_line}"
+    if case.ran and ended.status == 1 and not ended.last_line and ended.words[0] != "bringup":
+        return "a failure without a word"
+    return ""
+
+
+def every_wait_ends(case: Case) -> str:
+    """No command waits for ever, and a careful operator is not asked for ever."""
+    return f"{case.ended.how}: {case.ended.last_line}" if case.ended.how in ("overtime", "dead end") else ""
+
+
+def nothing_recorded_is_lost(case: Case) -> str:
+    """Every row of the archive stays as it was, and every dwell that was announced is in it."""
+    for table, rows in case.before.items():
+        if case.after.get(table, [])[: len(rows)] != rows:
+            return f"table {table} had {len(rows)} rows, which are changed or gone"
+    if case.ended.words[0] != "calibrate":
+        return ""
+    kept = case.after.get("attempts", [])[len(case.before.get("attempts", [])) :]
+    complete = sum(row[6] == "complete" for row in kept)
+    announced = len(re.findall(r"^ +x +\S+ +y +\S+ +z +\S+ mg", case.ended.err, re.MULTILINE))
+    if announced > complete:
+        return f"{announced} dwells were announced, {complete} are in the archive"
+    broken = case.ended.err.count("interrupted:")
+    if broken > len(kept) - complete:
+        return f"{broken} dwells were interrupted, {len(kept) - complete} of them are in the archive"
+    return ""
+
+
+def a_session_set_aside_is_whole(case: Case) -> str:
+    """`calibrate --force` keeps the earlier session under another name, with every row."""
+    wanted, case.record.aside = case.record.aside, {}
+    kept = [_rows(path) for path in case.bench.folder.glob("a*.session")] if wanted else []
+    return "" if not wanted or wanted in kept else "the session that was set aside is not whole"
+
+
+def the_session_can_be_read(case: Case) -> str:
+    """The session file is whole after any command, or the program has not begun a session in it."""
+    path = case.bench.folder / SESSION
+    if not path.exists() or not case.after.get("meta"):
+        return "the session is gone" if case.before.get("meta") else ""
+    try:
+        with _copied(case.bench.folder) as copy, ArchiveView(copy) as view:
+            for attempt in view.attempts():
+                view.blocks(attempt)
+    except AdisGonioError as error:
+        return f"the session cannot be read: {error}"
+    return ""
+
+
+def no_accepted_word_is_wrong(case: Case) -> str:
+    """Each word of a dwell that counts is the word that the chip sent at that time."""
+    if case.ended.words[0] != "calibrate" or not case.after.get("attempts"):
+        return ""
+    new = len(case.before.get("attempts", []))
+    sent = {
+        time: row
+        for block in case.bench.delivered
+        for time, row in zip(block.time_s, block.words, strict=True)
+    }
+    windows = [w for w in case.bench.chip.windows if w.end_s - w.begin_s > 0.005]
+    with _copied(case.bench.folder) as copy, ArchiveView(copy) as view:
+        for attempt in view.dwells():
+            if attempt.number <= new:
+                continue
+            for block in view.blocks(attempt, "dwell"):
+                for window in windows:
+                    inside = (block.time_s >= window.begin_s) & (block.time_s < window.end_s - 0.003)
+                    if inside.any():
+                        return f"dwell {attempt.number} has {inside.sum()} scans of a dead line ({window})"
+                for time, row in zip(block.time_s, block.words, strict=True):
+                    if time in sent and len(sent[time]) == len(row) and (sent[time] != row).any():
+                        return f"dwell {attempt.number} has other words at {time} s than the bus gave"
+    return ""
+
+
+def registers_are_as_before_or_as_planned(case: Case) -> str:
+    """What a command borrows it gives back; of offsets the next invariant speaks."""
+    record = case.record
+    if record.tampered or case.ended.status != 0 or case.step.line:
+        return ""
+    if case.ended.words[0] == "calibrate" and record.borrowed() != record.loaned:
+        return f"registers are left behind: {record.borrowed()}, before {record.loaned}"
+    return ""
+
+
+def the_journal_says_what_the_part_holds(case: Case) -> str:
+    """After any write the offsets are old or new as the journal says, in the registers and in the flash."""
+    record, now = case.record, case.record.offsets()
+    if record.tampered or not case.after.get("records"):
+        return ""
+    steps = [json.loads(row[5]) for row in case.after["records"] if row[4] == "offsets"]
+    known = operations(steps)
+    planned = [record.base, *(_numbers(one.new, record.base) for one in known)]
+    if now not in planned and case.ran and not case.step.faults:
+        return f"the part holds {now}, which nothing in the journal plans: {planned}"
+    if now != record.base and not known:
+        return f"the part holds {now} instead of {record.base}, and there is no journal"
+    for one in known:
+        if _numbers(one.old, record.base) != record.base:
+            return f"the journal says that {one.old} was there before, it was {record.base}"
+    return _report_is_true(case, now, planned)
+
+
+def _report_is_true(case: Case, now: tuple[int, ...], planned: list[tuple[int, ...]]) -> str:
+    """Compare what `write` reports with registers and flash of the part."""
+    record, document = case.record, case.document
+    if case.ended.words[0] != "write" or case.ended.status != 0 or document is None:
+        return ""
+    state = document["state"]
+    holds = {"untouched": record.base, "old": record.base, "new": planned[-1]}.get(state["registers"])
+    if holds is not None and now != holds:
+        return f"it says that the registers are {state['registers']}, they hold {now}: {planned}"
+    if state["saved"] is True and record.flash() != now:
+        return f"it says that the numbers are saved, the flash holds {record.flash()}, the registers {now}"
+    if state["saved"] is False and record.flash() == now:
+        return f"it says that the numbers are not saved, the flash holds them: {now}"
+    if document.get("done") and state["registers"] == "new":
+        return _offsets_cancel_the_biases(case, now)
+    return ""
+
+
+def _offsets_cancel_the_biases(case: Case, now: tuple[int, ...]) -> str:
+    plan = case.document["plan"] if case.document else None
+    if plan is None or _lies(case):
+        return ""
+    with _copied(case.bench.folder) as copy, ArchiveView(copy) as view:
+        truth = case.bench.truth([attempt.ended_bus_s for attempt in view.dwells()])
+    for axis in plan["axes"]:
+        k = "xyz".index(axis["axis"])
+        rest_mg = truth[f"bias_{axis['axis']}"] + LSB_MG * now[k]
+        if abs(rest_mg) > LSB_MG + 6 * axis["bias_u_mg"]:
+            return f"after the write a bias of {rest_mg:.2f} mg remains on {axis['axis']}"
+    return ""
+
+
+def status_0_means_a_right_answer(case: Case) -> str:
+    """Exit status 0 comes with values inside their U as often as U promises, and never far outside."""
+    ended, document = case.ended, case.document
+    if ended.words[0] not in ("calibrate", "fit") or ended.status != 0:
+        return ""
+    if document is None:
+        return "status 0 without an answer"
+    try:
+        with _copied(case.bench.folder) as copy, ArchiveView(copy) as view:
+            complete = not view.pending() and not view.doubts()
+            dwells = view.dwells()
+    except AdisGonioError as error:
+        return f"status 0 of a session that cannot be read: {error}"
+    if ended.words[0] == "calibrate" and not complete:
+        return "calibrate ends with status 0, but the session is not complete or has doubts"
+    if not complete:
+        return ""
+    truth = case.bench.truth([(a.started_bus_s + a.ended_bus_s) / 2 for a in dwells])
+    names = [n for n in ("delta_k", "delta_phi") if n in document["answer"]]
+    names = names or ["scale_x", "scale_y", "skew_xy"]
+    for name in names:
+        value = document["answer"].get(name) or document["parameters"].get(name)
+        if value is not None and value["U"] is not None:
+            case.found.off[name] = (value["value"] - truth[name]) / value["U"]
+    case.found.lied = _lies(case)
+    far = {name: round(off, 1) for name, off in case.found.off.items() if abs(off) > FAR}
+    return f"status 0 with values at {far} U from the truth" if far and not case.found.lied else ""
+
+
+def the_live_angle_is_right(case: Case) -> str:
+    """Every corrected angle at rest is inside a few U of the true angle."""
+    if case.ended.words[0] != "angle" or _lies(case) or case.record.tampered or case.step.line:
+        return ""
+    stage = case.bench.world.stage
+    for line in case.ended.out.splitlines():
+        reading = json.loads(line)
+        if (
+            reading["corrected_deg"] is None
+            or reading["u_deg"] is None
+            or stage.still_at_s > case.ended.began_s
+        ):
+            continue
+        off = (reading["corrected_deg"] - stage.angle_deg + 180) % 360 - 180
+        if case.bench.part.direction is None and abs(off) > 6 * (reading["u_deg"] + 0.05):
+            found = f"{reading['corrected_deg']:.3f}° ± {reading['u_deg']:.3f}°"
+            return f"the angle is {found}, true is {stage.angle_deg:.3f}°"
+    return ""
+
+
+def files_are_bounded(case: Case) -> str:
+    """No file grows without end, and a command that has ended leaves none open."""
+    paths = list(case.bench.folder.iterdir())
+    large = [path.name for path in paths if path.stat().st_size > LARGEST_FILE]
+    if large or len(paths) > MOST_FILES:
+        return f"files without bounds: {large or sorted(path.name for path in paths)}"
+    opened = _open_files()
+    if case.ran and opened > case.record.files + 2:
+        return f"{opened} files are open, {case.record.files} before"
+    return ""
+
+
+def reports_are_whole(case: Case) -> str:
+    """A report that exists is whole: the old one or the new one."""
+    for path in case.bench.folder.iterdir():
+        if ".part-" in path.name:
+            continue
+        if path.suffix == ".json":
+            try:
+                json.loads(path.read_bytes())
+            except ValueError:
+                return f"{path.name} is half a report ({path.stat().st_size} bytes)"
+        if path.suffix == ".html" and not path.read_bytes().rstrip().endswith(b"</html>"):
+            return f"{path.name} is half a page ({path.stat().st_size} bytes)"
+    return ""
+
+
+INVARIANTS: tuple[Callable[[Case], str], ...] = (
+    every_failure_is_one_line,
+    every_wait_ends,
+    nothing_recorded_is_lost,
+    a_session_set_aside_is_whole,
+    the_session_can_be_read,
+    no_accepted_word_is_wrong,
+    registers_are_as_before_or_as_planned,
+    the_journal_says_what_the_part_holds,
+    status_0_means_a_right_answer,
+    the_live_angle_is_right,
+    files_are_bounded,
+    reports_are_whole,
+)
+
+
+def check(record: Record, ended: Ended, step: Step, story: Story) -> Found:
+    """Check every invariant after a command; update the record."""
+    found = Found()
+    if any(fault.kind in TAMPERING for fault in step.line):
+        record.tampered = True
+    before, after = record.rows, _rows(record.bench.folder / SESSION)
+    case = Case(record, ended, step, story, before, after, found)
+    for invariant in INVARIANTS:
+        wrong = invariant(case)
+        if wrong:
+            found.wrong.append(f"{invariant.__name__.replace('_', ' ')}: {wrong}")
+    record.rows = after
+    return found
+
+
+# -- looking -------------------------------------------------------------------------------------------
+
+
+def _lies(case: Case) -> bool:
+    return not HONEST.issuperset(case.bench.operator.person.blunders)
+
+
+class _copied:  # noqa: N801
+    """A copy of the session file with its journal, so that a look changes nothing."""
+
+    def __init__(self, folder: Path, name: str = SESSION) -> None:
+        self._from, self._name = folder, name
+
+    def __enter__(self) -> Path:
+        self._folder = tempfile.TemporaryDirectory(dir=self._from.parent)
+        for path in self._from.glob(f"{self._name}*"):
+            shutil.copy(path, self._folder.name)
+        return Path(self._folder.name) / self._name
+
+    def __exit__(self, *error: object) -> None:
+        self._folder.cleanup()
+
+
+def _rows(path: Path) -> dict[str, list[Any]]:
+    """All rows of a session file by table, as the next program would find them; empty without one."""
+    if not path.exists():
+        return {}
+    with _copied(path.parent, path.name) as copy:
+        connection = sqlite3.connect(copy)
+        try:
+            tables = [
+                name
+                for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
+            ]
+            return {
+                name: connection.execute(f"SELECT * FROM {name} ORDER BY rowid").fetchall()
+                for name in tables
+            }
+        except sqlite3.DatabaseError:  # then the earlier rows are missed
+            return {}
+        finally:
+            connection.close()
+
+
+def _numbers(found: dict[str, int], otherwise: tuple[int, ...]) -> tuple[int, ...]:
+    return tuple(found.get(name, number) for name, number in zip(ACCEL_OFF, otherwise, strict=True))
+
+
+def _signed(word: int) -> int:
+    return (word & 0xFFF) - ((word & 0x800) << 1)
+
+
+def _open_files() -> int:
+    return sum(1 for _ in Path("/proc/self/fd").iterdir())

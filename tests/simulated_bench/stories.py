@@ -1,0 +1,380 @@
+"""Stories of the bench: what a seed draws, and how a person reads it.
+
+A story is data: the bench, and steps, each one command with the faults around it. `draw` makes it from a
+seed, `play` runs it and checks every invariant after each step.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from simulated_bench.bench import LINE_KINDS, SHORT, URL, Bench, Ended, LineFault
+from simulated_bench.disk import FAILURES, SIDES, DiskFault
+from simulated_bench.invariants import Record, check
+
+SESSION = "a.session"
+PLANS = (
+    ("two-position", 2, 0.2),
+    ("four-position", 4, 0.45),
+    ("mmpm", 9, 0.1),
+    ("tumble", 4, 0.15),
+    ("poses", 9, 0.1),
+)
+COMMANDS = ("fit", "angle", "export", "write", "write --save", "undo", "status")
+CALIBRATE, AFRESH, NIGHT, POWER = "calibrate", "calibrate afresh", "night", "power"
+MOST_TRIES = 4
+
+
+@dataclass(frozen=True)
+class Step:
+    """One command, or what happens between two commands, with its faults.
+
+    Attributes
+    ----------
+    command : str
+        `calibrate` (begins or resumes), `calibrate afresh` (with --force), one of `COMMANDS`, `night`
+        (nobody is there for `hours`) or `power` (the part is switched off and on).
+    line : tuple of LineFault
+    disk : DiskFault or None
+    interrupt_s : float or None
+        When Ctrl-C comes.
+    hours : float
+    """
+
+    command: str
+    line: tuple[LineFault, ...] = ()
+    disk: DiskFault | None = None
+    interrupt_s: float | None = None
+    hours: float = 0.0
+
+    @property
+    def faults(self) -> int:
+        """Number of faults around the command."""
+        return len(self.line) + (self.disk is not None) + (self.interrupt_s is not None)
+
+
+@dataclass(frozen=True)
+class Story:
+    """A bench and its steps; `only` as in `Bench`."""
+
+    seed: int
+    steps: tuple[Step, ...]
+    motor: bool = False
+    streams: bool = True
+    plan: str = "four-position"
+    positions: int | None = None
+    drift_c_per_h: float = 0.0
+    dwell_s: float = 0.5
+    only: str = ""
+
+
+@dataclass
+class Outcome:
+    """What became of a story.
+
+    Attributes
+    ----------
+    wrong : list of str
+        Invariants that did not hold, each with its step.
+    ended : list of Ended
+    hours, measured_hours : float
+        Virtual time, and the part of it in which a command ran.
+    off : dict of str to float
+        Error of each value of the last answer with exit status 0, in units of its U.
+    lied : bool
+        The operator put the part elsewhere than was said, which few positions cannot show.
+    digest : str
+        Digest of all output and of all files at the end.
+    told : list of str
+        The story in lines for people.
+    """
+
+    story: Story
+    wrong: list[str] = field(default_factory=list)
+    ended: list[Ended] = field(default_factory=list)
+    hours: float = 0.0
+    measured_hours: float = 0.0
+    off: dict[str, float] = field(default_factory=dict)
+    lied: bool = False
+    digest: str = ""
+    told: list[str] = field(default_factory=list)
+
+
+# -- drawing -------------------------------------------------------------------------------------------
+
+
+def draw(seed: int) -> Story:
+    """Draw a story from its seed."""
+    rng = np.random.default_rng([seed, 35])
+    names, counts, shares = zip(*PLANS, strict=True)
+    which = int(rng.choice(len(names), p=shares))
+    plane = names[which] not in ("tumble", "poses")
+    motor = plane and bool(rng.random() < 0.4)
+    story = Story(
+        seed,
+        (),
+        motor=motor,
+        streams=bool(rng.random() < 0.6),
+        plan=names[which],
+        positions=counts[which],
+        drift_c_per_h=float(rng.choice([0.0, 0.0, 0.5, -2.0])),
+        only="" if rng.random() < 0.4 else "none",
+    )
+    steps: list[Step] = []
+    if rng.random() < 0.08:
+        steps.append(_step(rng, "bringup", 10.0, 30))
+    for _ in range(int(rng.integers(1, 4))):
+        steps.append(_step(rng, CALIBRATE, 5.0 * counts[which], 40 * counts[which], share=0.9))
+        steps += _between(rng)
+    for _ in range(int(rng.integers(0, 4))):
+        command = str(rng.choice(COMMANDS))
+        length_s = 5.0 if command.startswith("write") else 1.0
+        steps.append(_step(rng, command, length_s, 40, share=0.6))
+        steps += _between(rng)
+    return replace(story, steps=tuple(steps))
+
+
+def _between(rng: np.random.Generator) -> list[Step]:
+    if rng.random() < 0.15:
+        return [Step(NIGHT, hours=float(rng.choice([0.2, 2.0, 8.0, 14.0])))]
+    return [Step(POWER)] if rng.random() < 0.1 else []
+
+
+def _step(
+    rng: np.random.Generator, command: str, length_s: float, operations: int, share: float = 0.5
+) -> Step:
+    """Draw the faults around a command that takes about so many seconds and operations of the disk."""
+    if rng.random() >= share:
+        return Step(command)
+    step = Step(command)
+    kind = rng.random()
+    if kind < 0.5:
+        step = replace(step, disk=_disk_fault(rng, operations))
+    if kind > 0.4:
+        count = 1 + int(rng.random() < 0.2)
+        step = replace(step, line=tuple(_line_fault(rng, length_s) for _ in range(count)))
+    if kind > 0.9 or 0.3 < kind < 0.35:
+        step = replace(step, interrupt_s=round(float(rng.uniform(0, length_s)), 2))
+    return step
+
+
+def _disk_fault(rng: np.random.Generator, operations: int) -> DiskFault:
+    kind = str(
+        rng.choice(["kill", "cut", *FAILURES, "slow", "interrupt"], p=[0.3, 0.3, 0.1, 0.05, 0.1, 0.05, 0.1])
+    )
+    number = 1 + int(rng.integers(operations if rng.random() < 0.8 else 10))
+    return DiskFault(kind, number, str(rng.choice(SIDES)))
+
+
+def _line_fault(rng: np.random.Generator, length_s: float) -> LineFault:
+    kind = str(rng.choice(LINE_KINDS))
+    size = float(rng.choice([0.5, 3.0, 20.0])) if kind != SHORT else float(rng.integers(1, 4))
+    at_s = rng.uniform(0, length_s) if rng.random() < 0.85 else rng.uniform(0, 0.3)
+    return LineFault(kind, round(float(at_s), 3), size)
+
+
+# -- playing -------------------------------------------------------------------------------------------
+
+
+class Play:
+    """A story that is being played; `do` takes its steps one by one, `finish` brings it to its end."""
+
+    def __init__(self, story: Story, folder: Path) -> None:
+        self.story = story
+        self.bench = Bench(
+            story.seed,
+            folder,
+            motor=story.motor,
+            streams=story.streams,
+            plan=story.plan,
+            positions=story.positions,
+            drift_c_per_h=story.drift_c_per_h,
+            only=story.only,
+        )
+        self.outcome = Outcome(story)
+        self.record = Record(self.bench)
+        self._afresh = False
+
+    def do(self, step: Step) -> Ended | None:
+        """Take a step and check the invariants; None if it was no command."""
+        outcome, bench = self.outcome, self.bench
+        if step.command == NIGHT:
+            bench.wait(3600 * step.hours)
+            outcome.told.append(f"{step.hours:g} hours pass")
+            return None
+        if step.command == POWER:
+            bench.switch_part_off_and_on()
+            outcome.told.append("the part is switched off and on")
+            return None
+        self._afresh |= step.command == AFRESH
+        words = self._words(step.command)
+        if words is None:
+            return None
+        did = len(bench.operator.did)
+        ended = bench.run(words, line=step.line, disk=step.disk, interrupt_s=step.interrupt_s)
+        outcome.ended.append(ended)
+        outcome.told += _tell(step, ended, bench, bench.operator.did[did:])
+        found = check(self.record, ended, step, self.story)
+        outcome.wrong += [f"after '{' '.join(words)}': {text}" for text in found.wrong]
+        if found.off:
+            outcome.off, outcome.lied = found.off, found.lied
+        self._afresh = "begin a new session" in ended.err
+        outcome.measured_hours += (ended.ended_s - ended.began_s) / 3600
+        return ended
+
+    def finish(self) -> None:
+        """Nothing goes wrong any more: the session has to come to its end, with a right answer."""
+        bench, outcome = self.bench, self.outcome
+        bench.operator.become_careful()
+        last = None
+        for attempt in range(MOST_TRIES):
+            if attempt == 2:
+                self.do(Step(POWER))
+            if attempt == 3:
+                self._afresh = True
+            last = self.do(Step(CALIBRATE))
+            if last is None or outcome.wrong or last.status == 0:
+                break
+        if last is not None and last.status != 0 and not outcome.wrong:
+            outcome.wrong.append(f"no way leads to a complete session: {last.last_line}")
+        if not outcome.wrong:
+            self.do(Step("status"))
+            self.do(Step("fit"))
+
+    def close(self) -> Outcome:
+        """Return the outcome."""
+        outcome = self.outcome
+        outcome.hours = self.bench.now_s / 3600
+        digest = hashlib.sha256()
+        for ended in outcome.ended:
+            digest.update(repr(ended).encode())
+        for path in sorted(self.bench.folder.iterdir()):
+            digest.update(path.name.encode() + path.read_bytes())
+        outcome.digest = digest.hexdigest()[:16]
+        return outcome
+
+    def _words(self, command: str) -> list[str] | None:
+        """The command line of a step, as the operator types it; None if there is no session for it yet."""
+        path, story = self.bench.folder / SESSION, self.story
+        if command in (CALIBRATE, AFRESH):
+            plain = ["--auto"] if story.motor else ["--plain"]
+            if path.exists() and not self._afresh:
+                return ["calibrate", URL, "--resume", *plain, "--json", "-o", SESSION]
+            if path.exists():
+                plain.append("--force")
+                self.record.forget()
+            self.bench.operator.new_session(story.plan, story.positions)
+            positions = (
+                []
+                if story.plan in ("two-position", "four-position")
+                else ["--positions", str(story.positions)]
+            )
+            times = ["--dwell", f"{story.dwell_s:g}", "--settle", "0.1"]
+            fixture = [] if story.plan in ("tumble", "poses") else ["--fixture", "0.02"]
+            options = [*positions, *times, *fixture, *plain, "--json", "-o", SESSION]
+            return ["calibrate", URL, "--plan", story.plan, *options]
+        if command == "bringup":
+            again = any(self.bench.folder.glob("board.*"))
+            return ["bringup", URL, "-o", "board.html", *(["--force"] if again else [])]
+        if not self.record.readable():
+            return None
+        return {
+            "fit": ["fit", SESSION, "--json"],
+            "angle": ["angle", URL, "--cal", SESSION, "--json", "--seconds", "1", "--reconnect", "2"],
+            "export": ["export", SESSION, "--format", "json", "-o", "cal.json", "--force"],
+            "write": ["write", SESSION, URL, "--yes", "--dwell", "1", "--json"],
+            "write --save": ["write", SESSION, URL, "--yes", "--save", "--dwell", "1", "--json"],
+            "undo": ["write", SESSION, URL, "--undo", "--yes", "--json"],
+            "status": ["write", SESSION, URL, "--status", "--json"],
+        }[command]
+
+
+def play(story: Story, folder: Path) -> Outcome:
+    """Play a whole story in an empty folder; stop at the first invariant that does not hold."""
+    run = Play(story, folder)
+    for step in story.steps:
+        run.do(step)
+        if run.outcome.wrong:
+            break
+    else:
+        run.finish()
+    return run.close()
+
+
+def shrink(story: Story, fails: Callable[[Story], bool]) -> Story:
+    """Leave out steps and faults for as long as the story still fails.
+
+    Parameters
+    ----------
+    fails : callable
+        Plays a story and returns True if it fails in the way that is looked for.
+    """
+    tried = True
+    while tried:
+        tried = False
+        for smaller in _smaller(story):
+            if fails(smaller):
+                story, tried = smaller, True
+                break
+    return story
+
+
+def _smaller(story: Story) -> Iterator[Story]:
+    """Stories with one step, one fault or one circumstance less, the largest omissions first."""
+    steps = story.steps
+    for k in range(len(steps)):
+        yield replace(story, steps=steps[:k])
+        yield replace(story, steps=steps[:k] + steps[k + 1 :])
+    for k, step in enumerate(steps):
+        less = [replace(step, line=step.line[:n] + step.line[n + 1 :]) for n in range(len(step.line))]
+        less += [replace(step, disk=None)] if step.disk is not None else []
+        less += [replace(step, interrupt_s=None)] if step.interrupt_s is not None else []
+        for one in less:
+            yield replace(story, steps=(*steps[:k], one, *steps[k + 1 :]))
+    if story.only != "none":
+        yield replace(story, only="none")
+    if story.drift_c_per_h:
+        yield replace(story, drift_c_per_h=0.0)
+    if story.plan != "four-position":
+        yield replace(story, plan="four-position", positions=4)
+
+
+# -- telling -------------------------------------------------------------------------------------------
+
+_DISK_WORDS = {
+    "kill": "the program is killed",
+    "cut": "the computer loses its power",
+    "full": "the disk is full from",
+    "read-only": "the disk is read-only from",
+    "broken": "the disk fails from",
+    "slow": "the disk is slow from",
+    "interrupt": "Ctrl-C",
+}
+
+
+def _tell(step: Step, ended: Ended, bench: Bench, did: Sequence[str]) -> list[str]:
+    """Lines for people about a step."""
+    lines = [f"adis-gonio {' '.join(ended.words)}   (at {ended.began_s:.1f} s)"]
+    lines += [f"    operator, {what}" for what in did]
+    lines += [f"    {fault.at_s:g} s later: {fault.kind} ({fault.size:g})" for fault in step.line]
+    if step.disk is not None:
+        where = bench.disk.acted or "never reached"
+        side = f"{step.disk.side} " if step.disk.kind in ("kill", "cut") else ""
+        lines.append(f"    {_DISK_WORDS[step.disk.kind]} {side}operation {step.disk.operation} ({where})")
+    if step.interrupt_s is not None:
+        lines.append(f"    {step.interrupt_s:g} s later: Ctrl-C")
+    status = "" if ended.status is None else f" {ended.status}"
+    return [*lines, f"    -> {ended.how}{status}: {ended.last_line[:300]}"]
+
+
+def tell(outcome: Outcome) -> str:
+    """The story as a person reads it, with the invariants that did not hold."""
+    story = outcome.story
+    stage = "a motor moves the stage" if story.motor else "the operator moves the part"
+    head = f"seed {story.seed}: {story.plan}, {stage}"
+    return "\n".join([head, *outcome.told, *(f"WRONG: {text}" for text in outcome.wrong)])
