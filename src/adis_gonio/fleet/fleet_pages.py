@@ -135,11 +135,7 @@ def _histogram(one: QuantitySummary, values: Floats) -> Figure | None:
     outside = int((x < low).sum() + (x > high).sum())
     far = f"; {counted(outside, 'session')} outside the figure" if outside else ""
     svg = plot(
-        series,
-        label_quantity(one.name, one.unit),
-        "sessions",
-        title=f"Distribution of {name}",
-        zero=True,
+        series, label_quantity(one.name, one.unit), "sessions", title=f"Distribution of {name}", zero=True
     )
     return Figure(svg, f"{name} of {counted(len(x), 'session')}{far}.")
 
@@ -290,13 +286,7 @@ def _cusum(track: Track) -> Figure:
         Series(number, chart.down, "down", role="before", style="line"),
         Series(number, limit, f"limit {chart.h:.3g}", role="model", style="line"),
     ]
-    drawn = plot(
-        series,
-        "session",
-        "CUSUM / σ",
-        title=f"CUSUM of {track.label}",
-        zero=True,
-    )
+    drawn = plot(series, "session", "CUSUM / σ", title=f"CUSUM of {track.label}", zero=True)
     return Figure(
         drawn, f"Sums of differences beyond {chart.k:g} σ; above the limit the quantity has changed."
     )

@@ -538,7 +538,6 @@ def facts(
         ("file", Path(session.source).name),
         ("SHA-256 of the file", digest_of_file(session.source) if Path(session.source).is_file() else ""),
         ("sensor", session.sensor + (" (simulated)" if stored.get("simulated") else "")),
-        *words.written_down(session).items(),
         ("bus", str(stored.get("url", ""))),
         ("note", str(stored.get("note", ""))),
         ("overridden", "\n".join(words.overridden(session))),

@@ -180,7 +180,7 @@ def _stage_curve(path: Path, angles: ET.Element, errors: ET.Element) -> StageCur
     error_deg, matrix = error_deg[order], matrix[np.ix_(order, order)]
     if not np.allclose(matrix, matrix.T) or np.linalg.eigvalsh(matrix).min() < -1e-9 * np.trace(matrix):
         raise DataError(f"{path}: the covariance matrix of the errors is not one")
-    return StageCurve(path.name, angle_deg, error_deg, matrix)
+    return StageCurve(path.name, angle_deg, error_deg, (matrix + matrix.T) / 2)
 
 
 def _numbers(path: Path, parent: ET.Element, *names: str) -> list[float]:
