@@ -115,6 +115,21 @@ class AveragedFit(Fit):
         """Degrees of freedom used by the fit, equal to `mixed_used`."""
         return self.mixed_used
 
+    @property
+    def joint_covariance(self) -> Floats:
+        """Covariance (p + axes, p + axes) of the parameters, and of the averaged terms at the middle.
+
+        These are the readings of the terms that depend on nothing but time, on each axis without
+        acceleration.
+        """
+        width, stated = len(self.mixed_covariance), []
+        for weight, one in self.solutions:
+            rows = np.zeros((width + self.data.axes, len(one.values)))
+            rows[:width, :width] = np.eye(width)
+            rows[width:, width:] = _at_middle(self, one.terms)
+            stated.append((weight, replace(one, values=rows @ one.values, half=rows @ one.half)))
+        return mixed_covariance(stated, width + self.data.axes, self.inflation)[0]
+
     def carried(self, there: Fit) -> Floats:
         """Root (rows, k) of the covariance of the predictions, within members and between them."""
         width = len(self.mixed_covariance)
@@ -310,6 +325,26 @@ def _members(solutions: Sequence[tuple[float, RidgeSolution]], fit: Fit, width: 
             members.append((weight, term, one.values[cut : cut + own]))
             cut += own
     return members
+
+
+def middle_s(fit: Fit) -> float:
+    """Return the time halfway between the first and last dwell, in s since the start of the session."""
+    time_s = fit.data.conditions.time_s
+    return float(time_s.min() + time_s.max()) / 2
+
+
+def _at_middle(fit: Fit, terms: Sequence[NamelessTerm]) -> Floats:
+    """Derivative (axes, k) of the readings without acceleration at the middle by the terms' amplitudes.
+
+    It is zero for functions of the angle, and for terms that depend on more than time.
+    """
+    middle, still = Conditions(time_s=np.array([middle_s(fit)])), np.zeros((1, fit.data.axes))
+    rows = [np.zeros((fit.data.axes, 0))]
+    for term in terms:
+        width = term.columns(fit.ideal, fit.data.conditions).shape[-1]
+        clock = term.covariates == ("time",) and not term.enters_angle
+        rows.append(term.columns(still, middle)[0] if clock else np.zeros((fit.data.axes, width)))
+    return np.concatenate(rows, axis=1)
 
 
 def solve_ridge(
