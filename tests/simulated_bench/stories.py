@@ -25,6 +25,7 @@ PLANS = (
     ("tumble", 4, 0.15),
     ("poses", 9, 0.1),
 )
+IN_SPACE = ("tumble", "poses")
 COMMANDS = ("fit", "angle", "export", "write", "write --save", "undo", "status")
 CALIBRATE, AFRESH, NIGHT, POWER = "calibrate", "calibrate afresh", "night", "power"
 MOST_TRIES = 4
@@ -113,7 +114,7 @@ def draw(seed: int) -> Story:
     rng = np.random.default_rng([seed, 35])
     names, counts, shares = zip(*PLANS, strict=True)
     which = int(rng.choice(len(names), p=shares))
-    plane = names[which] not in ("tumble", "poses")
+    plane = names[which] not in IN_SPACE
     motor = plane and bool(rng.random() < 0.4)
     story = Story(
         seed,
@@ -220,7 +221,7 @@ class Play:
         outcome.ended.append(ended)
         outcome.told += _tell(step, ended, bench, bench.operator.did[did:])
         found = check(self.record, ended, step, self.story)
-        outcome.wrong += [f"after '{' '.join(words)}': {text}" for text in found.wrong]
+        outcome.wrong += [f"{text} (after '{' '.join(words)}')" for text in found.wrong]
         if found.off:
             outcome.off, outcome.lied = found.off, found.lied
         self._afresh = "begin a new session" in ended.err
@@ -275,7 +276,7 @@ class Play:
                 else ["--positions", str(story.positions)]
             )
             times = ["--dwell", f"{story.dwell_s:g}", "--settle", "0.1"]
-            fixture = [] if story.plan in ("tumble", "poses") else ["--fixture", "0.02"]
+            fixture = [] if story.plan in IN_SPACE else ["--fixture", "0.02"]
             options = [*positions, *times, *fixture, *plain, "--json", "-o", SESSION]
             return ["calibrate", URL, "--plan", story.plan, *options]
         if command == "bringup":

@@ -74,6 +74,6 @@ class BenchMachine(RuleBasedStateMachine):
 
 TestBench = BenchMachine.TestCase
 TestBench.settings = settings(
-    max_examples=6, stateful_step_count=4, deadline=None, derandomize=True, database=None,
+    max_examples=4, stateful_step_count=4, deadline=None, derandomize=True, database=None,
     suppress_health_check=list(HealthCheck),
 )  # fmt: skip

@@ -15,11 +15,11 @@ from simulated_bench.bench import LineFault
 from simulated_bench.disk import Disk, DiskFault
 from simulated_bench.stories import Step, Story, draw, play, shrink, tell
 
-SEEDS = [*range(1000, 1014)]
+SEEDS = [*range(1000, 1012)]
 
 KEPT = {
     "a session that was killed within a commit is whole when --force sets it aside": Story(
-        seed=3,
+        seed=2,
         motor=True,
         steps=(
             Step("calibrate", disk=DiskFault("kill", 79, "within")),

@@ -752,7 +752,7 @@ class FreeTurnResult(FitResult):
 
     @property
     def angle(self) -> Value:
-        """Like `shown_angle`: without declared angles, the angle from gravity to X is the only angle."""
+        """Uncertainty of the calibrated angle from gravity to X, the only angle without declared ones."""
         return self.shown_angle
 
     def _variances(self, gradient: Floats) -> list[tuple[Floats, float]]:

@@ -557,7 +557,7 @@ def fit(session: Session, method: str | None = None, gyros: GyroCalibration | No
 
 
 def fit_of(readings: Readings, method: str | None = None) -> FitResult:
-    """Like `fit_readings`, without the `check` dwells; the result is kept for reuse."""
+    """Fit a method to readings without their `check` dwells; the result is kept for reuse."""
     if method is not None:
         return readings.once(_fit_training, method)
     return _by_default(readings.training, lambda name: fit_of(readings, name))
@@ -568,7 +568,7 @@ def _fit_training(readings: Readings, method: str) -> FitResult:
 
 
 def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
-    """Fit a method to readings, like `fit` to a session: three axes in space, two in the plane."""
+    """Fit a method to readings: of three axes in space, of two in the plane."""
     _refuse_one_position(readings)
     if method is None:
         return _by_default(readings, lambda name: fit_readings(readings, name))

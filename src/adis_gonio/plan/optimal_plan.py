@@ -426,7 +426,7 @@ class _Climb:
         return found
 
     def _exchange(self, found: SearchResult) -> SearchResult:
-        """Move one dwell after another to the position with the highest score of the plan."""
+        """Move each dwell in turn to the position that gives the plan the highest score."""
         choice, score = found.choice.copy(), found.score
         for dwell in self.rng.permutation(len(choice)).tolist():
             check()

@@ -196,7 +196,7 @@ class GyroTriad:
     def truth_at(
         self, time_s: Floats, dies_c: Floats, supply_v: Floats, wander_dps: Floats
     ) -> dict[str, float]:
-        """Like `truth`, but with scale factors and biases averaged over the conditions at n times."""
+        """True gyro parameters, with scale factors and biases averaged over the conditions at n times."""
         result = self.truth()
         warm = dies_c.mean(axis=0) - REFERENCE_C
         bias = self._bias + wander_dps + self._per_v * (float(np.mean(supply_v)) - REFERENCE_V)

@@ -175,7 +175,7 @@ def credible_sets(selection: Selection, averaged: Averaged | None = None) -> tup
 
 
 def merge_by_function(sets: Sequence[CredibleSet], likelier: Mapping[str, str]) -> tuple[CredibleSet, ...]:
-    """Merge sets of named causes that are more probably pieces of one unnamed function: keep the first.
+    """Keep one set for all named causes that are more probably pieces of one unnamed function: the first.
 
     Parameters
     ----------

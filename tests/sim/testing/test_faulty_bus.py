@@ -127,9 +127,9 @@ def test_scans_that_a_stream_loses_are_counted():
 @pytest.mark.parametrize(
     ("rates", "says"),
     [
-        ({"bit_errors": 2}, "bit_errors is 2: a probability from 0 to 1"),
+        ({"bit_errors": 2}, "bit_errors is 2: take a probability from 0 to 1"),
         ({"busy": float("nan")}, "busy is nan"),
-        ({"stuck_frames": 0}, "stuck_frames is 0: 1 or more"),
+        ({"stuck_frames": 0}, "stuck_frames is 0: take 1 or more"),
         ({"idle_word": 70000}, "idle_word is 70000"),
     ],
 )

@@ -161,7 +161,7 @@ class SpiBus(Closing):
         return [int(reply) for reply in self.exchange_array(_as_words(frames))]
 
     def exchange_array(self, frames: Words) -> Words:
-        """Like `exchange`, but for an array (n,) of uint16, which is faster for many frames."""
+        """Send a batch of frames (n,) uint16 and return the replies (n,), faster than `exchange` does."""
         if frames.dtype != np.uint16 or frames.ndim != 1:
             raise UsageError("frames must be a one-dimensional array of uint16")
         reserved = np.flatnonzero(frames & RESERVED_BIT)

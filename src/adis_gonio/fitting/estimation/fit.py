@@ -252,7 +252,7 @@ class Fit:
         return self._without_shared(self._own(columns))
 
     def _own(self, columns: Floats) -> Floats:
-        """Like `white`, but without the noise that several rows share."""
+        """Convert columns of readings (n, axes, d) to whitened rows, ignoring noise that rows share."""
         whitened = self.white_by_dwell(columns)
         flat: Floats = whitened.reshape(whitened.shape[0] * whitened.shape[1], columns.shape[2])
         links = self.link_rows
@@ -265,7 +265,10 @@ class Fit:
         return flat - rows @ (middle @ (rows.T @ flat))
 
     def white_by_dwell(self, columns: Floats) -> Floats:
-        """Like `white`, as (n, rows, d) for the dwells only, without the noise that several rows share."""
+        """Convert columns of readings (n, axes, d) to whitened rows of each dwell, (n, rows, d).
+
+        Noise that several rows share is ignored.
+        """
         return np.asarray(self.whitener @ columns)
 
     def by_reading(self, slope: Floats) -> Floats:
@@ -302,7 +305,7 @@ class Fit:
 
     @property
     def unshared_residual(self) -> Floats:
-        """Like `residual`, as a flat array (rows,) and without the noise that several rows share."""
+        """Residuals (rows,) scaled to unit covariance, ignoring noise that several rows share."""
         flat = self._own(self.declared_misfit[:, :, None])[:, 0]
         if self.link_rows is not None:
             # Links have a misclosure of their own, in addition to the effect of the misfits.

@@ -261,7 +261,7 @@ def _whittle(design: Floats, weight: Floats, mean: Floats) -> tuple[Floats, Floa
 def _whittle_with_flicker(
     design: Floats, inverse_x: Floats, weight: Floats, mean: Floats
 ) -> tuple[Floats, Floats, float]:
-    """Like `_whittle`, for the density exp(polynomial) + h/x with 1/f noise h/x.
+    """Fit the density exp(polynomial) + h/x, with 1/f noise h/x; return results as `_whittle` does.
 
     h is fitted but not returned; its uncertainty is included in the covariance.
     """

@@ -466,7 +466,7 @@ def _gyro_readings(session: Session) -> Readings:
 
 
 def gyro_readings_by(session: Session, accelerometers: Calibration) -> Readings:
-    """Like `gyro_readings_of`, with a calibration of the accelerometers; the result is not kept for reuse.
+    """Readings of all intervals, with true rotations by a given calibration of the accelerometers.
 
     Raises
     ------

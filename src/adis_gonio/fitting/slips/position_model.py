@@ -696,7 +696,7 @@ def _any_size(estimate: Floats, u: Floats) -> Floats:
 
 
 def _slip_after_rests(halts: Halts, estimate: Floats, u: Floats) -> Floats:
-    """Like `_any_size`, with the evidence from the rests that the gyro recorded during the turn."""
+    """Log evidence of a slip of unknown size, given the rests that the gyro recorded in the turn."""
     return _any_size(estimate, u) + halts.log_odds(wrap_radians(estimate), u)
 
 

@@ -182,11 +182,11 @@ class BusFaults:
         for kind in _KINDS:
             rate = getattr(self, kind)
             if not 0 <= rate <= 1:
-                raise UsageError(f"{kind} is {rate}: a probability from 0 to 1")
+                raise UsageError(f"{kind} is {rate}: take a probability from 0 to 1")
         if self.stuck_frames < 1:
-            raise UsageError(f"stuck_frames is {self.stuck_frames}: 1 or more")
+            raise UsageError(f"stuck_frames is {self.stuck_frames}: take 1 or more")
         if not 0 <= self.idle_word <= 0xFFFF:
-            raise UsageError(f"idle_word is {self.idle_word}: a word of 16 bits")
+            raise UsageError(f"idle_word is {self.idle_word}: take 0 to 65535")
 
 
 NO_FAULTS = BusFaults()
