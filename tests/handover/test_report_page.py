@@ -14,8 +14,7 @@ from adis_gonio.base.numbers import format_p, format_percent, format_uncertain, 
 from adis_gonio.handover.calibration_report import build_page, facts, views
 from adis_gonio.model.effects import Conditions, effect
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.page.document import Figure, Section, Table
-from adis_gonio.page.svg import Series, plot
+from adis_gonio.page.document import Figure, Section, Series, Table, plot
 from adis_gonio.tracing.trace_summary import confounded, headline, how_sure, sight
 from adis_gonio.tracing.traced_answer import answer_with_trace
 

@@ -22,8 +22,7 @@ from adis_gonio.fleet.fleet_run import Fleet, Repeated
 from adis_gonio.fleet.fleet_summary import GROUPS, Outlying, QuantitySummary, Summary, summarise
 from adis_gonio.fleet.sensor_history import History, Track
 from adis_gonio.fleet.session_record import Options
-from adis_gonio.page.document import Figure, KeyFigure, Section, Table, render
-from adis_gonio.page.svg import Series, plot
+from adis_gonio.page.document import Figure, KeyFigure, Section, Series, Table, plot, render
 
 if TYPE_CHECKING:
     from adis_gonio.fleet.population_trace import PopulationResult
@@ -386,6 +385,6 @@ def check_outputs(paths: Sequence[Path], files: Sequence[str]) -> None:
 
             require_pyarrow()
         elif path.suffix.lower() == ".html":
-            from adis_gonio.page.svg import require_matplotlib
+            from adis_gonio.page.document import require_matplotlib
 
             require_matplotlib()

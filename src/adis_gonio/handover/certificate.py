@@ -19,8 +19,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.conformity import Tolerance, Verdict, state_conformity
 from adis_gonio.base.errors import DataError, FitError, one_line
 from adis_gonio.base.uncertainty import coverage_factor
-from adis_gonio.calibrate.calibration import CURVE_PLACES, Calibration
-from adis_gonio.calibrate.coefficients import Coefficient
+from adis_gonio.calibrate.calibration import CURVE_PLACES, Calibration, Coefficient
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration, kind_of
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, StageCurve

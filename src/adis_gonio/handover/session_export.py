@@ -14,9 +14,8 @@ from adis_gonio.base.conformity import Tolerance
 from adis_gonio.base.errors import DataError, FitError, NotInstalledError, UsageError, install_extra
 from adis_gonio.base.jsonable import finite
 from adis_gonio.base.output import write_utf8
-from adis_gonio.calibrate.calibration import Calibration
+from adis_gonio.calibrate.calibration import Calibration, json_text
 from adis_gonio.calibrate.calibration_document import calibration_in
-from adis_gonio.calibrate.coefficients import json_text
 from adis_gonio.handover.c_header import DEFAULT_NAME
 from adis_gonio.handover.formats import BY_NAME
 from adis_gonio.model.effects import AXES

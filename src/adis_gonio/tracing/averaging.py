@@ -27,7 +27,7 @@ Member = tuple[float, NamelessTerm, Floats]
 
 
 @dataclass(frozen=True)
-class MemberFit:
+class RidgeSolution:
     """Fit of one member (a set of unnamed terms) with priors, in addition to the fixed columns.
 
     Attributes
@@ -94,7 +94,7 @@ class AveragedFit(Fit):
         Covariance of base and named parameters.
     mixed_used : float
         Degrees of freedom used by base, named terms and members, averaged with the members' weights.
-    solutions : tuple of (float, MemberFit)
+    solutions : tuple of (float, RidgeSolution)
         The members with their weights.
     inflation : float
         Factor on the variance of the noise under which they were solved.
@@ -102,7 +102,7 @@ class AveragedFit(Fit):
 
     mixed_covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     mixed_used: float = 0.0
-    solutions: tuple[tuple[float, MemberFit], ...] = ()
+    solutions: tuple[tuple[float, RidgeSolution], ...] = ()
     inflation: float = 1.0
 
     @property
@@ -289,7 +289,7 @@ def fit_members(
     target: Floats,
     pool: Sequence[tuple[float, tuple[NamelessTerm, ...]]],
     weights: Floats,
-) -> tuple[tuple[float, MemberFit], ...]:
+) -> tuple[tuple[float, RidgeSolution], ...]:
     """Fit each member that has a weight; return the fits with their weights, which sum to 1."""
     likely = np.flatnonzero(weights).tolist()
     solved = [(float(weights[k]), solve_ridge(selection, fixed, target, pool[k][1])) for k in likely]
@@ -300,7 +300,7 @@ def fit_members(
 
 
 def mixed_covariance(
-    solutions: Sequence[tuple[float, MemberFit]], width: int, inflation: float
+    solutions: Sequence[tuple[float, RidgeSolution]], width: int, inflation: float
 ) -> tuple[Floats, float]:
     """Return the covariance (k, k) of the fixed parameters and the degrees of freedom of all members.
 
@@ -315,7 +315,7 @@ def mixed_covariance(
     return covariance, sum(weight * one.used for weight, one in solutions)
 
 
-def _members(solutions: Sequence[tuple[float, MemberFit]], fit: Fit, width: int) -> list[Member]:
+def _members(solutions: Sequence[tuple[float, RidgeSolution]], fit: Fit, width: int) -> list[Member]:
     """Return each unnamed term of the solutions with the weight of its member and its amplitudes."""
     members: list[Member] = []
     for weight, one in solutions:
@@ -349,7 +349,7 @@ def _at_middle(fit: Fit, terms: Sequence[NamelessTerm]) -> Floats:
 
 def solve_ridge(
     selection: Selection, fixed: Floats, target: Floats, terms: Sequence[NamelessTerm]
-) -> MemberFit:
+) -> RidgeSolution:
     """Solve the ridge regression of one member."""
     fit = selection.fit
     blocks = [fit.white(fit.candidate(term)) for term in terms]
@@ -373,7 +373,7 @@ def solve_ridge(
         beside = orthonormal(fixed)
         left = added - beside @ (beside.T @ added)
         visible = float(np.linalg.norm(left) / np.linalg.norm(added))
-    return MemberFit(tuple(terms), solved, half, float(((columns @ half) ** 2).sum()), visible)
+    return RidgeSolution(tuple(terms), solved, half, float(((columns @ half) ** 2).sum()), visible)
 
 
 def _averaged_terms(members: Sequence[Member]) -> list[AveragedTerm]:

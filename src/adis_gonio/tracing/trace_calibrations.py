@@ -18,14 +18,13 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import AdisGonioError, DataError, FitError, SessionError, UsageError
 from adis_gonio.base.output import ends_in
-from adis_gonio.calibrate.calibration import Calibration, EffectTerm
+from adis_gonio.calibrate.calibration import Calibration, Coefficient, EffectTerm, NotCorrected
 from adis_gonio.calibrate.calibration_document import (
     calibration_from,
     calibration_in,
     gyro_calibration_from,
     json_document,
 )
-from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term

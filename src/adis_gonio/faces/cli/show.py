@@ -336,7 +336,7 @@ def print_table(
 def check_page(output: Path | None) -> None:
     """Raise an error if an HTML page is wanted and its figures cannot be drawn."""
     if output is not None:
-        from adis_gonio.page.svg import require_matplotlib
+        from adis_gonio.page.document import require_matplotlib
 
         require_matplotlib()
 
