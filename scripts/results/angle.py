@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.page.svg import ROLES, Series, plot
+from adis_gonio.page.document import ROLES, Series, plot
 from efficiency import CASES, Case, Floats, lines, run_all
 from results.section import Effort, Section
 from shown_angle import ORDER, PLACES_DEG, Shown, cells, figures, measure_all

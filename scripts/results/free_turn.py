@@ -34,7 +34,7 @@ def section_of(
 
 def _figure(rows: Sequence[Mapping[str, Any]]) -> str:
     """Draw the sorted errors of the angle by both methods."""
-    from adis_gonio.page.svg import Series, plot
+    from adis_gonio.page.document import Series, plot
 
     good = [row for row in rows if "refused" not in row]
     share = (np.arange(len(good)) + 0.5) / len(good)

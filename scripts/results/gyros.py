@@ -26,7 +26,7 @@ def section_of(rows: Sequence[Mapping[str, Any]]) -> Section:
 
 def _figure(rows: Sequence[Mapping[str, Any]]) -> str:
     """Draw the sorted errors and uncertainties in units of each session's bound."""
-    from adis_gonio.page.svg import Series, plot
+    from adis_gonio.page.document import Series, plot
 
     good = [row for row in rows if "refused" not in row]
     least, off, u = (np.array([row[key] for row in good]).ravel() for key in ("bound", "off", "u"))

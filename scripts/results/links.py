@@ -30,7 +30,7 @@ def _way_name(way: str) -> str:
 
 def _figure(found: Mapping[str, Any]) -> str:
     """Draw the u of skews with turns over the u by gravity alone."""
-    from adis_gonio.page.svg import Series, plot
+    from adis_gonio.page.document import Series, plot
 
     lines = []
     for part, way, role in [

@@ -39,7 +39,7 @@ def section_of(
 
 def _figure(plain: Mapping[str, Any], known: Mapping[str, Any], ways: Sequence[str]) -> str:
     """Draw the rms error in motion against the lag."""
-    from adis_gonio.page.svg import Series, plot
+    from adis_gonio.page.document import Series, plot
 
     lags = [float(way) for way in ways]
     lines = [

@@ -377,7 +377,7 @@ def test_a_move_that_is_broken_off_while_it_is_kept_is_made_again(tmp_path):
         runner = SessionRunner.begin(
             sensor, path, plan_by_name("two-position"), settings, fixture_sigma_deg=0
         )
-        for event in runner.run():
+        for event in runner.run(so_far=False):
             if isinstance(event, PositionAsked):
                 asked += 1
                 runner.confirm()
@@ -399,7 +399,7 @@ def test_a_session_whose_turns_are_recorded_resumes_to_the_same_samples(tmp_path
     for path, until in ((whole, 9), (broken, 2)):
         with open_sensor("sim:?seed=1&hand_moves=1") as sensor:
             runner = SessionRunner.begin(sensor, path, plan_by_name("four-position"), settings, auto=True)
-            for event in runner.run():
+            for event in runner.run(so_far=False):
                 if isinstance(event, PositionAsked) and event.place == until:
                     runner.stop()
     with open_sensor("sim:?seed=1&hand_moves=1") as sensor:
@@ -419,7 +419,7 @@ def test_turns_by_hand_are_kept_where_that_is_wanted_and_only_there(tmp_path):
                 sensor, path, plan_by_name("four-position"), settings, fixture_sigma_deg=0.02
             )
             operator = Hand(sensor)
-            for event in runner.run():
+            for event in runner.run(so_far=False):
                 operator.see(runner, event)
         held[wanted] = load_session(path)
     found = rate_intervals(held[True])
@@ -451,7 +451,7 @@ def test_a_long_question_costs_the_file_two_minutes_of_scans_and_no_more(tmp_pat
             settings = Settings(dwell_s=1, settle_s=0.1, smpl_prd=slow, turns=wanted)
             runner = SessionRunner.begin(sensor, path, plan_by_name("two-position"), settings)
             operator, asked_s = Hand(sensor), 0.0
-            for event in runner.run():
+            for event in runner.run(so_far=False):
                 if isinstance(event, PositionAsked):
                     asked_s = sensor.bus.now_s()
                 idle = isinstance(event, Watching) and event.state == "idle"

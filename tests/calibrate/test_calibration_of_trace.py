@@ -148,7 +148,7 @@ def test_bias_and_gain_are_those_of_the_session_s_middle(session, traced, kind, 
 
 def test_a_bias_that_moves_with_time_is_stated_at_the_middle_and_not_called_zero():
     """Bias of x 2 mg at the start and 25 mg at the end: the middle's within what u states."""
-    session = drifting(np.random.default_rng(5), drift_mg_per_min=6.0)
+    session = drifting(np.random.default_rng(5), lambda minutes: 6.0 * minutes)
     traced = adis_gonio.trace(session)
     calibration = traced.calibration()
     middle_min = (session.dwells[0].time_s.mean() + session.dwells[-1].time_s.mean()) / 2 / 60
@@ -158,10 +158,28 @@ def test_a_bias_that_moves_with_time_is_stated_at_the_middle_and_not_called_zero
     assert abs(bias_x.value - 2.0 - 6.0 * middle_min) < 2 * bias_x.u
 
 
-def drifting(rng, drift_mg_per_min):
-    """A turn there and one back, on which the bias of x moves evenly."""
+@pytest.mark.parametrize("width_s", [25.0, 50.0])
+def test_a_bias_on_an_s_shaped_course_has_a_value_and_u_at_the_middle(width_s):
+    """From 2 to 26 mg, half of it in 2.2 widths: many functions of time fit it, and u holds them all."""
+
+    def course(minutes):
+        return 24.0 / (1.0 + np.exp((116.0 - 60.0 * minutes) / width_s))
+
+    calibration = adis_gonio.trace(drifting(np.random.default_rng(5), course)).calibration()
+    bias_x = calibration["bias_x"]
+    assert calibration.assumed == ("bias_y",)
+    assert 0.02 < bias_x.u < 1.0
+    assert abs(bias_x.value - 14.0) < 2.5 * bias_x.u
+    # An angle that the bias moves by 0.057° for each mg has this uncertainty too.
+    known = {"gains": (1.01, 0.99), "axes": plane_axes(0.4), "bias": (14.0, 0.0)}
+    (moved_deg,) = calibration.angle(read_mg(turn(np.array([90.0])), **known)).u_deg
+    assert moved_deg > 0.055 * bias_x.u
+
+
+def drifting(rng, course):
+    """A turn there and one back, on which the bias of x is a function (mg) of the time in minutes."""
     angles = (*range(0, 360, 30), *range(345, -15, -30))
     plain = planar_session(rng, bias=(2.0, 0.0), angles_deg=tuple(map(float, angles)))
-    moved = [d.accel + np.outer(d.time_s / 60 * drift_mg_per_min, [1.0, 0.0]) for d in plain.dwells]
+    moved = [d.accel + np.outer(course(d.time_s / 60), [1.0, 0.0]) for d in plain.dwells]
     dwells = zip(plain.dwells, moved, strict=True)
     return replace(plain, dwells=tuple(replace(d, accel=accel) for d, accel in dwells))

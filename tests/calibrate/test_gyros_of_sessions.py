@@ -22,7 +22,7 @@ from adis_gonio.fitting.gyros.gyro_fit import estimates_of_gyro_fit, gains_and_d
 from adis_gonio.handover.session_export import ExportSource
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.provenance import provenance_of
-from adis_gonio.record.samples_writer import write_csv
+from adis_gonio.record.samples_writer import write_samples_csv
 from adis_gonio.tracing.trace_calibrations import gyro_calibration_of, load_gyro_calibration, with_gyros
 from bench.writeback.gyro_rig import FAULTS, gyro_numbers
 from bench.writeback.rig import new_bus, record
@@ -50,7 +50,7 @@ def bare(path, tmp_path_factory):
     session = load_session(path)
     own = replace(session, dwells=tuple(replace(dwell, gyro=None) for dwell in session.dwells))
     csv = tmp_path_factory.mktemp("bare") / "bare.csv"
-    write_csv(own, csv)
+    write_samples_csv(own, csv)
     return csv
 
 

@@ -75,7 +75,7 @@ def test_data_frames_hold_the_same_numbers(session, result):
             assert frame.loc[name, "u"] == result[name].u
         assert {"scale_x", "scale_y", "bias_x", "bias_y"} <= set(frame.index)
     samples = session.to_pandas()
-    assert list(samples.columns) == ["time_s", "position", "angle_deg", "approach", "use", "ax", "ay"]
+    assert list(samples.columns) == ["time_s", "position", "angle_deg", "ax", "ay"]
     assert len(samples) == 12 * 200
     means = samples.groupby("position")["ax"].mean().to_numpy()
     assert np.allclose(means, [dwell.accel[:, 0].mean() for dwell in session.dwells])

@@ -2,8 +2,9 @@
 
 A person hears what a front end says (a position is asked for, a guard has a question, more is offered) and
 answers with steps: lines for the part (`fakes.hand_part`), `still` (wait until it has come to rest), `rest
-SECONDS`, `dwell KEY` (to be said while the next dwell runs) and `say KEY`, which ends the turn unless it is
-nonsense or a note. The keys are the names of the session's answers, with `pause`, `note` and `quit`.
+SECONDS`, `arrow` (turn as the arrow of the screen says), `dwell KEY` (to be said while the next dwell runs)
+and `say KEY`, which ends the turn unless it is nonsense or a note. The keys are the names of the session's
+answers, with `pause`, `note` and `quit`.
 
 The person goes by the scale of the stage as a careful one would, but for one mistake here and there. After
 many questions in vain the hand becomes sober and the ears open: what a careful person cannot finish from
@@ -44,6 +45,9 @@ class Manner:
         At a guard: kept against advice, skipped, taken as reversed without being so, nonsense or a pause.
     accepts, returns : float
         Of the longer plan, and of coming back to a session that is not complete.
+    obeys : float
+        Of a person who turns by the arrow of the screen, and looks at the scale of the stage only when the
+        screen says so.
     """
 
     blunder: float = 0.05
@@ -54,6 +58,7 @@ class Manner:
     odd: float = 0.06
     accepts: float = 0.9
     returns: float = 0.95
+    obeys: float = 0.0
 
 
 PERFECT = Manner(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -89,6 +94,7 @@ class Person:
         self._fixture_deg = fixture_deg
         self._places = list(places)
         self._only = only
+        self.obeys = bool(np.random.default_rng([seed, 5]).random() < self.manner.obeys)
         clumsy = self.manner.blunder > 0
         self._forced = int(taste.integers(len(places))) if clumsy else -1
         self._accepts = bool(taste.random() < self.manner.accepts)
@@ -212,6 +218,10 @@ class Person:
         if blunder in ("overshoot", "misread"):
             return [*self._beside(there, blunder), *confirm]
         move = self._move(there)
+        if self.obeys and not blunder and place and isinstance(there, float):
+            rough = self._move(there + self._mind.uniform(-5, 5))
+            by_scale = self._move(there)  # as the screen says, once the arrow has gone
+            return [rough, "still", *["rest 0.5", "arrow", "still"] * 2, by_scale, *confirm]
         if blunder == "early":
             return [f"{move} 0.2" if move.startswith("turn") else move, "say confirm"]
         if blunder in DISTURBED:

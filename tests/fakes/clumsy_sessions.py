@@ -26,6 +26,7 @@ from adis_gonio.bench.events import (
 )
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import Adis16354
+from adis_gonio.faces.tui.bench_state import BenchState
 from adis_gonio.fitting.answer import Answer
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
@@ -115,6 +116,7 @@ class EventHand:
 
     def __init__(self, person: Person, runner: SessionRunner, bus: HandBus, outcome: Outcome) -> None:
         self._person, self._runner, self._bus, self._outcome = person, runner, bus, outcome
+        self._screen, self._wobble = BenchState(), np.random.default_rng(person.questions)
         self._steps: list[str] = []
         self._until_s = -math.inf
         self._within = ""
@@ -123,6 +125,7 @@ class EventHand:
     def see(self, event: Event) -> None:
         """Take an event: a question begins a list of steps, a look at the sensor lets time pass."""
         person = self._person
+        self._screen.take(event)
         match event:
             case PositionAsked():
                 self._steps = person.at_position(event.place, event.can_undo, self._runner.reversed)
@@ -157,10 +160,19 @@ class EventHand:
                     self._until_s = self._bus.now_s() + float(rest)
                 case "dwell":
                     self._within = rest
+                case "arrow":
+                    self._follow_arrow()
                 case "say":
                     self._say(rest)
                 case _:
                     self._bus.obey(f"{verb} {rest}")
+
+    def _follow_arrow(self) -> None:
+        """Turn by what the screen says is missing, unless it says that the scale decides."""
+        more, tolerance = self._screen.more_deg, self._screen.tolerance_deg
+        if more is not None and tolerance is not None and abs(more) > tolerance:
+            off = tolerance * self._wobble.uniform(-0.9, 0.9)
+            self._bus.obey(f"turn {self._bus.part.angle_deg + more + off:.5f}")
 
     def _say(self, key: str) -> None:
         runner = self._runner

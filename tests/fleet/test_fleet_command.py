@@ -62,14 +62,22 @@ def test_a_damaged_file_is_a_row_and_the_rest_is_there(tmp_path, capsys):
     files = write_fleet(tmp_path / "fleet", 3, seed=7)
     bad = Path(files[1])
     bad.write_bytes(bad.read_bytes()[: bad.stat().st_size // 2] + b"\x00\xff rubbish")
-    assert main(["fleet", *files, str(tmp_path / "none.csv"), "--no-trace", "--json"]) == 1
+    assert main(["fleet", *files, "--no-trace", "--json"]) == 1
     printed = capsys.readouterr()
     document = json.loads(printed.out)
     assert document["sessions"]["ok"] == 2
     reasons = {Path(one["path"]).name: one["reason"] for one in document["failures"]}
-    assert sorted(reasons) == ["001.csv", "none.csv"]
-    assert "cannot be read: No such file" in reasons["none.csv"]
-    assert "2 sessions of 4 failed" in printed.err
+    assert sorted(reasons) == ["001.csv"]
+    assert "1 session of 3 failed" in printed.err
+
+
+@pytest.mark.parametrize("name", ["none.csv", "none", "none.session"])
+def test_a_file_or_folder_that_is_missing_is_refused_in_one_line(tmp_path, capsys, name):
+    files = write_fleet(tmp_path / "fleet", 1, seed=7)
+    missing = tmp_path / name
+    assert main(["fleet", *files, str(missing), "-o", str(tmp_path / "a.json")]) == 2
+    assert capsys.readouterr().err == f"adis-gonio: {missing}: there is no such file or folder\n"
+    assert not list(tmp_path.glob("a.json*"))
 
 
 def test_the_tables_on_the_terminal_say_what_the_json_says(tmp_path, capsys):
@@ -88,17 +96,20 @@ def test_the_tables_on_the_terminal_say_what_the_json_says(tmp_path, capsys):
         (["."], "there is no session in .: give files, or folders with .session, .csv, .csv.gz"),
         (["a.csv", "--workers", "2", "--scheduler", "tcp://x:1"], "--workers and --scheduler"),
         (["a.csv", "--workers", "0"], "0 is not in the range"),
-        (["a.csv", "-o", "a.csv"], ".parquet, .json, .html"),
-        (["a.json", "-o", "a.json"], "is one of the sessions"),
+        (["a.csv", "-o", "b.csv"], ".parquet, .json, .html"),
+        (["a.json", "-o", "a.json", "--force"], "is one of the sessions"),
     ],
 )
 def test_wrong_usage_is_one_line_and_status_2(arguments, said, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    given = [Path(name) for name in arguments[:1] if name != "."]
+    for path in given:
+        path.touch()
     assert main(["fleet", *arguments]) == 2
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
+    assert [path.name for path in tmp_path.iterdir()] == [path.name for path in given]
 
 
 def no_scheduler(address: str, folder: Path) -> subprocess.CompletedProcess[str]:

@@ -30,6 +30,32 @@ def found(summary):
     return {(one.kind, one.name, one.quantity) for one in summary.outlying}
 
 
+def on_stages(rng, sessions, stages):
+    """Six units, each value with u 0.05° of the stage's certificate and 0.01° of its own."""
+    error = dict.fromkeys("ab", 0.0) | {name: 0.05 * rng.normal() for name in stages}
+    facts = {"delta_phi_u": math.hypot(0.05, 0.01), "delta_phi_stage": [0.05]}
+    return [
+        row(
+            k, serial=f"SN{k % 6}", stage_curve=stage, delta_phi=error[stage] + 0.01 * rng.normal(), **facts
+        )
+        for k, stage in enumerate(stages[k % len(stages)] for k in range(sessions))
+    ]
+
+
+def test_sessions_on_one_stage_share_the_error_that_its_certificate_leaves(rng):
+    """Only their own u counts in a comparison; on two stages the whole u does."""
+    ratios = []
+    for _ in range(50):
+        (phi,) = summarise(on_stages(rng, 24, "a")).parameters
+        assert phi.beyond.u == pytest.approx(0.01)
+        ratios.append(phi.repeats.ratio)
+    assert np.mean(ratios) == pytest.approx(1, abs=0.1)
+    (phi,) = summarise(on_stages(rng, 24, "ab")).parameters
+    assert phi.beyond.u == pytest.approx(math.hypot(0.05, 0.01))
+    # Unit k stays on stage k mod 2: its sessions share the influence of that stage all the same.
+    assert 0.5 < phi.repeats.ratio < 2
+
+
 @pytest.mark.parametrize(("hits", "n"), [(0, 7), (1, 7), (7, 7), (37, 1000)])
 def test_the_interval_of_a_frequency_is_that_of_statsmodels(hits, n):
     proportion = pytest.importorskip("statsmodels.stats.proportion")

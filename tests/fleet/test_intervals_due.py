@@ -79,7 +79,7 @@ def test_a_control_chart_by_hand():
         sessions = [made_up(y, u=1e-6, delta_phi=float(r)) for y, r in zip(years, rise, strict=True)]
         chart = due_of(of(*sessions), LIMIT).rules[1]
         assert abs((np.datetime64(chart.date) - np.datetime64(date)).astype(int)) <= 1
-    assert "delta_phi +0.04" in chart.why
+    assert "Δφ (+4.00000\u00a0±" in chart.why  # ·10⁻² °/a
 
 
 def test_uncertainty_brings_the_date_forward():

@@ -76,6 +76,15 @@ class Tab:
         self.tab.evaluate(AXE.read_text(encoding="utf-8"))
         return list(self.tab.evaluate(_VIOLATIONS, RULES))
 
+    def faults(self) -> list[str]:
+        """Violations when folded and open, narrow and in the dark; and what the page asked for."""
+        found = self.axe()
+        self.open_folds()
+        self.tab.set_viewport_size({"width": 360, "height": 900})
+        found += self.axe()
+        self.tab.emulate_media(color_scheme="dark")
+        return [*found, *self.axe(), *self.noise]
+
     def pdf(self, path: Path) -> None:
         """Print to A4."""
         self.tab.emulate_media(media="print")

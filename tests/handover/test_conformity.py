@@ -15,12 +15,18 @@ def at_one_angle(error, u, dof=math.inf):
 
 
 # Limits, estimate, standard uncertainty and probability of conformity of the worked examples.
-# JCGM 106:2012, 7.4: viscosity of motor oil, 12.5 to 16.3 mm²/s, measured 13.6 with u = 1.8: 66 %.
-# JCGM 106:2012, 7.3: burst strength at least 490 kPa, measured 509.7 kPa with u = 8.6 kPa: 99 %. The limit
-# on the other side is so far away that it does not count.
+# Viscosity of motor oil, 12.5 to 16.3 mm²/s, measured 13.6 with u = 1.8: 66 %. Burst strength at least
+# 490 kPa, measured 509.7 kPa with u = 8.6 kPa: 99 % (the limit on the other side is far away). Both are
+# ascribed to JCGM 106:2012, clause 7; its text was not available to check them. The last two rows are the
+# normal distribution's own: 1.645 u and 2.326 u within a limit on one side.
 @pytest.mark.parametrize(
     ("low", "high", "estimate", "u", "conforms"),
-    [(12.5, 16.3, 13.6, 1.8, 0.66), (490.0, 690.0, 509.7, 8.6, 0.99)],
+    [
+        (12.5, 16.3, 13.6, 1.8, 0.66),
+        (490.0, 690.0, 509.7, 8.6, 0.99),
+        (0.0, 100.0, 1.645, 1.0, 0.95),
+        (0.0, 100.0, 2.326, 1.0, 0.99),
+    ],
 )
 def test_the_probability_of_conformity_is_that_of_the_examples_of_jcgm_106(
     low, high, estimate, u, conforms
@@ -29,12 +35,15 @@ def test_the_probability_of_conformity_is_that_of_the_examples_of_jcgm_106(
     assert 1 - at_one_angle(estimate - middle, u).exceeds(half) == pytest.approx(conforms, abs=0.005)
 
 
-# ILAC-G8:09/2019, table 1: guard band in units of U = 2 u, and the risk of a false accept.
-@pytest.mark.parametrize(("guard", "risk"), [(0.0, 0.50), (0.83, 0.05), (1.0, 0.025), (1.5, 0.0016)])
+# ILAC-G8:09/2019, table 1, as laboratories publish it: guard band in units of U = 2 u, and the largest risk
+# of a false accept (simple acceptance, ISO 14253-1, ILAC-G8:2009, 3 sigma, 6 sigma).
+@pytest.mark.parametrize(
+    ("guard", "risk"), [(0.0, 0.50), (0.83, 0.05), (1.0, 0.025), (1.5, 0.0016), (3.0, 1e-6)]
+)
 def test_the_risk_at_the_edge_of_a_guard_band_is_that_of_ilac_g8(guard, risk):
     edge = at_one_angle(10.0 - guard * 2 * 0.1, 0.1).exceeds(10.0)
     assert edge <= risk
-    assert edge == pytest.approx(risk, rel=0.2)
+    assert edge == pytest.approx(risk, rel=0.2) or guard == 3.0  # 1 ppm rounds 0.001 ppm up
 
 
 def test_few_degrees_of_freedom_give_student_s_distribution():

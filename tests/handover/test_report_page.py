@@ -11,11 +11,10 @@ import pytest
 from adis_gonio import fit, trace
 from adis_gonio.base.conformity import Tolerance, state_conformity
 from adis_gonio.base.numbers import format_p, format_percent, format_uncertain, with_unit
-from adis_gonio.handover.calibration_report import build_page, views
+from adis_gonio.handover.calibration_report import build_page, facts, views
 from adis_gonio.model.effects import Conditions, effect
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.page.document import Figure, Section, Table
-from adis_gonio.page.svg import Series, plot
+from adis_gonio.page.document import Figure, Section, Series, Table, plot
 from adis_gonio.tracing.trace_summary import confounded, headline, how_sure, sight
 from adis_gonio.tracing.traced_answer import answer_with_trace
 
@@ -219,6 +218,8 @@ def test_the_page_says_who_measured_which_part_where_and_what_was_overridden():
         "columns: ax = Acc_X instead of those of the format",
     ):
         assert text in said
+    texts = [text for _, text in facts(session, None, "", None)]
+    assert [texts.count(text) for text in ("0042", "T2", "Ada <b>")] == [1, 1, 1]
 
 
 def test_the_answer_stands_first_in_large_numerals_with_what_covers_it(page, curved):

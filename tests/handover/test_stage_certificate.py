@@ -192,6 +192,12 @@ def test_calibrate_keeps_the_certificate_and_every_later_fit_uses_it(tmp_path):
     session = load_session(path)
     assert session.stage_curve.digest == read_stage_curve(stage).digest
     assert session.fixture_sigma_deg is None
+    # Its CSV states the certificate too, and gives the same answer.
+    copy = tmp_path / "s.csv"
+    assert main(["export", str(path), "-o", str(copy)]) == 0
+    again = load_session(copy)
+    assert again.stage_curve.digest == session.stage_curve.digest
+    assert fit(again, "mmpm").as_dict()["parameters"] == fit(session, "mmpm").as_dict()["parameters"]
     result = fit(session, "mmpm")
     influence = result.stage_influence["delta_phi"]
     row = next(row for row in result.budget["delta_phi"] if row.source == "fixture")

@@ -101,7 +101,7 @@ def calibration(tmp_path_factory) -> Calibration:
     settings = Settings(dwell_s=1.0, settle_s=0.1)
     with open_sensor(HIDDEN) as sensor:
         runner = SessionRunner.begin(sensor, path, plan("mmpm"), settings, auto=True, fixture_sigma_deg=0.0)
-        list(runner.run())
+        list(runner.run(so_far=False))
     return load_calibration(path)
 
 

@@ -31,7 +31,7 @@ def calibrated(url: str, path) -> Calibration:
     settings = Settings(dwell_s=1.0, settle_s=0.1)
     with open_sensor(url) as sensor:
         runner = SessionRunner.begin(sensor, path, plan("mmpm"), settings, auto=True, fixture_sigma_deg=0.0)
-        list(runner.run())
+        list(runner.run(so_far=False))
     return load_calibration(path)
 
 

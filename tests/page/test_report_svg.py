@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import NotInstalledError
-from adis_gonio.page.svg import Series, plot
+from adis_gonio.page.document import Series, plot
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -194,7 +194,7 @@ def test_figures_are_drawn_without_a_window_system_and_only_when_asked_for():
     code = (
         "import sys, adis_gonio.handover.calibration_report\n"
         "assert 'matplotlib' not in sys.modules\n"
-        "from adis_gonio.page.svg import Series, plot\n"
+        "from adis_gonio.page.document import Series, plot\n"
         "plot([Series([0], [0])], 'x', 'y', title='t')\n"
         "assert 'matplotlib' in sys.modules and 'matplotlib.pyplot' not in sys.modules\n"
     )

@@ -53,7 +53,7 @@ def test_a_session_through_the_chip_has_the_noise_and_the_uncertainties_that_wer
         runner = SessionRunner.begin(
             sensor, tmp_path / "s.session", made, bench.settings, auto=True, fixture_sigma_deg=0.02
         )
-        for _ in runner.run():
+        for _ in runner.run(so_far=False):
             pass
     session = load_session(tmp_path / "s.session")
     measured, foreseen = readings_of(session), expected_readings(made, bench)

@@ -29,7 +29,7 @@ from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import document_of, plan, read_plan
 from adis_gonio.record.samples_reader import read_samples_csv
-from adis_gonio.record.samples_writer import session_dict, write_csv
+from adis_gonio.record.samples_writer import session_dict, write_samples_csv
 from adis_gonio.tracing.trace_calibrations import load_calibration
 from record.forging import DEEP, HUGE, exchanged_in, forge, put
 
@@ -79,7 +79,7 @@ def use(path: Path, *, fits: bool) -> None:
     if session.turns_from is not None:
         session.turns_from()
     json.dumps(session_dict(session), allow_nan=False)
-    write_csv(session, path.with_suffix(".csv"))
+    write_samples_csv(session, path.with_suffix(".csv"))
     if fits:
         adis_gonio.fit(session).calibration()
 
@@ -274,7 +274,9 @@ def test_changed_bytes_of_a_csv_are_refused_in_one_line_or_harmless(tmp_path):
         at = rng.randrange(len(text))
         path.write_text(text[:at] + rng.choice(strange) + text[at + rng.randrange(12) :], "utf-8")
         messages.append(
-            message_of(lambda: write_csv(read_samples_csv(path), tmp_path / "o.csv"), f"seed {seed}")
+            message_of(
+                lambda: write_samples_csv(read_samples_csv(path), tmp_path / "o.csv"), f"seed {seed}"
+            )
         )
     check_messages(messages, 30)
 

@@ -30,7 +30,7 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
             fixture_sigma_deg=0.1,
             title="Δ bench",
         )
-        list(runner.run())
+        list(runner.run(so_far=False))
     return path
 
 

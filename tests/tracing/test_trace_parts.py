@@ -1050,6 +1050,19 @@ class TestAverages:
         apart = one[:6] - two[:6]
         total = 0.75 * within[0] + 0.25 * within[1] + 0.75 * 0.25 * np.outer(apart, apart) / inflation
         np.testing.assert_allclose(covariance, total, rtol=1e-3, atol=1e-12)
+        # The mean function at the middle of the session, likewise; nothing acts on y.
+        fit = selection.fit
+        spent = averaging.AveragedFit(
+            fit.data, fit.terms, fit.values, fit.with_prior, covariance, used, solutions, inflation
+        )
+        joint = spent.joint_covariance
+        np.testing.assert_allclose(joint[:6, :6], covariance, rtol=1e-9, atol=1e-12)
+        at_s = float(data.conditions.time_s.min() + data.conditions.time_s.max()) / 2e3
+        inside = [np.linalg.inv(columns[k].T @ columns[k])[-1, -1] for k in (0, 2)]
+        values = 0.75 * inside[0] * at_s**2, 0.25 * inside[1] * at_s**4
+        apart_mg = one[6] * at_s - two[7] * at_s**2
+        assert joint[6, 6] == pytest.approx(sum(values) + 0.75 * 0.25 * apart_mg**2 / inflation, rel=1e-3)
+        assert joint[7, 7] == 0
         assert used == pytest.approx(0.75 * 7 + 0.25 * 8, abs=1e-3)
 
     @pytest.mark.parametrize(("u", "inflation"), [(0.1, 1.0), (0.1, 3.0), (5.0, 1.0)])

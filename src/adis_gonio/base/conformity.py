@@ -9,15 +9,17 @@ at any angle, so the specific risk of a false accept is
 
 Along a direction d of z = r d the region of conformity is one interval of r ≥ 0, because it is convex. Its
 probability follows from the distribution of |z|, and p is the mean over directions: exact for one angle,
-where it is equation (11) of JCGM 106, 7.4.
+where it is the conformance probability of JCGM 106, clause 7.
 
 | rule | pass | else |
 |---|---|---|
 | `guarded` | p ≤ 2.5 % (guard band w = U; ILAC-G8, 4.2.2) | fail if 1 − p ≤ 2.5 %, else undecided |
-| `simple` | p ≤ 50 %: the median of E is within T (JCGM 106, 8.2.1) | fail |
-| `shared` | as `simple`, if U is at most T/3 at all angles (JCGM 106, 8.2.3) | fail, undecided if U > T/3 |
+| `simple` | p ≤ 50 %: the median of E is within T (ILAC-G8, 4.2.1) | fail |
+| `shared` | as `simple`, if U is at most T/3 at all angles (JCGM 106, 8.2) | fail, undecided if U > T/3 |
 
-The ratio of 3 is a choice of this program; with `guarded`, another risk than 2.5 % can be agreed.
+The ratio of 3 is a choice of this program; with `guarded`, another risk than 2.5 % can be agreed. ILAC-G8's
+clauses and its table of guard bands were compared with published copies. JCGM 106 itself was not available:
+its clause numbers are unverified.
 """
 
 from __future__ import annotations

@@ -50,11 +50,11 @@ def format_number(value: float | None, digits: int = 3) -> str:
 def format_fixed(value: float | None, decimals: int) -> str:
     """Format a value with a number of decimals; None becomes a dash.
 
-    More than nine decimals are shown as a power of ten, such as `1.2e−11`.
+    More than nine decimals are shown as a power of ten, such as `1.2·10⁻¹¹`.
     """
     if value is None or not math.isfinite(value):
         return DASH
-    return use_minus(f"{value:.{decimals}f}" if decimals <= 9 else f"{value:.1e}")
+    return use_minus(f"{value:.{decimals}f}") if decimals <= 9 else format_number(value, 2)
 
 
 def signed(value: float | None, decimals: int | None = None, *, digits: int = 0) -> str:
@@ -70,6 +70,7 @@ def signed(value: float | None, decimals: int | None = None, *, digits: int = 0)
     if value is None or not math.isfinite(value):
         return DASH
     text = f"{value:.{digits or 6}g}"
+    text = format_number(value, digits or 6) if "e" in text else text
     text = text if decimals is None else format_fixed(value, decimals)
     return use_minus(text) if math.copysign(1.0, value) < 0 else f"+{text}"
 
@@ -105,6 +106,7 @@ def format_uncertain(value: float, expanded: float | None, unit: str = "", *, si
         power = math.floor(math.log10(max(abs(value), expanded)))
         value, expanded = value / 10.0**power, expanded / 10.0**power
     decimals = count_decimals(expanded)
+    value = round(value, decimals) + 0.0  # no minus sign before zero
     plus = "+" if sign else ""
     text = use_minus(f"{value:{plus}.{decimals}f}{NO_BREAK}±{NO_BREAK}{expanded:.{decimals}f}")
     return with_unit(f"({text}){_power(power)}" if power else text, unit)

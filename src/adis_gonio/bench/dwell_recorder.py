@@ -270,7 +270,7 @@ class DwellRecorder(Recorder):
             return
         restarts, rested_mg = 0, None
         while (broken := (yield from self._record_or_keep(recording, rested_mg))) is not None:
-            yield self._interrupted(recording, broken.reason)
+            yield self._interrupted(recording, broken.reason, guarded=broken.guard is not None)
             if self._questions.interrupted:
                 return
             guard, restarts = broken.guard, restarts + 1
@@ -417,10 +417,12 @@ class DwellRecorder(Recorder):
             recording.moving(look.why)
         return None
 
-    def _interrupted(self, recording: Recording, reason: str) -> DwellInterrupted:
+    def _interrupted(self, recording: Recording, reason: str, *, guarded: bool = False) -> DwellInterrupted:
         attempt = recording.attempt("interrupted", self._bench.now_s, reason)
         number = self._ledger.archive.add_attempt(attempt)
-        return DwellInterrupted(recording.place, recording.position, number, recording.samples, reason)
+        return DwellInterrupted(
+            recording.place, recording.position, number, recording.samples, reason, guarded
+        )
 
     def _complete(self, recording: Recording) -> Iterator[Event]:
         bench, ledger = self._bench, self._ledger

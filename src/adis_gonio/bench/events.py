@@ -203,13 +203,17 @@ class DwellDone(Event):
 
 
 class DwellInterrupted(Event):
-    """A dwell was interrupted; its samples are in the archive, marked as interrupted."""
+    """A dwell was interrupted; its samples are in the archive, marked as interrupted.
+
+    A guard that interrupted it asks its question next (`guarded`).
+    """
 
     place: int
     position: Position
     attempt: int
     samples: int
     reason: str
+    guarded: bool = False
 
 
 class Problem(Event):

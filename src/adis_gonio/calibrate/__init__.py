@@ -1,7 +1,12 @@
 """Calibrations, which convert readings to gravity, angle or rate with uncertainty, and their files."""
 
-from adis_gonio.calibrate.calibration import AngleReading, Calibration, EffectTerm
-from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected
+from adis_gonio.calibrate.calibration import (
+    AngleReading,
+    Calibration,
+    Coefficient,
+    EffectTerm,
+    NotCorrected,
+)
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration, Rates
 
 __all__ = [

@@ -23,8 +23,7 @@ from adis_gonio.base.shapes import (
     text,
     whole,
 )
-from adis_gonio.calibrate.calibration import Calibration, EffectTerm
-from adis_gonio.calibrate.coefficients import VERSION, Coefficient, NotCorrected
+from adis_gonio.calibrate.calibration import VERSION, Calibration, Coefficient, EffectTerm, NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration, kind_of
 from adis_gonio.device.sensor.registers import BY_NAME
 from adis_gonio.model.effects import AXES, effect

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.base.jsonable import json_object
-from adis_gonio.calibrate.coefficients import (
+from adis_gonio.calibrate.calibration import (
     VERSION,
     Coefficient,
     Coefficients,

@@ -49,7 +49,7 @@ PAUSE = BenchKey("p", "pause", "pause or go on; nothing is measured during a pau
 NOTE = BenchKey("n", "note", "add a note to the session")
 DRAW = BenchKey("d", "draw", "draw how to hold the part, and the positive direction")
 HELP = BenchKey("?", "help", "show this list")
-MOVE = BenchKey("m", "move", "turn the simulated part by some degrees, such as -30")
+MOVE = BenchKey("m", "move", "turn the simulated part by some degrees, such as m -30")
 BUMP = BenchKey("b", "bump", "bump the simulated part")
 """Keys of a simulated part that only the operator's keys move (`sim:?hands=free`)."""
 
@@ -133,7 +133,7 @@ def lines_about(event: events.Event) -> list[tuple[str, Level]]:
 def _course(event: events.Event) -> list[tuple[str, Level]]:
     """Lines about the progress of the session, each with its level."""
     match event:
-        case events.DwellInterrupted():
+        case events.DwellInterrupted() if not event.guarded:
             return [(f"{event.position} interrupted: {event.reason} (samples kept)", "warned")]
         case events.Problem():
             return [(event.message, "warned")]

@@ -17,8 +17,7 @@ from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.tables import Entries, ParameterTable
 from adis_gonio.base.uncertainty import Value, factor_over
-from adis_gonio.calibrate.calibration import Calibration
-from adis_gonio.calibrate.coefficients import Coefficient
+from adis_gonio.calibrate.calibration import Calibration, Coefficient
 from adis_gonio.fitting.determination import LIMIT, Determination, is_determined, names_of
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings

@@ -28,7 +28,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.conformity import ErrorCurve, Tolerance, Verdict
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import INLINE, JsonRecord, key
-from adis_gonio.base.numbers import counted, signed
+from adis_gonio.base.numbers import NAMES, counted, format_uncertain
 from adis_gonio.fleet.control_charts import LEAST, YEAR_DAYS
 from adis_gonio.fleet.sensor_history import History, date_of, own_u
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
@@ -43,12 +43,7 @@ def slopes_deg(gravity_mps2: float = STANDARD_GRAVITY_MPS2) -> Floats:
     gravity_mg = 1000.0 * gravity_mps2 / STANDARD_GRAVITY_MPS2
     cos, sin = np.cos(psi), np.sin(psi)
     return np.column_stack(
-        [
-            np.degrees(-sin * cos),
-            cos**2,
-            np.degrees(-sin / gravity_mg),
-            np.degrees(cos / gravity_mg),
-        ]
+        [np.degrees(-sin * cos), cos**2, np.degrees(-sin / gravity_mg), np.degrees(cos / gravity_mg)]
     )
 
 
@@ -294,8 +289,8 @@ def _control_chart(history: History, limits: Rules) -> Rule:
         why = f"the error conforms to {limit} for {years}"
         return Rule(method, date_of(last + LONGEST_DAYS), why, assumes)
     drifts_text = ", ".join(
-        f"{name} {signed(drift.slope.value, digits=2)} ± {drift.slope.U:.2g} {drift.slope.unit}"
-        for name, drift in drifts.items()
+        f"{NAMES.get(name, name)} {format_uncertain(one.value, one.U, one.unit, sign=True)}"
+        for name, one in ((name, drift.slope) for name, drift in drifts.items())
     )
     why = f"the error conforms to {limit} until {good} d after the last calibration, by {drifts_text}"
     return Rule(method, date_of(last + good), why, assumes)

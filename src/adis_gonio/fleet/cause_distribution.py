@@ -239,10 +239,7 @@ def _expected(block: Block, share: float, size: float) -> tuple[float, float]:
     weight = _WEIGHTS / _WEIGHTS.sum()
     first = second = 0.0
     # Mixture of unaffected and affected sessions; their scores are normal.
-    for part, mean, variance in (
-        (1 - share, np.zeros_like(g), g),
-        (share, g * size, g + g**2 * spread**2),
-    ):
+    for part, mean, variance in ((1 - share, np.zeros_like(g), g), (share, g * size, g + g**2 * spread**2)):
         score: Floats = mean[:, None] + np.sqrt(variance)[:, None] * _NODES
         flat = Block(score.reshape(-1, 1), np.repeat(g, len(_NODES))[:, None, None])
         value = mixed(log_factor(flat, np.array([size]), spread), share).reshape(score.shape)

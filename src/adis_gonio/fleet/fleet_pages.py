@@ -22,8 +22,7 @@ from adis_gonio.fleet.fleet_run import Fleet, Repeated
 from adis_gonio.fleet.fleet_summary import GROUPS, Outlying, QuantitySummary, Summary, summarise
 from adis_gonio.fleet.sensor_history import History, Track
 from adis_gonio.fleet.session_record import Options
-from adis_gonio.page.document import Figure, KeyFigure, Section, Table, render
-from adis_gonio.page.svg import Series, plot
+from adis_gonio.page.document import Figure, KeyFigure, Section, Series, Table, plot, render
 
 if TYPE_CHECKING:
     from adis_gonio.fleet.population_trace import PopulationResult
@@ -136,11 +135,7 @@ def _histogram(one: QuantitySummary, values: Floats) -> Figure | None:
     outside = int((x < low).sum() + (x > high).sum())
     far = f"; {counted(outside, 'session')} outside the figure" if outside else ""
     svg = plot(
-        series,
-        label_quantity(one.name, one.unit),
-        "sessions",
-        title=f"Distribution of {name}",
-        zero=True,
+        series, label_quantity(one.name, one.unit), "sessions", title=f"Distribution of {name}", zero=True
     )
     return Figure(svg, f"{name} of {counted(len(x), 'session')}{far}.")
 
@@ -291,13 +286,7 @@ def _cusum(track: Track) -> Figure:
         Series(number, chart.down, "down", role="before", style="line"),
         Series(number, limit, f"limit {chart.h:.3g}", role="model", style="line"),
     ]
-    drawn = plot(
-        series,
-        "session",
-        "CUSUM / σ",
-        title=f"CUSUM of {track.label}",
-        zero=True,
-    )
+    drawn = plot(series, "session", "CUSUM / σ", title=f"CUSUM of {track.label}", zero=True)
     return Figure(
         drawn, f"Sums of differences beyond {chart.k:g} σ; above the limit the quantity has changed."
     )
@@ -396,6 +385,6 @@ def check_outputs(paths: Sequence[Path], files: Sequence[str]) -> None:
 
             require_pyarrow()
         elif path.suffix.lower() == ".html":
-            from adis_gonio.page.svg import require_matplotlib
+            from adis_gonio.page.document import require_matplotlib
 
             require_matplotlib()

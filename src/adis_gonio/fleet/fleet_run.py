@@ -29,12 +29,12 @@ def files_of(given: Iterable[str | Path]) -> list[str]:
     Raises
     ------
     UsageError
-        There is no file, or a given folder does not exist. A missing file becomes a row of the result.
+        There is no session, or a given file or folder does not exist.
     """
     places = list(map(Path, given))
     for place in places:
-        if not place.exists() and not place.suffix:
-            raise UsageError(f"{place}: there is no such folder")
+        if not place.exists():
+            raise UsageError(f"{place}: there is no such file or folder")
     found = {str(path) for place in places for path in _below(place)}
     if not found:
         folders = ", ".join(str(place) for place in places)

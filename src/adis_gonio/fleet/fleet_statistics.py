@@ -10,7 +10,7 @@ by chance (Bonferroni). The most outlying group is named and removed before the 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -27,6 +27,25 @@ from adis_gonio.base.uncertainty import OUTLYING
 PROBABILITIES = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 LEAST = 3
 """Fewest values from which scatter is estimated."""
+
+
+_LEAST_SHARE = 1e-6
+"""Least share of the variance of a value that sessions on one stage do not share."""
+
+
+def unshared_u(u: Floats, curves: Iterable[str], influence: Iterable[Sequence[float]]) -> Floats:
+    """Standard uncertainties (n,) of values, without the part that all sessions share by their stage.
+
+    They belong to differences between the sessions. A part is shared if the sessions have the certificate
+    of one stage: `curves` (n,) are digests of the certificates, `influence` (n, k) the change of each value
+    by each independent error of the certificate.
+    """
+    if len(set(curves)) > 1 or not all(map(len, influence)):
+        return u
+    moves = np.array(list(influence), dtype=float)  # (n, k)
+    common = moves.mean(axis=0)
+    variance = u**2 - (moves**2).sum(axis=1) + ((moves - common) ** 2).sum(axis=1)
+    return np.asarray(np.sqrt(np.maximum(variance, _LEAST_SHARE * u**2)))
 
 
 class Distribution(JsonRecord):

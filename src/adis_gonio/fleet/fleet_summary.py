@@ -43,6 +43,7 @@ from adis_gonio.fleet.fleet_statistics import (
     by_unit,
     outlying,
     repeats,
+    unshared_u,
 )
 from adis_gonio.fleet.session_record import QUANTITIES
 from adis_gonio.fleet.session_table import Row, Table, table_of
@@ -227,18 +228,35 @@ def _quantities(table: Table) -> list[str]:
     return [name for name in QUANTITIES if name in table and np.isfinite(table[name]).any()]
 
 
-def _doubt(table: Table, name: str) -> Floats:
-    """Standard uncertainties (n,) of the values of a quantity; NaN if a session states none."""
-    return np.full(len(table[name]), np.nan) if name == _RMS else table[f"{name}_u"]
+def _doubt(table: Table, name: str, group: Codes | None = None) -> Floats:
+    """Standard uncertainties (n,) of the values of a quantity; NaN if a session states none.
+
+    They are for comparisons within each group of sessions, by default all sessions: without the influence
+    of the stage that a group shares. A negative number is a group of one session.
+    """
+    if name == _RMS:
+        return np.full(len(table[name]), np.nan)
+    u, curve, influence = table[f"{name}_u"].copy(), table["stage_curve"], table[f"{name}_stage"]
+    codes = np.zeros(len(u), dtype=int) if group is None else group
+    rows = np.flatnonzero(np.isfinite(u) & np.isfinite(table[name]) & (codes >= 0))
+    if not (curve[rows] != "").any():
+        return u
+    rows = rows[np.argsort(codes[rows], kind="stable")]
+    for one in np.split(rows, np.flatnonzero(np.diff(codes[rows])) + 1):
+        u[one] = unshared_u(u[one], curve[one], influence[one])
+    return u
 
 
 def _parameters(table: Table, unit: Codes) -> list[QuantitySummary]:
     found = []
     for name in _quantities(table):
-        values, u, dof = table[name], _doubt(table, name), table[f"{name}_dof"]
+        values, dof = table[name], table[f"{name}_dof"]
         dof = np.where(np.isfinite(dof), dof, np.inf)
         known = values[np.isfinite(values)]
-        by_u = beyond(values, u, dof), repeats(values, u, dof, unit)
+        by_u = (
+            beyond(values, _doubt(table, name), dof),
+            repeats(values, _doubt(table, name, unit), dof, unit),
+        )
         found.append(QuantitySummary(name, QUANTITIES[name], Distribution.of(known), *by_u))
     return found
 

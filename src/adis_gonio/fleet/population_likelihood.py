@@ -271,15 +271,7 @@ def units_of(evidence: Sequence[SessionEvidence]) -> Units:
     columns = tuple(Column.of(key) for key in keys)
     weight = np.array([column.weight for column in columns])
     typical = np.array([1 / np.median(column[column > 0]) for column in length.T]) * weight
-    return Units(
-        tuple(evidence),
-        columns,
-        inflation,
-        typical,
-        z,
-        length * typical,
-        directions,
-    )
+    return Units(tuple(evidence), columns, inflation, typical, z, length * typical, directions)
 
 
 def inflations(evidence: Sequence[SessionEvidence]) -> Floats:

@@ -19,12 +19,12 @@ from adis_gonio.base.numbers import (
     counted,
     format_p,
     format_uncertain,
-    format_unit,
     label_quantity,
     use_minus,
 )
 from adis_gonio.base.uncertainty import DRIFTING, Value
 from adis_gonio.fleet.control_charts import ControlChart, Drift, control_chart, drift_of
+from adis_gonio.fleet.fleet_statistics import unshared_u
 from adis_gonio.fleet.session_record import ANGLE, QUANTITIES, SessionRecord
 
 _IN_PLANE = ("delta_k", "delta_phi", "bias_x", "bias_y")
@@ -210,31 +210,16 @@ def _track(name: str, records: Sequence[SessionRecord]) -> Track:
     if name == ANGLE or len(values) < 2:
         return track
     u = own_u([record for _, record, _ in stated], name)
-    return replace(
-        track,
-        drift=drift_of(day, track.value, u, unit),
-        chart=control_chart(track.value, u),
-    )
-
-
-_LEAST_SHARE = 1e-6
-"""Least share of the variance of a value that sessions on one stage do not share."""
+    return replace(track, drift=drift_of(day, track.value, u, unit), chart=control_chart(track.value, u))
 
 
 def own_u(records: Sequence[SessionRecord], name: str) -> Floats:
-    """Standard uncertainties (n,) of a value, without the part that all sessions share by their stage.
-
-    They belong to differences between the sessions. A part is shared if the sessions have the certificate
-    of one stage.
-    """
-    u = np.array([record.values[name].u or 0.0 for record in records])
-    influence = [record.stage_influence.get(name) for record in records]
-    if len({record.stage_curve for record in records}) > 1 or not all(influence):
-        return u
-    moves = np.array(influence, dtype=float)  # (n, k)
-    common = moves.mean(axis=0)
-    variance = u**2 - (moves**2).sum(axis=1) + ((moves - common) ** 2).sum(axis=1)
-    return np.asarray(np.sqrt(np.maximum(variance, _LEAST_SHARE * u**2)))
+    """Standard uncertainties (n,) of a value without the influence of the stage; see `unshared_u`."""
+    return unshared_u(
+        np.array([record.values[name].u or 0.0 for record in records]),
+        [record.stage_curve for record in records],
+        [record.stage_influence.get(name, ()) for record in records],
+    )
 
 
 def _stated(value: Value | None) -> bool:
@@ -259,9 +244,8 @@ def drift_sentences(track: Track) -> list[str]:
     drift = track.drift
     if drift is None:
         return []
-    unit = format_unit(drift.slope.unit).removeprefix("1/")
     said = "drifts" if track.drifts else "no drift shown"
-    rate = f"{format_expanded(drift.slope)} {'a year' if unit == 'a' else unit}"
+    rate = format_uncertain(drift.slope.value, drift.slope.U, drift.slope.unit)
     lines = [f"{said}: {rate} (U, 95 %), {format_p(drift.p_value)}"]
     if drift.birge_p < DRIFTING:
         lines.append(

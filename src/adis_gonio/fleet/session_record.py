@@ -58,7 +58,7 @@ class FoundEffect(JsonRecord):
         return cls(data["effect"], tuple(data["axes"]), data["p_value"], values)
 
 
-_APART = ("values", "evidence", "stage_curve", "stage_influence")
+_APART = ("values", "evidence", "stage_influence")
 """Fields of a record that are no columns of its row."""
 
 
@@ -163,10 +163,10 @@ class SessionRecord(JsonRecord):
     def row(self) -> dict[str, Any]:
         """One row with the columns of `adis_gonio.fleet.session_table.COLUMNS`; unknown values are None.
 
-        Each of `QUANTITIES` takes five columns (`PARTS`): `delta_k`, `delta_k_u`, `delta_k_u95` (U, since
-        names of columns ignore capitals), `delta_k_k`, `delta_k_dof`. A value in another unit than its
-        column (counts of unknown scale) is left out. `effects` and `model_effects` are
-        lists of names.
+        Each of `QUANTITIES` takes six columns: `delta_k`, `delta_k_u`, `delta_k_u95` (U, since names of
+        columns ignore capitals), `delta_k_k`, `delta_k_dof` (`PARTS`), and `delta_k_stage` (its
+        `stage_influence`). A value in another unit than its column (counts of unknown scale) is left out.
+        `effects` and `model_effects` are lists of names.
         """
         row = {name: value for name, value in vars(self).items() if name not in _APART}
         row["model_effects"] = list(self.model_effects)
@@ -176,6 +176,7 @@ class SessionRecord(JsonRecord):
             known = name in self.values and self.values[name].unit == unit
             value = self.values[name].as_dict() if known else {}
             row |= {f"{name}{end}": value.get(key) for end, key in PARTS.items()}
+            row[f"{name}_stage"] = list(self.stage_influence.get(name, ()))
         return row
 
 

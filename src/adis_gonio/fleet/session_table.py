@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from adis_gonio.base.errors import DataError, NotInstalledError, install_extra
 from adis_gonio.fleet.session_record import QUANTITIES
 
-Kind = Literal["text", "number", "integer", "flag", "names"]
+Kind = Literal["text", "number", "integer", "flag", "names", "numbers"]
 Row = Mapping[str, Any]
 Table = dict[str, NDArray[Any]]
-"""Columns (n,) by name: float with NaN if unknown, str with "" if unknown; for `effects` see `table_of`."""
+"""Columns (n,) by name: float with NaN or str with "" if unknown, or lists of numbers; for `effects` see
+`table_of`."""
 
 _FACTS: dict[str, tuple[Kind, str, str]] = {
     "path": ("text", "", "file of the session, as it was given"),
@@ -25,6 +26,7 @@ _FACTS: dict[str, tuple[Kind, str, str]] = {
     "serial": ("text", "", "serial number of the unit"),
     "operator": ("text", "", "who measured"),
     "stage": ("text", "", "stage on which it was measured"),
+    "stage_curve": ("text", "", "digest of the stage's certificate, which corrected the angles"),
     "sensor": ("text", "", "variant"),
     "plan": ("text", "", "plan of positions"),
     "when": ("text", "", "begin, UTC, ISO 8601"),
@@ -57,6 +59,7 @@ def _of_quantities() -> dict[str, tuple[Kind, str, str]]:
             f"{name}_u95": ("number", unit, f"expanded uncertainty U of {own}, 95 %"),
             f"{name}_k": ("number", "1", f"coverage factor of {own}"),
             f"{name}_dof": ("number", "1", f"degrees of freedom of {own}; null if unlimited"),
+            f"{name}_stage": ("numbers", unit, f"change of {name} by each error of that certificate"),
         }
     return columns
 
@@ -66,10 +69,10 @@ COLUMNS: dict[str, tuple[Kind, str, str]] = {**_FACTS, **_of_quantities()}
 
 
 _FACTS_USED = (
-    *("path", "serial", "operator", "stage", "status", "reason"),
+    *("path", "serial", "operator", "stage", "stage_curve", "status", "reason"),
     *("traced", "adequate", "effects", "doubts"),
 )
-_USED = (*_FACTS_USED, *(f"{name}{part}" for name in QUANTITIES for part in ("", "_u", "_dof")))
+_USED = (*_FACTS_USED, *(f"{name}{part}" for name in QUANTITIES for part in ("", "_u", "_dof", "_stage")))
 
 
 def table_of(rows: Sequence[Row] | Any) -> Table:
@@ -78,11 +81,12 @@ def table_of(rows: Sequence[Row] | Any) -> Table:
     `effect_row` (m,) and `effect_name` (m,) replace `effects`: each effect found, with the number of its
     row. Rows are sorted by path.
     """
-    columns = (
-        {name: [row.get(name) for row in rows] for name in _USED}
-        if isinstance(rows, Sequence)
-        else {name: rows.column(name).to_pylist() for name in _USED if name in rows.column_names}
-    )
+    if isinstance(rows, Sequence):
+        columns = {name: [row.get(name) for row in rows] for name in _USED}
+    else:
+        unknown = [None] * len(rows)
+        known = set(rows.column_names)
+        columns = {name: rows.column(name).to_pylist() if name in known else unknown for name in _USED}
     order = np.argsort(np.array([path or "" for path in columns["path"]], dtype=object), kind="stable")
     table: Table = {}
     for name, values in columns.items():
@@ -91,6 +95,8 @@ def table_of(rows: Sequence[Row] | Any) -> Table:
             counts = np.array([len(values[k] or ()) for k in order], dtype=int)
             table["effect_row"] = np.repeat(np.arange(len(order)), counts)
             table["effect_name"] = np.array([one for k in order for one in values[k] or ()], dtype=str)
+        elif kind == "numbers":
+            table[name] = np.fromiter(([] if v is None else v for v in values), object, len(values))[order]
         elif kind == "text":
             table[name] = np.array([value or "" for value in values], dtype=str)[order]
         else:
@@ -134,6 +140,7 @@ def write_parquet(rows: Sequence[Row], path: str | Path, about: Mapping[str, Any
         "integer": pa.int64(),
         "flag": pa.bool_(),
         "names": pa.list_(pa.string()),
+        "numbers": pa.list_(pa.float64()),
     }
     fields = [
         pa.field(name, kinds[kind], metadata={"unit": unit, "meaning": meaning})

@@ -11,8 +11,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
-from adis_gonio.calibrate.calibration import Calibration
-from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected, json_text
+from adis_gonio.calibrate.calibration import Calibration, Coefficient, NotCorrected, json_text
 from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, GyroCalibration
 from adis_gonio.handover import fixed_point
 from adis_gonio.model.effects import AXES

@@ -37,8 +37,7 @@ from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.slips import PositionFinding
 from adis_gonio.fitting.slips.session_positions import Angle
 from adis_gonio.model.records import METADATA, Session
-from adis_gonio.page.document import Figure, KeyFigure, Section, Table, render
-from adis_gonio.page.svg import Role, Series, Style, plot
+from adis_gonio.page.document import Figure, KeyFigure, Role, Section, Series, Style, Table, plot, render
 from adis_gonio.record.provenance import digest_of_file
 from adis_gonio.tracing import trace_summary as words
 from adis_gonio.tracing.trace_figures import Panel, Views, series_views, views_of
@@ -539,7 +538,6 @@ def facts(
         ("file", Path(session.source).name),
         ("SHA-256 of the file", digest_of_file(session.source) if Path(session.source).is_file() else ""),
         ("sensor", session.sensor + (" (simulated)" if stored.get("simulated") else "")),
-        *words.written_down(session).items(),
         ("bus", str(stored.get("url", ""))),
         ("note", str(stored.get("note", ""))),
         ("overridden", "\n".join(words.overridden(session))),

@@ -19,8 +19,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.conformity import Tolerance, Verdict, state_conformity
 from adis_gonio.base.errors import DataError, FitError, one_line
 from adis_gonio.base.uncertainty import coverage_factor
-from adis_gonio.calibrate.calibration import CURVE_PLACES, Calibration
-from adis_gonio.calibrate.coefficients import Coefficient
+from adis_gonio.calibrate.calibration import CURVE_PLACES, Calibration, Coefficient
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration, kind_of
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, StageCurve
@@ -181,7 +180,7 @@ def _stage_curve(path: Path, angles: ET.Element, errors: ET.Element) -> StageCur
     error_deg, matrix = error_deg[order], matrix[np.ix_(order, order)]
     if not np.allclose(matrix, matrix.T) or np.linalg.eigvalsh(matrix).min() < -1e-9 * np.trace(matrix):
         raise DataError(f"{path}: the covariance matrix of the errors is not one")
-    return StageCurve(path.name, angle_deg, error_deg, matrix)
+    return StageCurve(path.name, angle_deg, error_deg, (matrix + matrix.T) / 2)
 
 
 def _numbers(path: Path, parent: ET.Element, *names: str) -> list[float]:

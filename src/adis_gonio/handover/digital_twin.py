@@ -25,8 +25,7 @@ from adis_gonio.fitting.estimation.spectrum import noise_of_means
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, Parameter
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
-from adis_gonio.page.document import Figure, Section, Table
-from adis_gonio.page.svg import Role, Series, plot
+from adis_gonio.page.document import Figure, Role, Section, Series, Table, plot
 from adis_gonio.sim.bus import SimBus
 from adis_gonio.sim.noise import Flicker, White
 from adis_gonio.sim.settings import WorldSettings

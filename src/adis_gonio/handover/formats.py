@@ -61,7 +61,7 @@ FORMATS = (
         "csv",
         (".csv", ".csv.gz"),
         "samples",
-        "record.samples_writer:write_csv",
+        "record.samples_writer:write_samples_csv",
         meaning="samples, which adis-gonio fit reads back",
     ),
     Format(

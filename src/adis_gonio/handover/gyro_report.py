@@ -13,8 +13,7 @@ from adis_gonio.fitting.allan import AllanResult, AxisNoise, allan_result, fit_a
 from adis_gonio.fitting.gyros.gyro_fit import GyroFit, fit_gyro, gains_in
 from adis_gonio.handover.register_offsets import gyro_offset_words
 from adis_gonio.model.records import Session
-from adis_gonio.page.document import Figure, Section, Table, render
-from adis_gonio.page.svg import ROLES, Role, Series, plot
+from adis_gonio.page.document import ROLES, Figure, Role, Section, Series, Table, plot, render
 from adis_gonio.tracing.trace_calibrations import gyros_as_recorded
 
 _ROLES: tuple[Role, ...] = ("after", "third", "fourth")

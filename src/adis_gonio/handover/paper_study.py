@@ -44,8 +44,7 @@ from adis_gonio.device.sensor import open_sensor
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.fit_result import FitResult
 from adis_gonio.model.records import Session
-from adis_gonio.page.document import Figure, Section, Table, render
-from adis_gonio.page.svg import Series, plot
+from adis_gonio.page.document import Figure, Section, Series, Table, plot, render
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
 from adis_gonio.record.source import Settings
@@ -237,7 +236,7 @@ def measured(part: Part, plan_name: str) -> Session:
             gravity_mps2=world.settings.gravity_mps2,
             fixture_sigma_deg=world.settings.fixture_sigma_deg,
         )
-        for _ in runner.run():
+        for _ in runner.run(so_far=False):
             pass
         return load_session(path)
 

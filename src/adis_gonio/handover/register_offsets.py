@@ -8,8 +8,7 @@ from pathlib import Path
 from adis_gonio.base.errors import AdisGonioError, DataError, FitError
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import signed
-from adis_gonio.calibrate.calibration import Calibration
-from adis_gonio.calibrate.coefficients import Coefficient
+from adis_gonio.calibrate.calibration import Calibration, Coefficient
 from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, GyroCalibration
 from adis_gonio.device.sensor.registers import VARIANTS, register
 from adis_gonio.model.effects import AXES

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,13 +14,12 @@ from adis_gonio.base.conformity import Tolerance
 from adis_gonio.base.errors import DataError, FitError, NotInstalledError, UsageError, install_extra
 from adis_gonio.base.jsonable import finite
 from adis_gonio.base.output import write_utf8
-from adis_gonio.calibrate.calibration import Calibration
+from adis_gonio.calibrate.calibration import Calibration, json_text
 from adis_gonio.calibrate.calibration_document import calibration_in
-from adis_gonio.calibrate.coefficients import json_text
 from adis_gonio.handover.c_header import DEFAULT_NAME
 from adis_gonio.handover.formats import BY_NAME
 from adis_gonio.model.effects import AXES
-from adis_gonio.model.records import Dwell, Session
+from adis_gonio.model.records import Session
 from adis_gonio.record.loading import Overrides, load_session
 from adis_gonio.record.provenance import changed_registers
 from adis_gonio.record.samples_writer import session_dict
@@ -34,7 +32,7 @@ from adis_gonio.tracing.trace_calibrations import (
 )
 
 ROWS = 100_000
-"""Fewest rows of a row group, so that many short dwells do not make many small groups."""
+"""Rows of a row group of a Parquet file."""
 
 
 def write_parquet(session: Session, path: str | Path) -> None:
@@ -58,14 +56,10 @@ def write_parquet(session: Session, path: str | Path) -> None:
         import pyarrow.parquet as pq
     except ImportError:
         raise NotInstalledError(f"Parquet needs pyarrow: {install_extra('parquet')}") from None
-    dwells = session.sampled
-    if not dwells:
-        raise DataError(f"{session.source or 'session'}: the session has no dwell to write")
+    columns = session.columns()
     about = session_dict(session)
     del about["dwells"]
-    units = _units(session, dwells[0])
-    if session.free_turn:  # as in the CSV: one continuous recording
-        del units["position"]
+    units = {name: _unit(session, name) for name in columns}
     schema = pa.schema(
         [
             pa.field(name, _type(pa, name), metadata={"unit": unit} if unit else None)
@@ -73,10 +67,11 @@ def write_parquet(session: Session, path: str | Path) -> None:
         ],
         metadata={"adis_gonio": json.dumps(about, ensure_ascii=False)},
     )
-    with pq.ParquetWriter(path, schema, compression="zstd") as writer:
-        for columns in _groups(session, dwells, list(units)):
-            arrays = [pa.array(columns[name], _type(pa, name), from_pandas=True) for name in units]
-            writer.write_table(pa.table(arrays, schema=schema))
+    arrays = [
+        pa.array(np.concatenate(parts), _type(pa, name), from_pandas=True)
+        for name, parts in columns.items()
+    ]
+    pq.write_table(pa.table(arrays, schema=schema), path, compression="zstd", row_group_size=ROWS)
 
 
 def _type(pa: Any, name: str) -> Any:
@@ -84,39 +79,10 @@ def _type(pa: Any, name: str) -> Any:
     return kinds.get(name, pa.float64())
 
 
-def _units(session: Session, first: Dwell) -> dict[str, str]:
-    """Map each column that the first dwell has to its unit."""
+def _unit(session: Session, name: str) -> str:
+    own = {"time_s": "s", "angle_deg": "deg", "turned_deg": "deg", "temp_c": "degC", "supply_v": "V"}
     by_kind = {"a": session.accel_unit, "g": session.gyro_unit}
-    own = {"time_s": "s", "angle_deg": "deg", "temp_c": "degC", "supply_v": "V"}
-    return {
-        name: own.get(name, by_kind.get(name[0], "") if name[1:] in AXES else "")
-        for name in first.columns()
-    }
-
-
-def _groups(session: Session, dwells: Sequence[Dwell], names: list[str]) -> Iterator[dict[str, Any]]:
-    waiting: list[dict[str, Any]] = []
-    rows = 0
-    for dwell in dwells:
-        columns = dwell.columns()
-        if session.free_turn:
-            del columns["position"]
-        if set(columns) != set(names):
-            odd = sorted(set(columns) ^ set(names))[0]
-            raise DataError(
-                f"{session.source or 'session'}: position {dwell.position}: some dwells lack '{odd}'"
-            )
-        waiting.append(columns)
-        rows += len(dwell)
-        if rows >= ROWS:
-            yield _joined(waiting, names)
-            waiting, rows = [], 0
-    if waiting:
-        yield _joined(waiting, names)
-
-
-def _joined(waiting: list[dict[str, Any]], names: list[str]) -> dict[str, Any]:
-    return {name: np.concatenate([columns[name] for columns in waiting]) for name in names}
+    return own.get(name, by_kind.get(name[0], "") if name[1:] in AXES else "")
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.errors import UsageError, one_line
+from adis_gonio.base.errors import DataError, UsageError, one_line
 from adis_gonio.base.jsonable import ComputedOnce, json_object
 from adis_gonio.base.numbers import counted
 
@@ -293,6 +293,10 @@ class StageCurve:
         return weights @ self.error_deg, weights @ (axis[:, kept] * np.sqrt(size[kept]))
 
 
+UNSTATED: dict[str, Any] = {"angle_deg": math.nan, "turned_deg": math.nan, "approach": 0, "use": "fit"}
+"""Facts of a dwell that a column of the samples CSV states, with the value of a dwell that states none."""
+
+
 @dataclass(frozen=True)
 class Dwell:
     """Samples recorded in one position, with the conditions of the dwell.
@@ -344,16 +348,11 @@ class Dwell:
         return f"Dwell({self.position}: {angle}, {counted(len(self), 'sample')})"
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Columns (n,) of the samples CSV that this dwell has, by name; an unknown angle is NaN."""
+        """Columns (n,) of the samples CSV that this dwell has, by name; unstated facts have no column."""
         n = len(self)
-        made: dict[str, NDArray[Any]] = {
-            "time_s": self.time_s,
-            "position": np.full(n, self.position),
-            "angle_deg": np.full(n, np.nan if self.angle_deg is None else self.angle_deg),
-            "turned_deg": np.full(n, np.nan if self.turned_deg is None else self.turned_deg),
-            "approach": np.full(n, self.approach),
-            "use": np.full(n, self.use),
-        }
+        facts = {name: getattr(self, name) for name in ("position", *UNSTATED)}
+        made: dict[str, NDArray[Any]] = {"time_s": self.time_s}
+        made |= {k: np.full(n, v) for k, v in facts.items() if v not in (None, UNSTATED.get(k))}
         for letter, series in (("a", self.accel), ("g", self.gyro)):
             if series is not None:
                 made |= {f"{letter}{axis}": series[:, k] for k, axis in enumerate("xyz"[: series.shape[1]])}
@@ -444,15 +443,33 @@ class Session(ComputedOnce):
         """All samples as a pandas data frame with the columns of the samples CSV (extra: pandas)."""
         from adis_gonio.base.tables import frame
 
-        columns: dict[str, list[Any]] = {}
-        for dwell in self.sampled:
-            for name, rows in dwell.columns().items():
-                columns.setdefault(name, []).append(rows)
-        if all(dwell.turned_deg is None for dwell in self.sampled):
-            columns.pop("turned_deg", None)
-        return frame(
-            {name: np.concatenate(rows) for name, rows in columns.items() if len(rows) == len(self.sampled)}
-        )
+        return frame({name: np.concatenate(parts) for name, parts in self.columns().items()})
+
+    def columns(self) -> dict[str, list[NDArray[Any]]]:
+        """Columns of the samples CSV that any dwell has, by name, as one array per dwell.
+
+        A fact that a dwell does not state is NaN, 0 or `fit` there. A free turn has no position.
+
+        Raises
+        ------
+        DataError
+            There is no dwell, or only some dwells have a series of samples, such as the gyros.
+        """
+        source = self.source or "session"
+        if not self.sampled:
+            raise DataError(f"{source}: the session has no dwell to write")
+        each = [dwell.columns() for dwell in self.sampled]
+        made: dict[str, list[NDArray[Any]]] = {}
+        for name in dict.fromkeys(name for columns in each for name in columns):
+            for dwell, columns in zip(self.sampled, each, strict=True):
+                if name not in columns and name not in UNSTATED:
+                    raise DataError(f"{source}: position {dwell.position} has no '{name}', others have")
+                made.setdefault(name, []).append(
+                    columns[name] if name in columns else np.full(len(dwell), UNSTATED[name])
+                )
+        if self.free_turn:
+            del made["position"]
+        return made
 
     @cached_property
     def turns(self) -> tuple[Turn, ...]:

@@ -1,16 +1,390 @@
-"""Sections, tables and figures, and the self-contained HTML document made of them."""
+"""A page of a result: sections, tables and figures as HTML that loads nothing.
+
+Line and point plots as inline SVG, drawn by matplotlib.
+
+Every series has its own shape or dash in addition to its colour, so that a page printed in black and white
+is readable. Colours are CSS variables with a fallback: the style sheet of a page adapts them to light and
+dark; a separate SVG uses the fallback on a transparent ground. Text remains text. Equal data give equal
+bytes, independent of the user's matplotlibrc.
+
+Matplotlib writes a complete file: its ids clash with the ids of the next figure, its style sheet would
+apply to the whole page, its black does not follow a dark page, and every marker repeats its style.
+`inline_svg` makes an element of a page from it.
+
+Matplotlib is the extra `report`, imported when the first plot is drawn.
+
+Sections, tables and figures, and the self-contained HTML document made of them.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import importlib
+import io
+import math
 import re
-from collections.abc import Sequence
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
+from numpy.typing import ArrayLike, NDArray
 
 from adis_gonio.base import __version__
-from adis_gonio.base.numbers import NO_BREAK
+from adis_gonio.base.errors import NotInstalledError, install_extra
+from adis_gonio.base.numbers import NO_BREAK, format_number
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Drawing
+    from matplotlib.lines import Line2D
+
+_NAMESPACE = re.compile(r"\{[^}]*\}")
+
+
+def inline_svg(drawing: str, colours: Mapping[str, str], *, title: str, description: str = "") -> str:
+    """Convert an SVG file of matplotlib to one `<svg>` element for a page.
+
+    Parameters
+    ----------
+    drawing : str
+        Written with `svg.fonttype: none` and a fixed `svg.hashsalt`.
+    colours : mapping of str to str
+        Replacements for the colours of the file, such as `{"#000000": "currentColor"}`.
+    title, description : str
+        Text for screen readers.
+
+    Returns
+    -------
+    str
+        All text escaped; coordinates to a tenth; every id begins with a hash of the content.
+    """
+    root = ET.fromstring(drawing)
+    box = root.get("viewBox", "")
+    root.attrib.clear()
+    for element in root.iter():
+        element.tag = _NAMESPACE.sub("", element.tag)
+        element.text = element.text if element.tag == "text" else None
+        element.tail = None
+        _attributes(element, colours)
+        for child in list(element):
+            if child.tag.endswith(("metadata", "style")):
+                element.remove(child)
+    for group in root.iter("g"):
+        _say_style_once(group)
+    name = "f" + hashlib.sha256(ET.tostring(root) + f"{title}\0{description}".encode()).hexdigest()[:10]
+    _rename(root, name)
+    root.attrib = {
+        "xmlns": "http://www.w3.org/2000/svg",
+        "class": "plot",
+        "viewBox": box,
+        "role": "img",
+        "aria-labelledby": f"{name}t {name}d" if description else f"{name}t",
+        "font-family": "inherit",
+        "font-size": "12",
+        "fill": "currentColor",
+        "stroke-linejoin": "round",
+    }
+    for tag, text in (("desc", description), ("title", title)):
+        if text:
+            said = ET.Element(tag, {"id": f"{name}{tag[0]}"})
+            said.text = text
+            root.insert(0, said)
+    return ET.tostring(root, encoding="unicode")
+
+
+def _attributes(element: ET.Element, colours: Mapping[str, str]) -> None:
+    """Replace colours and other attributes of an SVG element so that they suit a page."""
+    given = {_NAMESPACE.sub("", key): value for key, value in element.attrib.items()}
+    if element.tag in ("g", "text"):
+        given.pop("id", None)
+    if given.get("transform", "").startswith("rotate(-0 "):
+        del given["transform"]
+    for key in {"d", "x", "y", "transform"} & given.keys():
+        given[key] = re.sub(r"-?\d+\.\d+", _short, " ".join(given[key].split()))
+    if "d" in given:
+        letters_alone = re.sub(r" ?([A-Za-z]) ?", r"\1", given["d"])
+        given["d"] = re.sub(r"M([^A-Z]+)L\1(?=M|$)", r"M\1h0", letters_alone)
+    if "style" in given:
+        rules = dict(rule.strip().split(": ", 1) for rule in given["style"].split(";") if rule.strip())
+        if element.tag == "text":  # size and family are the page's
+            rules = {key: value for key, value in rules.items() if not key.startswith("font")}
+        given["style"] = ";".join(f"{key}:{colours.get(value, value)}" for key, value in rules.items())
+    element.attrib = given
+
+
+def _short(found: re.Match[str]) -> str:
+    return f"{float(found[0]) + 0.0:.1f}".removesuffix(".0")
+
+
+def _say_style_once(group: ET.Element) -> None:
+    """Move the style that all markers of a group share from the markers to the group."""
+    markers = group.findall("use")
+    if len({marker.get("style") for marker in markers}) == 1:
+        group.set("style", markers[0].get("style", ""))
+        for marker in markers:
+            marker.attrib.pop("style", None)
+
+
+def _rename(root: ET.Element, name: str) -> None:
+    """Replace all ids in an SVG by `name` and a number, since two figures of a page must differ."""
+    named = [element for element in root.iter() if element.get("id")]
+    new = {element.get("id", ""): f"{name}{k}" for k, element in enumerate(named)}
+    for element in named:
+        element.set("id", new[element.get("id", "")])
+    for element in root.iter("use"):
+        element.set("href", "#" + new[element.get("href", "")[1:]])
+
+
+Style = Literal["points", "line", "steps"]
+Role = Literal["before", "after", "third", "fourth", "model"]
+Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+
+ROLES: tuple[Role, ...] = ("before", "after", "third", "fourth")
+_GROUND = "#fefefe"
+_COLOURS: dict[Role, str] = {
+    "before": "#b8500c",
+    "after": "#0b5cad",
+    "third": "#2d7a2d",
+    "fourth": "#8a3ffc",
+    "model": "#6b6b6b",
+}
+_LINES: dict[Role, dict[str, Any]] = {
+    "before": {"linestyle": (0, (3.5, 1.7)), "linewidth": 1.8},
+    "after": {"linestyle": "-", "linewidth": 1.8},
+    "third": {"linestyle": (0, (1.1, 1.7)), "linewidth": 1.8},
+    "fourth": {"linestyle": (0, (5, 1.7, 1.1, 1.7)), "linewidth": 1.8},
+    "model": {"linestyle": (0, (3.5, 2.7)), "linewidth": 1.1},
+}
+_MARKERS: dict[Role, dict[str, Any]] = {
+    "before": {"marker": "o", "markersize": 7.2, "markerfacecolor": _GROUND, "markeredgewidth": 1.5},
+    "after": {"marker": "o", "markersize": 6.4, "markeredgewidth": 0},
+    "third": {"marker": "s", "markersize": 6.0, "markeredgewidth": 0},
+    "fourth": {"marker": "^", "markersize": 7.5, "markeredgewidth": 0},
+    "model": {"marker": "o", "markersize": 4.0, "markeredgewidth": 0},
+}
+_MOST_MARKERS = 400
+"""Most points with markers and error bars; more points are drawn as dots."""
+_MOST_POINTS = 2000
+_CHARACTER = 6.9
+"""Mean width of a character at the size of the labels, in units of the drawing."""
+_SETTINGS: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "adis-gonio",
+    "text.parse_math": False,
+    "path.simplify": False,
+    "font.size": 12,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.formatter.useoffset": False,
+    "axes.formatter.limits": (-5, 6),
+    "axes.xmargin": 0.06,
+    "axes.ymargin": 0.06,
+}
+
+
+@dataclass(frozen=True)
+class Series:
+    """A series of points or a line in a plot.
+
+    Attributes
+    ----------
+    x, y : (n,) float
+        Points that are not finite (or not positive on a logarithmic axis) are left out.
+    label : str
+        For the legend; without it the series is not in the legend.
+    error : (n,) float, optional
+        Half length of the error bars, in the unit of y; with a line, half width of a band around it.
+    role : str, optional
+        `before` (hollow circle), `after` (disc), `third` (square), `fourth` (triangle) or `model` (thin
+        dashed line). Series without a role take these roles one after another.
+    style : {"points", "line", "steps"}
+    """
+
+    x: ArrayLike
+    y: ArrayLike
+    label: str = ""
+    error: ArrayLike | None = None
+    role: Role | None = None
+    style: Style = "points"
+
+
+def require_matplotlib() -> None:
+    """Check that matplotlib is installed, before the data for plots are computed.
+
+    Raises
+    ------
+    NotInstalledError
+        Matplotlib cannot be imported.
+    """
+    try:
+        importlib.import_module("matplotlib.figure")
+    except ImportError as error:
+        raise NotInstalledError(
+            f"the figures of a report need {error.name or error}: {install_extra('report')}"
+        ) from error
+
+
+def plot(
+    series: Sequence[Series],
+    x_label: str,
+    y_label: str,
+    *,
+    title: str,
+    description: str = "",
+    x_log: bool = False,
+    y_log: bool = False,
+    x_ticks: Mapping[float, str] | None = None,
+    x_range: tuple[float, float] | None = None,
+    zero: bool = False,
+    width: int = 400,
+    height: int = 265,
+) -> str:
+    """Draw a plot and return it as one `<svg>` element.
+
+    Parameters
+    ----------
+    series : sequence of Series
+    x_label, y_label : str
+        With the unit, such as `residual of x / mg`.
+    title, description : str
+        Text for screen readers; not drawn (a page has captions).
+    x_log, y_log : bool
+        Logarithmic axes.
+    x_ticks : mapping of float to str, optional
+        Given ticks, such as `{-1: "from above", 1: "from below"}`.
+    x_range : (float, float), optional
+        Limits; by default from the data. Points outside are left out.
+    zero : bool
+        Draw the line y = 0 and include it in the axis.
+    width, height : int
+        Size of the drawing; it scales with the page.
+
+    Returns
+    -------
+    str
+        Safe to put into a page: all text is escaped, every id begins with a hash of the content.
+
+    Raises
+    ------
+    NotInstalledError
+        Matplotlib is not installed.
+    """
+    require_matplotlib()
+    import matplotlib as mpl
+    from matplotlib.figure import Figure as Drawing
+
+    drawing = io.StringIO()
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(_SETTINGS)
+        figure = Drawing(figsize=(width / 72, height / 72), layout="constrained")
+        axes = figure.add_subplot()
+        axes.set(xscale="log" if x_log else "linear", yscale="log" if y_log else "linear")
+        axes.set(xlabel=x_label, ylabel=y_label)
+        if zero and not y_log:
+            axes.axhline(0, color="black", alpha=0.55, linewidth=1, clip_on=False)
+        lines = [
+            _draw(axes, one, _clean(one, x_log, y_log, x_range), one.role or ROLES[k % len(ROLES)])
+            for k, one in enumerate(series)
+        ]
+        _scale(axes, x_range, x_ticks)
+        _legend(figure, [line for one, line in zip(series, lines, strict=True) if one.label], width)
+        axes.grid(color="black", alpha=0.14, linewidth=1, clip_on=False)
+        axes.spines[["left", "bottom"]].set(alpha=0.7, linewidth=1)
+        axes.tick_params(length=0, pad=6)
+        figure.savefig(drawing, format="svg", transparent=True, metadata={"Date": None})
+    colours = {colour: f"var(--{role}, {colour})" for role, colour in _COLOURS.items()}
+    colours |= {"#000000": "currentColor", _GROUND: "var(--ground, none)"}
+    return inline_svg(drawing.getvalue(), colours, title=title, description=description)
+
+
+def _clean(one: Series, x_log: bool, y_log: bool, x_range: tuple[float, float] | None) -> Points:
+    """The points of a series that can be drawn: x, y and error, each (n,)."""
+    x, y = np.asarray(one.x, dtype=float).ravel(), np.asarray(one.y, dtype=float).ravel()
+    error = np.zeros(len(y)) if one.error is None else np.asarray(one.error, dtype=float).ravel()
+    low, high = x_range or (-math.inf, math.inf)
+    keep = np.isfinite(x) & np.isfinite(y) & (x >= low) & (x <= high)
+    keep &= ((x > 0) | (not x_log)) & ((y > 0) | (not y_log))
+    index = np.flatnonzero(keep)
+    if len(index) > _MOST_POINTS:
+        index = index[np.linspace(0, len(index) - 1, _MOST_POINTS).astype(np.intp)]
+    return x[index], y[index], np.where(np.isfinite(error), error, 0.0)[index]
+
+
+def _draw(axes: Axes, one: Series, points: Points, role: Role) -> Line2D:
+    """Draw a series into the axes; return the line that represents it in the legend."""
+    x, y, error = points
+    alike: dict[str, Any] = {"color": _COLOURS[role], "clip_on": False}
+    if one.style != "points":
+        stepped = "steps-post" if one.style == "steps" else "default"
+        if error.any():
+            band = np.concatenate([y - error, (y + error)[::-1]])
+            axes.fill(np.concatenate([x, x[::-1]]), band, alpha=0.22, linewidth=0, **alike)
+        return axes.plot(x, y, label=one.label, drawstyle=stepped, **_LINES[role], **alike)[0]
+    marked: dict[str, Any] = {"label": one.label, "linestyle": "none", **_MARKERS[role], **alike}
+    if len(x) > _MOST_MARKERS:
+        # Strokes without length in one path take a third of the bytes of markers.
+        dots: dict[str, Any] = {"alpha": 0.55, "linewidth": 2, "solid_capstyle": "round"}
+        axes.plot(*_upright(x, y, y), **dots, **alike)
+        return axes.plot([], [], **marked)[0]
+    bars = error > 0
+    low, high = (y - error)[bars], (y + error)[bars]
+    if axes.get_yscale() == "log":
+        low = np.maximum(low, y[bars] / 10)
+    axes.plot(*_upright(x[bars], low, high), linewidth=1.2, solid_capstyle="butt", **alike)
+    return axes.plot(x, y, **marked)[0]
+
+
+def _upright(
+    x: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Vertical strokes at x from `low` to `high`, all (n,), joined to one line with gaps, (3n,)."""
+    gap = np.full(len(x), np.nan)
+    return np.stack([x, x, gap], axis=1).ravel(), np.stack([low, high, gap], axis=1).ravel()
+
+
+def _scale(axes: Axes, x_range: tuple[float, float] | None, x_ticks: Mapping[float, str] | None) -> None:
+    """Set the limits and the ticks of both axes."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator, NullLocator
+
+    if x_range is not None:
+        axes.set_xlim(*x_range)
+    for axis in (axes.xaxis, axes.yaxis):
+        low, high = axis.get_view_interval()
+        if axis.get_scale() == "log":
+            if high < 10 * low:
+                middle = math.sqrt(low * high)
+                axis.set_view_interval(middle / 3.2, middle * 3.2)
+            axis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 300 * low else (1,), numticks=8))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: format_number(value, 1)))
+            axis.set_minor_locator(NullLocator())
+        elif 300 <= high - low <= 800:
+            # A turn in degrees reads best in parts of a right angle.
+            axis.set_major_locator(MultipleLocator(60 if high - low < 450 else 90))
+        else:
+            axis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10], min_n_ticks=4))
+    if x_ticks is not None:
+        axes.set_xticks(list(x_ticks), list(x_ticks.values()))
+
+
+def _legend(figure: Drawing, lines: Sequence[Line2D], width: int) -> None:
+    """Add a legend above the axes, with as many columns as fit into the width."""
+    if lines:
+        column = 34 + _CHARACTER * max(len(str(line.get_label())) for line in lines)
+        figure.legend(
+            handles=list(lines),
+            loc="outside upper left",
+            ncols=max(1, min(len(lines), int(width // column))),
+            frameon=False,
+            borderpad=0,
+            handlelength=1.6,
+            handletextpad=0.5,
+            columnspacing=1.2,
+        )
 
 
 @dataclass(frozen=True)
@@ -20,7 +394,7 @@ class Figure:
     Attributes
     ----------
     svg : str
-        Result of `adis_gonio.page.svg.plot`; inserted into the page unchanged.
+        Result of `adis_gonio.page.document.plot`; inserted into the page unchanged.
     caption : str
         Plain text.
     """

@@ -252,19 +252,10 @@ _NUMBERING = {"smpl_prd": whole(0, 0xFF), "filter_m": whole(0, 6)}
 
 _POSITION = fields(
     {"angle_deg": nullable(_ANGLE), "approach": _APPROACH, "use": _USE, "direction": nullable(_VECTOR)},
-    {
-        "wait_s": _LENGTH,
-        "temperature_c": _TEMPERATURE,
-        "supply_v": _SUPPLY,
-        "turned_deg": nullable(_ANGLE),
-    },
+    {"wait_s": _LENGTH, "temperature_c": _TEMPERATURE, "supply_v": _SUPPLY, "turned_deg": nullable(_ANGLE)},
 )
 _PLAN = fields(
-    {
-        "name": text,
-        "plane": choice("xy", "none"),
-        "positions": list_of(_POSITION, 1, 10 * MOST_POSITIONS),
-    },
+    {"name": text, "plane": choice("xy", "none"), "positions": list_of(_POSITION, 1, 10 * MOST_POSITIONS)},
     {"turns": whole(0, 10_000)},
 )
 _SETTINGS = fields(

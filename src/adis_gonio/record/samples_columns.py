@@ -13,7 +13,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from adis_gonio.model.records import ACCEL_UNITS, GYRO_UNITS, METADATA, PLANES, SENSORS
+import numpy as np
+
+from adis_gonio.model.records import ACCEL_UNITS, GYRO_UNITS, METADATA, PLANES, SENSORS, StageCurve
 
 AXES = ("ax", "ay", "az")
 GYROS = ("gx", "gy", "gz")
@@ -47,8 +49,6 @@ class SamplesColumn:
         True for a column with one value a dwell; other columns have a number in every row.
     text : callable
         Text form of a value.
-    default : str
-        Text of the default value, which is not written.
     """
 
     aliases: tuple[str, ...] = ()
@@ -56,7 +56,6 @@ class SamplesColumn:
     largest: float = 1e10  # a count of 32 bits is smaller, and its fourth power is far from overflow
     per_dwell: bool = False
     text: Callable[[Any], str] = number_text
-    default: str = ""
 
     def unit(self, text: str) -> tuple[str, Scale] | None:
         """Standard spelling and scale of a unit in a header, for this column; None for an unknown unit."""
@@ -134,7 +133,7 @@ COLUMNS: dict[str, SamplesColumn] = {
         ("supply", "supply_voltage", "vcc", "vdd"),
         {**_unit("v", "v"), **_unit("mv", "mv", scale=(1.0, 1e3, 0.0))},
     ),
-    "use": SamplesColumn(per_dwell=True, text=str, default="fit"),
+    "use": SamplesColumn(per_dwell=True, text=str),
 }
 """Columns by name, in the order of a file that is written."""
 
@@ -261,6 +260,24 @@ def _sigma(text: str) -> float:
     return value
 
 
+def _curve(text: str) -> StageCurve:
+    try:
+        name, *parts = text.split(" / ")
+        angle, error, lower = (np.array(part.split(), dtype=float) for part in parts)
+        matrix = np.zeros((len(angle), len(error)))
+        matrix[np.tril_indices(len(angle))] = lower
+    except (ValueError, IndexError):
+        form = "'name / angles / errors / lower triangle of their covariance', as export writes it"
+        raise ValueError(f"expected {form}") from None
+    return StageCurve(name, angle, error, matrix + np.tril(matrix, -1).T)
+
+
+def _curve_text(curve: StageCurve) -> str:
+    lower = curve.covariance_deg2[np.tril_indices(len(curve.angle_deg))]
+    numbers = (curve.angle_deg, curve.error_deg, lower)
+    return " / ".join([curve.name, *(" ".join(map(number_text, one)) for one in numbers)])
+
+
 def _mark(text: str) -> str:
     marks = {".": ".", "point": ".", ",": ",", "comma": ","}
     if text.lower() not in marks:
@@ -276,6 +293,7 @@ KEYS: dict[str, Key] = {
     "gravity_mps2": Key(_positive, number_text),
     "plane": _choice(PLANES),
     "fixture_sigma_deg": Key(_sigma, lambda sigma: "free" if math.isinf(sigma) else number_text(sigma)),
+    "stage_curve": Key(_curve, _curve_text),
     "reading_u_mg": Key(_positive, number_text),
     "decimal": Key(_mark),
 }

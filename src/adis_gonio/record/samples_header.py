@@ -51,8 +51,11 @@ _HTML = re.compile(
     re.IGNORECASE | re.DOTALL,
 )
 """The first tag of a page, after comments and an XML declaration."""
-LONGEST_LINE = 1 << 16
-"""Limit of characters in a line; rows have hundreds. A file without line ends would fill the memory."""
+LONGEST_LINE = 1 << 19
+"""Limit of characters in a line; rows have hundreds, the certificate of a stage may have 10⁵.
+
+A file without line ends would fill the memory.
+"""
 MOST_GROWTH, SMALL = 200, 1 << 24
 """Unpacked bytes for each byte of a gzip file, and unpacked bytes that are always allowed.
 

@@ -706,10 +706,7 @@ def _stated(table: SamplesTable, name: str, rows: slice) -> list[tuple[int, str]
 
 
 def _one_value(
-    table: SamplesTable,
-    name: str,
-    texts: list[tuple[int, str]],
-    parse: Callable[[SamplesTable, str], Any],
+    table: SamplesTable, name: str, texts: list[tuple[int, str]], parse: Callable[[SamplesTable, str], Any]
 ) -> Any:
     """Value that all texts of a dwell agree on; None if there are no texts."""
     value = None

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import IO, Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adis_gonio.base.errors import DataError, OutputError, SessionError, UsageError
 from adis_gonio.base.output import ends_in, exists_error, replacing, write_utf8
@@ -38,19 +39,17 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
         Dwells differ in their columns (only some have gyros), or the session has no dwell.
     """
     path = Path(path)
-    dwells = session.sampled
-    if not dwells:
-        raise DataError(f"{path.name}: the session has no dwell to write")
     turns = {turn.position: turn for turn in session.turns if len(turn)}
     declared = {number: turn.turned_deg for number, turn in turns.items()}
-    dwells = tuple(replace(d, turned_deg=declared.get(d.position, d.turned_deg)) for d in dwells)
-    names = _columns_to_write(dwells, path.name)
-    if session.free_turn:  # without the column the file is one continuous recording
-        names.remove("position")
+    dwells = tuple(replace(d, turned_deg=declared.get(d.position, d.turned_deg)) for d in session.dwells)
+    columns = replace(session, dwells=dwells).columns()
+    names = [name for name in COLUMNS if name in columns]
     stated = {name: getattr(session, name, None) for name in KEYS}
     lines = _leading_lines({name: value for name, value in stated.items() if value not in (None, "")})
     lines += [f"# note: {without_formulas(' '.join(note.split()))}" for note in session.notes]
-    data = _file_text(lines, names, _all_rows(names, dwells, turns)).encode("utf-8", "replace")
+    data = _file_text(lines, names, _all_rows(names, columns, session.sampled, turns)).encode(
+        "utf-8", "replace"
+    )
     if ends_in(path, ".gz"):
         data = gzip.compress(data, compresslevel=6, mtime=0)
     path.write_bytes(data)
@@ -66,47 +65,34 @@ def _file_text(leading: list[str], names: list[str], rows: Iterable[Iterable[str
     return "\n".join([*leading, ",".join(names), *map(",".join, rows), ""])
 
 
-def _columns_to_write(dwells: tuple[Dwell, ...], file: str) -> list[str]:
-    """Names of the columns to write, in the file's order; columns that no dwell has are omitted."""
-    columns = [dwell.columns() for dwell in dwells]
-    first = [{name: COLUMNS[name].text(values[0]) for name, values in c.items()} for c in columns]
-    names = []
-    for name, column in COLUMNS.items():
-        lacking = [
-            dwell.position
-            for dwell, texts in zip(dwells, first, strict=True)
-            if texts.get(name, "") == column.default
-        ]
-        if len(lacking) == len(dwells):
-            continue
-        if lacking and not column.per_dwell:
-            raise DataError(f"{file}: position {lacking[0]} has no '{name}', others have")
-        names.append(name)
-    return names
-
-
 def _all_rows(
-    names: list[str], dwells: Sequence[Dwell], turns: Mapping[int, Turn]
+    names: list[str],
+    columns: Mapping[str, list[NDArray[Any]]],
+    dwells: Sequence[Dwell],
+    turns: Mapping[int, Turn],
 ) -> Iterator[tuple[str, ...]]:
     """Yield the rows of all dwells and of the turns between them, one after another."""
-    for before, dwell in zip([None, *dwells], dwells, strict=False):
-        if before is not None and dwell.position in turns:
-            part = _between(before, turns[dwell.position], dwell)
+    series = {name for name in names if not COLUMNS[name].per_dwell}
+    for k, dwell in enumerate(dwells):
+        if k and dwell.position in turns:
+            part = _between(dwells[k - 1], turns[dwell.position], dwell).columns()
             # A turn that lacks a column of the file, such as the gyros, is left out.
-            if set(names) <= part.columns().keys():
-                yield from _rows(names, part, between=True)
-        yield from _rows(names, dwell)
+            if series <= part.keys():
+                yield from _rows(names, {name: part[name] for name in series})
+        yield from _rows(names, {name: parts[k] for name, parts in columns.items()})
 
 
-def _rows(names: list[str], part: Dwell, *, between: bool = False) -> Iterator[tuple[str, ...]]:
-    """Yield the rows of a dwell, or of samples between dwells, as texts, one for each named column."""
-    columns, texts = part.columns(), []
+def _rows(names: list[str], columns: Mapping[str, NDArray[Any]]) -> Iterator[tuple[str, ...]]:
+    """Yield rows as texts, one for each named column; samples between dwells lack the facts of a dwell."""
+    count, texts = len(columns["time_s"]), []
     for name in names:
-        column, values = COLUMNS[name], columns[name].tolist()
-        if column.per_dwell:
-            texts.append(["" if between else column.text(values[0])] * len(values))
+        column = COLUMNS[name]
+        if name not in columns:
+            texts.append([""] * count)
+        elif column.per_dwell:
+            texts.append([column.text(columns[name][0])] * count)
         else:
-            texts.append(list(map(column.text, values)))
+            texts.append(list(map(column.text, columns[name].tolist())))
     return zip(*texts, strict=True)
 
 
@@ -198,19 +184,7 @@ def export_csv(session: Session, path: str | Path) -> None:
         See `write_samples_csv`.
     """
     with _new_file(path) as temporary:
-        write_csv(session, temporary)
-
-
-def write_csv(session: Session, path: Path) -> None:
-    """Write a session as a samples CSV to a path, which is usually temporary.
-
-    Errors therefore name the session, not the path.
-    """
-    try:
-        write_samples_csv(session, path)
-    except DataError as error:
-        reason = str(error).removeprefix(f"{path.name}: ")
-        raise DataError(f"{session.source or 'session'}: {reason}") from None
+        write_samples_csv(session, temporary)
 
 
 def export_json(session: Session, path: str | Path) -> None:
@@ -238,6 +212,8 @@ def session_dict(session: Session) -> dict[str, Any]:
     stated = {name: getattr(session, name) for name in KEYS if hasattr(session, name)}
     if session.free_attitudes:
         stated["fixture_sigma_deg"] = "free"
+    if session.stage_curve is not None:
+        stated["stage_curve"] = session.stage_curve.as_dict()
     return {
         **stated,
         "source": session.source,
@@ -285,12 +261,7 @@ class SamplesRecorder:
     """
 
     def __init__(
-        self,
-        path: Path,
-        variant: str,
-        *,
-        gravity_mps2: float = STANDARD_GRAVITY_MPS2,
-        title: str = "",
+        self, path: Path, variant: str, *, gravity_mps2: float = STANDARD_GRAVITY_MPS2, title: str = ""
     ) -> None:
         if path.exists():
             raise exists_error(path)

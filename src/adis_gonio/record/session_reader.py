@@ -238,7 +238,8 @@ def _facts(view: ArchiveView) -> JsonDict:
     return {
         "url": header.url,
         "note": header.note,
-        "simulated": header.simulated,
+        # A board that hands move is simulated too, though nothing knows its truth.
+        "simulated": header.simulated or header.url.startswith("sim:"),
         "software": header.software,
         "started_utc": header.created_utc,
         "settings": dict(header.settings),

@@ -27,7 +27,7 @@ Member = tuple[float, NamelessTerm, Floats]
 
 
 @dataclass(frozen=True)
-class Solution:
+class RidgeSolution:
     """Fit of one member (a set of unnamed terms) with priors, in addition to the fixed columns.
 
     Attributes
@@ -94,7 +94,7 @@ class AveragedFit(Fit):
         Covariance of base and named parameters.
     mixed_used : float
         Degrees of freedom used by base, named terms and members, averaged with the members' weights.
-    solutions : tuple of (float, Solution)
+    solutions : tuple of (float, RidgeSolution)
         The members with their weights.
     inflation : float
         Factor on the variance of the noise under which they were solved.
@@ -102,7 +102,7 @@ class AveragedFit(Fit):
 
     mixed_covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     mixed_used: float = 0.0
-    solutions: tuple[tuple[float, Solution], ...] = ()
+    solutions: tuple[tuple[float, RidgeSolution], ...] = ()
     inflation: float = 1.0
 
     @property
@@ -114,6 +114,21 @@ class AveragedFit(Fit):
     def used(self) -> float:
         """Degrees of freedom used by the fit, equal to `mixed_used`."""
         return self.mixed_used
+
+    @property
+    def joint_covariance(self) -> Floats:
+        """Covariance (p + axes, p + axes) of the parameters, and of the averaged terms at the middle.
+
+        These are the readings of the terms that depend on nothing but time, on each axis without
+        acceleration.
+        """
+        width, stated = len(self.mixed_covariance), []
+        for weight, one in self.solutions:
+            rows = np.zeros((width + self.data.axes, len(one.values)))
+            rows[:width, :width] = np.eye(width)
+            rows[width:, width:] = _at_middle(self, one.terms)
+            stated.append((weight, replace(one, values=rows @ one.values, half=rows @ one.half)))
+        return mixed_covariance(stated, width + self.data.axes, self.inflation)[0]
 
     def carried(self, there: Fit) -> Floats:
         """Root (rows, k) of the covariance of the predictions, within members and between them."""
@@ -274,7 +289,7 @@ def fit_members(
     target: Floats,
     pool: Sequence[tuple[float, tuple[NamelessTerm, ...]]],
     weights: Floats,
-) -> tuple[tuple[float, Solution], ...]:
+) -> tuple[tuple[float, RidgeSolution], ...]:
     """Fit each member that has a weight; return the fits with their weights, which sum to 1."""
     likely = np.flatnonzero(weights).tolist()
     solved = [(float(weights[k]), solve_ridge(selection, fixed, target, pool[k][1])) for k in likely]
@@ -285,7 +300,7 @@ def fit_members(
 
 
 def mixed_covariance(
-    solutions: Sequence[tuple[float, Solution]], width: int, inflation: float
+    solutions: Sequence[tuple[float, RidgeSolution]], width: int, inflation: float
 ) -> tuple[Floats, float]:
     """Return the covariance (k, k) of the fixed parameters and the degrees of freedom of all members.
 
@@ -300,7 +315,7 @@ def mixed_covariance(
     return covariance, sum(weight * one.used for weight, one in solutions)
 
 
-def _members(solutions: Sequence[tuple[float, Solution]], fit: Fit, width: int) -> list[Member]:
+def _members(solutions: Sequence[tuple[float, RidgeSolution]], fit: Fit, width: int) -> list[Member]:
     """Return each unnamed term of the solutions with the weight of its member and its amplitudes."""
     members: list[Member] = []
     for weight, one in solutions:
@@ -312,9 +327,29 @@ def _members(solutions: Sequence[tuple[float, Solution]], fit: Fit, width: int) 
     return members
 
 
+def middle_s(fit: Fit) -> float:
+    """Return the time halfway between the first and last dwell, in s since the start of the session."""
+    time_s = fit.data.conditions.time_s
+    return float(time_s.min() + time_s.max()) / 2
+
+
+def _at_middle(fit: Fit, terms: Sequence[NamelessTerm]) -> Floats:
+    """Derivative (axes, k) of the readings without acceleration at the middle by the terms' amplitudes.
+
+    It is zero for functions of the angle, and for terms that depend on more than time.
+    """
+    middle, still = Conditions(time_s=np.array([middle_s(fit)])), np.zeros((1, fit.data.axes))
+    rows = [np.zeros((fit.data.axes, 0))]
+    for term in terms:
+        width = term.columns(fit.ideal, fit.data.conditions).shape[-1]
+        clock = term.covariates == ("time",) and not term.enters_angle
+        rows.append(term.columns(still, middle)[0] if clock else np.zeros((fit.data.axes, width)))
+    return np.concatenate(rows, axis=1)
+
+
 def solve_ridge(
     selection: Selection, fixed: Floats, target: Floats, terms: Sequence[NamelessTerm]
-) -> Solution:
+) -> RidgeSolution:
     """Solve the ridge regression of one member."""
     fit = selection.fit
     blocks = [fit.white(fit.candidate(term)) for term in terms]
@@ -338,7 +373,7 @@ def solve_ridge(
         beside = orthonormal(fixed)
         left = added - beside @ (beside.T @ added)
         visible = float(np.linalg.norm(left) / np.linalg.norm(added))
-    return Solution(tuple(terms), solved, half, float(((columns @ half) ** 2).sum()), visible)
+    return RidgeSolution(tuple(terms), solved, half, float(((columns @ half) ** 2).sum()), visible)
 
 
 def _averaged_terms(members: Sequence[Member]) -> list[AveragedTerm]:

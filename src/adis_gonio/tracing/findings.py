@@ -41,7 +41,7 @@ from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
 from adis_gonio.fitting.fit_result import outputs_of
 from adis_gonio.model.effects import AXES, Conditions, catalogue, effect
 from adis_gonio.model.effects.stage_terms import StagePeriodic, alike
-from adis_gonio.tracing.averaging import Averaged, AveragedFit, AveragedTerm
+from adis_gonio.tracing.averaging import Averaged, AveragedFit, AveragedTerm, middle_s
 from adis_gonio.tracing.credible_sets import cause_name, probability_of
 from adis_gonio.tracing.linear_problem import LinearProblem, amplitudes, span
 from adis_gonio.tracing.model_search import Model, Search, posterior
@@ -455,12 +455,6 @@ def follows_clock(term: Term) -> bool:
         return all(follows_clock(member) for _, member, _ in term.members)
     needs = term.effect.needs if isinstance(term, NamedTerm) else ()
     return term.covariates == ("time",) and not needs
-
-
-def middle_s(fit: Fit) -> float:
-    """Return the time halfway between the first and last dwell, in s since the start of the session."""
-    time_s = fit.data.conditions.time_s
-    return float(time_s.min() + time_s.max()) / 2
 
 
 def clock_at_middle(fit: Fit, ideal: Floats, *, turned: bool = False) -> tuple[Floats, Floats]:

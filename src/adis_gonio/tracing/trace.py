@@ -24,7 +24,7 @@ import numpy as np
 from adis_gonio.base.arrays import solvable
 from adis_gonio.base.budget import attempt, current, spent, within
 from adis_gonio.base.errors import FitError, UsageError
-from adis_gonio.base.numbers import counted, signed
+from adis_gonio.base.numbers import counted, format_p, signed
 from adis_gonio.base.uncertainty import Detectable
 from adis_gonio.fitting.estimation.readings import ACCELEROMETER, Readings, known_part, readings_of_part
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
@@ -479,7 +479,7 @@ def disagreement_of(final: Selection, checking: Readings) -> list[str]:
         return []
     return [
         f"the {len(checking)} check dwells do not agree with the model that explains the others "
-        f"(p = {p:.2g}): they show an effect that the others do not"
+        f"({format_p(p)}): they show an effect that the others do not"
     ]
 
 

@@ -18,14 +18,13 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import AdisGonioError, DataError, FitError, SessionError, UsageError
 from adis_gonio.base.output import ends_in
-from adis_gonio.calibrate.calibration import Calibration, EffectTerm
+from adis_gonio.calibrate.calibration import Calibration, Coefficient, EffectTerm, NotCorrected
 from adis_gonio.calibrate.calibration_document import (
     calibration_from,
     calibration_in,
     gyro_calibration_from,
     json_document,
 )
-from adis_gonio.calibrate.coefficients import Coefficient, NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
@@ -42,7 +41,8 @@ from adis_gonio.model.effects import AXES, catalogue, effect
 from adis_gonio.model.measurement import BaseParameter
 from adis_gonio.model.records import MG_PER_G, MG_PER_MPS2, Session
 from adis_gonio.record.provenance import Provenance, provenance_of
-from adis_gonio.tracing.findings import clock_at_middle, follows_clock, middle_s
+from adis_gonio.tracing.averaging import AveragedFit, AveragedTerm, middle_s
+from adis_gonio.tracing.findings import clock_at_middle, follows_clock
 from adis_gonio.tracing.trace_result import TraceResult
 
 _CLOCK = "follows the clock of the session, which no later reading shares"
@@ -152,11 +152,17 @@ class _Columns:
     def __init__(self, fit: Fit) -> None:
         self.fit = fit
         axes = fit.data.axes
-        self.offset, self.offset_slope = clock_at_middle(fit, np.zeros(axes))
+        self.offset, self._slope = clock_at_middle(fit, np.zeros(axes))
         self.turn_rad, self.turn_slope = clock_at_middle(fit, np.zeros(axes), turned=True)
         self.unit = fit.data.unit
+        self.covariance, self.offset_slope = fit.covariance, self._slope
+        clocks = (follows_clock(term) for term in fit.terms if isinstance(term, AveragedTerm))
+        if isinstance(fit, AveragedFit) and any(clocks):
+            # The reading of an averaged term at the middle follows the parameters.
+            self.covariance = fit.joint_covariance
+            self.offset_slope = np.concatenate([self.offset_slope, np.eye(axes)], axis=1)
         self.rows: list[tuple[str, float, str, Floats]] = []
-        """Name, value, unit and gradient (p,) of each parameter."""
+        """Name, value, unit and gradient (p,) or (p + axes,) of each parameter."""
 
     def _gain(self, axis: int) -> tuple[float, Floats]:
         """Return the factor by which time-dependent terms change the scale of an axis at mid-session.
@@ -167,10 +173,14 @@ class _Columns:
         ideal_mg[axis] = MG_PER_G
         full, slope = clock_at_middle(self.fit, ideal_mg)
         factor = 1 + (full[axis] - self.offset[axis]) / MG_PER_G
-        return float(factor), (slope[axis] - self.offset_slope[axis]) / MG_PER_G
+        return float(factor), self._padded(slope[axis] - self._slope[axis]) / MG_PER_G
+
+    def _padded(self, slope: Floats) -> Floats:
+        """Gradient (p,) in the length of the rows."""
+        return np.pad(slope, (0, len(self.covariance) - len(slope)))
 
     def _gradient(self, place: int | None, factor: float = 1.0) -> Floats:
-        gradient = np.zeros(len(self.fit.values.parameters))
+        gradient = np.zeros(len(self.covariance))
         if place is not None:
             gradient[place] = factor
         return gradient
@@ -188,7 +198,7 @@ class _Columns:
         gradient = self._gradient(k, factor)
         if parameter.name == "alpha":
             value += float(self.turn_rad)
-            gradient += factor * self.turn_slope
+            gradient += factor * self._padded(self.turn_slope)
         elif parameter.name.startswith("scale"):
             gain, slope = self._gain(AXES.index(parameter.name[-1]))
             gradient = gain * gradient + value * factor * slope
@@ -232,7 +242,7 @@ class _Columns:
         """Return the collected parameters with uncertainties, and their covariance matrix."""
         rows = np.stack([gradient for _, _, _, gradient in self.rows])
         # Covariance of functions of the parameters by their gradients.
-        matrix = rows @ self.fit.covariance @ rows.T * inflation
+        matrix = rows @ self.covariance @ rows.T * inflation
         sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
         return tuple(
             Coefficient(name, value, float(size) if size > 0 else None, unit)

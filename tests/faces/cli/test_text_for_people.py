@@ -8,7 +8,7 @@ from dataclasses import fields
 import pytest
 
 import adis_gonio
-from adis_gonio.base.numbers import format_uncertain, signed
+from adis_gonio.base.numbers import format_fixed, format_uncertain, signed
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.device.sensor import REGISTERS
 from adis_gonio.faces.cli import main
@@ -111,3 +111,10 @@ def test_a_signed_number_has_a_plus_or_the_minus_sign(value, decimals, text):
 
 def test_dir_of_the_package_has_its_public_names():
     assert set(dir(adis_gonio)) == set(adis_gonio.__all__)
+
+
+def test_small_numbers_have_one_form_and_zero_has_no_sign():
+    assert signed(-6.9e-7, digits=2) == "−6.9·10⁻⁷"
+    assert signed(0.05, digits=2) == "+0.05"
+    assert format_fixed(1.2e-11, 12) == "1.2·10⁻¹¹"
+    assert format_uncertain(-2.7e-7, 1.1e-4) == "0.00000\u00a0±\u00a00.00011"

@@ -10,10 +10,17 @@ import pytest
 
 pytest.importorskip("textual", reason="the extra 'bench' is not installed")
 
+from adis_gonio.bench import events
+from adis_gonio.bench.guidance import drawing
+from adis_gonio.faces import bench_words
+from adis_gonio.faces.cli import main
 from adis_gonio.faces.cli.line_prompts import PlainBench
 from adis_gonio.faces.free_hands import Hands, free_hands
+from adis_gonio.faces.tui.bench_state import BenchState
+from adis_gonio.record.loading import load_session
+from adis_gonio.record.plans import plan
 from faces.tui.screens import shown
-from faces.tui.states import THREE, asked, look
+from faces.tui.states import NOT_MOVED, PLAN, THREE, asked, look
 from faces.tui.test_screen_keys import TypedRunner
 
 ASKED = [*THREE, asked(3), look(angle=180.0, target=180.0)]
@@ -56,7 +63,10 @@ def test_without_such_a_part_the_keys_do_nothing():
     assert "Turn the part" not in text
 
 
-@pytest.mark.parametrize(("typed", "gone"), [("m 45", [55.0]), ("m", []), ("m far", []), ("m 1e9", [])])
+@pytest.mark.parametrize(
+    ("typed", "gone"),
+    [("m 45", [55.0]), ("m\n45", [55.0]), ("m", []), ("m far", []), ("m 1e9", [])],
+)
 def test_plain_lines_turn_it_too(typed, gone, monkeypatch, capsys):
     stage = Stage()
     runner = TypedRunner([*THREE[:4], asked(3)])
@@ -76,3 +86,45 @@ def test_the_board_of_the_url_is_moved_and_any_other_url_is_left():
     for other in ("sim:?seed=1", "serial:"):
         with free_hands(other) as opened:
             assert opened == (other, None)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a pty needs POSIX")
+def test_its_session_states_its_url_and_that_the_sensor_is_simulated(tmp_path, monkeypatch):
+    """Else a report on an evening of practice would look like the certificate of a part."""
+    url, path = "sim:?seed=1&hands=free", tmp_path / "free.session"
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n"))  # one dwell, then nobody is there
+    main(["calibrate", url, "--plain", "--dwell", "0.5", "-o", str(path)])
+    session = load_session(path)
+    assert len(session.dwells) == 1
+    assert (session.facts["url"], session.facts["simulated"]) == (url, True)
+    assert "truth" not in session.facts
+
+
+def test_every_key_is_on_a_screen_of_80_columns_with_help_last():
+    text, _, _ = shown(ASKED, hands=Hands(Stage()))
+    assert text.splitlines()[-1].split()[-4:] == ["q", "quit", "?", "help"]
+    assert "u undo" in text
+
+
+def test_the_result_of_a_withdrawn_dwell_is_not_shown_any_longer():
+    state = BenchState()
+    for event in THREE:
+        state.take(event)
+    assert state.running is not None
+    state.take(events.Withdrawn(2, PLAN.positions[2], 3))
+    assert state.running is None
+
+
+def test_the_message_of_a_guard_is_said_once(capsys, monkeypatch):
+    message = NOT_MOVED.message
+    broken = events.DwellInterrupted(1, PLAN.positions[1], 2, 900, message, guarded=True)
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    PlainBench(TypedRunner([*THREE[:4], broken, NOT_MOVED]), auto=False).run()
+    assert "".join(capsys.readouterr().err.split()).count("".join(message.split())) == 1
+    shaken = events.DwellInterrupted(1, PLAN.positions[1], 2, 900, "x varies by 31 mg")
+    assert "x varies by 31 mg" in bench_words.lines_about(shaken)[0][0]
+
+
+@pytest.mark.parametrize("name", ["four-position", "poses"])
+def test_a_drawing_has_room_in_a_dialog_and_on_a_line(name):
+    assert max(map(len, drawing(plan(name)))) <= 72

@@ -14,7 +14,7 @@ from adis_gonio.base.numbers import format_ranges, format_uncertain, format_unit
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.gyros.gyro_fit import estimates_of_gyro_fit
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.record.samples_writer import write_csv
+from adis_gonio.record.samples_writer import write_samples_csv
 from adis_gonio.tracing import trace_summary as words
 from adis_gonio.tracing.trace_result import ErrorFigures, Step, TraceResult
 
@@ -92,7 +92,7 @@ def test_a_trace_of_the_gyros_is_told_in_degrees_a_second():
 @pytest.mark.parametrize("option", [["--all"], ["--monte-carlo", "200"]])
 def test_options_of_the_accelerometers_are_refused_for_gyros(tmp_path, option, capsys):
     path = tmp_path / "own.csv"
-    write_csv(session(), path)
+    write_samples_csv(session(), path)
     assert main(["fit", str(path), "--sensor-part", "gyro", *option]) == 2
     (said,) = capsys.readouterr().err.splitlines()
     assert "--monte-carlo" in said
@@ -107,7 +107,7 @@ def test_gyros_out_of_a_header_are_refused_for_what_it_is(tmp_path):
 
 def test_the_screen_of_a_fit_says_degrees_a_second_in_eighty_columns_and_json_dps(tmp_path, capsys):
     path = tmp_path / "own.csv"
-    write_csv(session(), path)
+    write_samples_csv(session(), path)
     assert main(["fit", str(path), "--sensor-part", "gyro"]) == 0
     screen = capsys.readouterr().out
     table = [

@@ -15,8 +15,7 @@ from adis_gonio.bench.bringup.bringup_step import (
     Row,
     Verdict,
 )
-from adis_gonio.page.document import Figure, Section, Table, render
-from adis_gonio.page.svg import Series, plot
+from adis_gonio.page.document import Figure, Section, Series, Table, plot, render
 
 
 def build_page(found: Bringup) -> str:

@@ -50,7 +50,6 @@ MAGIC = b"adis-gonio recording 1\n"
 _HEAD, _CRC, _CLOCK = struct.Struct("<BI"), struct.Struct("<I"), struct.Struct("<d")
 _TIMES, _BLOCK = struct.Struct("<dd"), struct.Struct("<ddqII")
 
-_OTHER_NAME = "choose another name for the recording"
 
 _EXPECTED = frozenset({"exchange", "configure", "stream", "block", "end_stream", "hard_reset"})
 """Calls that a strict replay must repeat; looks at clocks and counters may be fewer or more."""
@@ -190,7 +189,7 @@ class RecordingBus(ForwardingBus):
 
     def __init__(self, inner: SpiBus, path: str | Path) -> None:
         super().__init__(inner)
-        self.writer = _Writer(check_output(path, cure=_OTHER_NAME))
+        self.writer = _Writer(check_output(path, cure="choose another name for the recording"))
         header = {
             "kind": inner.kind,
             "url": inner.url,
@@ -603,7 +602,6 @@ def open_recorder(url: BusUrl) -> RecordingBus:
     path, colon, inner = url.text.partition(":")[2].partition(":")
     if not path or not colon or not inner:
         raise UsageError(f"'{url.text}': write record:FILE:URL, such as record:run.rec:sim:?seed=1")
-    check_output(path, cure=_OTHER_NAME)
     bus = open_bus(inner)
     try:
         return RecordingBus(bus, path)

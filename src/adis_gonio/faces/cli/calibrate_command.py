@@ -194,8 +194,10 @@ def _run(
         free_hands(url) as (port, hands),
         open_source(port, variant=options["variant"], check=not options["no_check"]) as sensor,
     ):
-        if hands is not None and options["rate_hz"] is None and not resume:
-            options["rate_hz"] = FREE_RATE_HZ
+        if hands is not None:
+            sensor.url = url  # the port of the simulated board is no name to keep
+            if options["rate_hz"] is None and not resume:
+                options["rate_hz"] = FREE_RATE_HZ
         runner = _runner(sensor, output, resume=resume, advisor=advisor, **options)
         prompts = PlainBench(runner, auto=options["auto"], hands=hands)
         plain = plain or options["auto"] or not runner.on_screen

@@ -20,6 +20,7 @@ import click
 
 from adis_gonio.base.errors import install_extra
 from adis_gonio.base.numbers import counted, signed
+from adis_gonio.base.tables import fold_text
 from adis_gonio.bench import events
 from adis_gonio.bench.guidance import drawing, to_do, turn_to_do
 from adis_gonio.faces import bench_words as words
@@ -232,6 +233,8 @@ class PlainBench:
             self._listen(wait=True)
 
     def _prompt(self, text: str) -> None:
+        if self._screen.is_terminal:  # a terminal would break words
+            text = "\n".join(fold_text(text, self._screen.width - 3, 2)).removeprefix("  ")
         print(f"{text}: ", end="", file=sys.stderr, flush=True)  # noqa: T201
 
     def _listen(self, *, wait: bool) -> None:
@@ -262,7 +265,9 @@ class PlainBench:
     def _obey(self, line: str, key: str, rest: str, question: _Question) -> None:
         """Carry out a line that is no answer: a note, a drawing, help, or a move of a simulated part."""
         if key == words.NOTE.letter and question.takes_notes:
-            self._take_note(rest)
+            text = self._rest_of(rest, "  note")
+            self._runner.note(text)
+            self._say("  noted" if text else "  nothing noted")
         elif line == words.HELP.letter:
             for text in words.help_lines(hands=self._hands is not None):
                 self._say(f"  {text}")
@@ -271,20 +276,20 @@ class PlainBench:
         elif self._hands is not None and line == words.BUMP.letter:
             self._hands.bump()
         elif self._hands is not None and key == words.MOVE.letter:
-            self._say(f"  {self._hands.move(rest)}")
+            self._say(f"  {self._hands.move(self._rest_of(rest, '  degrees'))}")
         else:
             known = ", ".join(key for key in question.keys if key)
             self._say(f"  '{line}' is no answer: press Enter, or one of {known} (? lists them)")
 
-    def _take_note(self, text: str) -> None:
-        if not text:
-            self._prompt("  note")
-            try:
-                text = self._lines.next(wait=True) or ""
-            except EOFError:
-                text = ""
-        self._runner.note(text)
-        self._say("  noted" if text else "  nothing noted")
+    def _rest_of(self, text: str, asked: str) -> str:
+        """Text that follows a key on its line; asked for if there is none."""
+        if text:
+            return text
+        self._prompt(asked)
+        try:
+            return self._lines.next(wait=True) or ""
+        except EOFError:
+            return ""
 
     def _close(self, action: Callable[[], None]) -> None:
         self._question = None

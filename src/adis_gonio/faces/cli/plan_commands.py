@@ -291,7 +291,7 @@ def simulate_command(*, output: Path, date: datetime | None, **options: Any) -> 
     from adis_gonio.plan import find_plan
     from adis_gonio.record.archive import ArchiveView
     from adis_gonio.record.loading import load_session
-    from adis_gonio.record.samples_writer import write_csv
+    from adis_gonio.record.samples_writer import write_samples_csv
 
     as_csv = ends_in(output, ".csv", ".csv.gz")
     if not as_csv:
@@ -327,7 +327,7 @@ def simulate_command(*, output: Path, date: datetime | None, **options: Any) -> 
             done = len(view.dwells())
         if as_csv and done:
             with replacing(output) as temporary:
-                write_csv(load_session(archive), temporary)
+                write_samples_csv(load_session(archive), temporary)
     if not complete:  # only Ctrl-C ends a simulation early
         click.echo(f"{output}: {done} of {counted(len(positions), 'dwell')}", err=True)
         raise KeyboardInterrupt
@@ -339,7 +339,7 @@ def _simulate_twin(path: Path, output: Path, seed: int) -> None:
     from adis_gonio.base.budget import current
     from adis_gonio.handover.digital_twin import simulate_like
     from adis_gonio.record.loading import explain_refusal, load_session
-    from adis_gonio.record.samples_writer import write_csv
+    from adis_gonio.record.samples_writer import write_samples_csv
     from adis_gonio.tracing.trace import trace
 
     if not ends_in(output, ".csv", ".csv.gz"):
@@ -356,7 +356,7 @@ def _simulate_twin(path: Path, output: Path, seed: int) -> None:
         current().tell("simulating")
         twin = simulate_like(session, traced.fits[-1], seed=seed)
     with replacing(output) as temporary:
-        write_csv(twin, temporary)
+        write_samples_csv(twin, temporary)
     report_written(output, f"{counted(len(session.dwells), 'dwell')}, the twin of {path}")
 
 

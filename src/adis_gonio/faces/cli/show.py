@@ -313,13 +313,16 @@ def table_of(
 def print_table(
     screen: Console, head: Sequence[str], rows: Sequence[Sequence[str]], texts: Container[int]
 ) -> None:
-    """Print a table; on a screen too narrow for it, print each row as `name value; name value; …`.
+    """Print a table without its empty columns; if too wide, print each row as `name value; name value; …`.
 
     Parameters
     ----------
     texts : container of int
         Indices of the columns of text, which may be folded; the others hold numbers.
     """
+    shown = [k for k in range(len(head)) if any(row[k] not in ("", "–") for row in rows)]
+    head, rows = [head[k] for k in shown], [[row[k] for k in shown] for row in rows]
+    texts = {new for new, k in enumerate(shown) if k in texts}
     widths = [max(cell_len(row[k]) for row in (head, *rows)) for k in range(len(head))]
     least = sum(min(w, LEAST_TEXT) if k in texts else w for k, w in enumerate(widths)) + 2 * len(head)
     if least > screen.width:
@@ -333,7 +336,7 @@ def print_table(
 def check_page(output: Path | None) -> None:
     """Raise an error if an HTML page is wanted and its figures cannot be drawn."""
     if output is not None:
-        from adis_gonio.page.svg import require_matplotlib
+        from adis_gonio.page.document import require_matplotlib
 
         require_matplotlib()
 

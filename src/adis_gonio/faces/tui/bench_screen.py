@@ -437,7 +437,7 @@ class BenchApp(App[None]):
             "waits": Text(screen_text.waiting(state, silence_s)),
             "progress": Text(screen_text.progress(state, room), no_wrap=True),
             "messages": _messages(state),
-            "keys": _keys(state),
+            "keys": _keys(state, self.size.width),
         }
         for name, text in texts.items():
             base.query_one(f"#{name}", Static).update(text)
@@ -605,11 +605,12 @@ def _messages(state: BenchState) -> Text:
     return text
 
 
-def _keys(state: BenchState) -> Text:
-    text = Text(no_wrap=True)
-    for key, word in screen_text.keys(state):
+def _keys(state: BenchState, width: int) -> Text:
+    listed, text = screen_text.keys(state), Text(no_wrap=True)
+    wide = sum(len(f"{key} {word}  ") for key, word in listed) < width
+    for key, word in listed:
         text.append(key, style="bold reverse")
-        text.append(f" {word}  ")
+        text.append(f" {word}  " if wide else f" {word} ")
     return text
 
 

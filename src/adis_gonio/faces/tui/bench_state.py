@@ -383,6 +383,7 @@ class BenchState:
     @_take.register
     def _(self, event: events.Withdrawn) -> None:
         self.marks[event.place] = Mark.WITHDRAWN
+        self.running = None
 
     @_take.register
     def _(self, event: events.Finished) -> None:

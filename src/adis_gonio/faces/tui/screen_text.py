@@ -167,7 +167,7 @@ def target(state: BenchState) -> str:
     if more is None or tolerance is None or state.passes:
         return goal
     if abs(more) <= tolerance:
-        return f"{goal}   ● there, to ±{tolerance:.1f}°"
+        return f"{goal}   ● within ±{tolerance:.1f}°: now by the scale"
     if state.lost_way:
         return goal
     arrow, way = ("▶▶", "more") if more > 0 else ("◀◀", "back")
@@ -311,7 +311,9 @@ def format_measured(name: str, value: float) -> tuple[str, str]:
     stem, _, unit = name.rpartition("_")
     if not stem or unit not in _UNITS:
         return name.replace("_", " "), use_minus(f"{value:.4g}")
-    return stem.replace("_", " "), use_minus(f"{value:.4g}") + _UNITS[unit]
+    return stem.replace("_", " "), use_minus(f"{value:.2f}" if unit == "deg" else f"{value:.4g}") + _UNITS[
+        unit
+    ]
 
 
 def keys(state: BenchState) -> list[tuple[str, str]]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from adis_gonio.base.jsonable import json_object
-from adis_gonio.base.numbers import counted, format_number, format_unit
+from adis_gonio.base.numbers import counted, format_number, format_p, format_unit
 from adis_gonio.base.uncertainty import INADEQUATE, SLOW_NOISE, Value, finite_or_none
 from adis_gonio.fitting.allan.spectral_likelihood import (
     FLOOR_OF_B,
@@ -315,7 +315,7 @@ def notes_of(axis: AxisNoise, *, narrowed: bool, coarse: bool, loud: Sequence[in
     if narrowed and axis.adequacy >= INADEQUATE:
         yield f"above {format_number(axis.band_hz[1])} Hz the spectrum is of another kind and was left out"
     if axis.adequacy < INADEQUATE:
-        yield f"these noises do not explain the spectrum (p = {axis.adequacy:.1g}): u is too small"
+        yield f"these noises do not explain the spectrum ({format_p(axis.adequacy)}): u is too small"
     for line in axis.lines:
         yield (
             f"a sinusoid of {format_number(line.frequency_hz, 4)} Hz, amplitude"

@@ -28,7 +28,7 @@ from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted, signed
 from adis_gonio.base.tables import Entries, ParameterTable
 from adis_gonio.base.uncertainty import INADEQUATE, Value
-from adis_gonio.calibrate.coefficients import NotCorrected
+from adis_gonio.calibrate.calibration import NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit, adequacy
