@@ -10,7 +10,14 @@ import pytest
 
 from adis_gonio.bench.bringup import Outcome
 from adis_gonio.bench.bringup.bringup_step import Question
-from adis_gonio.bench.bringup.chip_rows import ELSE, ROWS, ChipRow, Figure, findings_text, judge_recordings
+from adis_gonio.bench.bringup.chip_rows import (
+    ELSE,
+    ROWS,
+    ChipRow,
+    RowFigure,
+    findings_text,
+    judge_recordings,
+)
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.faces.cli import main
 from fakes.changed_chips import CHANGES, record_bringup, record_service
@@ -111,7 +118,7 @@ def test_nothing_observed_leaves_the_prior_and_one_odd_event_among_many_no_doubt
 
 def test_a_figure_follows_the_normal_density_between_two_alternatives():
     hypotheses = row("one", "two", confidence="C")
-    figure = Figure(1.4, 0.1, {"one": (1.0, 1.0), "two": (2.0, 2.0)})
+    figure = RowFigure(1.4, 0.1, {"one": (1.0, 1.0), "two": (2.0, 2.0)})
     # ln of the densities: -(0.4/0.1)²/2 and -(0.6/0.1)²/2, with a ten-thousandth of a flat density of 1/20.
     densities = [0.9999 * math.exp(-z * z / 2) / (0.1 * math.sqrt(2 * math.pi)) + 5e-6 for z in (4.0, 6.0)]
     chances = hypotheses.judge([figure]).probabilities
@@ -120,13 +127,13 @@ def test_a_figure_follows_the_normal_density_between_two_alternatives():
 
 def test_two_of_eight_figures_off_contradict_the_table():
     row_of = row("one", "two", confidence="A")
-    figures = [Figure(x, 0.01, {"one": (0.9, 1.1), "two": (2.0, 2.0)}) for x in (*[1.0] * 6, 1.5, 1.6)]
+    figures = [RowFigure(x, 0.01, {"one": (0.9, 1.1), "two": (2.0, 2.0)}) for x in (*[1.0] * 6, 1.5, 1.6)]
     assert row_of.judge(figures[:6]).outcome is Outcome.CONFIRMS
     assert row_of.judge(figures).best == ELSE
 
 
 def test_a_row_that_nothing_distinguishes_stays_open():
-    figure = Figure(0.2, 5.0, {"one": (0.0, 0.0), "two": (0.5, 0.5)})
+    figure = RowFigure(0.2, 5.0, {"one": (0.0, 0.0), "two": (0.5, 0.5)})
     assert row("one", "two").judge([figure]).outcome is Outcome.OPEN
 
 

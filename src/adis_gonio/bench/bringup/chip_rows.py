@@ -1,7 +1,7 @@
 """Hypotheses on rows of the register table, and their probabilities after recordings.
 
 Each row of `ROWS` has the statement of the table and its rivals, of which the last is always "something
-else". An observation is either a label, the alternative that one event agrees with, or a `Figure`, which
+else". An observation is either a label, the alternative that one event agrees with, or a `RowFigure`, which
 each alternative predicts as an interval. The prior probability of the table's statement follows from its
 confidence. Observations multiply:
 
@@ -28,7 +28,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.bench.bringup.bringup_step import FALSE_ALARM, QUESTIONS, Outcome, Question
-from adis_gonio.bench.bringup.recorded_chip import SELF_TEST, RecordedChip, Rest, Span
+from adis_gonio.bench.bringup.recorded_chip import SELF_TEST, RecordedChip, RegisterSpan, RestStatistics
 from adis_gonio.device.bus.capture import LogicCapture
 from adis_gonio.device.bus.recording import BusRecording
 from adis_gonio.device.sensor.registers import (
@@ -57,7 +57,7 @@ DECIDED = 0.01
 
 
 @dataclass(frozen=True)
-class Figure:
+class RowFigure:
     """A measured number `x` with standard uncertainty `u`, and the intervals that alternatives predict."""
 
     x: float
@@ -65,9 +65,9 @@ class Figure:
     predicted: Mapping[str, tuple[float, float]]
 
 
-Observation = str | Figure
+Observation = str | RowFigure
 Observer = Callable[[RecordedChip, Variant], Iterable[Observation]]
-Figures = Callable[[RecordedChip, Variant], Iterable[Figure]]
+Figures = Callable[[RecordedChip, Variant], Iterable[RowFigure]]
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class ChipRow:
         prior = PRIOR[self.question.confidence]
         priors = np.array([prior, *[(1 - prior) / len(self.alternatives)] * len(self.alternatives)])
         labels = Counter(one for one in observed if isinstance(one, str))
-        figures = [one for one in observed if isinstance(one, Figure)]
+        figures = [one for one in observed if isinstance(one, RowFigure)]
         likelihood = _of_labels(names, labels)
         if figures:
             likelihood = likelihood + _of_figures(names, figures, self.wide)
@@ -164,7 +164,7 @@ def _of_labels(names: Sequence[str], labels: Counter[str]) -> Floats:
     return np.array([*named, flat], np.float64)
 
 
-def _of_figures(names: Sequence[str], figures: Sequence[Figure], wide: tuple[float, float]) -> Floats:
+def _of_figures(names: Sequence[str], figures: Sequence[RowFigure], wide: tuple[float, float]) -> Floats:
     """Log-likelihood of each alternative for figures (see the module)."""
     flat = 1 / (wide[1] - wide[0])
     density = np.array([[_density(figure, name) for name in names[:-1]] for figure in figures])
@@ -179,7 +179,7 @@ def _of_figures(names: Sequence[str], figures: Sequence[Figure], wide: tuple[flo
     return np.array([*named, other])
 
 
-def _density(figure: Figure, name: str) -> float:
+def _density(figure: RowFigure, name: str) -> float:
     """Density of a figure that is uniform in a predicted interval, with a normal error."""
     low, high = figure.predicted[name]
     z = np.array([figure.x - low, figure.x - high]) / figure.u
@@ -189,7 +189,7 @@ def _density(figure: Figure, name: str) -> float:
     return (below - above) / (high - low)
 
 
-def _described(labels: Counter[str], figures: Sequence[Figure]) -> str:
+def _described(labels: Counter[str], figures: Sequence[RowFigure]) -> str:
     parts = [f"{label}: {count}" for label, count in labels.most_common(3)]
     if figures:
         x = [figure.x for figure in figures]
@@ -304,7 +304,7 @@ def _new_data(chip: RecordedChip, _: Variant) -> Iterator[str]:
         yield "stays" if share == 1 else "never" if share == 0 else "by its read"
 
 
-def _bursts(chip: RecordedChip) -> Iterator[tuple[Span, float, np.ndarray, float]]:
+def _bursts(chip: RecordedChip) -> Iterator[tuple[RegisterSpan, float, np.ndarray, float]]:
     """Yield consecutive reads of one register: span, time of a read, flags ND, and nominal period."""
     for span in chip.spans:
         for runs in span.outputs.values():
@@ -314,7 +314,7 @@ def _bursts(chip: RecordedChip) -> Iterator[tuple[Span, float, np.ndarray, float
                     yield span, step_s, (words & ND).astype(bool), span.period_s
 
 
-def _periods(chip: RecordedChip, _: Variant) -> Iterator[Figure]:
+def _periods(chip: RecordedChip, _: Variant) -> Iterator[RowFigure]:
     measured: dict[int, list[float]] = {}
     for span, step_s, flags, _period_s in _bursts(chip):
         at = np.flatnonzero(flags)
@@ -326,10 +326,10 @@ def _periods(chip: RecordedChip, _: Variant) -> Iterator[Figure]:
         due = {"base × (N + 1)": base * (n + 1), "base × N": base * max(n, 1)}
         due["bit 7 has no effect"] = FAST_BASE_S * (n + 1)
         predicted = {name: (math.log(0.97 * one), math.log(1.03 * one)) for name, one in due.items()}
-        yield Figure(math.log(float(np.median(periods))), 0.01, predicted)
+        yield RowFigure(math.log(float(np.median(periods))), 0.01, predicted)
 
 
-def _mean_u(part: Variant, rest: Rest, columns: slice) -> float:
+def _mean_u(part: Variant, rest: RestStatistics, columns: slice) -> float:
     """Standard uncertainty of the difference of two means, in LSB: white noise, flicker and rounding."""
     figures, gyros = part.performance, columns.start == 3
     lsb = part.lsb(Kind.GYRO if gyros else Kind.ACCEL, rest.dps)[0]
@@ -342,7 +342,7 @@ def _offset_steps(
 ) -> Figures:
     """Steps of the outputs divided by steps of their offset registers."""
 
-    def observe(chip: RecordedChip, part: Variant) -> Iterator[Figure]:
+    def observe(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
         for one, two in pairwise(chip.rests):
             if one.span.settings("SENS_AVG", "MSC_CTRL") != two.span.settings("SENS_AVG", "MSC_CTRL"):
                 continue
@@ -356,15 +356,15 @@ def _offset_steps(
                 u = _mean_u(part, min(one, two, key=lambda rest: rest.count), columns)
                 if abs(step) > 10 * u and math.isfinite(moved):
                     predicted = {key: (value - 0.01, value + 0.01) for key, value in rivals.items()}
-                    yield Figure(moved / step, u / abs(step), predicted)
+                    yield RowFigure(moved / step, u / abs(step), predicted)
 
     return observe
 
 
-def _after_filter(chip: RecordedChip, part: Variant) -> Iterator[Figure]:
+def _after_filter(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
     """Share of an offset's step that the first word shows, scaled to 1 after and 0 before the filter."""
     ratio = float(np.median([figure.x for figure in _accel_steps(chip, part)] or [1.0]))
-    level: dict[str, tuple[Span, float]] = {}
+    level: dict[str, tuple[RegisterSpan, float]] = {}
     for span in chip.spans:
         for name, out in zip(ACCEL_OFF, ACCEL_OUT, strict=True):
             first, (before, mean) = span.first(out), level.get(out, (None, 0.0))
@@ -389,7 +389,7 @@ def _after_filter(chip: RecordedChip, part: Variant) -> Iterator[Figure]:
             if abs(changed) > 500 and ramp < 0.4 and passed > 1:
                 share = (first[1] - mean) / (changed * ratio)
                 predicted = {"after": (0.9, 1.1), "before": (-0.1, 0.1)}
-                yield Figure((share - ramp) / (1 - ramp), 0.05, predicted)
+                yield RowFigure((share - ramp) / (1 - ramp), 0.05, predicted)
 
 
 def _levels(chip: RecordedChip, part: Variant) -> dict[int, tuple[float, float]]:
@@ -416,7 +416,7 @@ _GAINS: dict[str, Callable[[int], float]] = {
 """Noise gain of the filter by M, for each alternative."""
 
 
-def _filter_gain(chip: RecordedChip, part: Variant) -> Iterator[Figure]:
+def _filter_gain(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
     found = _levels(chip, part)
     least = min(found, default=0)
     for m, (log, dof) in found.items():
@@ -426,28 +426,26 @@ def _filter_gain(chip: RecordedChip, part: Variant) -> Iterator[Figure]:
                 name: (math.log(gain(m) / gain(least)) - 0.02, math.log(gain(m) / gain(least)) + 0.02)
                 for name, gain in _GAINS.items()
             }
-            yield Figure(log - found[least][0], u, predicted)
+            yield RowFigure(log - found[least][0], u, predicted)
 
 
 def _noise(columns: slice) -> Observer:
     """Logarithm of the noise before the filter, relative to the table's figure.
 
-    The gain of the filter is the measured gain of the accelerometers if M = 0 was recorded too.
+    The gain of the filter is the measured gain of the accelerometers, so that M = 0 must be recorded too.
     """
 
-    def observe(chip: RecordedChip, part: Variant) -> Iterator[Figure]:
-        rests = [rest for rest in chip.rests if np.isfinite(rest.sigma[columns]).all() and rest.dof > 30]
+    def observe(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
         levels = _levels(chip, part)
-        if rests:
+        rests = [rest for rest in chip.rests if np.isfinite(rest.sigma[columns]).all() and rest.m in levels]
+        if rests and 0 in levels:
             rest = max(rests, key=lambda one: (one.m == 0, one.dof))
             lsb = part.lsb(Kind.GYRO if columns.start else Kind.ACCEL, rest.dps)[0]
-            gain = math.log(white_noise_gain(rest.m))
-            if {0, rest.m} <= levels.keys():
-                gain = levels[rest.m][0] - levels[0][0]
+            gain = levels[rest.m][0] - levels[0][0]
             variance = max(float(np.mean(rest.sigma[columns] ** 2)) - 1 / 12, 1e-9)
             x = math.log(variance) / 2 - gain + math.log(lsb / part.performance.noise[columns.start])
             u = math.sqrt(0.5 / (3 * rest.dof) + sum(0.5 / dof for _, dof in levels.values()))
-            yield Figure(x, u, {"as the table": (-0.05, 0.05)})
+            yield RowFigure(x, u, {"as the table": (-0.05, 0.05)})
 
     return observe
 
@@ -456,7 +454,7 @@ def _self_test(columns: slice, part_of: Callable[[bool, bool, bool], str]) -> Ob
     """Labels of three axes by their answers to both signs of the manual self-test."""
 
     def observe(chip: RecordedChip, part: Variant) -> Iterator[str]:
-        latest: dict[int, Rest] = {}
+        latest: dict[int, RestStatistics] = {}
         for rest in chip.rests:
             if np.isfinite(rest.mean).all():
                 latest[rest.span.image.get("MSC_CTRL", 0) >> 8 & 3] = rest
@@ -491,7 +489,7 @@ def _edge(chip: RecordedChip, _: Variant) -> Iterator[str]:
             yield "the first" if np.median(np.argmax(flags, axis=1)) == 0 else "the second"
 
 
-def _rounding(chip: RecordedChip, part: Variant) -> Iterator[Figure]:
+def _rounding(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
     """Rate after a precision autonull in LSB of the offsets, positive along the bias before it."""
     steps = [figure.x for figure in _gyro_steps(chip, part)] or [1.0]
     if abs(float(np.median(steps)) - 1) > 0.1:
@@ -508,7 +506,7 @@ def _rounding(chip: RecordedChip, part: Variant) -> Iterator[Figure]:
             if number and math.isfinite(mean) and command == "precision_autonull":
                 predicted = {"rounded": (-0.5, 0.5), "truncated to its LSB": (0.0, 1.0)}
                 predicted["truncated to the output's LSB"] = 0.0, scale
-                yield Figure(-math.copysign(scale, number) * float(mean), u, predicted)
+                yield RowFigure(-math.copysign(scale, number) * float(mean), u, predicted)
 
 
 # -- table ------------------------------------------------------------------------------------------------

@@ -66,7 +66,7 @@ class Check:
 
 
 @dataclass
-class Span:
+class RegisterSpan:
     """Time between two changes of the registers: contents and words of the outputs, by register.
 
     Readings have begun to settle at `changed_s`. `verified` has the names of the registers that were read
@@ -119,7 +119,7 @@ class Span:
 
 
 @dataclass(frozen=True)
-class Rest:
+class RestStatistics:
     """Means and standard deviations (6,) of accelerometers and gyros in a span, in LSB of the outputs.
 
     Attributes
@@ -132,7 +132,7 @@ class Rest:
         Filter setting and range of the gyros.
     """
 
-    span: Span
+    span: RegisterSpan
     mean: Floats
     sigma: Floats
     count: int
@@ -155,7 +155,7 @@ class RecordedChip:
     ----------
     checks : list of Check
         Words of control registers.
-    spans : list of Span
+    spans : list of RegisterSpan
     after_writes : list of (frame, content, reply before, reply)
         Word that answers each write.
     waits : dict of str to list of (float, bool)
@@ -190,7 +190,7 @@ class RecordedChip:
         self._contents: dict[str, Content] = {}
         self._parts: dict[str, tuple[int, int]] = {}
         self._flash: dict[str, int] = {}
-        self.spans = [Span(-math.inf, {})]
+        self.spans = [RegisterSpan(-math.inf, {})]
         self._edge_rises = edge_rises
         self._listed: list[Register | None] = []
         self._pending: tuple[str, float] | None = None
@@ -205,7 +205,7 @@ class RecordedChip:
         self._follow(calls)
 
     @cached_property
-    def rests(self) -> list[Rest]:
+    def rests(self) -> list[RestStatistics]:
         """Spans with at least 16 updates of the accelerometers, with NaN for gyros that were not read."""
         found = []
         for span in self.spans:
@@ -217,7 +217,7 @@ class RecordedChip:
             times = columns[0][0]
             spacing = max(float(times[-1] - times[0]) / (len(times) - 1) / span.period_s, 1.0)
             found.append(
-                Rest(
+                RestStatistics(
                     span,
                     np.array([values.mean() if len(values) else math.nan for values in numbers]),
                     np.array([values.std(ddof=1) if len(values) > 1 else math.nan for values in numbers]),
@@ -392,12 +392,13 @@ class RecordedChip:
 
     def _conditions(self, row: Register, word: int, time_s: float) -> None:
         """Note that an alarm begins, or that a write ends a condition of which the flag EA has told."""
-        span = self.spans[-1]
-        self._settled_s = time_s + 0.02 + 140 * (0 if math.isnan(span.period_s) else span.period_s)
+        period_s = self.spans[-1].period_s
+        # The condition acts with the next update.
+        self._settled_s = time_s + (0.1 if math.isnan(period_s) else 3 * period_s)
         if row.name == "ALM_CTRL":
             self._over = "alarm" if not word and self._alarming is not None else ""
             self._proved = self._flagged
-            self._alarming = time_s + 0.02 if word else None
+            self._alarming = self._settled_s if word else None
         elif row.name in ACCEL_OFF and self._flagged and self._alarming is None:
             self._over = "over_range"
 
@@ -433,7 +434,7 @@ class RecordedChip:
     def _new_span(self, time_s: float) -> None:
         image = {name: content.word for name, content in self._contents.items()}
         verified = {name for name, content in self._contents.items() if content.cause == "read"}
-        span, before = Span(time_s, image, time_s, verified), self.spans[-1]
+        span, before = RegisterSpan(time_s, image, time_s, verified), self.spans[-1]
         if self._pending is None and span.settings(*READING_BITS) == before.settings(*READING_BITS):
             span.changed_s = before.changed_s
         self.spans.append(span)
