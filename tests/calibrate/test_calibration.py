@@ -64,6 +64,20 @@ def test_gravity_comes_back_from_the_readings_of_a_skewed_sensor():
     assert np.abs(wrapped(known().angle(accel).angle_deg - PSI)).max() < 1e-10
 
 
+def test_u_contains_the_effects_of_temperature_that_the_calibration_does_not_correct():
+    readings = [700.0, -700.0]
+    plain = known()
+    for away_c in (0.0, 4.0, -16.0):
+        u_deg = float(plain.angle(readings, 30.0 + away_c).u_deg)
+        # Typical coefficients: 0.5 mg/°C and 40 ppm/°C on each axis, 0.002 °/°C of one axis to another.
+        across = math.hypot(0.5, 40e-6 * 700) * away_c / 1000
+        skew = math.radians(0.002) * away_c / 2
+        assert u_deg == pytest.approx(math.degrees(math.hypot(across, skew, skew)), rel=0.05)
+    corrected = known({"bias_temperature": (0.5, 0.5), "scale_temperature": (0.0, 0.0)})
+    assert float(corrected.angle(readings, 14.0).u_deg) < 0.1 * float(plain.angle(readings, 14.0).u_deg)
+    assert float(plain.angle(readings).u_deg) == 0.0, "the temperature of the session stands in"
+
+
 def test_effects_of_reading_and_temperature_are_corrected_at_the_temperature_given():
     g = turn(PSI)
     truth = {"k2": (8.0, -5.0), "tempco": (0.6, -0.4), "scale_tempco": (300.0, -200.0)}

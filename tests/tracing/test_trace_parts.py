@@ -27,7 +27,7 @@ from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import MeanRate
 from adis_gonio.tracing import averaging, selection as choice
 from adis_gonio.tracing.averaging import AveragedTerm, average
-from adis_gonio.tracing.credible_sets import CredibleSet, Names, probability_of
+from adis_gonio.tracing.credible_sets import Names, probability_of
 from adis_gonio.tracing.grammar import nameless_terms
 from adis_gonio.tracing.linear_problem import LinearProblem, orthonormal, project_off_base
 from adis_gonio.tracing.model_search import (
@@ -830,23 +830,21 @@ class TestSurvival:
 
         found = [of("bias", 9.0), of("cubic", 9.0), of("gravity", 0.5), of("backlash", 9.0)]
         checked, unchecked = ErrorFigures(1.0, 1.0, None, None), ErrorFigures(1.0, None, None, None)
-        places = [CredibleSet(name, (name,), (1.0,), 0.56) for name in ("bias", "cubic", "gravity")]
-        weak = weak_names(found, checked, {"backlash": "unnamed: angle"}, places)
+        weak = weak_names(found, checked, {"backlash": "unnamed: angle"})
         assert set(weak) == {"gravity", "backlash"}
         assert "no larger than their own uncertainty" in weak["gravity"]
         assert "unnamed: angle" in weak["backlash"]
-        assert set(weak_names(found, unchecked, {}, places)) == {"cubic", "gravity", "backlash"}
+        assert set(weak_names(found, unchecked, {})) == {"cubic", "gravity", "backlash"}
 
-    def test_a_name_in_whose_place_most_models_have_nothing_does_not_stand(self) -> None:
+    def test_a_name_that_most_models_do_not_have_in_its_place_is_not_found(self) -> None:
         # Models that predict the same are one, of which a slip and a backlash are found; by themselves
         # nearly all of them have one step in the place of the backlash, and nothing for the slip.
-        found = Finding("position_slip", (), {"slip": Value(-0.15, 0.01, "deg")}, 0.0, 0.0, 0.06)
         checked = ErrorFigures(1.0, 1.0, None, None)
-        for present, stands in ((0.06, False), (0.54, False), (0.56, True)):
-            place = CredibleSet("position_slip", ("position_slip",), (1.0,), present)
-            weak = weak_names([found], checked, {}, [place])
-            assert (weak == {}) == stands
-            assert stands or f"{1 - present:.0%}" in weak["position_slip"]
+        for probability, found in ((0.06, False), (0.54, False), (0.56, True)):
+            slip = Finding("position_slip", (), {"slip": Value(-0.15, 0.01, "deg")}, 0.0, 0.0, probability)
+            weak = weak_names([slip], checked, {})
+            assert (weak == {}) == found
+            assert found or f"{1 - probability:.0%}" in weak["position_slip"]
 
     def test_check_dwells_that_do_not_agree_are_said_with_their_number(self) -> None:
         check = np.arange(24) % 4 == 0

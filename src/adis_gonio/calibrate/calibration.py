@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
@@ -29,7 +29,7 @@ from adis_gonio.base.numbers import counted, join_words
 from adis_gonio.base.output import check_output, replacing, write_utf8
 from adis_gonio.base.tables import ParameterTable
 from adis_gonio.base.uncertainty import Value
-from adis_gonio.model.effects import AXES, Conditions, Effect
+from adis_gonio.model.effects import AXES, Conditions, Effect, catalogue, effect
 from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn
 from adis_gonio.model.records import METADATA, MG_PER_MPS2
@@ -749,6 +749,8 @@ class Calibration(Coefficients, eq=False, kw_only=True):
             return wrap_radians(up - down)
 
         angle, variance = self._with_variance(lambda values: shown(values, readings, conditions), apart)
+        for change in self._left_to_temperature(readings, temperature_c):
+            variance += apart(shown(values, readings + change, conditions), angle) ** 2
         if reading_u is not None:
             u = self._reading_u(reading_u)
             steps = np.maximum(STEP * u, 1e-6)
@@ -759,6 +761,30 @@ class Calibration(Coefficients, eq=False, kw_only=True):
             variance += ((slopes * u) ** 2).sum(axis=1)
         angle_deg, u_deg = np.degrees(wrap_radians(angle)), np.degrees(np.sqrt(variance))
         return AngleReading(angle_deg[0], u_deg[0]) if single else AngleReading(angle_deg, u_deg)
+
+    def _left_to_temperature(self, readings: Floats, temperature_c: ArrayLike | None) -> Iterator[Floats]:
+        """Yield changes (n, axes) of the readings by each effect of temperature that was not determined.
+
+        Each coefficient has its typical size, over the distance from the temperature of the session.
+        """
+        session = self.provenance.temperature_c
+        now = checked_condition("temperature_c", temperature_c, len(readings), None)
+        if session is None or now is None:
+            return
+        ideal = readings / self.per_mg
+        there, here = (
+            Conditions(time_s=np.zeros(len(readings)), temperature_c=at)
+            for at in (np.full(len(readings), session.mean), now[:, 0])
+        )
+        corrected = {term.effect.name for term in self.effects}
+        for name, kind in catalogue().items():
+            if name in corrected or not kind.correctable or kind.needs != ("temperature_c",):
+                continue
+            for axis in AXES[: self.axes]:
+                one = effect(name, (axis,))
+                typical = np.array([parameter.typical for parameter in one.parameters])
+                change = one.reading(typical, ideal, here) - one.reading(typical, ideal, there)
+                yield change * self.per_mg
 
     def _reading_u(self, reading_u: float | Sequence[float]) -> Floats:
         u = np.asarray(reading_u, dtype=float)

@@ -588,8 +588,9 @@ def _predict_rows(imagined: Readings, inflation: float, hypotheses: list[Hypothe
     whiten = fits[0].whitener / np.sqrt(inflation)
     means, roots = [], []
     for h, fit in zip(hypotheses, fits, strict=True):
-        columns = whitened_columns(fit, whiten)
-        mean = np.einsum("nrk,nk->nr", whiten, fit.predicted) + columns @ h.shift
+        with np.errstate(over="ignore", invalid="ignore"):  # an exponential far outside its range
+            columns = whitened_columns(fit, whiten)
+            mean = np.einsum("nrk,nk->nr", whiten, fit.predicted) + columns @ h.shift
         means.append(np.clip(np.nan_to_num(mean, posinf=FAR, neginf=-FAR), -FAR, FAR))
         roots.append(np.clip(columns @ h.root, -FAR, FAR))
     return PredictedDwells(means, roots)

@@ -321,7 +321,7 @@ class TraceRun:
         )
         self.likelier = likelier_functions(self.sets, self.terms)
         at_middle = [bias_at_middle(final, finding) for finding in findings]
-        weak = weak_names(at_middle, self.figures[-1], self.likelier, places)
+        weak = weak_names(at_middle, self.figures[-1], self.likelier)
         self.names = reject_names(replace(self.names, rejected={**self.names.rejected, **weak}), weak)
         self.reasons = {**self.names.rejected, **self.reasons}
         self.findings = [finding for finding in findings if finding.effect not in weak]
@@ -450,21 +450,17 @@ def likelier_functions(sets: Sequence[CredibleSet], terms: Sequence[Term]) -> di
 
 
 def weak_names(
-    findings: Sequence[Finding],
-    final: ErrorFigures,
-    likelier: Mapping[str, str],
-    places: Sequence[CredibleSet],
+    findings: Sequence[Finding], final: ErrorFigures, likelier: Mapping[str, str]
 ) -> dict[str, str]:
-    """Return the effects that are too uncertain to be reported as found, each with the reason."""
+    """Return the effects that must not be reported as found, by name, each with the reason."""
     weak = {}
-    empty = {one.cause: 1 - one.present for one in places if one.present < limits.certain}
     for finding in findings:
         if finding.effect in likelier:
             weak[finding.effect] = f"more probable in its place: {likelier[finding.effect]}"
-        elif finding.effect in empty:
-            # Models with equal predictions count as one model. If that model lacks the cause, the cause
-            # is absent.
-            weak[finding.effect] = f"models with nothing in its place have {empty[finding.effect]:.0%}"
+        elif finding.probability < limits.certain:
+            # Models with equal predictions count as one model, which may have this name although most of
+            # them have another name or none.
+            weak[finding.effect] = f"other names or none in its place have {1 - finding.probability:.0%}"
         elif final.heldout_rms is None and finding.effect != "bias":
             weak[finding.effect] = "no dwell could be held out to check it"
         elif not differs_from_zero(finding):
