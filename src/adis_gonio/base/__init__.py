@@ -1,4 +1,4 @@
-"""Foundations: version, errors, numbers with units and uncertainty, output files, JSON, a time budget."""
+"""Foundations: version, errors, numbers with units and uncertainty, output files, JSON, time limits."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def lazily(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
     package : str
         `__name__` of the package.
     homes : mapping of str to str
-        Public names, separated by blanks, by their module within the package.
+        For each module within the package, its public names separated by blanks.
     """
     modules = {name: module for module, names in homes.items() for name in names.split()}
     namespace = vars(sys.modules[package])

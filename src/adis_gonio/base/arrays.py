@@ -27,7 +27,7 @@ def wrap_radians(angle_rad: Angle) -> Angle:
 
 
 def rotation_matrices(vector_rad: Floats) -> Floats:
-    """Rotation matrices (..., 3, 3) for rotation vectors (..., 3) in rad, by Rodrigues' formula."""
+    """Return the rotation matrices (..., 3, 3) of rotation vectors (..., 3) in rad (Rodrigues' formula)."""
     x, y, z = np.moveaxis(np.asarray(vector_rad), -1, 0)
     zero = np.zeros_like(x)
     rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
@@ -38,12 +38,12 @@ def rotation_matrices(vector_rad: Floats) -> Floats:
 
 
 def mean_direction(angle_rad: Floats) -> float:
-    """Mean of the angles (n,) in radians: the direction of the sum of their unit vectors."""
+    """Return the circular mean of angles (n,) in rad: the direction of the sum of their unit vectors."""
     return float(np.angle(np.exp(1j * angle_rad).sum()))
 
 
 def log_sum_exp(values: Floats, axis: int | tuple[int, ...] | None = None) -> Floats:
-    """Logarithm of the sum of exponentials along `axis` (default: of all values), without overflow.
+    """Logarithm of the sum of exponentials along `axis` (None: of all values), without overflow.
 
     Unlike `scipy.special.logsumexp` it is for real finite numbers and −∞ only, and several times as fast.
     """
@@ -61,7 +61,7 @@ def central_differences(
     directions: Floats | None = None,
     subtract: Callable[[Floats, Floats], Floats] = np.subtract,
 ) -> Floats:
-    """Derivatives of a function at x along k directions d, by (f(x + h d) − f(x − h d)) / 2h.
+    """Derivatives of a function f at x along k directions d: (f(x + h d) − f(x − h d)) / 2h.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def central_differences(
     directions : (k, ...) float, optional
         Rows d that broadcast with x; the unit vectors of an x (k,) by default.
     subtract : callable
-        Difference of two results, such as of angles within a turn.
+        Function that returns the difference of two results of f; for angles a wrapped difference.
 
     Returns
     -------
@@ -92,7 +92,10 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def unsolvable(name: str, error: Exception) -> FitError:
-    """Make the `FitError` for numbers that give a singular matrix; `name` is the file or command."""
+    """Return the `FitError` to raise if these numbers give a singular matrix.
+
+    `name` is the file or command that the message begins with, `error` the failure of the computation.
+    """
     return FitError(
         f"{name}: no fit is possible with these numbers ({error}): check the times, the units and the"
         " stated uncertainties"
@@ -100,7 +103,7 @@ def unsolvable(name: str, error: Exception) -> FitError:
 
 
 def solvable(compute: F) -> F:
-    """Decorator of a function that computes with a session: it raises `FitError` instead of `LinAlgError`.
+    """Decorate a function of a session so that it raises `FitError` instead of `LinAlgError`.
 
     Values that are finite one by one can still give a matrix without an inverse, such as times that differ
     by many orders of magnitude.
@@ -117,7 +120,7 @@ def solvable(compute: F) -> F:
 
 
 MAD_TO_SD = 1.482602218505602
-"""Standard deviation of a normal distribution over its median absolute deviation."""
+"""Ratio of the standard deviation of a normal distribution to its median absolute deviation."""
 
 
 def robust_sd(values: Floats) -> float:

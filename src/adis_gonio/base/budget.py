@@ -1,9 +1,10 @@
-"""A time budget: long work reports its progress, and ends in an orderly way when its time is over.
+"""Time limits: long work reports its progress, and ends in an orderly way when its time is over.
 
-The present budget is a context variable, like a cancel scope, so that an inner loop can check it without an
-argument. Work asks at its safe points: `spent` if it can continue with its best result so far, `check` if
-unfinished work must be discarded. `attempt` runs a stage and returns its substitute in this case;
-`with_progress` reports the progress of a loop. Without a budget nothing ends early.
+A `Budget` here is a budget of time (elsewhere a budget of uncertainty). The present one is a context
+variable, like a cancel scope, so that an inner loop can check it without an argument. Work asks at its
+safe points: `spent` if it can continue with its best result so far, `check` if unfinished work must be
+discarded. `attempt` runs a stage and returns a substitute result if `check` ended the stage;
+`with_progress` reports the progress of a loop. Without a time limit nothing ends early.
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ T = TypeVar("T")
 
 
 class OutOfTimeError(Exception):
-    """Raised by `check` in a stage of work if the time is over; `attempt` catches it."""
+    """Raised by `check` within a stage of work if the time limit is reached; `attempt` catches it."""
 
 
 def _silent(_what: object) -> None:
-    """Default callback, which does nothing."""
+    """Do nothing: the default callback for progress."""
 
 
 @dataclass
@@ -34,15 +35,15 @@ class Budget:
     Attributes
     ----------
     limit_s : float
-        Seconds from now on; infinite for no limit.
+        Time limit in seconds after the creation of this object; infinite for no limit.
     tell : callable
-        Called with the name of each stage at its beginning.
+        Function that is called with the name of each stage when the stage begins.
     share : callable
-        Called with the completed fraction of the stage, 0 to 1, if known.
+        Function that is called with the completed fraction of the present stage, 0 to 1, if known.
     clock : callable
-        Seconds from any origin.
+        Function that returns the present time in seconds from any origin.
     left_out : list of str
-        Stages that ended early or did not begin, in order.
+        Names of the stages that ended early or did not begin, in order.
     """
 
     limit_s: float = math.inf
@@ -56,16 +57,19 @@ class Budget:
 
     @property
     def elapsed_s(self) -> float:
-        """Seconds since this budget was created."""
+        """Seconds since this time limit was created."""
         return self.clock() - self._begun
 
     @property
     def over(self) -> bool:
-        """True if no further stage may begin: the limit is reached or a stage was already omitted."""
+        """True if no further stage may begin: the time limit is reached or a stage was already omitted."""
         return bool(self.left_out) or self.elapsed_s >= self.limit_s
 
     def limited(self, limit_s: float) -> Budget:
-        """Make a budget with another limit and the callbacks of this one."""
+        """Return a copy with another time limit in s from now on and with no omitted stages.
+
+        The copy has the same callbacks.
+        """
         return replace(self, limit_s=limit_s, left_out=[])
 
     def leave_out(self, what: str) -> None:
@@ -79,7 +83,7 @@ _current: ContextVar[Budget | None] = ContextVar("budget", default=None)
 
 @contextmanager
 def within(budget: Budget) -> Iterator[Budget]:
-    """Make a budget the current one within a `with` block."""
+    """Make a time limit the current one within a `with` block, and yield it."""
     before = _current.set(budget)
     try:
         yield budget
@@ -88,33 +92,33 @@ def within(budget: Budget) -> Iterator[Budget]:
 
 
 def current() -> Budget:
-    """Return the budget of the surrounding `within` block, or a budget without limit."""
+    """Return the time limit of the surrounding `within` block, or an infinite one outside any block."""
     return _current.get() or Budget()
 
 
 def spent() -> bool:
-    """True if the time of the current budget is over.
-
-    The caller then continues with its best result so far.
-    """
+    """Return True if the current time limit is reached."""
     budget = _current.get()
     return budget is not None and budget.over
 
 
 def check() -> None:
-    """Raise an exception that ends the stage if the time of the current budget is over.
+    """End the current stage of work by an exception if the current time limit is reached.
 
     Raises
     ------
     OutOfTimeError
-        Caught by `attempt`.
+        The limit is reached; `attempt` catches the exception.
     """
     if spent():
         raise OutOfTimeError
 
 
 def attempt(stage: str, work: Callable[[], T], otherwise: T) -> T:
-    """Return the result of `work`, or `otherwise` if the time is over before `work` ends."""
+    """Return the result of `work`, or `otherwise` if the time limit is reached before `work` ends.
+
+    `stage` is the name of the work in progress reports and in `Budget.left_out`.
+    """
     budget = current()
     budget.tell(stage)
     try:
@@ -126,13 +130,15 @@ def attempt(stage: str, work: Callable[[], T], otherwise: T) -> T:
 
 
 def with_progress(items: Sequence[T], before: int = 0, total: int | None = None) -> Iterator[T]:
-    """Yield each item and report the completed fraction of the stage.
+    """Yield each item and report the completed fraction of the present stage of work.
 
     Parameters
     ----------
     items : sequence
-    before, total : int
-        Number of items of the stage before these, and of all items; by default these are all.
+    before : int
+        Number of items of this stage that were completed before these.
+    total : int, optional
+        Number of all items of this stage; by default the number of `items`.
     """
     share, count = current().share, len(items) if total is None else total
     for done, item in enumerate(items, before):

@@ -41,24 +41,25 @@ DecisionRule = Literal["guarded", "simple", "shared"]
 RULES: tuple[DecisionRule, ...] = get_args(DecisionRule)
 Verdict = Literal["pass", "fail", "undecided"]
 GUARDED_RISK = 0.025
-"""Largest risk of a wrong statement by `guarded`: a guard band of U leaves it on one side."""
+"""Largest risk of a wrong pass or fail by the rule `guarded`: U as guard band leaves 2.5 % on one side."""
 SIMPLE_RISK = 0.5
 LEAST_RATIO = 3.0
-"""Least ratio of tolerance to U for the rule `shared`."""
+"""Least ratio of the tolerance to U, the expanded uncertainty of the error, for the rule `shared`."""
 _DIRECTIONS = 2048
 _NOTHING = 1e-9
-"""Relative size of an independent part of the error below which it is a rounding error."""
+"""Relative size of an independent part of the error below which this part is a rounding error."""
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorCurve:
-    """Error of the angle over the turn: its posterior distribution.
+    """Error of the sensor's angle as a function of the angle over one turn: its posterior distribution.
 
     Attributes
     ----------
     angle_deg : (m,) float
+        Angles of the turn.
     error_deg : (m,) float
-        Estimate: angle shown minus true angle.
+        Estimated error at each angle: angle shown by the sensor minus true angle.
     root_deg : (m, k) float
         Change of the error by one standard uncertainty of each of k independent causes.
     dof : float
@@ -82,9 +83,9 @@ class ErrorCurve:
 
     @cached_property
     def _independent(self) -> Floats:
-        """Change (m, q) of the error by each of q independent causes.
+        """Change (m, q) of the error by one standard deviation of each of q independent causes.
 
-        Causes below the rounding error are left out.
+        Causes whose effect on the error is below the rounding error are left out.
         """
         left, size, _ = np.linalg.svd(self.root_deg, full_matrices=False)
         kept = size > _NOTHING * size.max(initial=0.0)
@@ -92,15 +93,15 @@ class ErrorCurve:
 
     @cached_property
     def _rays(self) -> Floats:
-        """Change (n, m) of the error along n random directions of the causes' unit sphere.
+        """Change (n, m) of the error along n random unit vectors in the space of the independent causes.
 
-        Of two opposite directions only one is present.
+        Of two opposite vectors only one is present.
         """
         z = np.random.default_rng(0).normal(size=(_DIRECTIONS, self._independent.shape[1]))
         return np.asarray((z / np.linalg.norm(z, axis=1, keepdims=True)) @ self._independent.T)
 
     def exceeds(self, tolerance_deg: float) -> float:
-        """Probability that the largest |error| of the turn is above a tolerance."""
+        """Return the probability that the largest |error| of the turn is above a tolerance."""
         from scipy.special import chdtr, fdtr
 
         causes = self._independent.shape[1]
@@ -125,7 +126,7 @@ class ErrorCurve:
         return float(1 - 0.5 * np.where(high > low, within, 0.0).mean())
 
     def bound_deg(self, risk: float) -> float:
-        """Tolerance that the largest |error| of the turn exceeds with this probability."""
+        """Return the tolerance that the largest |error| of the turn exceeds with probability `risk`."""
         from scipy.optimize import brentq
 
         most = float((np.abs(self.error_deg) + self.U_deg).max())
@@ -176,11 +177,11 @@ class Tolerance(JsonRecord):
 
     @property
     def accepted_risk(self) -> float:
-        """Largest specific risk of a false accept with which the rule states a pass."""
+        """Largest probability of a false accept (specific risk) with which the rule still states a pass."""
         return self.risk if self.rule == "guarded" else SIMPLE_RISK
 
     def verdict(self, curve: ErrorCurve) -> tuple[Verdict, float]:
-        """Decide if the error conforms at every angle; return also the risk of a false accept."""
+        """Return pass, fail or undecided for an error curve, and the risk that a pass would be false."""
         risk = curve.exceeds(self.limit_deg)
         vague = LEAST_RATIO * float(curve.U_deg.max()) > self.limit_deg
         open_ = self.risk < risk < 1 - self.risk
@@ -189,7 +190,7 @@ class Tolerance(JsonRecord):
         return "pass" if risk <= self.accepted_risk else "fail", risk
 
     def decide(self, curve: ErrorCurve) -> Conformity:
-        """Decide as in `verdict`, with the largest error and the smallest tolerance that would pass."""
+        """Return the verdict for an error curve with the figures on which it is based (`Conformity`)."""
         verdict, risk = self.verdict(curve)
         at = int((np.abs(curve.error_deg) + curve.U_deg).argmax())
         largest = float(np.abs(curve.error_deg).max())
@@ -198,7 +199,7 @@ class Tolerance(JsonRecord):
 
 
 class Conformity(JsonRecord):
-    """Conformity of the angle with a tolerance.
+    """Statement whether the error of an angle is within a tolerance, with the risks of this statement.
 
     Attributes
     ----------
@@ -206,9 +207,9 @@ class Conformity(JsonRecord):
     false_accept, false_reject : float
         Specific risks: the probability that the largest |error| is above the tolerance, and that it is not.
     largest_deg : float
-        Largest |estimate| of the error.
+        Largest modulus of the estimated error over the turn.
     at_deg : float
-        Angle at which |estimate| + U is largest.
+        Angle at which the modulus of the estimated error plus U is largest.
     bound_deg : float
         Smallest tolerance with which the rule would state a pass.
     """
@@ -222,7 +223,7 @@ class Conformity(JsonRecord):
 
     @property
     def reason(self) -> str:
-        """Largest error and risk of the statement, in one line."""
+        """Text of one line: the risk of a wrong statement, and the smallest tolerance that would pass."""
         error = with_unit(format_number(self.bound_deg, 2), "deg")
         accept = f"risk of a false accept {format_percent(self.false_accept)}"
         reject = f"risk of a false reject {format_percent(self.false_reject)}"
@@ -237,7 +238,7 @@ class Statement(JsonRecord):
     ----------
     tolerance : Tolerance
     without_calibration : Conformity or None
-        None for a sensor of unknown scale.
+        None for a sensor of unknown scale, which shows no angle without its calibration.
     with_calibration : Conformity
     """
 
@@ -247,22 +248,25 @@ class Statement(JsonRecord):
 
     @property
     def states(self) -> dict[str, Conformity]:
-        """Conformity by the state of the sensor.
+        """Conformity by the state of the sensor, `with calibration` or `without calibration`.
 
-        The states are `with calibration` and, if the sensor's scale is known, `without calibration`.
+        The latter is missing if the sensor's scale is unknown.
         """
         known = {"with calibration": self.with_calibration, "without calibration": self.without_calibration}
         return {name: one for name, one in known.items() if one is not None}
 
     @property
     def lines(self) -> list[str]:
-        """Text of the statement: the tolerance and the rule, and a line for each state of the sensor."""
+        """Text of the statement: a line with tolerance and rule, and a line for each state of the sensor."""
         found = [f"{name}: {one.verdict.upper()}, {one.reason}" for name, one in self.states.items()]
         return [f"Conformity with {self.tolerance}", *found]
 
 
 def state_conformity(tolerance: Tolerance, curves: tuple[ErrorCurve | None, ErrorCurve]) -> Statement:
-    """State if the sensor's angle conforms without and with its calibration, from both error curves."""
+    """State if the sensor's angle conforms without and with its calibration.
+
+    `curves` are the error curves without calibration (None for a sensor of unknown scale) and with it.
+    """
     before, after = curves
     without = None if before is None else tolerance.decide(before)
     return Statement(tolerance, without, tolerance.decide(after))

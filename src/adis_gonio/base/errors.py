@@ -29,7 +29,7 @@ from collections.abc import Iterable
 
 
 def one_line(text: str) -> str:
-    """Convert a text to one printable line: single spaces, and `?` for each unprintable letter.
+    """Convert a text to one printable line: single spaces, and `?` for each unprintable character.
 
     Text of a file or a device must not control a terminal. Undecodable bytes of a file name are kept.
     """
@@ -58,15 +58,15 @@ class DataError(AdisGonioError, ValueError):
 
 
 class NotInstalledError(AdisGonioError):
-    """An optional library is not installed; the message names the extra of this package to install."""
+    """An optional library is not installed; the message names the extra of adis-gonio that installs it."""
 
 
 class BusError(AdisGonioError):
-    """Base class of errors in the communication between the host and the chip."""
+    """Base class of errors in the communication between the host and the sensor chip."""
 
 
 def install_extra(extra: str) -> str:
-    """Command that installs an extra of this package, which comes as a clone."""
+    """Return the advice with the command that installs an extra of this package from its clone."""
     return f"run pip install '.[{extra}]' in the folder of adis-gonio"
 
 
@@ -87,7 +87,7 @@ class BusClosedError(BusError):
 
 
 class CapabilityError(BusError):
-    """The bus does not have the requested capability, such as a GPIO line."""
+    """The bus does not have the requested capability (`capability` of the bridge), such as a GPIO line."""
 
 
 class ChipError(AdisGonioError):
@@ -107,11 +107,11 @@ class VerifyError(ChipError):
 
 
 class StatusError(ChipError):
-    """The chip's STATUS register reports a fault; the message describes its bits in words."""
+    """The chip's STATUS register reports an error; the message describes its bits in words."""
 
 
 class FitError(AdisGonioError):
-    """No fit can give the requested result from this session."""
+    """No fit can give the requested result from the data of this session."""
 
 
 class SingularError(FitError):
@@ -127,11 +127,11 @@ class OutputError(AdisGonioError):
 
 
 class FleetError(AdisGonioError):
-    """A fleet has no worker: no process can be started, or no scheduler answers."""
+    """A group of worker processes (fleet) has no worker: no process starts, or no scheduler answers."""
 
 
 def suggest(word: str, known: Iterable[str]) -> str:
-    """Clause for a message about an unknown word: the most similar known word, or all known words."""
+    """Return the end of a message about an unknown word: the most similar known word, or all of them."""
     import difflib
 
     words = list(known)

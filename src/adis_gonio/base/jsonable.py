@@ -1,8 +1,6 @@
-"""Results as JSON, and caches of what is computed from them.
+"""Records as JSON objects, JSON texts from untrusted files, and a cache of computed results.
 
-Cache for results of functions of an immutable object, which is stored in this object.
-
-Values and records in JSON types, and JSON from untrusted files.
+The cache stores results of functions of an immutable object in this object.
 """
 
 from __future__ import annotations
@@ -20,14 +18,14 @@ T = TypeVar("T")
 
 
 class ComputedOnce:
-    """Base class of frozen dataclasses that cache the results of functions applied to them."""
+    """Base class of frozen dataclasses that cache the results of functions of the instance (`once`)."""
 
     @cached_property
     def _results(self) -> dict[tuple[Hashable, ...], Any]:
         return {}
 
     def once(self, function: Callable[..., T], *arguments: Hashable) -> T:
-        """Return `function(self, *arguments)`; later calls with equal arguments reuse the first result."""
+        """Return `function(self, *arguments)`; later calls with equal arguments return the first result."""
         key = (function, *arguments)
         if key not in self._results:
             self._results[key] = function(self, *arguments)
@@ -36,20 +34,21 @@ class ComputedOnce:
 
 
 MOST_DEPTH = 100
-"""Lists and objects inside one another; the documents of this program have fewer than ten."""
+"""Deepest nesting of lists and objects that is accepted; documents of this program have fewer than ten."""
 LARGEST_INTEGER = 2**63 - 1
 
 
 HIDDEN = {"hidden": True}
 """Metadata of a dataclass field that is omitted from the JSON document."""
 OPTIONAL = {"optional": True}
-"""Metadata of a field that is omitted if its value is its default, None or not finite."""
+"""Metadata of a dataclass field that is omitted from the document if its value is its default or null.
+None, NaN and infinity are null."""
 INLINE = {"inline": True}
-"""Metadata of a record field: its entries become entries of the outer document."""
+"""Metadata of a field that contains a record: the record's entries become entries of the outer document."""
 NAMED_BY_UNIT = {"named_by_unit": True}
-"""Metadata of a field with a key that ends in `_` and the `unit` of its record."""
+"""Metadata of a field with a key that ends in `_` and the value of its record's attribute `unit`."""
 KEYED_BY_NAME = {"keyed_by_name": True}
-"""Metadata of a field with several records, which are entries by their attribute `name`."""
+"""Metadata of a field with several records: the document has them as an object, keyed by their `name`."""
 
 
 def key(name: str) -> dict[str, str]:
@@ -77,12 +76,12 @@ class JsonRecord:
         dataclass(**{"frozen": True, **options})(cls)
 
     def as_dict(self) -> dict[str, Any]:
-        """The JSON object of this record."""
+        """Return the JSON object of this record."""
         return _document(self, self.document_keys)
 
 
 def json_object(**entries: Any) -> dict[str, Any]:
-    """Make a JSON object of these entries; `finite` converts each value to a JSON type."""
+    """Return a JSON object of these entries, with each value converted to a JSON type by `finite`."""
     return {name: finite(entry) for name, entry in entries.items()}
 
 

@@ -1,4 +1,4 @@
-"""Numbers as text for people: quantities with u and unit, shares, p-values, durations, counts, lists.
+"""Numbers as text for people: quantities with u and unit, percentages, p-values, durations, lists.
 
 Text for people has the minus sign U+2212, and no-break spaces inside a quantity, so that no line ends
 between a number and its unit. Numbers in files for programs (CSV, JSON, C) have the ASCII hyphen; other
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from adis_gonio.base.uncertainty import Value
 
 NO_BREAK = "\u00a0"
-"""Non-breaking space: no line ends here."""
+"""No-break space: a line must not end here."""
 DASH = "–"
 """Text for a missing value."""
 UNKNOWN = "u unknown"
@@ -29,14 +29,14 @@ NAMES = {
     "scale_y": "K_y",
     "scale_z": "K_z",
 }
-"""Symbols of parameters in formulas."""
+"""Symbols of parameters in formulas, by the names of the parameters."""
 HEAD = ("quantity", "unit", "value", "u", "U (95 %)", "k")
-"""Head of a table of `QuantityRow`."""
+"""Column headings of a table with rows of `QuantityRow`."""
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def format_number(value: float | None, digits: int = 3) -> str:
-    """Format a value with a number of significant digits; None becomes a dash."""
+    """Format a value with a number of significant digits; None, NaN and infinity become a dash."""
     if value is None or not math.isfinite(value):
         return DASH
     if value == 0:
@@ -48,24 +48,21 @@ def format_number(value: float | None, digits: int = 3) -> str:
 
 
 def format_fixed(value: float | None, decimals: int) -> str:
-    """Format a value with a number of decimals; None becomes a dash.
-
-    More than nine decimals are shown as a power of ten, such as `1.2·10⁻¹¹`.
-    """
+    """Format a value with a number of decimals; None, NaN and infinity become a dash."""
     if value is None or not math.isfinite(value):
         return DASH
     return use_minus(f"{value:.{decimals}f}") if decimals <= 9 else format_number(value, 2)
 
 
 def signed(value: float | None, decimals: int | None = None, *, digits: int = 0) -> str:
-    """Format a value with its sign, `+1.50` or `−1.50`; None becomes a dash.
+    """Format a value with its sign, `+1.50` or `−1.50`; None, NaN and infinity become a dash.
 
     Parameters
     ----------
     decimals : int or None
-        Number of decimals; None for as many as needed, at most six digits.
+        Number of decimals; None to use `digits`.
     digits : int
-        Number of significant digits instead of decimals.
+        Number of significant digits if `decimals` is None; 0 for as many as needed, at most six.
     """
     if value is None or not math.isfinite(value):
         return DASH
@@ -76,7 +73,7 @@ def signed(value: float | None, decimals: int | None = None, *, digits: int = 0)
 
 
 def format_span(low: float, high: float, decimals: int, unit: str) -> str:
-    """Format a range such as `24.4 to 24.9 °C`; a single value if both ends are alike."""
+    """Format a range such as `24.4 to 24.9 °C`; a single value if both ends have the same text."""
     ends = dict.fromkeys(format_fixed(end, decimals) for end in (low, high))
     return f"{' to '.join(ends)}{NO_BREAK}{unit}"
 
@@ -87,7 +84,7 @@ def use_minus(text: str) -> str:
 
 
 def count_decimals(u: float) -> int:
-    """Number of decimals that show an uncertainty `u` with two significant digits."""
+    """Return the number of decimals that show a standard uncertainty `u` with two significant digits."""
     return max(0, 1 - math.floor(math.log10(u))) if u > 0 else 6
 
 
@@ -95,7 +92,8 @@ def format_uncertain(value: float, expanded: float | None, unit: str = "", *, si
     """Format value ± expanded uncertainty U with two digits of U, such as `1.08 ± 0.13 mg`.
 
     With `sign`, a positive value has a plus sign.
-    Without an uncertainty (None, NaN) the text ends in `u unknown`; one of zero is left out.
+    Without an uncertainty (None, NaN) the text ends in `u unknown`; an
+    uncertainty of zero is not shown.
     """
     if expanded is None or not math.isfinite(expanded):
         return f"{with_unit(format_number(value, 4), unit)}, {UNKNOWN}"
@@ -127,7 +125,7 @@ def with_unit(text: str, unit: str) -> str:
 
 
 def label_quantity(name: str, unit: str) -> str:
-    """Heading of a table column: the quantity's symbol and its unit, such as `Δφ / °`."""
+    """Return the heading of a table column: the quantity's symbol and its unit, such as `Δφ / °`."""
     unit = format_unit(unit)
     return NAMES.get(name, name) + (f" / {unit}" if unit else "")
 
@@ -142,7 +140,7 @@ def format_p(p: float) -> str:
 
 
 def format_percent(fraction: float) -> str:
-    """Format a fraction as a percentage; values strictly between 0 and 100 are not rounded to these."""
+    """Format a fraction (0 to 1) as a percentage; near the ends as `> 99.9 %` or `< 0.1 %`."""
     if fraction >= 0.9995:
         return f">{NO_BREAK}99.9{NO_BREAK}%"
     if fraction < 0.0005:
@@ -152,7 +150,10 @@ def format_percent(fraction: float) -> str:
 
 
 def format_reduction(before: float | None, after: float | None) -> str:
-    """Format a reduction from `before` to `after`, such as ` (36 times less)`; empty if below 15 %."""
+    """Format a reduction from `before` to `after`, such as ` (36 times less)`.
+
+    The text is empty if the reduction is less than 15 % or a value is None.
+    """
     if before is None or after is None or after <= 0 or before < 1.15 * after:
         return ""
     ratio = before / after
@@ -181,7 +182,7 @@ def name_positions(positions: Sequence[int], most: int = 8) -> str:
 
 
 def format_ranges(numbers: Sequence[int]) -> str:
-    """Format a list of integers such as `1–4, 7, 9, 10`: three or more consecutive ones form a range."""
+    """Format integers as a list such as `1–4, 7, 9, 10`: three or more successive ones form a range."""
     rows: list[list[int]] = []
     for number in sorted(set(numbers)):
         if rows and number == rows[-1][-1] + 1:
@@ -192,13 +193,24 @@ def format_ranges(numbers: Sequence[int]) -> str:
 
 
 def join_words(words: Sequence[str], last: str = "and") -> str:
-    """Join words to an enumeration: `a`, `a and b`, or `a, b and c`."""
+    """Join words to an enumeration: `a`, `a and b`, or `a, b and c`; `last` replaces `and`."""
     return f" {last} ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
 @dataclass(frozen=True)
 class QuantityRow:
-    """Table row of one quantity, as texts: name, unit, value, u, U, k."""
+    """Table row of one quantity, as texts.
+
+    Attributes
+    ----------
+    name, unit, value : str
+    u : str
+        Standard uncertainty, or `u unknown`.
+    expanded : str
+        Expanded uncertainty U (95 %); a dash if unknown.
+    k : str
+        Coverage factor; a dash if unknown.
+    """
 
     name: str
     unit: str

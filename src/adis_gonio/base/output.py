@@ -12,12 +12,12 @@ from adis_gonio.base.errors import OutputError, UsageError
 
 
 def ends_in(path: str | Path, *endings: str) -> bool:
-    """True if a file name has one of these endings, in capital or small letters."""
+    """Return True if a file name has one of these endings, in capital or small letters."""
     return Path(path).name.lower().endswith(endings)
 
 
 def exists_error(path: str | Path, cure: str = "choose another name") -> UsageError:
-    """Make the error for a file that exists and must not be overwritten; `cure` is advice to the user."""
+    """Return the error for a file that exists and must not be overwritten; `cure` is advice to the user."""
     return UsageError(f"{path}: exists already; {cure} (nothing was changed)")
 
 
@@ -38,7 +38,7 @@ def check_output(
     UsageError
         The file exists and `force` is not set, or the path is a folder.
     OutputError
-        Its folder is not there or cannot be written to.
+        Its folder does not exist or cannot be written to.
     """
     path = Path(path)
     if path.is_dir():
@@ -65,7 +65,8 @@ def write_utf8(path: Path, text: str) -> int:
 def replacing(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path; its file replaces `path` if the block ends without an exception.
 
-    After any exception (a full disk, Ctrl-C) it is removed and `path` is unchanged. It has the ending of
+    After any exception (a full disk, Ctrl-C) the temporary file is removed and `path` is unchanged. The
+    temporary path has the ending of
     `path`, because some writers choose a format by it. For a symbolic link the target is replaced; a
     special file (`/dev/stdout`, a pipe) is written directly.
 
@@ -103,7 +104,7 @@ def _special(path: Path) -> bool:
 def _created_beside(target: Path) -> Path:
     """Create an empty temporary file in the folder of `target`, and return its path.
 
-    It has the permissions of `target`, or default permissions if `target` does not exist.
+    The new file has the permissions of `target`, or default permissions if `target` does not exist.
     """
     for number in count():
         beside = target.with_name(f".{os.getpid()}-{number}.part-{target.name}")
@@ -118,9 +119,9 @@ def _created_beside(target: Path) -> Path:
 
 
 def _flushed(path: Path) -> None:
-    """Write the content of a file to the disk.
+    """Flush the content of a file to the disk.
 
-    It happens before the file is renamed, so that a power cut leaves either the old or the new file.
+    This precedes the renaming of the file, so that a power cut leaves either the old or the new file.
     """
     with path.open("rb+") as file:
         os.fsync(file.fileno())
@@ -131,5 +132,5 @@ def _unwritten(path: Path, error: OSError) -> OutputError:
 
 
 def _about(error: OSError, beside: Path, target: Path) -> bool:
-    """True if an error concerns the output file or its temporary file, False for another file."""
+    """Return True if an error concerns the output file or its temporary file, False for another file."""
     return error.filename is None or Path(os.fsdecode(error.filename)) in (beside, target)

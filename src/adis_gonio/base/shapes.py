@@ -1,8 +1,9 @@
-"""Checks of the types and ranges of values from a file: each shape is a check, and names the mistake.
+"""Checks of the types and ranges of values from a file; each message names the value and the mistake.
 
-A shape is a function of one value that raises `ShapeError`. The error's message begins with the way to
-the value, such as `.positions[3].angle_deg is 'x': expected a number from -1e+06 to 1e+06`, so that the
-caller puts the name of the file or the row before it.
+A shape is a function of one value that raises `ShapeError` if the value does not pass. The error's message
+begins with the path to the value within the file's content, such as
+`.positions[3].angle_deg is 'x': expected a number from -1e+06 to 1e+06`; the caller puts the name of the
+file or the row before it.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ class ShapeError(ValueError):
 
 
 def shown(value: Any) -> str:
-    """Format a value for an error message, as one line of at most 40 characters."""
+    """Return a value as text for an error message: one line of at most 40 characters."""
     if isinstance(value, int) and value.bit_length() > 64:
         return f"an integer of {value.bit_length()} bits"  # Python refuses to print very long integers
     text = ascii(value) if isinstance(value, str) and not value.isprintable() else repr(value)
@@ -35,7 +36,7 @@ def _refuse(value: Any, expected: str) -> ShapeError:
 
 
 def number(low: float, high: float) -> Shape:
-    """Make a check that a value is a number from `low` to `high`; booleans and NaN fail."""
+    """Return a check that a value is a number from `low` to `high`; booleans and NaN fail."""
 
     def check(value: Any) -> None:
         if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
@@ -45,7 +46,7 @@ def number(low: float, high: float) -> Shape:
 
 
 def whole(low: int, high: int) -> Shape:
-    """Make a check that a value is an integer from `low` to `high`."""
+    """Return a check that a value is an integer from `low` to `high`."""
 
     def check(value: Any) -> None:
         if type(value) is not int or not low <= value <= high:
@@ -88,7 +89,7 @@ def anything(value: Any) -> None:
 
 
 def choice(*allowed: str | int | None) -> Shape:
-    """Make a check that a value is one of the `allowed` texts or integers."""
+    """Return a check that a value is one of the `allowed` texts or integers."""
 
     def check(value: Any) -> None:
         if (
@@ -103,7 +104,7 @@ def choice(*allowed: str | int | None) -> Shape:
 
 
 def nullable(shape: Shape) -> Shape:
-    """Make a check that a value is None or passes the check `shape`."""
+    """Return a check that a value is None or passes the check `shape`."""
 
     def check(value: Any) -> None:
         if value is not None:
@@ -113,7 +114,7 @@ def nullable(shape: Shape) -> Shape:
 
 
 def list_of(shape: Shape, least: int, most: int) -> Shape:
-    """Make a check for a list of `least` to `most` values that all pass the check `shape`."""
+    """Return a check for a list of `least` to `most` values that all pass the check `shape`."""
 
     def check(value: Any) -> None:
         if not isinstance(value, list) or not least <= len(value) <= most:
@@ -126,7 +127,7 @@ def list_of(shape: Shape, least: int, most: int) -> Shape:
 
 
 def mapping_of(shape: Shape) -> Shape:
-    """Make a check for an object with any names, in which each value passes the check `shape`."""
+    """Return a check for an object with any names, in which each value passes the check `shape`."""
 
     def check(value: Any) -> None:
         if not isinstance(value, dict):
@@ -140,12 +141,16 @@ def mapping_of(shape: Shape) -> Shape:
 def fields(
     required: Mapping[str, Shape], optional: Mapping[str, Shape] | None = None, others: Shape | None = None
 ) -> Shape:
-    """Make a check for an object with named values, each with a check for its value.
+    """Return a check for an object with named values, each with a check for its value.
 
     Parameters
     ----------
+    required : mapping of str to Shape
+        Names that must be present, with the check of each value.
+    optional : mapping of str to Shape, optional
+        Names that may be present.
     others : Shape, optional
-        Shape of values with other names; without it, they are refused.
+        Check of values with other names; without it, other names are refused.
     """
     known = {**required, **(optional or {})}
 

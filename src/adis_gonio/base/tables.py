@@ -1,4 +1,4 @@
-"""Tables of results: lines of plain text, HTML for notebooks, data frames."""
+"""Tables of results as lines of plain text, as HTML for notebooks, and as data frames."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ if TYPE_CHECKING:
 
 Row = Mapping[str, Any]
 Entries = Iterable[tuple[str, Row]]
-"""Pairs of a parameter's name and its entry in a JSON document; two effects may share a name."""
+"""Pairs of a parameter's name and its entry in a JSON document; a name may occur twice (two effects)."""
 
 
 def align_columns(rows: Sequence[Sequence[str]], texts: int = 2, indent: int = 2) -> list[str]:
-    """Format table rows, head included, as lines of plain text with aligned columns.
+    """Format table rows, column headings first, as lines of plain text with aligned columns.
 
-    The first `texts` columns are aligned to the left, the others to the right.
+    The first `texts` columns are aligned to the left, the others to the right. Each line is indented by
+    `indent` blanks.
     """
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
@@ -36,7 +37,7 @@ def align_columns(rows: Sequence[Sequence[str]], texts: int = 2, indent: int = 2
 
 
 def fold_text(text: str, width: int, indent: int = 0) -> list[str]:
-    """Wrap text to lines of at most `width` columns, each indented."""
+    """Wrap text to lines of at most `width` columns, each indented by `indent` blanks."""
     margin = " " * indent
     return textwrap.wrap(text, width, initial_indent=margin, subsequent_indent=margin) or [""]
 
@@ -65,13 +66,10 @@ def html_table(title: str, entries: Entries) -> str:
 
 
 class ParameterTable(JsonRecord):
-    """Base class of results with parameters, which notebooks show as a table.
-
-    It also converts the parameters to a pandas data frame.
-    """
+    """Base class of results with parameters: notebooks show it as a table of the parameters."""
 
     def caption_and_parameters(self) -> tuple[str, Entries]:
-        """Caption of the table, and the parameters by name, one for each row."""
+        """Return the table's caption, and the parameters' names and entries, one for each row."""
         return repr(self), self.as_dict()["parameters"].items()
 
     def _repr_html_(self) -> str:
@@ -95,13 +93,7 @@ class ParameterTable(JsonRecord):
 
 
 def frame(columns: Mapping[str, Any] | Sequence[Row]) -> pd.DataFrame:
-    """Make a pandas data frame from columns by name, or from a list of rows.
-
-    Raises
-    ------
-    NotInstalledError
-        pandas is not installed.
-    """
+    """Return a pandas data frame made from columns by name, or from a list of rows."""
     try:
         import pandas
     except ImportError:

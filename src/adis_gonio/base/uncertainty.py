@@ -1,8 +1,8 @@
 """Values with their uncertainty, and the significance levels and coverage factors of all results.
 
-JCGM 100:2008 (GUM), G.4.1 (Welch–Satterthwaite) and G.3.2 (Student's distribution). A changed level changes
-answers. Numbers of the search of the trace are in `adis_gonio.tracing.thresholds`, limits of a bring-up in
-`adis_gonio.bench.bringup.limits`.
+The methods are JCGM 100:2008 (GUM), G.4.1 (Welch–Satterthwaite) and G.3.2 (Student's distribution). A
+change of a level changes results. `adis_gonio.tracing.thresholds` has the numbers of the trace's search,
+and `adis_gonio.bench.bringup.limits` the limits for commissioning a sensor.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import format_uncertain
 
 INADEQUATE = 0.01
-"""p-value of χ² below which a residual is too large for the noise that was measured."""
+"""p-value of χ² below which the residual of a model is too large for the measured noise."""
 FOUND_WITHIN = 0.01
-"""Probability of any finding inside the dwells of a session without faults (family-wise)."""
+"""Probability that an undisturbed session has any finding within its dwells (family-wise)."""
 OUTLYING = 0.01
-"""Probability that a fleet without any outlying unit, stage or operator names one (family-wise)."""
+"""Probability that a population without any outlying unit, stage or operator names one (family-wise)."""
 DRIFTING = 0.05
-"""Probability of a false drift, over all quantities of a sensor (Bonferroni)."""
+"""Probability that any quantity of a stable sensor is reported to drift over its history (Bonferroni)."""
 SLOW_NOISE = 0.025
-"""One-sided p-value below which a noise process is present: its 95 % interval excludes zero."""
+"""One-sided p-value below which a noise process counts as present: its 95 % interval excludes zero."""
 LINE_IN_NOISE = 1e-4
-"""Probability that noise alone shows a spectral line in a record at rest."""
+"""Probability that noise alone shows a spectral line in a recording of the sensor at rest."""
 LINK_REFUSED = 1e-3
-"""p-value below which links by gyros contradict gravity."""
+"""p-value below which links (turns recorded by the gyros) contradict the poses shown by gravity."""
 COMMON_DIVISOR = 1e-6
-"""Probability below which a common divisor of differences between samples is not chance."""
+"""Probability below which a common divisor of all differences between samples is not chance."""
 POSITION_QUESTIONED = 1e-4
-"""Probability that a correct position is questioned: one in a hundred tumbles of 100."""
+"""Probability that a correct position is reported as doubtful: 1 % for a hundred positions together."""
 CREDIBLE_SET = 0.95
 """Smallest total probability of the credible set of names for one session."""
 POPULATION_SET = 0.99
@@ -49,9 +49,9 @@ NORMAL_95 = 1.959963984540054
 
 
 def coverage_factor(dof: float) -> float:
-    """Coverage factor k for 95 %: the quantile of Student's distribution with `dof` degrees of freedom.
+    """Return the coverage factor k for 95 %: the quantile of Student's distribution with `dof`.
 
-    Fewer than 1 degree of freedom counts as 1.
+    `dof` are the degrees of freedom; fewer than 1 count as 1.
     """
     if math.isinf(dof):
         return NORMAL_95
@@ -61,9 +61,9 @@ def coverage_factor(dof: float) -> float:
 
 
 def wilson(hits: float, n: int, z: float = NORMAL_95) -> tuple[float, float]:
-    """Confidence interval (Wilson, 1927) of the probability of an event with `hits` in `n` trials.
+    """Return Wilson's confidence interval (1927) of the probability of an event with `hits` in `n` trials.
 
-    It has a confidence of 95 % by default, and is 0 to 1 if n is 0.
+    `z` is the coverage factor, by default for 95 %. The interval is 0 to 1 if n is 0.
     """
     if n == 0:
         return 0.0, 1.0
@@ -74,9 +74,9 @@ def wilson(hits: float, n: int, z: float = NORMAL_95) -> tuple[float, float]:
 
 
 def effective_dof(parts: Sequence[tuple[float, float]]) -> float:
-    """Effective degrees of freedom of a sum of variances: (Σ v)² / Σ (v²/ν) (Welch–Satterthwaite).
+    """Return the effective degrees of freedom of a sum of variances (Welch–Satterthwaite).
 
-    Each part is (variance v, degrees of freedom ν). The result may be infinite.
+    They are (Σ v)² / Σ (v²/ν) for `parts` of (variance v, degrees of freedom ν), and may be infinite.
     """
     total = sum(variance for variance, _ in parts)
     doubt = sum(variance**2 / dof for variance, dof in parts if math.isfinite(dof) and variance > 0)
@@ -84,7 +84,10 @@ def effective_dof(parts: Sequence[tuple[float, float]]) -> float:
 
 
 def expanded(u: float | None, dof: float, factor: float | None = None) -> tuple[float | None, float | None]:
-    """Coverage factor k (`factor` if given) and expanded uncertainty U = k·u; None if u is unknown."""
+    """Return the coverage factor k and the expanded uncertainty U = k·u; both are None if u is unknown.
+
+    k is `factor` if given, else computed from the degrees of freedom `dof`.
+    """
     if u is None or not math.isfinite(u):
         return None, None
     k = coverage_factor(dof) if factor is None else factor
@@ -92,10 +95,10 @@ def expanded(u: float | None, dof: float, factor: float | None = None) -> tuple[
 
 
 def factor_over(variances: Floats, dof: float) -> float:
-    """Coverage factor for 95 % of errors with different variances (m,), relative to their rms value.
+    """Return the coverage factor for 95 % of errors with different variances (m,), relative to their rms.
 
-    Each error has Student's distribution with `dof`; if the variances differ much, the mixture has longer
-    tails than each of them.
+    Each error has Student's distribution with `dof` degrees of freedom; if the variances differ much, the
+    mixture has longer tails than each of them.
     """
     from scipy.special import stdtr
 
@@ -118,14 +121,24 @@ def factor_over(variances: Floats, dof: float) -> float:
 
 @dataclass(frozen=True)
 class Value:
-    """A value with its standard uncertainty (None if not determined), unit and degrees of freedom."""
+    """A value with its standard uncertainty.
+
+    Attributes
+    ----------
+    value : float
+    u : float or None
+        Standard uncertainty; None if not determined.
+    unit : str
+    dof : float
+        Degrees of freedom of u; infinite if u is exactly known.
+    """
 
     value: float
     u: float | None
     unit: str
     dof: float = math.inf
     factor: float | None = None
-    """Coverage factor, if the distribution is not Student's with `dof`."""
+    """Coverage factor for 95 % if the error does not have Student's distribution with `dof`; else None."""
 
     def __str__(self) -> str:
         """Format the value with its expanded uncertainty U and unit, such as `1.08 ± 0.26 mg`."""
@@ -133,16 +146,22 @@ class Value:
 
     @property
     def k(self) -> float | None:
-        """Coverage factor for 95 %: `factor`, or computed from `dof`; None without an uncertainty."""
+        """Coverage factor for 95 %: `factor`, or computed from `dof`; None if u is unknown."""
         return expanded(self.u, self.dof, self.factor)[0]
 
     @property
     def U(self) -> float | None:  # noqa: N802 (GUM)
-        """Expanded uncertainty U = k·u: the interval value ± U has a coverage of 95 %."""
+        """Expanded uncertainty U = k·u: value ± U contains the truth with a probability of 95 %.
+
+        It is None if u is unknown.
+        """
         return expanded(self.u, self.dof, self.factor)[1]
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON object with the keys value, u, dof, k, U and unit; `dof` is None if unlimited or unknown."""
+        """Return the JSON object with the keys value, u, dof, k, U and unit.
+
+        Entries that are unknown or infinite are None.
+        """
         k, expanded_u = expanded(self.u, self.dof, self.factor)
         return {
             "value": finite_or_none(self.value),
@@ -160,9 +179,20 @@ def finite_or_none(value: float | None) -> float | None:
 
 
 class Detectable(JsonRecord):
-    """Smallest amplitude of an effect that the session can detect; None if it can detect none.
+    """Smallest amplitude of an effect that a session can detect with 90 % probability.
 
     Its JSON document is one value of `detectable` in a result.
+
+    Attributes
+    ----------
+    amplitude : float or None
+        None if the session cannot detect the effect at any amplitude.
+    unit : str
+        Unit of the amplitude.
+    parameter : str
+        Name of the effect's parameter that has this amplitude.
+    reason : str
+        Reason if `amplitude` is None, else empty.
     """
 
     amplitude: float | None
