@@ -257,7 +257,7 @@ class Statement(JsonRecord):
 
     @property
     def lines(self) -> list[str]:
-        """Text of the statement: a line with tolerance and rule, and a line for each state of the sensor."""
+        """Text of the statement: a line with tolerance and rule, and a line for each state of the part."""
         found = [f"{name}: {one.verdict.upper()}, {one.reason}" for name, one in self.states.items()]
         return [f"Conformity with {self.tolerance}", *found]
 

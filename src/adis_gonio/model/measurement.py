@@ -48,15 +48,16 @@ if TYPE_CHECKING:
     from adis_gonio.model.effects.base import Conditions
 
 SKEW_AXES: tuple[tuple[int, int], ...] = ((0, 1), (0, 2), (1, 2))
-"""Indices of the two axes of each skew: skew_xy, skew_xz, skew_yz."""
+"""Indices of the two axes between which each skew lies: skew_xy, skew_xz, skew_yz."""
 
 SENSOR_SPREAD = 0.2
-"""Prior standard deviation of gains, skews and misalignment (rad) of any device sold as a sensor."""
+"""Prior standard deviation of gains, skews and misalignment (rad) over all devices sold as sensors."""
 SEEN = 0.02
-"""Least visible effect of a gain or a skew for it to be fitted: the root mean square over the poses of the
-change of the norm for a value of 1, after the other base parameters and a bias are removed. Six faces of a
-cube set down with an error of a degree show less of a skew; a fit would exchange a bias of milli-g for a
-skew of degrees."""
+"""Least visible effect of a gain or a skew for this parameter to be fitted.
+The effect is the change of the norm of a reading, in units of gravity for a parameter value of 1: its root
+mean square over the poses, after the other base parameters and a bias are removed. Six faces of a cube set
+down with an error of a degree show less of a skew; a fit would exchange a bias of milli-g for a skew of
+degrees."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,7 @@ class BaseParameter:
 
     Attributes
     ----------
+    name : str
     unit : str
         Unit in results: `deg` (radians inside), `1`, or the measurement's own.
     nominal : float
@@ -88,7 +90,7 @@ class BaseParameter:
         return 180 / math.pi if self.unit == "deg" else 1.0
 
     def stated(self, value: float) -> float:
-        """Convert a value from natural units to `unit`; the start angle is wrapped to ±180°."""
+        """Convert a value from natural units (rad, 1) to `unit`; the start angle is wrapped to ±180°."""
         out = value * self.per_natural
         return wrap_degrees(out) if self.unit == "deg" and math.isinf(self.spread) else out
 
@@ -99,20 +101,23 @@ class Measurement(ABC):
     Attributes
     ----------
     parameters : tuple of BaseParameter
+        Base parameters, in the order of their values.
     axes : int
         Number of axes of a reading.
     freedom : int
         Number of unknown angles in the attitude of a dwell; the last dimension of `tangent`.
     part : str
-        Part of the sensor that gives the readings, as in `Effect.parts`.
+        Part of the sensor that gives the readings: `accelerometer` or `gyro`.
     unit : str
         Unit of the readings and of the terms that effects add.
     full : float
         Reading in `unit` for which the trace states the amplitude of a function that has no named cause.
     driven_by : tuple of str
-        Covariates of unnamed functions in addition to the conditions: `reading`, `force`, `rotation`.
+        Covariates on which an unnamed function may depend in addition to the recorded conditions:
+        `reading`, `force`, `rotation`.
     named_forms : mapping of str to tuple of str
-        Places (`bias`, `gain`, `misalignment`) for which the catalogue has a linear effect of a covariate.
+        For each covariate, the places (`bias`, `gain`, `misalignment`) at which the catalogue has an effect
+        in proportion to it, so that no unnamed function repeats this effect.
     """
 
     parameters: ClassVar[tuple[BaseParameter, ...]]
@@ -140,20 +145,20 @@ class Measurement(ABC):
         return False
 
     def stimulus(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """Quantity (n, axes) that the scale factors multiply, as a fraction of `full`."""
+        """Return the quantity (n, axes) that the scale factors multiply, as a fraction of `full`."""
         return ideal / self.full
 
     def pose(self, reading: Floats, conditions: Conditions) -> Floats | None:
-        """Unit vector (n, axes) of gravity along the sensor's axes, from the readings; None if unknown."""
+        """Return the unit vectors (n, axes) of gravity along the sensor's axes; None if unknown."""
         return np.asarray(reading / np.linalg.norm(reading, axis=1, keepdims=True))
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the base parameters."""
+        """Names of the base parameters, in their order."""
         return tuple(parameter.name for parameter in self.parameters)
 
     def index(self, name: str) -> int:
-        """Index of a base parameter in `parameters`, by its name."""
+        """Return the index of a base parameter in `parameters`, by its name."""
         return self.names.index(name)
 
     @property
@@ -162,51 +167,56 @@ class Measurement(ABC):
         return np.array([parameter.nominal for parameter in self.parameters])
 
     def by_pose(self, conditions: Conditions) -> NDArray[np.bool_]:
-        """For each reading (n,): True if its pose alone determines it, as for a sensor at rest."""
+        """Return for each reading (n,) if its pose alone determines it, as for a sensor at rest."""
         return np.ones(len(conditions), dtype=bool)
 
     @abstractmethod
     def begin(
         self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
     ) -> tuple[Floats, Floats]:
-        """Estimate rough starting values: base parameters (p,), and the attitude of each reading (n, axes).
+        """Return rough starting values: base parameters (p,), and the attitude of each dwell.
 
         Parameters
         ----------
+        reading : (n, axes) float
+            Measured readings in `unit`.
         turn_rad : (n,) float
-            −θ if `declared`, else 0.
+            −θ in rad if `declared` (θ is the declared angle), else 0.
         declared : (n,) bool
-            Dwells with a declared angle.
+            True for dwells with a declared angle.
         conditions : Conditions
             Circumstances of the dwells.
         """
 
     @abstractmethod
     def ideal(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Ideal readings (n, axes) in `unit` at the attitudes, rotated further by `turn_rad` (n,)."""
+        """Return the ideal readings (n, axes) in `unit` at attitudes rotated further by `turn_rad`."""
 
     @abstractmethod
     def tangent(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Derivative of `ideal` with respect to the attitude, (n, axes, freedom) in `unit` per rad."""
+        """Return the derivative of `ideal` by the attitude, (n, axes, freedom) in `unit` per rad."""
 
     @abstractmethod
     def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Derivative of `ideal` by the base parameters, (n, axes, p) in `unit` per natural unit."""
+        """Return the derivative of `ideal` by the base parameters, (n, axes, p), per rad or per 1."""
 
     @abstractmethod
     def moved(self, attitude: Floats, step: Floats) -> Floats:
-        """Return the attitudes after a change `step` (n, freedom) in rad."""
+        """Return the attitudes after a change of each one by `step` (n, freedom) in rad."""
 
     def deviation_rad(self, attitude: Floats) -> Floats:
-        """Angles (n, freedom) in rad of the attitudes from the declared ones, which a fit penalizes."""
+        """Return how far attitudes are from the declared ones, (n, freedom) in rad; a fit penalizes it."""
         return np.zeros((len(attitude), self.freedom))
 
     @abstractmethod
     def calibrated(self, base: Floats, reading: Floats) -> Floats:
-        """Calibrated output for readings (n, axes); of accelerometers, in units of local gravity."""
+        """Return the calibrated output for readings (n, axes); accelerometers: in local gravity."""
 
     def visible(self, reading: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """For each base parameter (p,): True if the given dwells can determine it."""
+        """Return for each base parameter (p,) if dwells with these readings can determine it.
+
+        `declared` (n,) is True for dwells with a declared angle.
+        """
         return np.ones(len(self.parameters), dtype=bool)
 
 
@@ -217,7 +227,7 @@ class PlanarTurn(Measurement):
     Attributes
     ----------
     gravity_mg : float
-        Local gravity.
+        Local gravity in mg.
     """
 
     gravity_mg: float
@@ -234,9 +244,10 @@ class PlanarTurn(Measurement):
     def begin(
         self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
     ) -> tuple[Floats, Floats]:
-        """Fit A cos θ + B sin θ to the declared dwells; return base parameters (4,) and δ (n,).
+        """Return starting values of the base parameters (4,) and of the deviations δ (n,).
 
-        Fewer than two different declared angles leave the scale factors and Δφ nominal.
+        They follow from a fit of A cos θ + B sin θ to the dwells with declared angles θ. Fewer than two
+        different declared angles leave the scale factors and Δφ nominal.
         """
         reading = reading / self.gravity_mg
         shown = np.arctan2(reading[:, 1], reading[:, 0])
@@ -258,7 +269,7 @@ class PlanarTurn(Measurement):
         return base, attitude
 
     def ideal(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Ideal readings K_x G cos ψ and K_y G sin(ψ + Δφ), (n, 2) in mg."""
+        """Return the ideal readings K_x G cos ψ and K_y G sin(ψ + Δφ), (n, 2) in mg."""
         alpha, k_x, k_y, skew = base
         psi = alpha + turn_rad + attitude
         ideal = np.empty((len(psi), 2))
@@ -268,7 +279,7 @@ class PlanarTurn(Measurement):
         return ideal
 
     def tangent(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Derivative of the readings with respect to δ: −K_x G sin ψ and K_y G cos(ψ + Δφ), (n, 2, 1)."""
+        """Return the derivative of the readings by δ: −K_x G sin ψ and K_y G cos(ψ + Δφ), (n, 2, 1)."""
         alpha, k_x, k_y, skew = base
         psi = alpha + turn_rad + attitude
         slope = np.empty((len(psi), 2, 1))
@@ -278,7 +289,7 @@ class PlanarTurn(Measurement):
         return slope
 
     def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Derivative of the readings with respect to α, K_x, K_y and Δφ, (n, 2, 4)."""
+        """Return the derivative of the readings with respect to α, K_x, K_y and Δφ, (n, 2, 4)."""
         alpha, _, k_y, skew = base
         psi = alpha + turn_rad + attitude
         columns = np.zeros((len(psi), 2, 4))
@@ -290,39 +301,40 @@ class PlanarTurn(Measurement):
         return columns
 
     def moved(self, attitude: Floats, step: Floats) -> Floats:
-        """Deviations δ (n,) in rad after a change by `step` (n, 1)."""
+        """Return the deviations δ (n,) in rad from the declared angles after a change by `step` (n, 1)."""
         return np.asarray(attitude + step[:, 0])
 
     def deviation_rad(self, attitude: Floats) -> Floats:
-        """Deviations δ from the declared angles, as (n, 1) in rad."""
+        """Return the deviations δ from the declared angles, as (n, 1) in rad."""
         return np.asarray(attitude[:, None])
 
     def calibrated(self, base: Floats, reading: Floats) -> Floats:
-        """Gravity (n, 2) along two perpendicular axes, in units of local gravity; Δφ is removed from y."""
+        """Return gravity (n, 2) along two perpendicular axes, in units of local gravity, free of Δφ."""
         _, k_x, k_y, skew = base
         x, y = reading[..., 0] / (self.gravity_mg * k_x), reading[..., 1] / (self.gravity_mg * k_y)
         return np.stack([x, (y - x * math.sin(skew)) / math.cos(skew)], axis=-1)
 
     def angle_rad(self, base: Floats, reading: Floats) -> Floats:
-        """Angle ψ (n,) in rad that a calibrated goniometer shows, for readings without effects."""
+        """Return the angle ψ (n,) in rad that a calibrated goniometer without effects shows."""
         gravity = self.calibrated(base, reading)
         return np.asarray(np.arctan2(gravity[..., 1], gravity[..., 0]))
 
     def visible(self, reading: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """For each base parameter (4,): True, except for the start angle if no angle is declared."""
+        """Return for each base parameter (4,) True, except for the start angle if no angle is declared."""
         return np.array([bool(declared.any()), True, True, True])
 
 
 @dataclass(frozen=True)
 class FreeAttitude(Measurement):
-    """Poses in space; the attitude of a dwell is the unit vector (3,) of gravity in the frame of D.
+    """Poses in space; the attitude of a dwell is the unit vector u (3,) of gravity in the sensor's frame.
 
-    Directions are unknown, so only the length of a calibrated reading informs a fit.
+    The frame is the one in which D has the axes as rows: X first, Y in the plane of x and y. Directions are
+    unknown, so only the length of a calibrated reading informs a fit.
 
     Attributes
     ----------
     gravity_mg : float
-        Local gravity.
+        Local gravity in mg.
     """
 
     gravity_mg: float
@@ -341,21 +353,21 @@ class FreeAttitude(Measurement):
     def begin(
         self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
     ) -> tuple[Floats, Floats]:
-        """Starting values: one scale factor for all axes without skews, (6,), and the directions (n, 3)."""
+        """Return starting values: one gain for all axes without skews, (6,), and directions (n, 3)."""
         length = np.linalg.norm(reading, axis=1, keepdims=True)
         gain = float(length.mean()) / self.gravity_mg
         return np.array([gain, gain, gain, 0.0, 0.0, 0.0]), reading / length
 
     def ideal(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Ideal readings G diag(K) D u (n, 3) in mg, with u the unit vector of gravity."""
+        """Return the ideal readings G diag(K) D u, (n, 3) in mg, with u the unit vector of gravity."""
         return np.asarray(self.gravity_mg * attitude @ sensitivity(base).T)
 
     def tangent(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Derivative of the readings by u along two directions normal to u, (n, 3, 2) in mg per rad."""
+        """Return the derivative of the readings by u along two normals of u, (n, 3, 2) in mg per rad."""
         return np.asarray(self.gravity_mg * np.einsum("jk,nkm->njm", sensitivity(base), across(attitude)))
 
     def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Derivative of the readings with respect to three scale factors and three skews, (n, 3, 6)."""
+        """Return the derivative of the readings by three scale factors and three skews, (n, 3, 6)."""
         columns = np.zeros((len(attitude), 3, 6))
         ideal = self.gravity_mg * attitude @ axes_matrix(base[3:]).T
         for axis in range(3):
@@ -366,20 +378,20 @@ class FreeAttitude(Measurement):
         return columns
 
     def moved(self, attitude: Floats, step: Floats) -> Floats:
-        """Unit vectors (n, 3) after a small rotation `step` (n, 2) along the directions of `across`."""
+        """Return the unit vectors (n, 3) after a small rotation `step` (n, 2) along `across` in rad."""
         # Step in the tangent plane, then back to unit length.
         turned = attitude + (across(attitude) @ step[:, :, None])[:, :, 0]
         return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True))
 
     def calibrated(self, base: Floats, reading: Floats) -> Floats:
-        """Gravity (n, 3) in the frame of D, in units of local gravity."""
+        """Return gravity (n, 3) in the sensor's frame, in units of local gravity."""
         return np.asarray(reading / self.gravity_mg @ np.linalg.inv(sensitivity(base)).T)
 
     def visible(self, reading: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """For each base parameter (6,): True if the poses determine it.
+        """Return for each base parameter (6,) if the poses determine it, with the limit `SEEN`.
 
-        `SEEN` is the limit. The norm of a reading changes by u_i² with a gain, u_i u_j with a skew and u_i
-        with a bias.
+        The norm of a reading changes by u_i² with a gain, u_i u_j with a skew and u_i with a bias, for the
+        unit vector u of gravity.
         """
         unit = reading / np.maximum(np.linalg.norm(reading, axis=1, keepdims=True), 1e-300)
         seen = np.zeros(6, dtype=bool)
@@ -396,12 +408,12 @@ class FreeAttitude(Measurement):
 
 
 def sensitivity(base: Floats) -> Floats:
-    """Sensitivity matrix diag(K) D (3, 3) of `base` (6,): three scale factors, three skews in rad."""
+    """Return the sensitivity matrix diag(K) D (3, 3) of `base` (6,): scale factors, then skews in rad."""
     return np.asarray(base[:3, None] * axes_matrix(base[3:]))
 
 
 def axes_matrix(skews_rad: Floats) -> Floats:
-    """Matrix D (3, 3) with the directions of the three axes as rows, from their skews in rad.
+    """Return the matrix D (3, 3) with the directions of the three axes as rows, from their skews in rad.
 
     The skews are (skew_xy, skew_xz, skew_yz); the text of the module defines them.
 
@@ -421,7 +433,7 @@ def axes_matrix(skews_rad: Floats) -> Floats:
 
 
 def axes_matrix_derivatives(skews_rad: Floats) -> Floats:
-    """Derivatives of D with respect to each skew, (3, 3, 3); the first index is the skew."""
+    """Return the derivatives of D with respect to each skew, (3, 3, 3); the first index is the skew."""
     axes = axes_matrix(skews_rad)
     (s_xy, s_xz, _), (c_xy, c_xz, c_yz) = np.sin(skews_rad), np.cos(skews_rad)
     y, z = axes[2, 1], axes[2, 2]
@@ -438,7 +450,7 @@ def axes_matrix_derivatives(skews_rad: Floats) -> Floats:
 
 
 def gains_and_skews(gram: Floats) -> tuple[Floats, Floats]:
-    """Recover scale factors (d,) and skews (pairs,) in rad from diag(K) D Dᵀ diag(K) (d, d), d = 2 or 3."""
+    """Return scale factors (d,) and skews (pairs,) in rad from diag(K) D Dᵀ diag(K) (d, d), d = 2 or 3."""
     # The diagonal has the squared gains; the rest has the cosines between the axes.
     gains = np.sqrt(np.diag(gram))
     cosines = gram / np.outer(gains, gains)
@@ -447,7 +459,7 @@ def gains_and_skews(gram: Floats) -> tuple[Floats, Floats]:
 
 
 def across(unit: Floats) -> Floats:
-    """Two perpendicular directions normal to each unit vector (n, 3), as columns of (n, 3, 2)."""
+    """Return two perpendicular directions normal to each unit vector (n, 3), as columns of (n, 3, 2)."""
     # The coordinate axis with the smallest component is never parallel to the vector.
     axis = np.eye(3)[np.abs(unit).argmin(axis=1)]
     first = _cross(unit, axis)
@@ -456,20 +468,20 @@ def across(unit: Floats) -> Floats:
 
 
 def _cross(a: Floats, b: Floats) -> Floats:
-    """Cross products of the rows, (n, 3); faster than `numpy.cross` by more than a factor of two."""
+    """Return the cross products of the rows, (n, 3); more than twice as fast as `numpy.cross`."""
     (ax, ay, az), (bx, by, bz) = a.T, b.T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
 
 
 FULL_DPS = 100.0
-"""Rate of a brisk turn by hand, at which amplitudes of unnamed functions are stated."""
+"""Rate in °/s of a brisk turn by hand; amplitudes of unnamed functions are stated at this rate."""
 
 
 @dataclass(frozen=True)
 class MeanRate(Measurement):
-    """The mean rate of turn over a dwell or a turn; as "attitude" it has the true rate (n, 3) in °/s.
+    """Mean readings of three gyros over a dwell or a turn; their "attitude" is the true rate (n, 3) in °/s.
 
-    The rate is known (`Conditions.rate_dps`), so that no attitude is free.
+    The true rate is known (`Conditions.rate_dps`), so that no attitude is fitted.
     """
 
     parameters = tuple(BaseParameter(f"gyro_bias_{axis}", "dps", 0.0, spread=math.inf) for axis in "xyz")
@@ -491,20 +503,20 @@ class MeanRate(Measurement):
         return True
 
     def stimulus(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """True rates of turn (n, 3) in units of 100 °/s; 0 for dwells at rest."""
+        """Return the true rates of turn (n, 3) in units of 100 °/s; 0 for dwells at rest."""
         if conditions.rate_dps is None:
             return np.zeros_like(ideal)
         return conditions.rate_dps / self.full
 
     def pose(self, reading: Floats, conditions: Conditions) -> Floats | None:
-        """Unit vector (n, 3) of the accelerometer readings; None if these were not recorded."""
+        """Return the unit vectors (n, 3) of the accelerometer readings; None if these were not recorded."""
         if conditions.force_g is None:
             return None
         length = np.linalg.norm(conditions.force_g, axis=1, keepdims=True)
         return np.asarray(conditions.force_g / np.maximum(length, 1e-12))
 
     def by_pose(self, conditions: Conditions) -> NDArray[np.bool_]:
-        """For each interval (n,): True if it is at rest; a turning one also depends on scale factors."""
+        """Return for each interval (n,) if it is at rest; a turn depends on scale factors too."""
         if conditions.rate_dps is None:
             return super().by_pose(conditions)
         return np.asarray(~conditions.rate_dps.any(axis=1))
@@ -512,7 +524,7 @@ class MeanRate(Measurement):
     def begin(
         self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
     ) -> tuple[Floats, Floats]:
-        """Starting values in °/s: mean reading at rest as zero rates (3,), and the true rates (n, 3)."""
+        """Return starting values in °/s: mean reading at rest as zero rates (3,), and true rates (n, 3)."""
         rate = np.zeros_like(reading) if conditions.rate_dps is None else conditions.rate_dps
         # Readings at rest show the zero rates; without rest, subtract the true rates.
         still = ~rate.any(axis=1)
@@ -520,15 +532,15 @@ class MeanRate(Measurement):
         return rest.mean(axis=0), rate
 
     def ideal(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Ideal readings: true rate plus zero rate, (n, 3) in °/s."""
+        """Return the ideal readings: true rate plus zero rate, (n, 3) in °/s."""
         return np.asarray(attitude + base)
 
     def tangent(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Empty array (n, 3, 0), because the true rates are known and no attitude is fitted."""
+        """Return an empty array (n, 3, 0), because the true rates are known and no attitude is fitted."""
         return np.zeros((len(attitude), self.axes, 0))
 
     def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Derivative of the readings by the zero rates: an identity matrix for each reading, (n, 3, 3)."""
+        """Return the derivative of the readings by the zero rates: n identity matrices, (n, 3, 3)."""
         return np.tile(np.eye(self.axes), (len(attitude), 1, 1))
 
     def moved(self, attitude: Floats, step: Floats) -> Floats:
@@ -536,5 +548,5 @@ class MeanRate(Measurement):
         return attitude
 
     def calibrated(self, base: Floats, reading: Floats) -> Floats:
-        """Readings minus the zero rates, (n, 3) in °/s."""
+        """Return the readings minus the zero rates, (n, 3) in °/s."""
         return np.asarray(reading - base)

@@ -38,7 +38,7 @@ _F = 1 / 298.257223563
 _M = 0.00344978650684
 
 ON_EARTH_MPS2 = (9.7, 9.9)
-"""Limits of a stated gravity: 9.764 (Huascarán) to 9.834 (Arctic Ocean), with a margin."""
+"""Limits of a stated gravity in m/s²: 9.764 (Huascarán) to 9.834 (Arctic Ocean), with a margin."""
 _SLIPS = {0.01: "cm/s² (Gal)", 1e-5: "mGal", 9.80665: "g", 9.80665e-3: "mg", 0.3048: "ft/s²"}
 
 
@@ -48,12 +48,13 @@ def checked_gravity_mps2(value: float, *, anywhere: bool = False) -> float:
     Parameters
     ----------
     anywhere : bool
-        Accept gravity of another place too, unless the number is gravity of the Earth in another unit.
+        Accept gravity elsewhere than on Earth too, unless the number is gravity of the Earth in another
+        unit.
 
     Raises
     ------
     UsageError
-        It lies outside `ON_EARTH_MPS2`; the message names the unit in which it would be right.
+        The value lies outside `ON_EARTH_MPS2`; the message names the unit in which it would be right.
     """
     low, high = ON_EARTH_MPS2
     slips = [f"; {value:g} {unit} are {value * k:.6g} m/s²" for k, unit in _SLIPS.items()]
@@ -67,7 +68,7 @@ def checked_gravity_mps2(value: float, *, anywhere: bool = False) -> float:
 
 
 def normal_gravity_mps2(latitude_deg: float, height_m: float = 0.0) -> float:
-    """Normal gravity in m/s² at a latitude and height, of the WGS 84 ellipsoid (Somigliana's formula).
+    """Return the normal gravity in m/s² at a latitude and height (WGS 84, Somigliana's formula).
 
     Real gravity differs by tens of mGal (1e-5 m/s² each). ΔK and Δφ do not depend on it; the scale factors
     get an uncertainty of about 3e-5.
@@ -88,13 +89,13 @@ def normal_gravity_mps2(latitude_deg: float, height_m: float = 0.0) -> float:
 
 
 REVERSED_DEG = 10.0
-"""Angle in degrees up to which a motion back counts as unevenness of the hand, not as a reversal."""
+"""Angle in degrees by which a hand may turn back without a reversal of the direction of turning."""
 NEARLY_DEG = 5.0
 """Angle in degrees that may be missing from a full turn."""
 
 
 class Sweeps:
-    """Counts full turns of an angle that is observed step by step, in one direction or back and forth.
+    """Counter of full turns of an angle observed step by step, in one direction or back and forth.
 
     Attributes
     ----------
@@ -111,7 +112,7 @@ class Sweeps:
         self._from = self._farthest = 0.0
 
     def see(self, angle_deg: float) -> None:
-        """Update the counts by the next angle in degrees, unwrapped (without jumps of 360°)."""
+        """Update the counts with the next angle in degrees, unwrapped (without jumps of 360°)."""
         self.angle_deg = angle_deg
         self._least, self._greatest = min(self._least, angle_deg), max(self._greatest, angle_deg)
         on = self._farthest - self._from
@@ -150,10 +151,11 @@ class Turn:
     time_s : (n,) float
         Time of each sample, increasing, on the clock of the dwells; n may be 0.
     accel, gyro : (n, 3) float
-        As in `Dwell`; `gyro` is None without gyros.
+        Samples in `Session.accel_unit` and `Session.gyro_unit`; `gyro` is None if gyros were not recorded.
     temperature_c, supply_v : (n,) float or None
+        Temperature in °C and supply in V; None if not recorded.
     temperatures_c : (n, 3) float or None
-        As in `Dwell`.
+        Temperatures in °C of the three gyros' dies; None if not all three were recorded.
     turned_deg : float or None
         Declared angle of the turn by a mark or a stop, about the vertical, positive counter-clockwise seen
         from above; None if it is not declared.
@@ -177,7 +179,7 @@ class Turn:
 
 
 def turns_of_recording(recording: Dwell, dwells: Sequence[Dwell]) -> tuple[Turn, ...]:
-    """Turns between successive dwells of a continuous recording, as views of its rows."""
+    """Return the turns between successive dwells of a continuous recording, as views of its rows."""
     made = []
     for before, after in pairwise(dwells):
         low = int(recording.time_s.searchsorted(before.time_s[-1], side="right"))
@@ -218,16 +220,16 @@ MG_PER_G = 1000.0
 MG_PER_MPS2 = 1000.0 / STANDARD_GRAVITY_MPS2
 
 METADATA = ("operator", "serial", "stage", "laboratory", "customer")
-"""Fields of a session with notes of the operator in addition to the title."""
+"""Names of the session's fields with texts of the operator, besides the title."""
 
 
 WIDEST_STEP_DEG = 45.0
-"""Widest step between angles of a certificate across which the errors of a stage are interpolated."""
+"""Largest step in degrees between certified angles of a stage across which its errors are interpolated."""
 
 
 @dataclass(frozen=True, eq=False)
 class StageCurve:
-    """Errors of a stage at angles of the turn, by its own certificate.
+    """Errors of a stage as a function of its angle, by the certificate of the stage.
 
     Attributes
     ----------
@@ -238,6 +240,7 @@ class StageCurve:
     error_deg : (m,) float
         Indicated minus true angle.
     covariance_deg2 : (m, m) float
+        Covariance of the errors.
     """
 
     name: str
@@ -247,7 +250,7 @@ class StageCurve:
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> StageCurve:
-        """Restore the curve from the JSON object of its fields."""
+        """Return the curve that the JSON object of its fields describes."""
         numbers = {name: np.array(value) for name, value in document.items() if name != "name"}
         return cls(document["name"], **numbers)
 
@@ -257,7 +260,7 @@ class StageCurve:
 
     @property
     def digest(self) -> str:
-        """Hash of the curve, by which sessions on one stage are recognised."""
+        """Hash of the curve; sessions on one stage have equal hashes."""
         return hashlib.sha256(json.dumps(self.as_dict()).encode()).hexdigest()
 
     def check(self, angles_deg: Iterable[float | None]) -> None:
@@ -266,7 +269,7 @@ class StageCurve:
         Raises
         ------
         UsageError
-            There are none, or one is between angles of the certificate that are too far apart.
+            No angle is declared, or one lies between angles of the certificate that are too far apart.
         """
         declared = [angle % 360 for angle in angles_deg if angle is not None]
         if not declared:
@@ -280,8 +283,9 @@ class StageCurve:
                 raise UsageError(f"{self.name}: the certificate has no errors of the stage near {angle:g}°")
 
     def at(self, angle_deg: Floats) -> tuple[Floats, Floats]:
-        """Errors (n,) in degrees at declared angles (n,), and their changes (n, k) by independent causes.
+        """Return the errors (n,) in degrees at declared angles (n,), and a root (n, k) of their covariance.
 
+        The root is the change of the errors by one standard uncertainty of each of k independent causes.
         Errors between the angles of the certificate are interpolated on straight lines.
         """
         rows = [
@@ -294,7 +298,7 @@ class StageCurve:
 
 
 UNSTATED: dict[str, Any] = {"angle_deg": math.nan, "turned_deg": math.nan, "approach": 0, "use": "fit"}
-"""Facts of a dwell that a column of the samples CSV states, with the value of a dwell that states none."""
+"""Facts of a dwell that have a column in the samples CSV, with the value for a dwell without the fact."""
 
 
 @dataclass(frozen=True)
@@ -306,25 +310,25 @@ class Dwell:
     position : int
         Number of the dwell in the session.
     time_s : (n,) float
-        Time of each sample, increasing.
+        Time of each sample in s, increasing.
     accel : (n, 2) or (n, 3) float
         Accelerometer samples in `Session.accel_unit`.
     angle_deg : float or None
-        Declared angle of the stage, positive for the rotation of the paper's equation 6; None unknown.
+        Declared angle θ of the stage, positive for a rotation that reduces ψ = α − θ; None if unknown.
     approach : int
-        Direction from which the position was reached, +1 or -1; 0 unknown.
+        Direction from which the position was reached, +1 from below or -1 from above; 0 if unknown.
     use : {"fit", "check"}
         `check` dwells take no part in a fit or in a choice of effects.
     gyro : (n, 3) float or None
-        Gyro samples in `Session.gyro_unit`.
+        Gyro samples in `Session.gyro_unit`; None if not recorded.
     temperature_c, supply_v : (n,) float or None
-        Temperature in °C (of several thermometers their mean) and supply in V.
+        Temperature in °C (of several thermometers their mean) and supply in V; None if not recorded.
     temperatures_c : (n, 3) float or None
         Temperatures of the three gyros' dies, if all three were recorded.
     first_row : int or None
-        First row of the dwell in the file, for messages.
+        First row of the dwell in the file, for messages; None without such a file.
     turned_deg : float or None
-        Declared angle of the turn that led here from the dwell before; see `Turn`.
+        Declared angle of the turn from the dwell before to this dwell (`Turn.turned_deg`); None if none.
     """
 
     position: int
@@ -348,7 +352,7 @@ class Dwell:
         return f"Dwell({self.position}: {angle}, {counted(len(self), 'sample')})"
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Columns (n,) of the samples CSV that this dwell has, by name; unstated facts have no column."""
+        """Return the columns (n,) of the samples CSV by name; an unstated fact has no column."""
         n = len(self)
         facts = {name: getattr(self, name) for name in ("position", *UNSTATED)}
         made: dict[str, NDArray[Any]] = {"time_s": self.time_s}
@@ -369,10 +373,14 @@ class Session(ComputedOnce):
 
     Attributes
     ----------
+    dwells : tuple of Dwell
+        In the order of recording.
     sensor : str
         `adis16354`, `adis16350`, `adis16355` or `generic`.
     accel_unit : str
         Unit of `Dwell.accel`; `counts` means an unknown scale and zero that the fit has to find.
+    gyro_unit : str
+        Unit of `Dwell.gyro`: `dps`, `radps`, or `counts` for an unknown scale.
     gravity_mps2 : float
         Local gravity in m/s².
     fixture_sigma_deg : float or None
@@ -382,26 +390,27 @@ class Session(ComputedOnce):
         Plane of rotation, or none for attitudes anywhere in space.
     stage_curve : StageCurve or None
         Errors of the stage by its certificate, which correct the declared angles; `fixture_sigma_deg` is
-        then the uncertainty of a declared angle besides them.
+        then the standard uncertainty of a declared angle without the uncertainty of these errors. None
+        without a certificate.
     reading_u_mg : float or None
-        Standard uncertainty of a dwell that has one sample only.
+        Standard uncertainty of the reading of a dwell with a single sample; None if not stated.
     title, operator, serial, stage, laboratory, customer : str
         Name of the session, the operator, the sensor's serial number, the stage, and for a certificate the
         laboratory and the customer, as written down; each is kept as one printable line.
     source : str
-        File that it came from.
+        Name of the file from which the session was read; empty without a file.
     notes : tuple of str
         Remarks of the reader of the file, one line each (segmentation, an unfinished session).
     cut_by_stillness : bool
         True if the dwells were cut out of a continuous recording, so that rest is not declared.
     recording : Dwell or None
-        The whole recording of a file that has samples between its dwells.
+        All samples of a file that has samples between its dwells, as one dwell; None for other files.
     free_turn : bool
         True if the recording is one turn without declared angles; there may then be no dwells.
     facts : mapping
-        Other facts of the file (configuration, registers, versions, truth of a simulation).
+        Other facts of the file by name (configuration, registers, versions, truth of a simulation).
     turns_from : callable or None
-        Reads the turns between the dwells from the file; None without turns.
+        Function that reads the turns between the dwells from the file; None if the file has none.
     """
 
     dwells: tuple[Dwell, ...]
@@ -440,15 +449,16 @@ class Session(ComputedOnce):
         return f"Session({name}: {held}, {self.sensor})"
 
     def to_pandas(self) -> pd.DataFrame:
-        """All samples as a pandas data frame with the columns of the samples CSV (extra: pandas)."""
+        """Return all samples as a pandas data frame with the columns of the samples CSV (extra: pandas)."""
         from adis_gonio.base.tables import frame
 
         return frame({name: np.concatenate(parts) for name, parts in self.columns().items()})
 
     def columns(self) -> dict[str, list[NDArray[Any]]]:
-        """Columns of the samples CSV that any dwell has, by name, as one array per dwell.
+        """Return the columns of the samples CSV that any dwell has, by name, as one array per dwell.
 
-        A fact that a dwell does not state is NaN, 0 or `fit` there. A free turn has no position.
+        For a dwell that does not state a fact, the column of this fact has NaN, 0 or `fit`. A free turn
+        has no position.
 
         Raises
         ------
@@ -473,7 +483,7 @@ class Session(ComputedOnce):
 
     @cached_property
     def turns(self) -> tuple[Turn, ...]:
-        """Turns (samples between successive dwells); read from the file when first asked for.
+        """Turns (samples between successive dwells), which are read from the file at the first access.
 
         Empty if the file has nothing between its dwells.
         """
@@ -486,7 +496,7 @@ class Session(ComputedOnce):
 
     @property
     def sampled(self) -> tuple[Dwell, ...]:
-        """Dwells in the form in which they are exported: a free turn counts as one dwell."""
+        """Dwells in the form for an export, in which the whole recording of a free turn is one dwell."""
         return (self.recording,) if self.free_turn and self.recording is not None else tuple(self.dwells)
 
     @property
@@ -500,5 +510,5 @@ class Session(ComputedOnce):
         return 1000.0 * self.gravity_mps2 / STANDARD_GRAVITY_MPS2
 
     def used_for(self, use: Use) -> Session:
-        """Copy of the session that contains only the dwells for one use, such as fit or check."""
+        """Return a copy of the session that contains only the dwells for one use, such as `fit`."""
         return replace(self, dwells=tuple(dwell for dwell in self.dwells if dwell.use == use))

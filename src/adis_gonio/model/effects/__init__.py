@@ -1,6 +1,6 @@
 """The catalogue of effects by name: the effects of this package, and the effects of other packages.
 
-An effect is a named physical term that the seed paper's model lacks; other packages add effects by entry
+An effect is a named physical term that the base model lacks; other packages add effects by entry
 points.
 
 >>> from adis_gonio.model.effects import parse_effect
@@ -45,7 +45,7 @@ BUILT_IN: dict[str, type[Effect]] = {
     if isinstance(kind, type) and issubclass(kind, Effect)
     if kind.__module__ == module.__name__ and "name" in vars(kind)
 }
-"""Effects of this package, in the order of their definition: every class that declares a name."""
+"""Effect classes of this package by name, in the order of their definition."""
 
 
 def catalogue(part: str | None = None) -> dict[str, type[Effect]]:
@@ -54,7 +54,7 @@ def catalogue(part: str | None = None) -> dict[str, type[Effect]]:
     Parameters
     ----------
     part : str, optional
-        Return only the effects of this part of the sensor (`Measurement.part`).
+        `accelerometer` or `gyro`: return only the effects of this part of the sensor; all by default.
 
     Raises
     ------
@@ -94,7 +94,10 @@ def catalogue(part: str | None = None) -> dict[str, type[Effect]]:
 
 @cache
 def _installed(path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
-    """Entry points of effects in the packages on a path; cached, because reading them takes long."""
+    """Return the entry points of effects in the packages on an import path.
+
+    The result is cached, because reading it takes long.
+    """
     return tuple(entry_points(group=ENTRY_POINT_GROUP))
 
 
@@ -106,10 +109,10 @@ def effect(name: str, axes: Sequence[str] = ("x", "y"), **choices: int) -> Effec
     name : str
         One of `catalogue()`.
     axes : sequence of str
-        Axes of the effect; ignored for an effect without a choice of axes (of the stage).
+        Axes of the effect; ignored for an effect without a choice of axes, such as one of the stage.
     choices : int
-        Fields other than the axes: `dwell` of `position_slip` and `outlier_dwell`, `degree` of
-        `bias_temperature`, `cycles` of `stage_periodic`.
+        Other fields of the effect than its axes: `dwell` of `position_slip` and `outlier_dwell`, `degree`
+        of `bias_temperature`, `cycles` of `stage_periodic`.
 
     Raises
     ------
@@ -124,7 +127,7 @@ def effect(name: str, axes: Sequence[str] = ("x", "y"), **choices: int) -> Effec
 
 
 def constant_effect(axes: Sequence[str]) -> Effect:
-    """Create the effect of the group `constant` (`Effect.prior`): an offset of each of these axes."""
+    """Return the effect that adds a constant offset to each of these axes: the catalogue's bias."""
     return next(kind for kind in BUILT_IN.values() if kind.prior == "constant")(tuple(axes))
 
 
@@ -139,11 +142,11 @@ def _kind(name: str) -> type[Effect]:
 
 
 def parse_effect(text: str, axes: Sequence[str] = ("x", "y")) -> tuple[Effect, Floats]:
-    """Create an effect and its parameter values from a word of a command line.
+    """Return an effect and its parameter values from the text of a command-line option.
 
-    `quadratic` has all parameters at their typical size. `quadratic:k2_x=2.5` sets the named parameters;
-    other amplitudes are zero, shapes (such as time constants) stay typical. Choices belong to this list:
-    `position_slip:dwell=3,slip=0.1`. A parameter of the z axis adds that axis.
+    Without values, as in `quadratic`,  all parameters have their typical size. `quadratic:k2_x=2.5` sets
+    the named parameters; other amplitudes are zero, shapes (such as time constants) stay typical. Choices
+    belong to this list: `position_slip:dwell=3,slip=0.1`. A parameter of the z axis adds that axis.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Effects: named physical terms that the seed paper's model lacks.
+"""Effects: named physical terms that the base model lacks.
 
 An effect states its name, its parameters with units and bounds, the term that it adds to a reading and its
 derivative, the covariates that it needs, its cause in one sentence, and the measurement that separates it
@@ -115,7 +115,7 @@ COVARIATES = (
     "angle", "approach", "force", "order", "previous_angle", "reading", "rotation", "supply",
     "temperature", "temperature_rate", "time", "variance",
 )  # fmt: skip
-"""Names of quantities on which an effect may depend; the trace compares effects by these names."""
+"""Names of the covariates on which an effect may depend; the trace compares effects by these names."""
 CYCLE = "repeat a few positions about 10 °C warmer, and again after it has cooled"
 ONE_TURN = "remount the part turned by 180° and repeat some angles"
 MEMORY = "depends on the history before the reading, which a single reading does not show"
@@ -134,7 +134,7 @@ _OF_CONDITION = {
 
 
 class Enters(StrEnum):
-    """The quantity that an effect changes: the sensor's attitude, its readings, or its samples."""
+    """Where an effect enters the model: the attitude of the sensor, its readings, or its samples."""
 
     ATTITUDE = "attitude"
     READING = "reading"
@@ -147,13 +147,14 @@ class Parameter:
 
     Attributes
     ----------
+    name, unit : str
     low, high : float
-        Physical bounds in `unit`; a fit outside them is not believed.
+        Physical bounds of the value in `unit`; a fitted value outside them is not plausible.
     typical : float
-        Magnitude that a bench would see; the starting point of a simulation by name.
+        Magnitude that is typical on a bench, in `unit`; the value in a simulation if no other is given.
     shape : bool
-        False for an amplitude: the effect is absent at zero. True for a time constant, a frequency or a
-        limit, which has no meaning if the amplitude is zero.
+        False  for an amplitude: the effect is absent if it is zero. True for a time constant, a frequency
+        or a limit, which has no meaning if the amplitude is zero.
     """
 
     name: str
@@ -180,34 +181,34 @@ class Conditions:
     Attributes
     ----------
     time_s : (n,) float
-        Time since the session began.
+        Time since the beginning of the session.
     angle_rad : (n,) float
         Declared angle of the stage θ.
     order : (n,) float
         Number of the dwell in the order of recording, from 0.
     approach : (n,) float
-        Direction of approach, +1, -1 or 0.
+        Direction from which the position was reached: +1 from below, -1 from above, 0 unknown.
     previous_angle_rad : (n,) float
         Declared angle of the dwell before; the first dwell has its own angle.
     time_in_dwell_s : (n,) float
-        Time since the move ended.
+        Time of a sample since the end of the move to its position.
     temperature_c, supply_v : (n,) float
-        Temperature of the die and supply.
+        Temperature of the die in °C, and supply voltage in V.
     temperature_history : tuple of (m,) float, (m,) float
-        Times (increasing, on the clock of `time_s`) and temperatures of the whole session, for effects
-        with memory.
+        Times  (increasing, on the clock of `time_s`) and temperatures in °C of the whole session, for
+        effects with memory.
     temperatures_c : (n, 3) float
-        Temperatures of the dies of the three gyros, of which `temperature_c` is the mean.
+        Temperatures in °C of the dies of the three gyros; `temperature_c` is their mean.
     force_g : (n, 3) float
         Readings of the accelerometers, in g.
     rate_dps : (n, 3) float
         True mean rate of turn in °/s, about the axes of the accelerometers; 0 at rest.
     abs_rate_dps : (n, 3) float
-        Mean modulus of that rate; None to use the modulus of the mean.
+        Mean modulus of the rate of turn in °/s; None to use the modulus of `rate_dps`.
     load_history : tuple of (m,) float, (m, axes) float
-        Times and readings of the axes of the whole session, in mg.
+        Times and readings (in mg) of the whole session, for effects with memory of the load.
     variance_mg2 : (n, axes) float
-        Variance of the samples within the dwell.
+        Variance of the samples within each dwell, in mg².
 
     Raises
     ------
@@ -244,11 +245,11 @@ class Conditions:
         return {name: rows for name, rows in every.items() if rows is not None}
 
     def lacks(self, needs: Sequence[str]) -> tuple[str, ...]:
-        """Return the names in `needs` of covariates that the session did not record."""
+        """Return those names of fields in `needs` that the session did not record."""
         return tuple(name for name in needs if getattr(self, name) is None)
 
     def covariate(self, name: str) -> Floats:
-        """Return a covariate (n,) or (n, k) by its field name; `UsageError` if it was not recorded."""
+        """Return a recorded covariate (n,) or (n, k) by its field name; else raise `UsageError`."""
         found: Floats | None = getattr(self, name)
         if found is None:
             raise UsageError(f"the session does not record {name}")
@@ -256,13 +257,14 @@ class Conditions:
 
     @cached_property
     def _late(self) -> dict[tuple[str, int | None, float], tuple[Floats, Floats]]:
-        """Cache of the results of `late` by its arguments, because a search repeats few values of τ."""
+        """Cache of the results of `late` by its arguments, since a search repeats few time constants."""
         return {}
 
     def late(self, history: str, axis: int | None, tau_s: float) -> tuple[Floats, Floats]:
-        """Quantity (n,), lagged with time constant τ, and its derivative by τ per s.
+        """Return a recorded quantity (n,) lagged with time constant τ, and its derivative by τ per s.
 
-        `history` is the name of a field; `axis` is the column of a history that has one per axis.
+        `history` is  the field with the quantity, such as `temperature_history`; `axis` is the column of a
+        history that has one column for each axis, else None.
         """
         key = history, axis, tau_s
         if key not in self._late:
@@ -271,7 +273,7 @@ class Conditions:
         return self._late[key]
 
     def rows(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Conditions:
-        """Return the conditions of the selected rows; the histories are not cut."""
+        """Return the conditions of the selected rows; the histories stay complete."""
         chosen: dict[str, Any] = {name: rows[index] for name, rows in self._rows().items()}
         return Conditions(
             **chosen, temperature_history=self.temperature_history, load_history=self.load_history
@@ -282,13 +284,13 @@ class Conditions:
 class Effect(ABC):
     """Base class of all effects; an effect is immutable, and its parameter values are passed in.
 
-    A subclass describes itself by the class attributes below. Fields other than `axes` are choices: whole
+    A subclass sets the class attributes below. Fields other than `axes` are choices: whole
     numbers that no gradient can find, such as the number of the dwell that slipped.
 
     Attributes
     ----------
     axes : tuple of str
-        Axes on which it acts; empty for an effect of the stage or of the whole sensor.
+        Axes on which the effect acts; empty for an effect of the stage or of the whole sensor.
 
     Raises
     ------
@@ -300,43 +302,41 @@ class Effect(ABC):
 
     name: ClassVar[str]
     cause: ClassVar[str]
-    """Cause, in one sentence."""
+    """Physical cause of the effect, in one sentence."""
     formula: ClassVar[str]
-    """Added term as a line of text: i is an axis, p another axis, and a_i the reading of axis i in mg."""
+    """Term that the effect adds: i is an axis, p another axis, and a_i the reading of axis i in mg."""
     separated_by: ClassVar[str]
-    """Other effects that look alike, and the measurement that separates them."""
+    """Other effects that change the readings alike, and the measurement that separates them."""
     covariates: ClassVar[tuple[str, ...]]
-    """Covariates in words of `COVARIATES`, the most important first; empty for a constant.
-
-    The default follows from `needs`; `catalogue` refuses an effect that declares neither.
-    """
+    """Covariates of the effect in words of `COVARIATES`, the most important first; empty for a constant.
+    The default follows from `needs`; `catalogue` refuses an effect that declares neither."""
     enters: ClassVar[Enters] = Enters.READING
     needs: ClassVar[tuple[str, ...]] = ()
-    """Fields of `Conditions` without which it cannot be computed."""
+    """Names of the fields of `Conditions` without which the effect cannot be computed."""
     by_axis: ClassVar[bool] = True
-    """True if it acts on the axes of `axes`, False if it has no choice of axes."""
+    """True if the effect acts on the axes in `axes`, False if it has no choice of axes."""
     one_axis: ClassVar[bool] = False
-    """True if a candidate acts on one axis only, because on several axes it includes another cause."""
+    """True if the trace tries single axes only: on several axes it would include another cause."""
     within_dwell: ClassVar[bool] = False
-    """True if it shows in the samples within a dwell, and not in differences between dwells."""
+    """True if the effect shows in the samples within a dwell, and not in differences between dwells."""
     in_base: ClassVar[bool] = False
-    """True if it is part of the model that every session fits."""
+    """True if a fit of a session already contains the effect: bias, scale, misalignment, gravity."""
     prior: ClassVar[str] = ""
-    """Group of effects with a larger prior weight: `constant`, `curvature` or `force`; empty: weight 1."""
+    """Group of effects with another prior weight than 1: `constant`, `curvature`, `force`; empty for 1."""
     remedy: ClassVar[str] = ""
-    """Advice to the operator if no further position separates it from its rivals."""
+    """Advice to the operator if no further position separates the effect from others that look alike."""
     remedy_in_space: ClassVar[str] = ""
-    """Remedy for free attitudes, if `remedy` needs a plane of rotation."""
+    """Advice that replaces `remedy` for free attitudes, if `remedy` needs a plane of rotation."""
     correctable: ClassVar[bool] = False
-    """True if later readings can be corrected for it, by reading, rate, force, temperature or supply."""
+    """True if later readings can be corrected for the effect from the conditions of each reading."""
     not_corrected: ClassVar[str] = ""
-    """Reason why later readings cannot be corrected for it."""
+    """Reason why later readings cannot be corrected for the effect; empty if none is stated."""
     shown_over: ClassVar[str] = ""
-    """Covariate on the x axis of its figure; empty for the first of `covariates`."""
+    """Covariate on the x axis of the effect's figure; empty for the first of `covariates`."""
     parts: ClassVar[tuple[str, ...]] = ("accelerometer",)
-    """Parts of the sensor that show it, in words of `Measurement.part`."""
+    """Parts of the sensor that show the effect: `accelerometer`, `gyro`."""
     options: ClassVar[dict[str, tuple[int, ...]]] = {}
-    """Possible values of the choices; names and units of the parameters identify the choice."""
+    """Values that the trace tries for a choice, by its name; parameter names identify the choice."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -373,16 +373,16 @@ class Effect(ABC):
         """Parameters in a fixed order; a parameter of one axis ends in the axis letter (`bias_x`)."""
 
     def attitude_rad(self, values: Floats, conditions: Conditions) -> Floats:
-        """Angle (n,) in rad that the effect adds to the true angle; zero unless `enters` is ATTITUDE."""
+        """Return the angle (n,) in rad added to the true angle; zero unless `enters` is ATTITUDE."""
         return np.zeros(len(conditions))
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Terms added to the readings, (n, axes) in their unit; zero unless the effect `enters` by READING.
+        """Return the terms added to the readings, (n, axes) in their unit; zero unless `enters` is READING.
 
         Parameters
         ----------
         values : (p,) float
-            Parameters in the order of `parameters`.
+            Values of the parameters, in the order of `parameters`.
         ideal : (n, axes) float
             Ideal reading of each axis (after gain and misalignment); two columns x, y or three x, y, z.
 
@@ -396,13 +396,14 @@ class Effect(ABC):
     def samples_mg(
         self, values: Floats, samples_mg: Floats, conditions: Conditions, rng: np.random.Generator
     ) -> Floats:
-        """Return the samples (n, axes) in mg, changed by the effect if it `enters` by SAMPLES."""
+        """Return the samples (n, axes) in mg, changed by the effect only if `enters` is SAMPLES."""
         return samples_mg
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Derivative of `attitude_rad` or of `reading` with respect to the parameters.
+        """Return the derivative of `attitude_rad` or of `reading` with respect to the parameters.
 
-        By central differences unless an effect overrides it, as every effect of this package does.
+        It is computed  by central differences unless an effect overrides it, as every effect of this
+        package does.
 
         Returns
         -------
@@ -411,7 +412,7 @@ class Effect(ABC):
         Raises
         ------
         UsageError
-            The effect enters by the samples: a reading has no derivative by it.
+            The effect changes samples, so that a reading has no derivative by its parameters.
         """
         if self.enters is Enters.SAMPLES:
             raise UsageError(f"{self.name} changes samples: a reading has no derivative by its parameters")
@@ -425,7 +426,9 @@ class Effect(ABC):
     def defaults(
         self, given: Mapping[str, float] | None = None, others: Literal["typical", "zero"] = "typical"
     ) -> Floats:
-        """Parameter values in order: given by name, else typical; with others="zero", amplitudes are zero.
+        """Return the parameter values in order: `given` by name, else typical.
+
+        With others="zero", amplitudes that are not given are zero instead.
 
         Raises
         ------
@@ -450,7 +453,7 @@ class Effect(ABC):
         )
 
     def columns_of(self, readings: Floats) -> list[int]:
-        """Indices of the columns of readings (n, 2) or (n, 3) for `axes`; `UsageError` if z is missing."""
+        """Return the columns of `axes` in readings (n, 2) or (n, 3); `UsageError` if z is not recorded."""
         columns = [AXES.index(axis) for axis in self.axes]
         if columns and max(columns) >= readings.shape[1]:
             raise UsageError(f"{self.name} acts on {', '.join(self.axes)}, but z was not recorded")
@@ -458,15 +461,15 @@ class Effect(ABC):
 
 
 def did_you_mean(name: str, known: Sequence[str]) -> str:
-    """Text such as " (did you mean 'bias'?)" with the known name most similar to `name`, or ""."""
+    """Return a text such as " (did you mean 'bias'?)" with the known name most similar to `name`, or ""."""
     near = get_close_matches(name, known, n=1)
     return f" (did you mean '{near[0]}'?)" if near else ""
 
 
 def by_letters(prototypes: Sequence[Parameter], letters: Sequence[str]) -> tuple[Parameter, ...]:
-    """Parameters made from each prototype and each axis letter: `k2` becomes `k2_x`, `k2_y`.
+    """Return a copy of each parameter for each axis letter: `k2` becomes `k2_x`, `k2_y`.
 
-    The order is letter by letter, with all prototypes of one letter together.
+    `prototypes` are the parameters without a letter. All parameters of one letter are together.
     """
     return _by_letters(tuple(prototypes), tuple(letters))
 
@@ -478,16 +481,16 @@ def _by_letters(prototypes: tuple[Parameter, ...], letters: tuple[str, ...]) -> 
 
 @dataclass(frozen=True)
 class AxisEffect(Effect):
-    """An effect that acts on each of its axes independently; by default on x and y, the plane of turns."""
+    """Base class of effects that act on each of their axes independently; by default on x and y."""
 
     axes: tuple[str, ...] = ("x", "y")
 
 
 class LinearEffect(AxisEffect):
-    """An axis effect that is linear in its parameters: the reading is derivative times parameters."""
+    """Base class of axis effects that are linear in their parameters: reading = derivative × parameters."""
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Terms added to the readings: sum of parameter times basis function, (n, axes) in their unit."""
+        """Return the terms added to the readings, Σ parameter · basis function, (n, axes) in their unit."""
         added = np.zeros(ideal.shape)
         for value, rows in zip(
             values, np.moveaxis(self.derivative(values, ideal, conditions), -1, 0), strict=True
@@ -498,26 +501,26 @@ class LinearEffect(AxisEffect):
 
 @dataclass(frozen=True)
 class LinearAxisEffect(LinearEffect):
-    """Adds Σ_k value_ik · basis_k(i) to the reading of axis i, with no coupling between axes."""
+    """Base class of effects that add Σ_k value_ik · basis_k(i) to the reading of axis i alone."""
 
     coefficients: ClassVar[tuple[Parameter, ...]]
-    """One prototype for each basis function; the letter of the axis is appended to its name."""
+    """Parameter of each basis function without the axis; the letter of the axis is appended to its name."""
 
     def active(self) -> tuple[Parameter, ...]:
-        """Prototypes of the coefficients in use; a choice of the effect may leave some out."""
+        """Return the coefficients in use; a choice of the effect, such as `degree`, may omit some."""
         return self.coefficients
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Coefficients of the first axis, then of the second axis, and so on."""
+        """Parameters: the coefficients of the first axis, then of the second axis, and so on."""
         return by_letters(self.active(), self.axes)
 
     @abstractmethod
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Basis functions (n,) for the reading in column `axis`, one for each coefficient in use."""
+        """Return the basis functions (n,) for column `axis` of the readings, one per coefficient."""
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Derivative of the readings (n, axes, p): the basis functions, independent of `values`."""
+        """Return the derivative of the readings (n, axes, p): basis functions, whatever the `values`."""
         columns = self.columns_of(ideal)
         count = len(self.active())
         design = np.zeros((*ideal.shape, count * len(columns)))
@@ -530,30 +533,30 @@ class LinearAxisEffect(LinearEffect):
 
 @dataclass(frozen=True)
 class CrossEffect(LinearEffect):
-    """Adds Σ_p value_ip · basis(a_i, a_p, conditions) to the reading of axis i, p being the other axes.
+    """Base class of effects that add Σ_p value_ip · basis(a_i, a_p, conditions) to the reading of axis i.
 
-    In the plane (`axes` without z) each of x and y has the other as its partner; with z each axis has two
-    partners. Names of parameters end in both letters, `name_ip`.
+    p are the other axes.  In the plane (`axes` without z) each of x and y has the other as its partner;
+    with z each axis has two partners. Names of parameters end in both letters, `name_ip`.
     """
 
     coefficient: ClassVar[Parameter]
 
     def pairs(self) -> tuple[tuple[str, str], ...]:
-        """Pairs (axis, other axis) of letters in the order of the parameters."""
+        """Return the pairs (axis, other axis) of letters in the order of the parameters."""
         reach = AXES if "z" in self.axes else AXES[:2]
         return tuple((axis, other) for axis in self.axes for other in reach if other != axis)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One coefficient for each pair of axes in `pairs`."""
+        """Parameters: one coefficient for each pair of axes in `pairs`."""
         return by_letters((self.coefficient,), [axis + other for axis, other in self.pairs()])
 
     @abstractmethod
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
-        """Basis function (n,) from the ideal readings of an axis and of the axis across it."""
+        """Return the basis function (n,) from the ideal readings in mg along and across an axis."""
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Derivative of the readings (n, axes, p): the basis functions, independent of `values`."""
+        """Return the derivative of the readings (n, axes, p): basis functions, whatever the `values`."""
         self.columns_of(ideal)
         pairs = self.pairs()
         design = np.zeros((*ideal.shape, len(pairs)))
@@ -565,26 +568,26 @@ class CrossEffect(LinearEffect):
 
 @dataclass(frozen=True)
 class CourseEffect(AxisEffect):
-    """Adds value_i · course(shape) to the reading of axis i: one amplitude an axis, one common shape."""
+    """Base class of effects that add value_i · course(shape) to axis i: amplitudes and one shape."""
 
     amplitude: ClassVar[Parameter]
     shape: ClassVar[Parameter]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The amplitude of each axis, then the common shape parameter."""
+        """Parameters: the amplitude of each axis, then the common shape, such as a time constant."""
         return (*by_letters((self.amplitude,), self.axes), self.shape)
 
     def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
-        """Course (n,) of all axes, and its derivative (n,) with respect to the shape parameter."""
+        """Return the course (n,) that all axes share, and its derivative (n,) by the shape parameter."""
         raise NotImplementedError
 
     def courses(self, shape: float, ideal: Floats, conditions: Conditions) -> list[tuple[Floats, Floats]]:
-        """For each axis in `axes`: its course (n,) and the derivative (n,) by the shape parameter."""
+        """Return for each axis in `axes` its course (n,) and the derivative (n,) by the shape parameter."""
         return [self.course(shape, conditions)] * len(self.axes)
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Terms added to the readings: amplitude times course, (n, axes) in the unit of the readings."""
+        """Return the terms added to the readings: amplitude times course, (n, axes) in their unit."""
         added = np.zeros(ideal.shape)
         courses = self.courses(float(values[-1]), ideal, conditions)
         for value, column, (course, _) in zip(values[:-1], self.columns_of(ideal), courses, strict=True):
@@ -592,7 +595,7 @@ class CourseEffect(AxisEffect):
         return added
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Derivative of the readings (n, axes, p) with respect to the amplitudes and the shape."""
+        """Return the derivative of the readings (n, axes, p) by the amplitudes and the shape."""
         design = np.zeros((*ideal.shape, len(values)))
         courses = self.courses(float(values[-1]), ideal, conditions)
         for k, (column, (course, slope)) in enumerate(zip(self.columns_of(ideal), courses, strict=True)):
@@ -610,7 +613,7 @@ def decay(time_s: Floats, tau_s: float) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True)
 class StageEffect(Effect):
-    """An effect of the stage that adds Σ_k value_k · basis_k, in degrees, to the true angle."""
+    """Base class of effects of the stage that add Σ_k value_k · basis_k, in degrees, to the true angle."""
 
     coefficients: ClassVar[tuple[Parameter, ...]]
     enters = Enters.ATTITUDE
@@ -618,19 +621,19 @@ class StageEffect(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One coefficient, in degrees, for each basis function."""
+        """Parameters: one coefficient, in degrees, for each basis function."""
         return self.coefficients
 
     @abstractmethod
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
-        """Dimensionless basis functions (n,) of the angle, one for each coefficient."""
+        """Return the dimensionless basis functions (n,) of the angle, one for each coefficient."""
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Derivative (n, p) of the angle with respect to the coefficients, in rad per degree."""
+        """Return the derivative (n, p) of the true angle by the coefficients, in rad per degree."""
         return np.deg2rad(np.stack(self.basis(conditions), axis=-1))
 
     def attitude_rad(self, values: Floats, conditions: Conditions) -> Floats:
-        """Angle (n,) in rad that the stage's error adds to the true angle of the sensor."""
+        """Return the angle (n,) in rad that the stage's error adds to the true angle of the sensor."""
         angle = np.zeros(len(conditions))
         for value, rows in zip(values, self.basis(conditions), strict=True):
             angle += np.deg2rad(value) * rows

@@ -1,4 +1,4 @@
-"""Effects of the gyros: terms of a mean rate in addition to the zero rate.
+"""Effects of the gyros: terms that a mean rate of turn contains in addition to the zero rate.
 
 Readings are in °/s, forces are the readings of the accelerometers in g, Ω are the true rates of turn about
 the axes of the accelerometers. Sizes are estimates; the sheet of the siblings gives a g-sensitivity of 0.05
@@ -32,16 +32,16 @@ WHOLE_TURNS = "turn the part by whole turns about each axis, to both sides (plan
 
 
 def _die_c(axis: int, conditions: Conditions) -> Floats:
-    """Die temperature (n,) in °C of one gyro, or the mean temperature if the gyros have no own readings."""
+    """Return the die temperature (n,) in °C of one gyro; without own readings the mean of all gyros."""
     mean = conditions.covariate("temperature_c")
     return mean if conditions.temperatures_c is None else conditions.temperatures_c[:, axis]
 
 
 @dataclass(frozen=True)
 class GyroBiasTemperature(BiasTemperature):
-    """Zero rate as a polynomial of degree 1 to 3 in T − 25 °C.
+    """The zero rate follows the temperature: a polynomial of degree 1 to 3 in T − 25 °C.
 
-    T is the temperature of the gyro's own die if all three dies were recorded.
+    T is the temperature of the gyro's own die if all three dies were recorded, else the mean temperature.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class GyroBiasTemperature(BiasTemperature):
     )
 
     def die_c(self, axis: int, conditions: Conditions) -> Floats:
-        """Die temperature (n,) of the gyro in °C, or the mean temperature if its own is unknown."""
+        """Return the die temperature (n,) of the gyro in °C, or the mean of all gyros if unknown."""
         return _die_c(axis, conditions)
 
 
@@ -77,8 +77,9 @@ class GSensitivity(LinearAxisEffect):
     Attributes
     ----------
     force : int
-        0: along all three axes; 1 to 3: along x, y or z alone. If that component follows the order of the
-        poses it is one column like a drift, and both are compared on equal terms.
+        0:  along all three axes; 1 to 3: along x, y or z alone. If the force along one axis follows the
+        order of the poses, the effect then has one column for each gyro like a drift, and the trace
+        compares both on equal terms.
     """
 
     force: int = 0
@@ -109,26 +110,28 @@ class GSensitivity(LinearAxisEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """A coefficient for each gyro and force axis, named by both letters, the gyro's letter first."""
+        """Parameters: one for each gyro and force axis, named by both letters, the gyro's letter first."""
         return by_letters(self.coefficients, [own + AXES[k] for own in self.axes for k in self._along])
 
     def active(self) -> tuple[Parameter, ...]:
-        """Prototypes of the coefficients of one gyro: one for each axis of the force."""
+        """Return the coefficients of one gyro without its letter: one for each axis of the force."""
         return self.coefficients * len(self._along)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Components (n,) of the force in g along the axes that `force` selects."""
+        """Return the components (n,) of the force in g along the axes that the choice `force` selects."""
         return tuple(conditions.covariate("force_g")[:, self._along].T)
 
 
 @dataclass(frozen=True)
 class G2Sensitivity(LinearAxisEffect):
-    """Zero rate shifted by the squared force along one axis; at 1 g the three squares add up to 1.
+    """The squared force along one axis shifts the zero rate.
+
+    At rest the three squares add up to 1 g², so each axis of the force is a choice of its own.
 
     Attributes
     ----------
     force : int
-        Axis of the force, 0 to 2.
+        Axis of the force, 0 to 2 for x to z.
     """
 
     force: int = 2
@@ -156,16 +159,19 @@ class G2Sensitivity(LinearAxisEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One coefficient for each gyro, named by the gyro's letter and then the force's letter."""
+        """Parameters: one for each gyro, named by the gyro's letter and then the force's letter."""
         return by_letters(self.coefficients, [axis + AXES[self.force] for axis in self.axes])
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Square (n,) of the force component along the axis `force`, in g²."""
+        """Return the square (n,) of the force component along the axis `force`, in g²."""
         return (conditions.covariate("force_g")[:, self.force] ** 2,)
 
 
 class GyroScale(LinearAxisEffect):
-    """Relative error of a gyro's scale factor; `fit` states `gyro_scale_i` = 1 + gyro_scale_error_i."""
+    """The scale factor of a gyro has a relative error.
+
+    A fit states `gyro_scale_i` = 1 + gyro_scale_error_i.
+    """
 
     name = "gyro_scale"
     cause = "The sensitivity of a gyro differs from its nominal one."
@@ -181,12 +187,12 @@ class GyroScale(LinearAxisEffect):
     coefficients = (Parameter("gyro_scale_error", "1", -0.2, 0.2, 0.01),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """True rate of turn (n,) about the gyro's axis in °/s."""
+        """Return the true rate of turn (n,) about the gyro's axis in °/s."""
         return (conditions.covariate("rate_dps")[:, axis],)
 
 
 class GyroScaleTemperature(LinearAxisEffect):
-    """The gain changes in proportion to the temperature of the gyro's die."""
+    """The gain of a gyro changes in proportion to the temperature of its die."""
 
     name = "gyro_scale_temperature"
     cause = "The sensitivity of a gyro changes with the temperature of its die."
@@ -202,7 +208,7 @@ class GyroScaleTemperature(LinearAxisEffect):
     coefficients = (Parameter("gyro_scale_temperature", "ppm/°C", -5000.0, 5000.0, 100.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """True rate of turn times (T − 25 °C), (n,), scaled by 10⁻⁶ for a coefficient in ppm/°C."""
+        """Return the true rate times (T − 25 °C), (n,), scaled by 10⁻⁶ for a coefficient in ppm/°C."""
         above = _die_c(axis, conditions) - REFERENCE_C
         return (1e-6 * above * conditions.covariate("rate_dps")[:, axis],)
 
@@ -233,11 +239,11 @@ class GyroMisalignment(AxisEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Two misalignment angles for each gyro: towards each of the other two axes."""
+        """Parameters: two misalignment angles for each gyro, towards each of the other two axes."""
         return by_letters((self.coefficient,), [AXES[i] + AXES[p] for i, p in self._pairs()])
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Change of the gyro readings by the misalignments, (n, 3) in °/s."""
+        """Return the change of the gyro readings by the misalignments, (n, 3) in °/s."""
         rate = conditions.covariate("rate_dps")
         self.columns_of(ideal)
         added = np.zeros(ideal.shape)
@@ -251,7 +257,7 @@ class GyroMisalignment(AxisEffect):
         return added
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Derivative of the gyro readings by the misalignment angles, (n, 3, p) in °/s per degree."""
+        """Return the derivative of the gyro readings by the angles, (n, 3, p) in °/s per degree."""
         rate = conditions.covariate("rate_dps")
         design = np.zeros((*ideal.shape, len(values)))
         sines, cosines = np.sin(np.deg2rad(values)), np.cos(np.deg2rad(values))
@@ -272,8 +278,8 @@ class GyroDrift(LinearAxisEffect):
     Attributes
     ----------
     steps : int
-        0: with time; 1: by an equal step from each dwell to the next, independent of the time, as by
-        handling.
+        0:  in proportion to time; 1: by an equal step from each dwell to the next, however long it takes,
+        as by handling.
     """
 
     steps: int = 0
@@ -304,11 +310,11 @@ class GyroDrift(LinearAxisEffect):
             )
 
     def active(self) -> tuple[Parameter, ...]:
-        """Prototype of the coefficient in use: drift per minute, or per dwell if `steps` is 1."""
+        """Return the coefficient in use: drift per minute, or per dwell if `steps` is 1."""
         return (self.coefficients[self.steps],)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Minutes (n,) since the start of the session, or the number of the dwell if `steps` is 1."""
+        """Return the minutes (n,) since the session's start; the dwells' numbers if `steps` is 1."""
         return (conditions.covariate("order") if self.steps else conditions.time_s / 60.0,)
 
 
@@ -347,7 +353,7 @@ class GyroSupply(SupplyBias):
 
 
 class GyroAsymmetry(LinearAxisEffect):
-    """Scale factor 1 + A for positive rates of turn, 1 − A for negative rates."""
+    """The scale factor of a gyro is 1 + A for positive rates of turn, 1 − A for negative rates."""
 
     name = "gyro_asymmetry"
     cause = "The gain of a gyro differs between the two senses of turning."
@@ -363,14 +369,14 @@ class GyroAsymmetry(LinearAxisEffect):
     coefficients = (Parameter("gyro_asymmetry", "1", -0.1, 0.1, 0.001),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Absolute value (n,) of the true rate of turn about the gyro's axis in °/s."""
+        """Return the absolute value (n,) of the true rate of turn about the gyro's axis in °/s."""
         rate = conditions.covariate("rate_dps")
         modulus = np.abs(rate) if conditions.abs_rate_dps is None else conditions.abs_rate_dps
         return (modulus[:, axis],)
 
 
 class GyroOutlierDwell(OutlierDwell):
-    """Counterpart of `OutlierDwell` for gyros: the readings of one dwell deviate by any amount."""
+    """The gyro readings of one dwell deviate by any amount; the catalogue's `outlier_dwell` for gyros."""
 
     coefficients = (Parameter("offset", "dps", -300.0, 300.0, 0.1),)
     parts = GYRO

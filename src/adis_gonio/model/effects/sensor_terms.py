@@ -38,7 +38,7 @@ _OBLIQUE = (
 
 
 class Bias(LinearAxisEffect):
-    """A constant error of the reading: the term K0 of the usual accelerometer model."""
+    """The reading has a constant error: the term K0 of the usual accelerometer model."""
 
     name = "bias"
     cause = "An axis does not read zero without acceleration along it."
@@ -55,12 +55,12 @@ class Bias(LinearAxisEffect):
     coefficients = (Parameter("bias", "mg", -1000.0, 1000.0, 10.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Constant basis function: ones, (n,)."""
+        """Return the constant basis function: ones, (n,)."""
         return (np.ones(len(ideal)),)
 
 
 class Scale(LinearAxisEffect):
-    """A relative error of the gain; in every fit of this package it is a base parameter."""
+    """The gain has a relative error; in every fit of this package it is a base parameter."""
 
     name = "scale"
     covariates = ("reading",)
@@ -76,16 +76,17 @@ class Scale(LinearAxisEffect):
     coefficients = (Parameter("scale", "1", -0.1, 0.1, 0.001),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Ideal reading (n,) of the axis in mg."""
+        """Return the ideal reading (n,) of the axis in mg."""
         return (ideal[:, axis],)
 
 
 class Misalignment(CrossEffect):
-    """The linear part of cross-axis sensitivity.
+    """An axis is misaligned towards another one: the linear part of its cross-axis sensitivity.
 
     In the plane the four linear terms (two gains, two misalignments) are the base parameters K_x, K_y, α
     and Δφ; in space with free attitudes six of the nine linear terms are gains and skews, and the other
-    three are a rotation, which gravity cannot show. A fit therefore finds it in the base parameters.
+    three are  a rotation, which gravity cannot show. A fit therefore finds this effect in the base
+    parameters.
     """
 
     name = "misalignment"
@@ -103,16 +104,16 @@ class Misalignment(CrossEffect):
     coefficient = Parameter("misalignment", "deg", -5.0, 5.0, 0.25)
 
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
-        """Ideal reading (n,) of the axis across, times π/180, for a coefficient in degrees."""
+        """Return the ideal reading (n,) of the axis across, times π/180, for a coefficient in degrees."""
         return np.deg2rad(across_mg)
 
 
 class CrossAxis(CrossEffect):
-    """Cross coupling K_ip: the sensitivity of an axis depends on the acceleration across it.
+    """The sensitivity of an axis depends on the acceleration across it, by the coefficient K_ip.
 
     The linear part of cross-axis sensitivity is `misalignment`, which the base model contains in every
-    session. The visible part of the cross-axis response is the product a_i a_p, which gives sin 2t in a
-    tumble.
+    session. The remaining part of the cross-axis response is the product a_i a_p, which gives sin 2t in a
+    tumble with the angle t.
     """
 
     name = "cross_axis"
@@ -129,12 +130,12 @@ class CrossAxis(CrossEffect):
     coefficient = Parameter("kip", "mg/g²", -100.0, 100.0, 1.0)
 
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
-        """Product (n,) of the ideal readings of the axis and of the axis across it, in g²."""
+        """Return the product (n,) of the ideal readings of the axis and of the axis across it, in g²."""
         return own_mg * across_mg / MG_PER_G**2
 
 
 class Quadratic(LinearAxisEffect):
-    """Quadratic nonlinearity: coefficient K2 is the error in mg at 1 g along the axis."""
+    """The response has a quadratic nonlinearity: K2 is the error in mg at 1 g along the axis."""
 
     name = "quadratic"
     covariates = ("reading",)
@@ -152,12 +153,12 @@ class Quadratic(LinearAxisEffect):
     coefficients = (Parameter("k2", "mg/g²", -100.0, 100.0, 1.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Square (n,) of the axis' ideal reading, in g²."""
+        """Return the square (n,) of the axis' ideal reading, in g²."""
         return ((ideal[:, axis] / MG_PER_G) ** 2,)
 
 
 class Cubic(LinearAxisEffect):
-    """Cubic nonlinearity: coefficient K3 is the error in mg at 1 g along the axis."""
+    """The response has a cubic nonlinearity: coefficient K3 is the error in mg at 1 g along the axis."""
 
     name = "cubic"
     covariates = ("reading",)
@@ -173,12 +174,12 @@ class Cubic(LinearAxisEffect):
     coefficients = (Parameter("k3", "mg/g³", -100.0, 100.0, 0.7),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Cube (n,) of the axis' ideal reading, in g³."""
+        """Return the cube (n,) of the axis' ideal reading, in g³."""
         return ((ideal[:, axis] / MG_PER_G) ** 3,)
 
 
 class Asymmetry(LinearAxisEffect):
-    """Scale factor 1 + A/1000 for positive readings, 1 − A/1000 for negative readings."""
+    """The scale factor is 1 + A/1000 for positive readings, 1 − A/1000 for negative readings, A in mg/g."""
 
     name = "asymmetry"
     covariates = ("reading",)
@@ -194,12 +195,12 @@ class Asymmetry(LinearAxisEffect):
     coefficients = (Parameter("asymmetry", "mg/g", -100.0, 100.0, 1.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Absolute value (n,) of the axis' ideal reading, in g."""
+        """Return the absolute value (n,) of the axis' ideal reading, in g."""
         return (np.abs(ideal[:, axis]) / MG_PER_G,)
 
 
 class CrossQuadratic(CrossEffect):
-    """Bias shift by the square of the acceleration across the axis: K_pp is the shift in mg at 1 g."""
+    """The squared acceleration across an axis shifts its bias, by K_pp in mg at 1 g."""
 
     name = "cross_quadratic"
     covariates = ("reading",)
@@ -216,12 +217,12 @@ class CrossQuadratic(CrossEffect):
     coefficient = Parameter("kpp", "mg/g²", -100.0, 100.0, 1.0)
 
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
-        """Square (n,) of the ideal reading of the axis across, in g²."""
+        """Return the square (n,) of the ideal reading of the axis across, in g²."""
         return (across_mg / MG_PER_G) ** 2
 
 
 class VibrationRectification(LinearAxisEffect):
-    """Shift of the mean reading in proportion to the vibration (variance) during the dwell."""
+    """The mean reading shifts in proportion to the vibration (variance of the samples) during the dwell."""
 
     name = "vibration_rectification"
     cause = "An even nonlinearity turns vibration into a shift of the mean."
@@ -236,19 +237,19 @@ class VibrationRectification(LinearAxisEffect):
     coefficients = (Parameter("vre", "mg/g²", -5000.0, 5000.0, 10.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Variance (n,) of the samples within each dwell (vibration along the axis), in g²."""
+        """Return the variance (n,) of the samples within each dwell (vibration along the axis), in g²."""
         return (conditions.covariate("variance_mg2")[:, axis] / MG_PER_G**2,)
 
 
 REFERENCE_C = 25.0
-"""Temperature in °C at which temperature effects are zero; the chip's temperature output is then 0."""
+"""Temperature in °C at which temperature effects are zero; the chip's temperature word is 0 there."""
 REFERENCE_V = 5.0
 """Supply in V at which supply effects are zero: the nominal supply."""
 
 
 @dataclass(frozen=True)
 class BiasTemperature(LinearAxisEffect):
-    """Bias as a polynomial of degree 1 to 3 in T − 25 °C; by default a straight line.
+    """The bias follows the temperature: a polynomial of degree 1 to 3 in T − 25 °C, by default a line.
 
     Attributes
     ----------
@@ -280,16 +281,16 @@ class BiasTemperature(LinearAxisEffect):
             raise UsageError(f"{self.name}: degree is {self.degree}, it can be 1, 2 or 3")
 
     def active(self) -> tuple[Parameter, ...]:
-        """Prototypes of the coefficients of the powers 1 to `degree`."""
+        """Return the coefficients of the powers 1 to `degree`, without the axis letter."""
         return self.coefficients[: self.degree]
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Powers 1 to `degree` of the temperature above 25 °C, each (n,)."""
+        """Return the powers 1 to `degree` of the temperature above 25 °C, each (n,)."""
         above = self.die_c(axis, conditions) - REFERENCE_C
         return tuple(above**power for power in range(1, self.degree + 1))
 
     def die_c(self, axis: int, conditions: Conditions) -> Floats:
-        """Die temperature (n,) in °C that shifts the bias of an axis."""
+        """Return the die temperature (n,) in °C that shifts the bias of an axis."""
         return conditions.covariate("temperature_c")
 
 
@@ -309,12 +310,12 @@ class ScaleTemperature(LinearAxisEffect):
     coefficients = (Parameter("scale_tempco", "ppm/°C", -2000.0, 2000.0, 40.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Ideal reading times (T − 25 °C), (n,), scaled by 10⁻⁶ for a coefficient in ppm/°C."""
+        """Return the ideal reading times (T − 25 °C), (n,), scaled by 10⁻⁶ for a coefficient in ppm/°C."""
         return (1e-6 * (conditions.covariate("temperature_c") - REFERENCE_C) * ideal[:, axis],)
 
 
 class MisalignmentTemperature(CrossEffect):
-    """The direction of an axis follows the temperature.
+    """The direction of an axis follows the temperature of the die.
 
     In the plane a misalignment of both axes is the misalignment of one axis and a turn of the whole part. A
     part that turns with its mount is not misaligned, so a candidate of the trace misaligns one axis; two
@@ -336,12 +337,12 @@ class MisalignmentTemperature(CrossEffect):
     coefficient = Parameter("misalignment_tempco", "deg/°C", -0.1, 0.1, 0.002)
 
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
-        """Ideal reading of the axis across times (T − 25 °C), (n,), for a coefficient in °/°C."""
+        """Return the ideal reading of the axis across times (T − 25 °C), (n,), for °/°C."""
         return np.deg2rad(across_mg * (conditions.covariate("temperature_c") - REFERENCE_C))
 
 
 class ThermalLag(CourseEffect):
-    """The bias follows a component that warms later than the thermometer.
+    """The bias follows the temperature of an element that warms later than the thermometer.
 
     With τ dT_lag/dt = T − T_lag and T_lag = T at the first record of the session, the term is
     lag_i (T_lag − T). It is zero at constant temperature, so that it does not compete with
@@ -363,7 +364,7 @@ class ThermalLag(CourseEffect):
     shape = Parameter("tau", "s", 1.0, 36000.0, 300.0, shape=True)
 
     def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
-        """Lagged minus present temperature (n,) in °C, and its derivative with respect to τ in °C/s."""
+        """Return the lagged minus the present temperature (n,) in °C, and its derivative by τ in °C/s."""
         late, by_tau = conditions.late("temperature_history", None, shape)
         return late - conditions.covariate("temperature_c"), by_tau
 
@@ -384,7 +385,7 @@ class SupplyBias(LinearAxisEffect):
     coefficients = (Parameter("supply", "mg/V", -500.0, 500.0, 5.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Supply voltage minus 5 V, (n,) in V."""
+        """Return the supply voltage minus 5 V, (n,) in V."""
         return (conditions.covariate("supply_v") - REFERENCE_V,)
 
 
@@ -405,7 +406,7 @@ class SupplyScale(LinearAxisEffect):
     coefficients = (Parameter("supply_scale", "ppm/V", -500000.0, 500000.0, 2000.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Ideal reading times (supply voltage − 5 V), (n,), scaled by 10⁻⁶ for a coefficient in ppm/V."""
+        """Return the ideal reading times (supply − 5 V), (n,), scaled by 10⁻⁶ for ppm/V."""
         return (1e-6 * (conditions.covariate("supply_v") - REFERENCE_V) * ideal[:, axis],)
 
 
@@ -424,7 +425,7 @@ class BiasDrift(LinearAxisEffect):
     coefficients = (Parameter("drift", "mg/min", -50.0, 50.0, 0.05),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Time (n,) since the start of the session, in minutes."""
+        """Return the time (n,) since the start of the session, in minutes."""
         return (conditions.time_s / 60.0,)
 
 
@@ -445,7 +446,7 @@ class ScaleDrift(LinearAxisEffect):
     coefficients = (Parameter("scale_drift", "ppm/min", -50000.0, 50000.0, 50.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Ideal reading times minutes since the start of the session, (n,), scaled by 10⁻⁶ for ppm/min."""
+        """Return the ideal reading times minutes since the start, (n,), scaled by 10⁻⁶ for ppm/min."""
         return (1e-6 * conditions.time_s / 60.0 * ideal[:, axis],)
 
 
@@ -466,12 +467,12 @@ class WarmUp(CourseEffect):
     shape = Parameter("tau", "s", 1.0, 36000.0, 300.0, shape=True)
 
     def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
-        """Decay exp(−t/τ) since the start of the session, (n,), and its derivative with respect to τ."""
+        """Return the decay exp(−t/τ) since the session's start, (n,), and its derivative by τ."""
         return decay(conditions.time_s, shape)
 
 
 class Gravity(Effect):
-    """Common relative error of all axes, because local gravity differs from the declared gravity.
+    """All axes have one relative error, because local gravity differs from the declared gravity.
 
     With g the local gravity and g′ the declared gravity of the session, the readings are (g/g′) times the
     ideal ones: `gravity` = g/g′ − 1. On the Earth's surface g lies between 9.764 and 9.834 m/s².
@@ -492,13 +493,13 @@ class Gravity(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One parameter: the relative error of the declared gravity."""
+        """Parameters: one, the relative error of the declared gravity."""
         return (Parameter("gravity", "1", -0.01, 0.01, 0.001),)
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Change of the readings by the error of gravity: error times ideal reading, (n, axes) in mg."""
+        """Return the change of the readings by the error of gravity, (n, axes) in mg."""
         return ideal * float(values[0])
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Derivative of the readings by the error of gravity: the ideal readings, (n, axes, 1) in mg."""
+        """Return the derivative of the readings by the error of gravity, (n, axes, 1) in mg."""
         return ideal[:, :, None].copy()

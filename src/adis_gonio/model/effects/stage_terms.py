@@ -38,15 +38,16 @@ from adis_gonio.model.records import MG_PER_G
 BETWEEN = "measure at angles between the angles of this session"
 _STAGE = "belongs to the stage, not to the sensor"
 LEAST_CYCLES = 3
-"""Smallest number of cycles of `stage_periodic`; one and two cycles are other effects."""
+"""Smallest number of cycles per turn of `stage_periodic`; one and two cycles are other effects."""
 _ROUNDING = 1e-9
-"""Smallest value of a harmonic that counts as not zero; smaller values are rounding errors."""
+"""Values of a sine or cosine below this count as zero: they are rounding errors."""
 _SAME_PHASE = 1e-6
-"""Tolerance of the mean phase factor's modulus from 1: allows a scatter of 1.4 mrad by rounded angles."""
+"""Largest distance from 1 of the modulus of a mean phase factor whose phases count as equal.
+It allows phases to scatter by 1.4 mrad, as by rounded angles."""
 
 
 def alike(cycles: int, others: int, angle_rad: Floats) -> bool:
-    """True if waves with two different numbers of cycles per turn differ only in phase at these angles.
+    """Return True if waves with `cycles` and `others` cycles per turn differ only in phase at these angles.
 
     If the phase of e^{i(m ∓ n)θ} is constant over the angles, m cycles are an alias of n cycles. A constant
     has 0 cycles.
@@ -55,13 +56,16 @@ def alike(cycles: int, others: int, angle_rad: Floats) -> bool:
 
 
 def of_one_phase(cycles: NDArray[np.int_], angle_rad: Floats) -> NDArray[np.bool_]:
-    """For each number of cycles per turn (m,): True if all the angles have one phase of its wave."""
+    """Return for each number of cycles per turn (m,) if its wave has one phase at all the angles."""
     length = np.abs(np.exp(1j * cycles[:, None] * angle_rad).mean(axis=1))
     return np.asarray(length > 1 - _SAME_PHASE)
 
 
 class StageEccentricity(StageEffect):
-    """Angle error with one cycle a turn, of amplitude eccentricity / radius of the divided circle."""
+    """The divided circle is off-centre: an angle error with one cycle a turn.
+
+    Its amplitude in rad is eccentricity divided by radius of the circle.
+    """
 
     name = "stage_eccentricity"
     cause = "The divided circle of the stage is not centred on its axis: one cycle a turn."
@@ -79,13 +83,13 @@ class StageEccentricity(StageEffect):
     )
 
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
-        """Sine and cosine, each (n,), of the declared angle."""
+        """Return the sine and cosine, each (n,), of the declared angle."""
         angle = conditions.covariate("angle_rad")
         return np.sin(angle), np.cos(angle)
 
 
 class StageEllipticity(StageEffect):
-    """Angle error of the stage with two cycles a turn, as from an oval divided circle."""
+    """The divided circle is oval: an angle error of the stage with two cycles a turn."""
 
     name = "stage_ellipticity"
     cause = "The divided circle of the stage is oval, or its bearing is: two cycles a turn."
@@ -103,14 +107,14 @@ class StageEllipticity(StageEffect):
     )
 
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
-        """Sine and cosine, each (n,), of twice the declared angle."""
+        """Return the sine and cosine, each (n,), of twice the declared angle."""
         angle = conditions.covariate("angle_rad")
         return np.sin(2 * angle), np.cos(2 * angle)
 
 
 @dataclass(frozen=True)
 class StagePeriodic(StageEffect):
-    """Angle error of the stage with any whole number of cycles a turn, three or more.
+    """The stage has an angle error with any whole number of cycles a turn, three or more.
 
     Attributes
     ----------
@@ -119,7 +123,8 @@ class StagePeriodic(StageEffect):
 
     Notes
     -----
-    At N equally spaced angles n cycles, N − n, N + n, … give one column: a session shows n up to N/2, and a
+    At N equally spaced angles n, N − n, N + n, … cycles a turn give equal columns: a session shows n up to
+    N/2, and a
     number that is found may be any number that folds to it (`alike`).
     """
 
@@ -150,7 +155,7 @@ class StagePeriodic(StageEffect):
             )
 
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
-        """Sine and cosine, each (n,), of `cycles` times the declared angle."""
+        """Return the sine and cosine, each (n,), of `cycles` times the declared angle."""
         turned = self.cycles * conditions.covariate("angle_rad")
         # At 2·cycles equally spaced angles one of the two contains only rounding errors.
         waves = (np.sin(turned), np.cos(turned))
@@ -158,9 +163,10 @@ class StagePeriodic(StageEffect):
 
 
 class Backlash(StageEffect):
-    """Play of the stage's drive: the two directions of approach lead to angles that differ by it.
+    """The drive of the stage has play: the angle depends on the direction of approach.
 
-    Half of it is added to either side.
+    The parameter  is the difference of the angles between both directions; half of it is added to either
+    side.
     """
 
     name = "backlash"
@@ -176,7 +182,7 @@ class Backlash(StageEffect):
     coefficients = (Parameter("backlash", "deg", -5.0, 5.0, 0.02),)
 
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
-        """Direction of approach divided by 2, (n,): +½ from below, −½ from above, or 0."""
+        """Return the direction of approach divided by 2, (n,): +½ from below, −½ from above, or 0."""
         return (0.5 * conditions.covariate("approach"),)
 
 
@@ -205,12 +211,16 @@ class PositionSlip(StageEffect):
     coefficients = (Parameter("slip", "deg", -190.0, 190.0, 0.1),)
 
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
-        """Indicator (n,): 1 for rows of the slipped dwell, 0 for all other rows."""
+        """Return the indicator (n,): 1 for rows of the slipped dwell, 0 for all other rows."""
         return ((conditions.covariate("order") == self.dwell).astype(float),)
 
 
 class Hysteresis(LinearAxisEffect):
-    """The bias depends on the direction of approach; half of the loop's width to either side."""
+    """The bias depends on the direction of approach.
+
+    The parameter  is the difference of the biases between both directions; half of it is added to either
+    side.
+    """
 
     name = "hysteresis"
     cause = "Stress of the last move stays in the sensor or its mount and shifts the bias of an axis."
@@ -225,7 +235,7 @@ class Hysteresis(LinearAxisEffect):
     coefficients = (Parameter("hysteresis", "mg", -200.0, 200.0, 0.5),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Direction of approach divided by 2, (n,): +½ from below, −½ from above, or 0."""
+        """Return the direction of approach divided by 2, (n,): +½ from below, −½ from above, or 0."""
         return (0.5 * conditions.covariate("approach"),)
 
 
@@ -256,7 +266,7 @@ class Creep(CourseEffect):
     shape = Parameter("tau", "s", 1.0, 36000.0, 120.0, shape=True)
 
     def courses(self, shape: float, ideal: Floats, conditions: Conditions) -> list[tuple[Floats, Floats]]:
-        """For each axis: lagged minus present load in g, (n,), and its derivative with respect to τ."""
+        """Return for each axis the lagged minus the present load in g, (n,), and its derivative by τ."""
         late = [
             (column, *conditions.late("load_history", column, shape)) for column in self.columns_of(ideal)
         ]
@@ -291,7 +301,7 @@ class AxisTilt(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One parameter: the tilt ε of the axis of rotation, positive if it raises the reading of z."""
+        """Parameters: one, the tilt ε of the axis of rotation, positive if it raises the reading of z."""
         return (Parameter("tilt", "deg", -45.0, 45.0, 0.5),)
 
     @staticmethod
@@ -303,7 +313,7 @@ class AxisTilt(Effect):
         return unit, rho, along
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Change of the readings by the tilt: rotated minus ideal readings, (n, axes) in mg."""
+        """Return the change of the readings by the tilt: rotated minus ideal readings, (n, axes) in mg."""
         tilt = np.deg2rad(values[0])
         unit, rho, along = self._parts(ideal)
         # 2 sin²(ε/2) is 1 − cos ε without its cancellation at small angles.
@@ -313,7 +323,7 @@ class AxisTilt(Effect):
         return seen
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Derivative of the readings with respect to the tilt, (n, axes, 1) in mg per degree.
+        """Return the derivative of the readings by the tilt, (n, axes, 1) in mg per degree.
 
         In x and y it is zero at ε = 0 and a_z = 0.
         """
@@ -327,7 +337,7 @@ class AxisTilt(Effect):
 
 @dataclass(frozen=True)
 class SampleEffect(AxisEffect):
-    """An effect that changes single samples, and thereby the readings."""
+    """Base class of effects that change single samples, and thereby the readings."""
 
     enters = Enters.SAMPLES
     within_dwell = True
@@ -335,7 +345,7 @@ class SampleEffect(AxisEffect):
     def samples_mg(
         self, values: Floats, samples_mg: Floats, conditions: Conditions, rng: np.random.Generator
     ) -> Floats:
-        """Copy of the samples (n, axes) in mg, in which the columns of `axes` are changed by the effect."""
+        """Return a copy of the samples (n, axes) in mg, with the columns of `axes` changed."""
         changed = samples_mg.copy()
         columns = self.columns_of(samples_mg)
         changed[:, columns] = self.change(values, samples_mg[:, columns], conditions, rng)
@@ -349,7 +359,7 @@ class SampleEffect(AxisEffect):
 
 
 class Saturation(SampleEffect):
-    """Samples are clipped at ± the limit."""
+    """Samples are clipped at ± a limit, the end of the range."""
 
     name = "saturation"
     covariates = ("reading",)
@@ -362,21 +372,21 @@ class Saturation(SampleEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One parameter: the limit in mg at which samples are clipped.
+        """Parameters: one, the limit in mg at which samples are clipped.
 
-        Typical is 1.7 g, the range of the ADIS16354; its 14-bit numbers end at 3.83 g.
+        The typical value is 1.7 g, the range of the ADIS16354; its 14-bit numbers end at 3.83 g.
         """
         return (Parameter("limit", "mg", 1.0, 20000.0, 1700.0, shape=True),)
 
     def change(
         self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
     ) -> Floats:
-        """Samples clipped to ± the limit, (n, len(axes)) in mg."""
+        """Return the samples clipped to ± the limit, (n, len(axes)) in mg."""
         return np.clip(own_mg, -values[0], values[0])
 
 
 class Quantization(SampleEffect):
-    """Samples are rounded to multiples of a converter's LSB."""
+    """Samples are rounded to multiples of a converter's step (LSB)."""
 
     name = "quantization"
     covariates = ("reading",)
@@ -389,19 +399,19 @@ class Quantization(SampleEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """One parameter: the size of the converter's LSB in mg; 0 leaves the samples unrounded."""
+        """Parameters: one, the size of the converter's LSB in mg; 0 leaves the samples unrounded."""
         return (Parameter("lsb", "mg", 0.0, 100.0, 0.4672),)
 
     def change(
         self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
     ) -> Floats:
-        """Samples rounded to multiples of the LSB, (n, len(axes)) in mg."""
+        """Return the samples rounded to multiples of the LSB, (n, len(axes)) in mg."""
         step = float(values[0])
         return np.round(own_mg / step) * step if step > 0 else own_mg
 
 
 class Tone(SampleEffect):
-    """A sine wave in the samples (a spectral line), with one phase on all axes."""
+    """The samples contain a sine wave (a spectral line), with one phase on all axes."""
 
     name = "tone"
     covariates = ("reading",)
@@ -415,7 +425,7 @@ class Tone(SampleEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Amplitude on each axis, frequency, and phase at time 0 of the session."""
+        """Parameters: amplitude on each axis, frequency, and phase at time 0 of the session."""
         return (
             *by_letters((Parameter("tone", "mg", -2000.0, 2000.0, 5.0),), self.axes),
             Parameter("frequency", "Hz", 1e-3, 2000.0, 50.0, shape=True),
@@ -425,7 +435,7 @@ class Tone(SampleEffect):
     def change(
         self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
     ) -> Floats:
-        """Samples plus the sine wave, (n, len(axes)) in mg."""
+        """Return the samples plus the sine wave, (n, len(axes)) in mg."""
         *amplitudes, frequency, phase = values
         turn = 2 * np.pi * frequency * conditions.time_s + np.deg2rad(phase)
         line: Floats = np.sin(turn)[:, None] * np.array(amplitudes)
@@ -433,7 +443,7 @@ class Tone(SampleEffect):
 
 
 class NoiseChange(SampleEffect):
-    """Additional white noise in the samples from some time of the session on."""
+    """The samples contain additional white noise from some time of the session on."""
 
     name = "noise_change"
     covariates = ("reading",)
@@ -447,7 +457,7 @@ class NoiseChange(SampleEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Standard deviation of the added noise on each axis, and the session time at which it starts."""
+        """Parameters: standard deviation of the added noise on each axis, and its start in the session."""
         return (
             *by_letters((Parameter("extra", "mg", 0.0, 1000.0, 5.0),), self.axes),
             Parameter("start", "s", 0.0, 1e6, 60.0, shape=True),
@@ -456,7 +466,7 @@ class NoiseChange(SampleEffect):
     def change(
         self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
     ) -> Floats:
-        """Samples plus the noise that is added from the start time on, (n, len(axes)) in mg."""
+        """Return the samples plus the noise that is added from the start time on, (n, len(axes)) in mg."""
         joined = (conditions.time_s >= values[-1])[:, None]
         noise: Floats = joined * rng.standard_normal(own_mg.shape) * values[:-1]
         return own_mg + noise
@@ -484,7 +494,7 @@ class Settling(CourseEffect):
     shape = Parameter("tau", "s", 1e-3, 3600.0, 1.0, shape=True)
 
     def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
-        """Decay exp(−t/τ) since the end of the move, (n,), and its derivative with respect to τ."""
+        """Return the decay exp(−t/τ) since the end of the move, (n,), and its derivative by τ."""
         return decay(conditions.covariate("time_in_dwell_s"), shape)
 
 
@@ -512,13 +522,13 @@ class OutlierDwell(LinearAxisEffect):
     needs = ("order",)
     coefficients = (Parameter("offset", "mg", -4000.0, 4000.0, 5.0),)
     elsewhere: ClassVar[dict[str, type[Effect]]] = {}
-    """Classes of the effect for other parts, with other units of the readings."""
+    """Classes of the effect for other parts than accelerometers, by part; their units differ."""
 
     @classmethod
     def of_part(cls, part: str) -> type[Effect] | None:
-        """Return this effect's class for one part of the sensor, which sets the unit; None if none fits."""
+        """Return the class of this effect for one part of the sensor; None if no class is for this part."""
         return super().of_part(part) or cls.elsewhere.get(part)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Indicator (n,): 1 for rows of the disturbed dwell, 0 for all other rows."""
+        """Return the indicator (n,): 1 for rows of the disturbed dwell, 0 for all other rows."""
         return ((conditions.covariate("order") == self.dwell).astype(float),)
