@@ -1,4 +1,4 @@
-"""Export of a calibration: as C header, table, register offsets, certificate or report.
+"""Export of a calibration as C header, table, register offsets, certificate or report.
 
 Public names are imported when they are first used.
 """

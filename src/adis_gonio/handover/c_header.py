@@ -1,4 +1,4 @@
-"""The C header: a calibration as functions without a library, in fixed point and in `float`."""
+"""C header: a calibration as C functions that need no library, in fixed point and in `float`."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from adis_gonio.model.effects import AXES
 
 DEFAULT_NAME = "adis_gonio"
 FIXED_UDEG = 12
-"""Bound of the fixed point's error in an angle at 0.5 g: CORDIC, rounded coefficients and readings."""
+"""Bound in µ° of the error of a fixed-point angle at 0.5 g: CORDIC, rounded coefficients and readings."""
 CHECKS = 8
 RATE_CHECKS = 4
 _FIELDS = {"t": "temperature", "v": "supply"}
-"""Field of each condition in the header's scan and in the polynomials."""
+"""Field of the C struct of a scan for each condition of the polynomials (`t`, `v`)."""
 _ASCII = str.maketrans({"²": "2", "³": "3", "°": "deg", "Δ": "d", "φ": "phi", "µ": "u"})
 _ASCII |= str.maketrans({"±": "+-", "−": "-", "·": "*", "θ": "theta"})
 
 
 def c_header(calibration: Calibration, name: str = DEFAULT_NAME) -> str:
-    """Text of the C header that corrects readings by a calibration.
+    """Return the text of a C header that corrects readings by a calibration.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def c_header(calibration: Calibration, name: str = DEFAULT_NAME) -> str:
     UsageError
         The name is no identifier of C.
     FitError
-        As `polynomial_of`.
+        The calibration has no form for a firmware (see `polynomial_of`).
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -58,7 +58,10 @@ def c_header(calibration: Calibration, name: str = DEFAULT_NAME) -> str:
 
 
 def _content(calibration: Calibration, name: str) -> dict[str, Any]:
-    """Values that the template `header.h.jinja` needs for a calibration."""
+    """Return the values that the template `header.h.jinja` needs for a calibration.
+
+    `name` is the prefix of all names in the header.
+    """
     polynomial = fixed_point.polynomial_of(calibration)
     fixed = fixed_point.FixedPoint.of(polynomial)
     planes = _planes(calibration)
@@ -112,7 +115,10 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
 
 
 def _rates_content(calibration: Calibration, gyro: GyroCalibration, name: str) -> dict[str, Any]:
-    """Values for the template `rates.h.jinja`; raises `FitError` like `rate_polynomial_of`."""
+    """Return the values that the template `rates.h.jinja` needs for a calibration of gyros.
+
+    `FitError` if the calibration has no form for a firmware.
+    """
     polynomial = fixed_point.rate_polynomial_of(calibration, gyro)
     fixed = fixed_point.FixedRates(polynomial)
     letters = [factor[1] for factor in polynomial.needs if factor.startswith("f")]
@@ -194,13 +200,13 @@ def _single(value: float) -> str:
 
 
 def _comment(text: str) -> str:
-    """Make a text safe for a C comment: ASCII only, without comment marks, as old compilers require."""
+    """Return a text made safe for a C comment: ASCII only and without comment marks, for old compilers."""
     plain = " ".join(text.translate(_ASCII).split(" ")).replace("*/", "* /").replace("/*", "/ *")
     return "".join(c if " " <= c < "\x7f" else "?" for c in plain).replace("??", "? ?").rstrip("\\")
 
 
 def _factor(factor: str) -> str:
-    """Format a factor of the polynomial in C: a variable, or the absolute value of a variable."""
+    """Format a factor of the polynomial as a C variable, or as the absolute value of a variable."""
     letter = factor.strip("|")
     return f"({letter} < 0 ? -{letter} : {letter})" if factor.startswith("|") else factor
 
@@ -341,7 +347,7 @@ def _coefficient_lines(calibration: Calibration) -> list[str]:
 
 
 def _remarks(calibration: Calibration) -> list[str]:
-    """Comment lines on missing parameters, on uncorrected effects, and on the required offset registers."""
+    """Return comment lines on missing parameters, uncorrected effects, and required offset registers."""
     gyro = calibration.gyro
     rows = _missing(calibration.assumed, calibration.not_corrected)
     offsets = calibration.provenance.offsets_lsb
@@ -368,9 +374,9 @@ def _missing(assumed: Iterable[str], not_corrected: Iterable[NotCorrected]) -> l
 def _checks(
     polynomial: fixed_point.Polynomial, fixed: fixed_point.FixedPoint, plane: dict[str, Any]
 ) -> list[dict[str, Any]]:
-    """Test vectors of the header: scans at 1 g around a full turn, with the angles that it must compute.
+    """Return test vectors of the header: scans at 1 g around a turn, with the angles to compute.
 
-    The angles avoid the multiples of 45°.
+    The angles avoid the multiples of 45°; `plane` are the two axes.
     """
     psi = (np.arange(CHECKS) + 0.37) * 2 * np.pi / CHECKS
     g = np.zeros((CHECKS, polynomial.axes))
@@ -390,9 +396,10 @@ def _checks(
 
 
 def _rate_checks(fixed: fixed_point.FixedRates, of: fixed_point.Polynomial) -> list[dict[str, str]]:
-    """Test vectors of the header: scans with their rates, and the corrected rates that it must compute.
+    """Return test vectors of the header: gyro readings with a scan, and the corrected rates to compute.
 
     The turns are about every axis in both senses, at forces of 1 g and at other than nominal conditions.
+    `of` is the polynomial of the accelerometers.
     """
     dps = np.array([[250.0, -31.0, 7.0], [-250.0, 90.0, -60.0], [3.0, -4.0, 270.0], [0.0, 0.0, 0.0]])
     g = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.6, -0.8], [0.5, 0.5, 0.7]])

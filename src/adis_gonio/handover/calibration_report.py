@@ -1,4 +1,4 @@
-"""The calibration report: its sections, and the page."""
+"""The calibration report: the sections of its HTML page, and the page."""
 
 from __future__ import annotations
 
@@ -59,13 +59,16 @@ _COVARIATES = {
 }
 _ROLES: tuple[Role, Role] = ("before", "after")
 _MOST_PLACES = 24
-"""Most lines of one finding in the table of single dwells."""
+"""Largest number of lines of one finding in the table of single dwells."""
 _SIDES = {-1.0: "from above", 1.0: "from below"}
 _ORDER = ("delta_k", "delta_phi")
 
 
 def summary_section(traced: TraceResult | str, fits: Sequence[FitResult]) -> Section:
-    """Section that summarises the trace in sentences."""
+    """Return the section that summarises the trace in sentences.
+
+    `traced` is the trace, or the reason if there is none; `fits` has the best fit last.
+    """
     best = fits[-1] if fits else None
     by_method = ""
     if best is not None:
@@ -88,7 +91,7 @@ def summary_section(traced: TraceResult | str, fits: Sequence[FitResult]) -> Sec
 
 
 def answer_section(answer: Answer) -> Section:
-    """Section on the recommended answer: values with u, U and k, and the reason for the method."""
+    """Return the section on the recommended answer: values with u, U and k, and why the method."""
     table = Table(
         HEAD,
         [line.cells for line in answer.lines],
@@ -107,7 +110,12 @@ def certificate_section(
     positions: Sequence[PositionFinding] = (),
     tolerance: Tolerance | None = None,
 ) -> Section:
-    """First page of the report, for a laboratory to sign: results, conformity, instrument, conditions."""
+    """Return the first page of the report, for a laboratory to sign.
+
+    It states results, conformity with the tolerance (if one is given), instrument and conditions.
+    `observed` are the readings of the session, None if there are none; `positions` are findings on wrong
+    positions.
+    """
     try:
         curves = answer.error_curves()
     except AdisGonioError as error:
@@ -151,7 +159,7 @@ def certificate_section(
 def _error_figures(
     curves: tuple[ErrorCurve | None, ErrorCurve], tolerance: Tolerance | None
 ) -> list[Figure]:
-    """Draw the error of the angle over the turn with its band, without and with calibration."""
+    """Draw the error of the angle over the turn with its uncertainty band, without and with calibration."""
     figures = []
     for curve, role, state in zip(curves, _ROLES, ("without", "with"), strict=True):
         if curve is None:
@@ -172,13 +180,13 @@ def _error_figures(
 
 
 def _key(values: Mapping[str, Value]) -> list[KeyFigure]:
-    """ΔK, Δφ and the error of the angle, to be shown in large numerals; empty for attitudes in space."""
+    """Return ΔK, Δφ and the error of the angle for large numerals; an empty list for attitudes in space."""
     wanted = [name for name in (*_ORDER, "angle") if name in values]
     return [_large(name, values[name]) for name in wanted if len(wanted) > 1]
 
 
 def _large(name: str, value: Value) -> KeyFigure:
-    """Format a value with U as a result to be shown in large numerals.
+    """Format a value with U as a result in large numerals.
 
     For the error of the angle, U belongs to a displayed angle and is shown separately.
     """
@@ -197,7 +205,7 @@ _ANGLES = ("position", "declared", "by gravity", "by the gyro", "found", "how su
 
 
 def positions_section(findings: Sequence[PositionFinding]) -> list[Section]:
-    """Section on wrong positions with declared and measured angles and advice; an empty list if none."""
+    """Return a list with the section on wrong positions and their angles; an empty list without any."""
     if not findings:
         return []
     rows = [
@@ -221,7 +229,7 @@ def _angle(angle: Angle | None) -> str:
 
 
 def budget_section(answer: Answer) -> Section:
-    """Section with the uncertainty budgets of ΔK, Δφ and the angle."""
+    """Return the section with the uncertainty budgets of ΔK, Δφ and the angle."""
     tables = []
     for name, rows in answer.budget.items():
         cells = [
@@ -248,7 +256,7 @@ def budget_section(answer: Answer) -> Section:
 
 
 def scores_section(answer: Answer) -> Section:
-    """Section that compares the errors of all methods on equal readings."""
+    """Return the section that compares the errors of all methods on equal readings."""
     head, rows = answer.score_rows()
     table = Table(head, rows, numeric=tuple(range(1, len(head))), strong=(0,))
     return Section("Methods on the same readings", words=[answer.scored_on], tables=[table] if rows else [])
@@ -259,11 +267,14 @@ def _pair(values: Mapping[str, Value]) -> str:
 
 
 _BESIDE = 3
-"""Most methods in one table; more would be wider than the page."""
+"""Largest number of methods in one table; more would be wider than the page."""
 
 
 def fitted_section(fits: Sequence[FitResult], failures: Mapping[str, str]) -> Section:
-    """Section with the fitted parameters of every method, ΔK and Δφ first."""
+    """Return the section with the fitted parameters of every method, ΔK and Δφ first.
+
+    `failures` has the reason for each method that gave no result.
+    """
     sentences: dict[str, list[str]] = {}
     for fit in fits:
         for warning in fit.warnings:
@@ -306,7 +317,7 @@ def _by_method(fits: Sequence[FitResult]) -> Table:
 
 
 def found_section(traced: TraceResult) -> Section:
-    """Section on the effects found, their alternatives, and unnamed causes."""
+    """Return the section on the effects found, their alternatives, and unnamed causes."""
     inside = words.inside_only(traced)
     rows = []
     for finding in words.ordered(traced):
@@ -340,7 +351,10 @@ def found_section(traced: TraceResult) -> Section:
 
 
 def within_section(traced: TraceResult) -> Section:
-    """Section on effects among the samples of a dwell: sentences, figures, and a table by dwell."""
+    """Return the section on effects in the samples inside the dwells.
+
+    It has sentences, figures, and a table by dwell.
+    """
     if not traced.within:
         nothing = (
             "Spikes, stuck values, spectral lines, changes of the noise, drift, settling, steps: none."
@@ -386,7 +400,7 @@ def _place(finding: WithinFinding, place: Place) -> list[str]:
 
 
 def errors_section(traced: TraceResult) -> Section:
-    """Section with the errors before the trace and after each effect that it added."""
+    """Return the section with the errors of the base model and of the model after each added effect."""
     head, rows = words.error_rows(traced)
     base = [[NAMES.get(name, name), str(value)] for name, value in traced.base.items()]
     table = Table(
@@ -403,7 +417,7 @@ def errors_section(traced: TraceResult) -> Section:
 
 
 def steps_section(traced: TraceResult, views: Views) -> Section:
-    """Section with a figure for each effect that the trace added.
+    """Return the section with a figure for each effect that the trace added.
 
     The figure shows the residual before and after, against the covariate that explains it.
     """
@@ -423,7 +437,7 @@ def steps_section(traced: TraceResult, views: Views) -> Section:
 
 
 def residual_section(views: Views) -> Section:
-    """Section with the residual of the final model against each covariate."""
+    """Return the section with the residual of the final model against each covariate."""
     roles: tuple[Role, ...] = ("after", "third", "fourth")
     figures = []
     for covariate in dict.fromkeys(panel.covariate for panel in views.left):
@@ -448,7 +462,7 @@ def residual_section(views: Views) -> Section:
 
 
 def rivals_section(traced: TraceResult) -> Section:
-    """Section with the most probable models and their probabilities."""
+    """Return the section with the most probable models and their probabilities."""
     rows = [
         [" + ".join(rival.terms) or "base model", format_percent(rival.probability)]
         for rival in traced.rivals
@@ -466,7 +480,7 @@ def rivals_section(traced: TraceResult) -> Section:
 
 
 def sight_section(traced: TraceResult) -> Section:
-    """Section with the smallest amplitude of each effect that the session would have shown.
+    """Return the section with the smallest amplitude of each effect that the session would have shown.
 
     It also states if the effect was found, is absent or remains open.
     """
@@ -493,14 +507,18 @@ def sight_section(traced: TraceResult) -> Section:
 
 
 def advice_section(traced: TraceResult) -> Section:
-    """Section with advice on the next measurements."""
+    """Return the section with advice on the next measurements."""
     return Section("What to measure next", points=words.advice(traced))
 
 
 def data_section(
     session: Session, traced: TraceResult | None, software: str, reference_c: float | None = None
 ) -> Section:
-    """Section on data and configuration; `reference_c` is the temperature to which the parameters apply."""
+    """Return the section on data and configuration of a session.
+
+    `software` made the page; `reference_c` is the temperature in °C at which the parameters are valid,
+    None if unknown.
+    """
     observed = _observed(session)
     rows = [[name, text] for name, text in facts(session, observed, software, reference_c) if text]
     parts = []
@@ -523,7 +541,11 @@ def _observed(session: Session) -> Readings | None:
 def facts(
     session: Session, observed: Readings | None, software: str, reference_c: float | None
 ) -> list[tuple[str, str]]:
-    """List the known facts of a session, each as a name and a text; a fact without a text has no row."""
+    """Return the known facts of a session, each as a name and a text; an empty text means unknown.
+
+    `observed` are its readings, None if there are none; `software` made the page; `reference_c` is the
+    temperature in °C at which the parameters are valid, None if unknown.
+    """
     dwells = [dwell for dwell in session.dwells if len(dwell)]
     if session.free_turn and session.recording is not None:
         dwells = [session.recording]
@@ -672,7 +694,7 @@ def _reading(covariate: str) -> str:
 
 
 def views(session: Session, result: TraceResult) -> Views:
-    """Residuals of a session before and after each effect that the trace added, for the figures."""
+    """Return the data of the residual figures, before and after each effect that the trace added."""
     if not result.fits:
         return series_views(session, result)
     return views_of(readings_of(session), result)
@@ -693,15 +715,15 @@ def build_page(
     ----------
     session : Session
     fits : sequence of FitResult
-        One per method, the best last.
+        One fit per method, the best last.
     traced : TraceResult or str
         The trace, or the reason if there is none.
     shown : Views, optional
-        Residuals for the figures (`views`).
+        Residuals for the figures (`views`); without them these figures are omitted.
     sections : sequence of Section
         Further sections, before data and configuration.
     failures : mapping of str to str, optional
-        Reason of each method that failed.
+        Reason for each method that gave no result.
     tolerance : Tolerance, optional
         Tolerance of the angle for the statement of conformity.
 

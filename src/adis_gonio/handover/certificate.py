@@ -1,4 +1,4 @@
-"""Digital calibration certificate: the schema of PTB (https://ptb.de/dcc, version 3.2.1) with D-SI 2.1.0.
+"""Digital calibration certificate by the schema of PTB (https://ptb.de/dcc, version 3.2.1) and D-SI 2.1.0.
 
 Values are in SI units (D-SI's notation), with expanded uncertainties at 95 %. The schema requires a
 laboratory, a customer and a country; if they are not stated, the certificate says `not stated`. It is not
@@ -29,7 +29,7 @@ DCC, SI = "https://ptb.de/dcc", "https://ptb.de/si"
 XSI = "http://www.w3.org/2001/XMLSchema-instance"
 NOT_STATED = "not stated"
 NO_COUNTRY = "ZZ"
-"""Country code for users in ISO 3166-1; here it means that no country is stated."""
+"""Country code that ISO 3166-1 leaves to its users; here it means that no country is stated."""
 PROBABILITY = 0.95
 
 _G = STANDARD_GRAVITY_MPS2
@@ -79,14 +79,14 @@ _TURN_DEG = tuple(range(0, 360, 30))
 def certificate_text(
     calibration: Calibration, issued: date | None = None, tolerance: Tolerance | None = None
 ) -> str:
-    """Render a calibration as a digital calibration certificate in XML.
+    """Return a calibration as a digital calibration certificate in XML.
 
     Parameters
     ----------
     issued : date, optional
         Date of the calibration if the session does not state it; by default today.
     tolerance : Tolerance, optional
-        Tolerance of the angle, for the statement of conformity.
+        Tolerance of the angle for a statement of conformity; without it, none is made.
 
     Raises
     ------
@@ -124,7 +124,7 @@ _ANGLE_UNITS = {
 
 
 def read_stage_curve(path: Path) -> StageCurve:
-    """Read the errors of a stage from its digital calibration certificate.
+    """Read the errors of a stage as a function of its angle from its digital calibration certificate.
 
     A result has to contain two lists of angles of equal length: indicated (or nominal) angles, and errors
     (refType `basic_measurementError`, or "error" in the name) with their uncertainties. Without a
@@ -215,12 +215,15 @@ def _add(parent: ET.Element, name: str, text: str | None = None, space: str = DC
 
 
 def _clean(text: str) -> str:
-    """Put a text into one line and remove control characters, which XML forbids."""
+    """Return a text in one line without control characters, which XML forbids."""
     return one_line(text.encode("utf-8", "replace").decode("utf-8")) or NOT_STATED
 
 
 def _named(parent: ET.Element, name: str, text: str, element: str = "name") -> ET.Element:
-    """Add a child element that begins with a name (or another text) in one language, and return it."""
+    """Add a child element that begins with a name (or another text) in English, and return it.
+
+    `name` is the tag of the child, `element` the tag of the element around `text`.
+    """
     child = _add(parent, name)
     _add(_add(child, element), "content", text)
     return child
@@ -349,7 +352,7 @@ def _condition(parent: ET.Element, name: str, value: float, unit: str) -> None:
 
 
 def _label(name: str) -> str:
-    """Description of a parameter for the certificate, followed by its name in brackets."""
+    """Return the description of a parameter for the certificate, with its name in brackets."""
     stem, _, axes = name.rpartition("_") if kind_of(name) else name.partition("_")
     words = _NAMES.get(name) or (f"{_NAMES[stem]} {axes.upper()}" if stem in _NAMES else "Coefficient")
     return f"{words} ({name})"
@@ -374,7 +377,7 @@ def _real(parent: ET.Element, one: Coefficient) -> None:
 
 
 def _turn(parent: ET.Element, calibration: Calibration) -> None:
-    """Add the uncertainty that the calibration adds to angles in the plane of x and y."""
+    """Add the standard uncertainty that the calibration adds to angles in the plane of x and y."""
     if calibration.covariance is None:
         return
     u_deg = calibration.error_curves(stage=False)[1].u_deg[:: CURVE_PLACES // len(_TURN_DEG)]

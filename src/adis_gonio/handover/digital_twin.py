@@ -1,6 +1,6 @@
-"""The digital twin: a simulated world with the model of a session, and its comparison with the data.
+"""The digital twin: a simulated session with the model of a measured one, and their comparison.
 
-Comparison of measured data with the digital twin: residuals, Allan deviation, spectrum.
+Residuals, Allan deviations and spectra of the measured data are compared with those of the twin.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ from adis_gonio.tracing.trace_result import TraceResult
 
 @dataclass(frozen=True)
 class SamplesNoise:
-    """Noise of single samples, as settings of the simulated chip that imitate it.
+    """Settings of the simulated chip that imitate the noise of a session's samples.
 
     Attributes
     ----------
     smpl_prd, filter_m : int
         Settings of rate and filter with which the chip's samples are correlated like the measured ones.
     white_mg : (axes,) float
-        White noise before the filter, rms.
+        Standard deviation of the white noise before the filter.
     floor_mg : (axes,) float
-        Allan deviation of the 1/f noise.
+        Floor of the Allan deviation by 1/f noise.
     """
 
     smpl_prd: int
@@ -55,7 +55,7 @@ class SamplesNoise:
 
 
 def period_of(dwells: Iterable[Dwell]) -> float:
-    """Sample period in s, by the lengths of the dwells.
+    """Return the sample period in s, from the lengths of the dwells.
 
     Differences of neighbouring times are not used, since coarse times may repeat.
     """
@@ -67,12 +67,12 @@ def period_of(dwells: Iterable[Dwell]) -> float:
 
 
 def noise_of(session: Session, unit: Unit) -> SamplesNoise:
-    """Determine the noise of a session's samples, as settings of the simulated chip.
+    """Return settings of the simulated chip that imitate the noise of a session's samples.
 
     The white noise before the filter has the spectral density of the samples at frequency zero, which the
     filter does not change and which determines the readings. An archive states the settings of the chip.
     For a CSV the rate is the nearest one of the chip, and the filter is the one with the variance nearest
-    to the variance of the samples.
+    to the variance of the samples. `unit` is the unit of the samples.
     """
     dwells = [dwell for dwell in session.dwells if len(dwell) > 8]
     if not dwells:
@@ -108,21 +108,22 @@ def noise_of(session: Session, unit: Unit) -> SamplesNoise:
 
 @dataclass(frozen=True)
 class TermEffect(Effect):
-    """A named or unnamed term of a traced model as an effect of the simulation, with its fitted values.
+    """Effect of the simulation made from a named or unnamed term of a traced model.
 
     Attributes
     ----------
     term : Term
+        Term of the traced model.
     columns : int
         Number of axes of the model; other axes stay unchanged.
     history : tuple or None
-        Measured history of the temperature, used instead of the world's temperature.
+        Measured history of the temperature, used instead of the simulated temperature; None without one.
     loads : tuple or None
-        Measured history of the readings, used instead of the world's readings.
+        Measured history of the readings, used instead of the simulated readings; None without one.
     offset_s : float
-        Time of the world at which the session begins.
+        Time of the simulation at which the session begins.
     variance_mg2 : (d, axes) float or None
-        Measured variance of each dwell, used instead of the world's variance.
+        Measured variance of each dwell, used instead of the simulated variance; None to use the latter.
     """
 
     term: Term = field(kw_only=True)
@@ -159,12 +160,12 @@ class TermEffect(Effect):
         return np.zeros((0, 2)) if bounds is None else bounds
 
     def attitude_rad(self, values: Floats, conditions: Conditions) -> Floats:
-        """Angle in rad (n,) by which the term turns the sensor."""
+        """Return the angle in rad (n,) by which the term turns the sensor."""
         zeros = np.zeros((len(conditions), self.columns))
         return np.asarray(self.term.added(values, zeros, self._seen(conditions)), np.float64)
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Readings in mg (n, axes) that the term adds."""
+        """Return the contribution of the term to the readings, in mg (n, axes)."""
         added = np.zeros_like(ideal)
         known = ideal[:, : self.columns]
         added[:, : self.columns] = self.term.added(values, known, self._seen(conditions))
@@ -197,15 +198,17 @@ class LikeWorld(World):
     Parameters
     ----------
     fit : Fit
-        The traced model on the readings of the session.
+        Fit of the traced model to the readings of the session.
     noise : SamplesNoise
+        Settings that imitate the noise of the samples.
     sensor : str
-        Variant to simulate; another sensor is simulated as an ADIS16354.
+        Variant to simulate; any other sensor is simulated as an ADIS16354.
     seed : int
+        Seed of the noise and of random errors.
     offset_s : float
-        Time of the world at which the session begins.
+        Time of the simulation at which the session begins.
     gyro : GyroCalibration or None
-        Errors of the gyros with the offsets of the session; None for random errors.
+        Calibration of the gyros for the offset registers of the session; None for gyros with random errors.
     """
 
     def __init__(
@@ -252,14 +255,14 @@ class LikeWorld(World):
         self._temperature_offset = np.zeros(3)
 
     def temperature_c(self, time_s: Floats) -> Floats:
-        """Temperature (n,) in °C as the session measured it; 25 °C if it was not measured."""
+        """Return the temperature (n,) in °C that the session measured; 25 °C if it was not recorded."""
         history = self._data.conditions.temperature_history
         if history is None:
             return np.full(len(time_s), 25.0)
         return np.interp(time_s - self._offset_s, *history)
 
     def supply_v(self, time_s: Floats) -> Floats:
-        """Supply voltage (n,) in V as the session measured it; 5 V if it was not measured."""
+        """Return the supply voltage (n,) in V that the session measured; 5 V if it was not recorded."""
         conditions = self._data.conditions
         if conditions.supply_v is None:
             return np.full(len(time_s), 5.0)
@@ -267,9 +270,9 @@ class LikeWorld(World):
 
 
 def gyro_settings(gyro: GyroCalibration, accel_bias_mg: Floats) -> dict[str, float]:
-    """Settings of a simulated world for the gyro errors of a calibration; unknown ones are nominal.
+    """Return settings of a simulation for the gyro errors of a calibration; unknown errors are nominal.
 
-    The gyros of the world respond to ideal readings of acceleration, the gyros of a calibration to the
+    The gyros of the simulation respond to ideal readings of acceleration, the gyros of a calibration to the
     part's readings. The zero rates therefore include the effect of the accelerometers' bias (3,).
     """
     moved = gyro.with_force_moved(-accel_bias_mg / 1000)
@@ -293,7 +296,7 @@ def gyro_settings(gyro: GyroCalibration, accel_bias_mg: Floats) -> dict[str, flo
 
 
 def _accel_bias_mg(fit: Fit) -> Floats:
-    """Biases (3,) of the accelerometers in mg, by the traced model."""
+    """Return the biases (3,) of the accelerometers in mg by the traced model."""
     found = np.zeros(3)
     for term, values in zip(fit.terms, fit.values.terms, strict=True):
         if isinstance(term, NamedTerm) and term.constant:
@@ -333,25 +336,25 @@ def _settings(fit: Fit, gyro: GyroCalibration | None = None) -> WorldSettings:
 
 
 _OPENING_S = 5.0
-"""Time of the world at which the session begins, after the driver has opened the sensor."""
+"""Time of the simulation in s at which the session begins, after the driver has opened the sensor."""
 _BLOCK_SCANS = 4096
-"""Scans in a block: a simulated sensor takes long for each block, and none to fill it."""
+"""Number of scans in a block: a simulated sensor takes long for each block, and no time to fill it."""
 _REGISTERS = (*ACCEL_OUT, "XTEMP_OUT", "SUPPLY_OUT")
 
 
 @solvable
 def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
-    """Simulate a session whose world is a traced model, with its gyros if they are calibrated.
+    """Return a simulated session of the traced model, with its gyros if they are calibrated.
 
-    The sensor is read through the driver, frame by frame. If the session has no time for a move, the twin
-    is later by the duration of the move.
+    The sensor is read through the driver, frame by frame. If the session leaves too little time for a
+    move, the twin is later by the duration of the move.
 
     Parameters
     ----------
     session : Session
         The measured session.
     traced : Fit
-        Final model of its trace; check dwells have the attitude that fits best.
+        Final model of the session's trace; check dwells have the attitude that fits best.
     seed : int
         Seed of noise and fixture errors.
 
@@ -410,7 +413,7 @@ def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
 
 
 def _gyros_of(session: Session) -> GyroCalibration | None:
-    """Calibration of the session's gyros; None if the session does not determine one."""
+    """Return the calibration of the session's gyros; None if the session does not determine one."""
     try:
         return gyros_as_recorded(session)
     except AdisGonioError:
@@ -418,7 +421,7 @@ def _gyros_of(session: Session) -> GyroCalibration | None:
 
 
 def _attitude(fit: Fit, k: int) -> list[float]:
-    """Direction of gravity (3,) in dwell k of the traced model, as an ideal sensor would read it."""
+    """Return the direction of gravity (3,) in dwell k of the traced model, as an ideal sensor reads it."""
     if fit.data.planar:
         psi = float(fit.values.base[0] + fit.values.attitude[k])
         return [float(np.cos(psi)), float(np.sin(psi)), 0.0]
@@ -433,15 +436,17 @@ class TwinComparison(JsonRecord):
     residual_measured, residual_twin : (r,) float
         Whitened residuals of the readings under one model, in their standard uncertainty.
     p_residual : float
-        p-value of the Kolmogorov-Smirnov test that both residuals have equal distributions.
+        p-value of the Kolmogorov-Smirnov test that the residuals of both have equal distributions.
     p_variance : float
-        p-value of the two-sided F test that χ² per degree of freedom is equal.
+        p-value of the two-sided F test that χ² per degree of freedom is equal for both.
     tau_s : (t,) float
         Averaging times of the Allan deviations.
     allan_measured_mg, allan_twin_mg : (t, axes) float
+        Allan deviations of the samples within the dwells.
     frequency_hz : (f,) float
+        Frequencies of the densities.
     density_measured, density_twin : (f, axes) float
-        One-sided amplitude densities within the dwells, mg/√Hz.
+        One-sided amplitude densities of the samples within the dwells, in mg/√Hz.
     """
 
     document_keys = (
@@ -473,28 +478,28 @@ class TwinComparison(JsonRecord):
 
     @property
     def allan_ratio(self) -> float:
-        """Measured Allan deviation over the twin's, geometric mean over averaging times and axes."""
+        """Measured Allan deviation divided by the twin's: geometric mean over averaging times and axes."""
         return _ratio(self.allan_measured_mg, self.allan_twin_mg)
 
     @property
     def density_ratio(self) -> float:
-        """Measured noise density over the twin's, geometric mean over frequencies and axes."""
+        """Measured noise density divided by the twin's: geometric mean over frequencies and axes."""
         return _ratio(self.density_measured, self.density_twin)
 
     @property
     def residual_sd_measured(self) -> float:
-        """Standard deviation of the residuals of the measured session."""
+        """Standard deviation of the measured session's whitened residuals, in standard uncertainties."""
         return float(np.std(self.residual_measured))
 
     @property
     def residual_sd_twin(self) -> float:
-        """Standard deviation of the residuals of the twin."""
+        """Standard deviation of the twin's whitened residuals, in standard uncertainties."""
         return float(np.std(self.residual_twin))
 
 
 @solvable
 def compare(measured: Session, twin: Session, traced: Fit) -> TwinComparison:
-    """Compare a session with its twin: fit the traced model to both, compare residuals and noise."""
+    """Fit the traced model to a session and to its twin, and compare their residuals and noise."""
     ours, theirs = readings_of(measured), readings_of(twin)
     fits = [
         Fit.begin(data).with_terms(traced.terms, traced.values.terms).refit() for data in (ours, theirs)
@@ -532,10 +537,10 @@ def _residual(fitted: Fit) -> Floats:
 
 
 def _p_same(ours: Floats, theirs: Floats) -> float:
-    """Exact p-value of the two-sided test of Kolmogorov and Smirnov that two samples are alike.
+    """Return the exact p-value of the two-sided Kolmogorov-Smirnov test that two samples are alike.
 
-    It counts the orders of the joined samples in which the distribution functions stay closer than seen
-    (Kim and Jennrich, in Selected Tables in Mathematical Statistics 1, 1973).
+    It counts the orders of the joined samples in which the distribution functions stay closer than in the
+    data (Kim and Jennrich, in Selected Tables in Mathematical Statistics 1, 1973).
     """
     m, n = len(ours), len(theirs)
     joined = np.concatenate([ours, theirs])
@@ -562,19 +567,22 @@ def _p_variance(ours: Fit, theirs: Fit) -> float:
 
 
 def _samples(session: Session, data: Readings) -> list[Floats]:
-    """Samples (n, axes) of each dwell minus their mean, in mg."""
+    """Return the samples (n, axes) of each dwell minus their mean, in mg."""
     parts = [data.unit.mg(dwell.accel) for dwell in session.dwells if len(dwell)]
     return [part - part.mean(axis=0) for part in parts]
 
 
 def _allan(samples: Sequence[Floats], period_s: float) -> tuple[Floats, Floats]:
-    """Averaging times in s and overlapping Allan deviations of all dwells together, one per octave."""
+    """Return averaging times in s, one per octave, and the overlapping Allan deviations of all dwells.
+
+    `samples` (n, axes) are the samples of each dwell.
+    """
     times, deviation = overlapping(samples)
     return period_s * np.array(times, dtype=float), deviation
 
 
 def _density(samples: Sequence[Floats], period_s: float) -> tuple[Floats, Floats]:
-    """Frequencies in Hz and amplitude densities by Welch's method, averaged over all dwells.
+    """Return frequencies in Hz and amplitude densities by Welch's method, averaged over all dwells.
 
     The densities are averaged over bands of a third of an octave.
     """
@@ -602,9 +610,9 @@ def _density(samples: Sequence[Floats], period_s: float) -> tuple[Floats, Floats
 
 
 def _common(curves: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, list[Floats]]:
-    """Interpolate the second curve at the abscissas of the first one, over their common range.
+    """Interpolate the second of two curves at the abscissas of the first, over their common range.
 
-    Both curves are logarithmic in both axes. Returns the abscissas and both curves.
+    The interpolation is logarithmic in both axes. Returns the abscissas and both curves.
     """
     (place, ours), (other, theirs) = curves
     inside = (place >= other[0] * 0.999) & (place <= other[-1] * 1.001)
@@ -624,14 +632,14 @@ _AXES = "xyz"
 
 
 def twin_section(session: Session, traced: TraceResult, *, seed: int = 0) -> Section | None:
-    """Make the report section that compares a session with its digital twin.
+    """Return the report section that compares a session with its digital twin; None without a model.
 
-    Returns None if the trace has no model.
+    `seed` is the seed of the simulated noise. A trace of a single pose has no model.
 
     Raises
     ------
     DataError
-        As `simulate_like`: dwells of a single averaged sample have no noise to copy.
+        Dwells of a single averaged sample have no noise to copy.
     """
     if not traced.fits:
         return None

@@ -1,6 +1,6 @@
 """Polynomials of a calibration, and their evaluation with integers.
 
-A calibration as the polynomial that a firmware computes.
+The polynomial of a calibration is the form in which a firmware corrects readings.
 
 A scan consists of integers in 1/256 of a step (an LSB of the sensor), so that a mean of many scans keeps
 its digits. In units of the standard g::
@@ -55,18 +55,18 @@ from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.records import MG_PER_G
 
 PARTS = 256
-"""Integers per step."""
+"""Number of integers per step of a reading (LSB of the sensor)."""
 RANGE_G = 2.0
-"""Limit of readings: no goniometer exceeds it, and the arithmetic is designed for it."""
+"""Limit of readings in g: no goniometer exceeds it, and the arithmetic is designed for it."""
 SPAN_C = 128.0
 SPAN_V = 8.0
 GENERIC_MG = 1.0
-"""Step of a sensor without a known LSB."""
+"""Step in mg of the readings of a sensor without a known LSB."""
 GENERIC_C = 1.0
 GENERIC_V = 1e-3
 MOST_PASSES = 16
 SETTLED_G = 2.0**-30
-"""Tolerance of the solution: half of the last place of the fixed point."""
+"""Tolerance in g of the iterative solution: half of the last place of the fixed point."""
 
 
 @dataclass(frozen=True)
@@ -76,9 +76,11 @@ class Monomial:
     Attributes
     ----------
     axis : int
+        Axis of the reading.
     coefficient : float
+        Coefficient in g.
     factors : tuple of str
-        `x`, `y`, `z`; `|x|`, `|y|`, `|z|`; `t`, `v`.
+        Readings `x`, `y`, `z`; their moduli `|x|`, `|y|`, `|z|`; temperature `t`; supply `v`.
     """
 
     axis: int
@@ -87,13 +89,16 @@ class Monomial:
 
     @property
     def of_reading(self) -> bool:
-        """True if the term depends on readings, not on temperature and supply alone."""
+        """True if the term depends on readings, and not on temperature and supply alone."""
         return any(factor not in ("t", "v") for factor in self.factors)
 
 
 @dataclass(frozen=True)
 class Input:
-    """Conversion of temperature or supply for the polynomial: t or v = (number − zero) · step."""
+    """Conversion of temperature or supply for the polynomial: t or v = (number − zero) · step.
+
+    The number is the reading of thermometer or voltmeter in 1/256 of its step.
+    """
 
     zero: int
     step: float
@@ -108,14 +113,16 @@ class Polynomial:
     words : bool
         True if a step of the readings is an LSB of the sensor.
     step_g, bias : tuple of float
-        g per 1/256 step, and bias in 1/256 steps, of each axis.
+        Acceleration in g per 1/256 step, and bias in 1/256 steps, of each axis.
     monomials : tuple of Monomial
+        Terms of all effects.
     matrix : (axes, axes) float
         Conversion from g to units of local gravity, lower triangular.
     passes : int
-        Number of passes after which the solution has settled for all readings within range; 0 if no
-        monomial depends on a reading.
+        Number of passes after which the iterative solution has settled for all readings within range; 0 if
+        no monomial depends on a reading.
     temperature, supply : Input
+        Conversions of temperature and supply.
     """
 
     words: bool
@@ -181,11 +188,11 @@ def polynomial_of(calibration: Calibration) -> Polynomial:
 
 
 _TRIALS = 8
-"""Readings at which an effect is compared with products of factors."""
+"""Number of random readings at which an effect is compared with products of factors."""
 
 
 def _monomials(calibration: Calibration, term: EffectTerm) -> list[Monomial]:
-    """Find the product of factors to which each parameter of an effect is proportional.
+    """Return the monomials of an effect: for each parameter a product of factors with its coefficient.
 
     Raises
     ------
@@ -221,16 +228,16 @@ def _monomials(calibration: Calibration, term: EffectTerm) -> list[Monomial]:
 
 
 def _products(factors: Iterable[str]) -> Iterator[tuple[str, ...]]:
-    """Names of all products of one to three factors."""
+    """Yield the names of the factors of all products of one to three factors."""
     for count in (1, 2, 3):
         yield from itertools.combinations_with_replacement(factors, count)
 
 
 def _passes(monomials: tuple[Monomial, ...]) -> int:
-    """Number of passes after which the iteration a ← free − Σ(a) has settled.
+    """Return the number of passes after which the iteration a ← free − Σ(a) has settled.
 
-    Σ is the sum of all terms. Each pass multiplies the error by at most the largest slope of Σ within the
-    range of readings.
+    `free` is the reading without bias, Σ the sum of all terms. Each pass multiplies the error by at most
+    the largest slope of Σ within the range of readings.
     """
     largest, slope = np.zeros(3), np.zeros(3)
     for one in monomials:
@@ -256,10 +263,10 @@ ONE = 1 << Q
 LIMIT = int(RANGE_G * ONE)
 CORDIC_STEPS = 28
 TURN_BITS = 32
-"""An internal angle is an integer, 2³² per turn."""
+"""Bits of an internal angle, which is an integer with 2³² per turn."""
 HALF_TURN_UDEG = 180_000_000
 CORDIC_UDEG = 7
-"""Bound of the angle's error by CORDIC in µ°."""
+"""Bound in µ° of the angle's error by CORDIC."""
 BITS = 30
 
 ATAN = (
@@ -273,18 +280,18 @@ ATAN = (
 TAN_EIGHTH = 0.41421356
 DEGREES = 57.29578
 FLOAT_DEG = 4e-5
-"""Bound of the angle's error in degrees by rounding to single precision: 180° has 1.5e-5 a place."""
+"""Bound of the angle's error in degrees by single precision, whose last place at 180° is 1.5e-5."""
 
 RATE_Q = 20
 LIMIT_DPS = 1000.0
-"""Rates are limited to ± this: the largest word of the part is 600 °/s."""
+"""Limit of rates in °/s: the largest word of the sensor is 600 °/s."""
 RATE_LIMIT = int(LIMIT_DPS * (1 << RATE_Q))
 STEP_DPS = GYRO_OFFSET_DPS / PARTS
-"""Step of a number in the header's struct, °/s."""
+"""Step in °/s of an integer rate in the header's struct."""
 FIXED_UDPS = 30
-"""Bound of the fixed point's error in a rate up to 300 °/s, in 1e-6 °/s."""
+"""Bound in 1e-6 °/s of the error of a fixed-point rate up to 300 °/s."""
 FLOAT_DPS = 3e-4
-"""Bound of the float's error in a rate up to 300 °/s: single precision has 3e-5 a place there."""
+"""Bound in °/s of the error of a rate in `float` up to 300 °/s, whose last place is 3e-5 there."""
 MOST_SHIFT = 62 - (Q - RATE_Q)
 LEAST_GAIN, MOST_GAIN = 0.5, 2.0
 
@@ -298,7 +305,10 @@ class Scaled:
 
     @classmethod
     def of(cls, value: float, most_shift: int = 62) -> Scaled:
-        """Scale a constant so that `number` has 30 bits; values far below the range become 0."""
+        """Return a constant scaled so that `number` has 30 bits; a value far below the range becomes 0.
+
+        `most_shift` is the largest shift.
+        """
         if value == 0.0:
             return cls(0, Q)
         shift = min(BITS - math.frexp(value)[1], most_shift)
@@ -313,7 +323,7 @@ class FixedTerm:
     coefficient: Scaled
 
     def value(self, factors: dict[str, Whole]) -> Whole:
-        """Coefficient times the product of its factors (n,), as integers in fixed point.
+        """Return the coefficient times the product of its factors (n,), as integers in fixed point.
 
         `factors` are the values by name, in 2⁻²⁹ of their unit.
         """
@@ -331,14 +341,18 @@ class FixedPoint:
     Attributes
     ----------
     step : tuple of Scaled
-        g per 1/256 step.
+        Acceleration in g per 1/256 step of each axis.
     bias : tuple of int
-        In 2⁻²⁹ g (Q29); more than 32 bits if the zero of a sensor with counts is far away.
+        Bias of each axis in 2⁻²⁹ g (Q29); more than 32 bits if the zero of a sensor with counts is far
+        away.
     terms : tuple of FixedTerm
+        Terms of all effects.
     matrix : tuple of tuple of Scaled
+        Rows of the conversion from g to units of local gravity.
     temperature, supply : (int, Scaled)
-        Zero and step.
+        Zero and step of their conversion to t and v (`Input`).
     passes : int
+        Number of passes of the iterative solution.
     """
 
     step: tuple[Scaled, ...]
@@ -364,14 +378,14 @@ class FixedPoint:
         )
 
     def correct(self, scan: Whole, temperature: Whole | None = None, supply: Whole | None = None) -> Whole:
-        """Corrected gravity vector (n, axes) in 2⁻²⁹ of local gravity.
+        """Return the corrected gravity vector (n, axes) in 2⁻²⁹ of local gravity.
 
         Parameters
         ----------
         scan : (n, axes) int
             Readings in 1/256 step.
         temperature, supply : (n,) int, optional
-            In 1/256 step; by default 25 °C and 5 V.
+            Readings of thermometer and voltmeter in 1/256 step; by default 25 °C and 5 V.
         """
         axes = len(self.step)
         scan = np.asarray(scan, dtype=np.int64)[:, :axes]
@@ -413,18 +427,21 @@ class FixedPoint:
         supply: Whole | None = None,
         plane: tuple[int, int] = (0, 1),
     ) -> Whole:
-        """Angle (n,) of gravity in µ°, from the first axis of a plane towards the second axis."""
+        """Return the angle (n,) of gravity in µ°, from the first axis of a plane towards the second axis.
+
+        The arguments are integer readings in 1/256 step; `plane` has the indices of the two axes.
+        """
         gravity = self.correct(scan, temperature, supply)
         return atan2_udeg(gravity[:, plane[1]], gravity[:, plane[0]])
 
 
 def cordic_table() -> list[int]:
-    """Angles atan(2⁻ⁱ) of the CORDIC steps, in 2⁻³² of a full turn."""
+    """Return the angles atan(2⁻ⁱ) of the CORDIC steps, in 2⁻³² of a full turn."""
     return [round(math.atan2(1, 1 << i) / (2 * math.pi) * (1 << TURN_BITS)) for i in range(CORDIC_STEPS)]
 
 
 def atan2_udeg(y: Whole, x: Whole) -> Whole:
-    """Angle (n,) in µ° of vectors with integer components below 2³¹; 0 for the null vector."""
+    """Return the angle (n,) in µ° of vectors with integer components below 2³¹; 0 for the null vector."""
     ay, ax = np.abs(np.asarray(y, dtype=np.int64)), np.abs(np.asarray(x, dtype=np.int64))
     none = (ax == 0) & (ay == 0)
     # Scale each vector to 2²⁸ … 2²⁹, as the loops of the header do.
@@ -447,7 +464,7 @@ def atan2_udeg(y: Whole, x: Whole) -> Whole:
 
 
 def _shifted(values: Whole, bits: int) -> Whole:
-    """Values divided by 2^bits and rounded to the nearest integer, halves upwards."""
+    """Return values divided by 2^bits and rounded to the nearest integer, halves upwards."""
     return (values + (1 << (bits - 1))) >> bits if bits > 0 else values << -bits
 
 
@@ -462,7 +479,7 @@ def _condition(constants: tuple[int, Scaled], given: Whole | None, n: int) -> Wh
 
 
 def _row(entries: Sequence[Scaled], columns: Sequence[Whole]) -> Whole:
-    """Matrix row times vector: sum of entry · column (n,), in fixed point."""
+    """Return a matrix row times vectors: the sum of entry · column (n,), in fixed point."""
     total = np.zeros(len(columns[0]), dtype=np.int64)
     for entry, column in zip(entries, columns, strict=False):
         if entry.number:
@@ -480,15 +497,17 @@ class RatePolynomial:
     Attributes
     ----------
     bias : tuple of float
-        Zero rate of each gyro in °/s.
+        Zero rate of each gyro in °/s without force, at 25 °C and 5 V.
     terms : tuple of Monomial
         Terms of the zero rates, with coefficients in °/s and factors `fx`, `fy`, `fz` (g), `t`, `v`.
     warm : tuple of float
-        Change κ of each gyro's scale factor per unit of t; zero if it does not depend on temperature.
+        Relative change κ of each gyro's scale factor per unit of t; zero if it does not depend on
+        temperature.
     matrix : (3, 3) float
         Matrix M that converts free rates to rates of turn (see the module).
     accelerometers : Polynomial
-        Gives the scaling of temperature, supply and force (g per 1/256 step); its terms are not used.
+        Polynomial whose scaling of temperature, supply and force (g per 1/256 step) is used, without its
+        terms.
     """
 
     bias: tuple[float, ...]
@@ -558,13 +577,13 @@ class FixedRates:
     Attributes
     ----------
     step, force_step : Scaled
-        °/s per number of a gyro, and g per number of an accelerometer.
+        Rate in °/s per integer of a gyro, and force in g per integer of an accelerometer.
     bias : tuple of int
-        In 2⁻²⁰ °/s (Q20).
+        Zero rate of each gyro in 2⁻²⁰ °/s (Q20).
     terms : tuple of FixedTerm
         Terms with coefficients such that their sum is in 2⁻²⁰ °/s.
     warm : tuple of int
-        Change κ of each gyro's scale factor per unit of t, in 2⁻²⁹.
+        Relative change κ of each gyro's scale factor per unit of t, in 2⁻²⁹.
     matrix : tuple of tuple of Scaled
         Matrix M that converts free rates to rates of turn (see the module).
     """
@@ -590,14 +609,14 @@ class FixedRates:
         temperature: Whole | None = None,
         supply: Whole | None = None,
     ) -> Whole:
-        """Corrected rates (n, 3) in 1e-6 °/s.
+        """Return the corrected rates (n, 3) in 1e-6 °/s.
 
         Parameters
         ----------
         rates, scan : (n, 3) int
-            Gyros in 1/256 of 0.018315 °/s, accelerometers in 1/256 step.
+            Readings of the gyros in 1/256 of 0.018315 °/s, and of the accelerometers in 1/256 step.
         temperature, supply : (n,) int, optional
-            In 1/256 step; by default 25 °C and 5 V.
+            Readings of thermometer and voltmeter in 1/256 step; by default 25 °C and 5 V.
         """
         given, force = np.asarray(rates, dtype=np.int64), np.asarray(scan, dtype=np.int64)
         factors = {

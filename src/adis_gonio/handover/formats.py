@@ -1,4 +1,4 @@
-"""The formats of `adis-gonio export`, one row each.
+"""The formats of `adis-gonio export`, one row of a table each.
 
 A new format is a function in this package and a row of `FORMATS`.
 """
@@ -20,16 +20,16 @@ class Format:
     Attributes
     ----------
     name : str
-        Choice of `--format`.
+        Value of the option `--format` that selects this format.
     endings : tuple of str
-        Endings of a file's name that choose this format.
+        Endings of a file's name that select this format.
     holds : {"coefficients", "samples", "document"}
-        Content: a calibration, the samples of a session, or the JSON document with both.
+        Content of the file: a calibration, the samples of a session, or the JSON document with both.
     writer : str
-        `module:function`. For coefficients it takes a `Calibration` and returns a text; for samples it
-        takes a `Session` and a path and writes the file.
+        Function as `module:function`. For coefficients it takes a `Calibration` and returns a text; for
+        samples it takes a `Session` and a path and writes the file. Empty for the JSON document.
     named : bool
-        True if the function also takes a prefix of all names in the file.
+        True if the function also takes a prefix for all names in the file.
     meaning : str
         Content in a few words, for the help.
     """
@@ -91,7 +91,7 @@ ENDINGS = {ending: one.name for one in FORMATS for ending in one.endings}
 
 
 def format_of(name: str) -> str:
-    """Find the export format by the ending of a file name; `UsageError` lists the known endings."""
+    """Return the name of the export format for the ending of a file name, else raise `UsageError`."""
     lower = name.lower()
     for ending in sorted(ENDINGS, key=len, reverse=True):
         if lower.endswith(ending):

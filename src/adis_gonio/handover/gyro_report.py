@@ -20,7 +20,7 @@ _ROLES: tuple[Role, ...] = ("after", "third", "fourth")
 
 
 def gyro_section(session: Session) -> Section | None:
-    """Section on the gyros: parameters, residuals, remarks; None if the session does not calibrate them."""
+    """Return the section on the gyros: parameters, residuals, remarks; None if the session lacks them."""
     try:
         result = fit_gyro(session)
     except AdisGonioError:
@@ -46,7 +46,7 @@ def gyro_section(session: Session) -> Section | None:
 
 
 def uncertainty_sentence(result: GyroFit) -> str:
-    """Sentence on the determined parameters and their uncertainties."""
+    """Return a sentence on the determined gyro parameters and their largest standard uncertainties."""
     largest: dict[str, list[float]] = {}
     for name, value in result.parameters.items():
         if value.u is not None:
@@ -75,7 +75,7 @@ _KINDS = {
 
 
 def gyro_table(result: GyroFit) -> Table:
-    """Table of the errors of each gyro in a column, without rows of unknown quantities."""
+    """Return a table with a column for each gyro's errors; rows of unknown quantities are omitted."""
     rows = []
     for pattern, title in _KINDS.items():
         names = [pattern.format(axis) for axis in "xyz"]
@@ -93,7 +93,7 @@ def _cell(result: GyroFit, name: str) -> str:
 
 
 def _every(result: GyroFit) -> list[Table]:
-    """Tables of all gyro parameters, and of the rotation of the gyro axes against the accelerometers."""
+    """Return tables of all gyro parameters, and of the gyro axes' rotation against the accelerometers."""
     captions = (
         "First letter: gyro, second letter: axis of the accelerometers. u: standard uncertainty; U = k·u.",
         "Rotation of the gyros' triad against the accelerometers', and 90° minus its own angles.",
@@ -111,7 +111,7 @@ def _every(result: GyroFit) -> list[Table]:
 
 
 def _scores(result: GyroFit) -> list[Table]:
-    """Table of the gyros' errors on held-out dwells, as a list; empty without any."""
+    """Return a list with the table of the gyros' errors on held-out dwells; empty without such errors."""
     if not result.scores:
         return []
     rows = [
@@ -128,7 +128,10 @@ def _scores(result: GyroFit) -> list[Table]:
 
 
 def _offsets(session: Session) -> list[Table]:
-    """Table of the gyro offset registers: the present numbers, and those that remove the zero rates."""
+    """Return a list with the table of the gyro offset registers; empty if they are unknown.
+
+    The table has the numbers while recorded, and the numbers that remove the zero rates.
+    """
     if session.sensor not in VARIANTS:
         return []
     try:
@@ -170,13 +173,14 @@ def _residuals(result: GyroFit) -> Figure:
 
 
 LONG_S = 30.0
-"""Length of a rest that shows a gyro's floor (docs/gyros.md); shorter ones show little but white noise."""
+"""Length in s of a rest that shows the floor of a gyro's Allan deviation (docs/gyros.md).
+Shorter rests show little but white noise."""
 _TIME = "averaging time / s"
 _SLOW = ("flicker", "walk")
 
 
 def allan_page(result: AllanResult) -> str:
-    """Render the noise at rest as one HTML page that loads nothing; every text is escaped."""
+    """Return the noise at rest as one HTML page that loads nothing; every text is escaped."""
     name = result.title or result.source or "session"
     whole = section_of(result)
     return render(
@@ -190,7 +194,7 @@ def allan_page(result: AllanResult) -> str:
 
 
 def noise_section(session: Session) -> Section | None:
-    """Section on the gyros' noise; None without gyros, or if no rest is long enough."""
+    """Return the section on the gyros' noise; None without gyros, or if no rest is long enough."""
     try:
         result = fit_allan(session)
     except DataError:
@@ -199,13 +203,13 @@ def noise_section(session: Session) -> Section | None:
 
 
 def shows_slow_noise(result: AllanResult) -> bool:
-    """True if the records at rest show slow noise, or are long enough to show it."""
+    """Return True if the recordings at rest show slow noise, or are long enough to show it."""
     shown = any(axis[kind].present for axis in result.axes for kind in _SLOW)
     return shown or result.longest_s >= LONG_S
 
 
 def section_of(result: AllanResult) -> Section:
-    """Make a section with the content of `allan_page` for another page."""
+    """Return a section with the content of `allan_page`, for another page."""
     return Section(
         f"Noise of the {allan_result.PARTS[result.part]} at rest",
         words=(f"{allan_result.headline(result)}.",),
@@ -215,7 +219,7 @@ def section_of(result: AllanResult) -> Section:
 
 
 def allan_svg(result: AllanResult) -> str:
-    """Plot the Allan deviations of all axes with the fitted curves, as one SVG."""
+    """Return a plot of the Allan deviations of all axes with the fitted curves, as one SVG."""
     series = []
     for role, axis in zip(ROLES, result.axes, strict=False):
         curve = axis.curve

@@ -1,4 +1,4 @@
-"""The seed paper repeated with simulated sessions: its table 1 and figure 3, and their page.
+"""The paper behind this program repeated with simulated sessions: its table 1, its figure 3, and a page.
 
 | printed | read as |
 |---|---|
@@ -14,7 +14,7 @@ Sessions are recorded through chip and driver, as by `adis-gonio simulate`. Ever
 on its stage: at four positions, every 90°, and at nine, every 40°. The paper's method, the closed form
 and `four-position` use the first session, MMPM, `ml` and the trace the second.
 
-The page of the reproduced seed paper: table 1, figure 3, and other methods on the same sessions.
+The page shows table 1, figure 3, and other methods on the same sessions.
 """
 
 from __future__ import annotations
@@ -63,10 +63,11 @@ class TableRow:
     Attributes
     ----------
     key, printed, unit : str
-        Name of the parameter in this package and in the paper, and the unit of its reading.
+        Name of the parameter in this package and in the paper, and the unit in which the row is read here.
     axis : {"x", "y"}
     measured, paper, mmpm, specification : float
-        Columns of the table.
+        Columns of the table: the measured value, the results by the paper's method and by MMPM, and the
+        specification.
     """
 
     key: str
@@ -97,14 +98,14 @@ TABLE: tuple[TableRow, ...] = (
     TableRow("non_orthogonality", "N", "deg", "x", 0.0612, 0.051, -0.057, 0.05),
     TableRow("non_orthogonality", "N", "deg", "y", 0.0673, 0.0514, -0.055, 0.05),
 )
-"""Mean values in table 1 of the paper."""
+"""Rows of table 1 of the paper, which are mean values."""
 
 RMSD = {"SF": 0.0033, "Δφ": 0.001}
-"""Root mean square deviations that the paper prints with the specifications, which are averages."""
+"""Root mean square deviations that the paper prints with the specifications, by printed name."""
 
 
 def row_of(key: str, axis: Axis) -> TableRow:
-    """Find the row of the paper's table for a parameter and an axis."""
+    """Return the row of the paper's table for a parameter and an axis."""
     return next(row for row in TABLE if (row.key, row.axis) == (key, axis))
 
 
@@ -118,6 +119,7 @@ class Truth(JsonRecord):
     delta_phi_deg : float
         Misalignment of Y in the plane.
     bias_x_mg, bias_y_mg : float
+        Biases of the axes.
     """
 
     document_keys = ("scale_x", "scale_y", "delta_k", "delta_phi_deg", "bias_x_mg", "bias_y_mg")
@@ -150,7 +152,10 @@ class Truth(JsonRecord):
 
 
 def truth_of(column: Axis) -> Truth:
-    """True parameters for the sessions of one column of the table: the table's measured values."""
+    """Return the true parameters for the sessions of one column of the table.
+
+    They are the table's measured values; `column` decides the value of Δφ.
+    """
     return Truth(
         1 + row_of("scale_error", "x").measured,
         1 + row_of("scale_error", "y").measured,
@@ -169,7 +174,7 @@ USES = {
     "mmpm": "mmpm",
     "ml": "mmpm",
 }
-"""Plan of the session for each method; `ml` uses the nine dwells of MMPM."""
+"""Plan of the session on which each method is applied; `ml` uses the nine dwells of MMPM."""
 TRACED = "traced"
 METHODS = (*USES, TRACED)
 
@@ -184,9 +189,9 @@ class Part:
         Seed of the simulator: start angle within ±5°, noise and the stage's errors.
     truth : Truth
     settings : mapping of str to float
-        Further settings of the simulated world.
+        Further settings of the simulation by name.
     effects : str
-        Effects of the catalogue, as in a URL.
+        Effects of the catalogue in the notation of a simulator's URL; empty for none.
     """
 
     seed: int
@@ -212,7 +217,10 @@ class Part:
         return f"sim:?seed={self.seed}{settings}" + (f"&effects={self.effects}" if self.effects else "")
 
     def command(self, plan_name: str, output: str = "one.session") -> str:
-        """Command line of `adis-gonio simulate` that records a session of this sensor."""
+        """Return the command line of `adis-gonio simulate` that records a session of this sensor.
+
+        `plan_name` is the plan, `output` the file of the session.
+        """
         words = ["adis-gonio", "simulate", "--plan", plan_name, "--dwell", f"{DWELL_S:g}"]
         words += ["--seed", str(self.seed)]
         for name, value in self._pairs().items():
@@ -223,7 +231,7 @@ class Part:
 
 
 def measured(part: Part, plan_name: str) -> Session:
-    """Record one session of a simulated sensor with the named plan, and load it."""
+    """Record one session of a simulated sensor with the named plan, and return it."""
     with tempfile.TemporaryDirectory() as folder, open_sensor(part.url) as sensor:
         world = sensor.bus.world  # type: ignore[attr-defined]  # the simulator's bus has one
         path = Path(folder) / "one.session"
@@ -243,13 +251,13 @@ def measured(part: Part, plan_name: str) -> Session:
 
 @dataclass(frozen=True)
 class MethodValues:
-    """Values by one method for one simulated sensor; None for values that it does not determine.
+    """Results of one method for one simulated sensor.
 
     Attributes
     ----------
     values, u : mapping of str to float or None
         Values and standard uncertainties by `scale_error_x`, `scale_error_y`, `offset_x`, `offset_y` (g),
-        `non_orthogonality` (degree) and `delta_k`.
+        `non_orthogonality` (degree) and `delta_k`; None for values that the method does not determine.
     """
 
     values: Mapping[str, float | None]
@@ -264,14 +272,14 @@ _FROM_FIT = {
     "non_orthogonality": ("delta_phi", 1.0, 0.0),
     "delta_k": ("delta_k", 1.0, 0.0),
 }
-"""Parameter of `fit`, factor and zero of each quantity of the paper: (value − zero) · factor."""
+"""Parameter of `fit`, factor and zero for each quantity of the paper: (value − zero) · factor."""
 
 
 def quantities(result: FitResult | TraceResult) -> MethodValues:
-    """Convert the result of a fit or a trace to the quantities of the paper.
+    """Return the result of a fit or a trace in the quantities of the paper.
 
-    The paper gives ΔK and Δφ only. Its scales follow from them: the scale of X from equation 6 (the
-    length of (U_x1, U_x2)), the scale of Y from the scale of X and ΔK.
+    The paper's method gives ΔK and Δφ only. Its scales follow from them: the scale of X from equation 6
+    (the length of (U_x1, U_x2)), the scale of Y from the scale of X and ΔK.
     """
     if isinstance(result, TraceResult):
         stated = dict(result.base)
@@ -294,7 +302,17 @@ def quantities(result: FitResult | TraceResult) -> MethodValues:
 
 @dataclass(frozen=True)
 class Results:
-    """Values of every method for one simulated sensor, and the reasons of methods that gave no result."""
+    """Results of every method for one simulated sensor.
+
+    Attributes
+    ----------
+    part : Part
+        The simulated sensor.
+    found : mapping of str to MethodValues
+        Values by method.
+    refused : mapping of str to str
+        Reason for each method that gave no result.
+    """
 
     part: Part
     found: Mapping[str, MethodValues]
@@ -317,7 +335,10 @@ def results_of(part: Part, traced: bool = False) -> Results:
 
 
 def all_results(parts: Sequence[tuple[Part, bool]], jobs: int = 1) -> list[Results]:
-    """Results of many simulated sensors, each given with a flag for the trace; the order is kept."""
+    """Return the results of many simulated sensors in order, each given with a flag for the trace.
+
+    `jobs` is the number of processes.
+    """
     if jobs <= 1:
         return [results_of(*one) for one in with_progress(parts)]
     # Only the parent handles Ctrl-C, so that the processes print no tracebacks.
@@ -329,7 +350,7 @@ def all_results(parts: Sequence[tuple[Part, bool]], jobs: int = 1) -> list[Resul
 
 
 def facts_of(results: Results) -> dict[str, Any]:
-    """JSON form of the results of one simulated sensor."""
+    """Return the JSON object of the results of one simulated sensor."""
     return {
         "seed": results.part.seed,
         "values": {method: dict(found.values) for method, found in results.found.items()},
@@ -339,7 +360,7 @@ def facts_of(results: Results) -> dict[str, Any]:
 
 
 COLUMNS = ("paper", "mmpm")
-"""Methods of the table; their printed values are the fields of `TableRow` with these names."""
+"""Methods that the table compares; their printed values are the fields of `TableRow` with these names."""
 
 
 @dataclass(frozen=True)
@@ -351,9 +372,9 @@ class MethodSpread:
     mean, spread : float or None
         Mean and standard deviation of the quantity; None if the method does not determine it.
     u : float or None
-        Standard uncertainty that the method states, rms over the sessions.
+        Standard uncertainty that the method states, rms over the sessions; None if it states none.
     error : float or None
-        Deviation from the truth, rms.
+        Deviation of the quantity from its true value, rms over the sessions; None without a result.
     sessions : int
         Number of sessions with a result.
     """
@@ -367,13 +388,20 @@ class MethodSpread:
 
 @dataclass(frozen=True)
 class Cell:
-    """A row of the paper's table 1, with statistics of the simulated sessions for each method."""
+    """A row of the paper's table 1, with statistics of the simulated sessions for each method.
+
+    Attributes
+    ----------
+    row : TableRow
+    ours : mapping of str to MethodSpread
+        Statistics of the simulated sessions by method.
+    """
 
     row: TableRow
     ours: Mapping[str, MethodSpread]
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form of the row."""
+        """Return the JSON object of the row."""
         return json_object(name=self.row.name, **asdict(self.row), sessions=self.ours)
 
 
@@ -383,7 +411,7 @@ class Comparison(JsonRecord):
     Attributes
     ----------
     cells : tuple of Cell
-        In the order of the table.
+        Rows of the table, in its order.
     gain : mapping of str to MethodSpread
         ΔK by method for column X, which the printed table lacks although the paper's method determines it.
     """
@@ -393,7 +421,10 @@ class Comparison(JsonRecord):
 
 
 def table_of(results: Mapping[Axis, Sequence[Results]]) -> Comparison:
-    """Compute table 1 of the paper from the results of simulated sessions, for both of its columns."""
+    """Return table 1 of the paper computed from the results of simulated sessions.
+
+    `results` has the sensors of each of its columns.
+    """
     cells = []
     for row in TABLE:
         key = row.key if row.key == "non_orthogonality" else f"{row.key}_{row.axis}"
@@ -403,7 +434,10 @@ def table_of(results: Mapping[Axis, Sequence[Results]]) -> Comparison:
 
 
 def spread_of(results: Sequence[Results], method: str, key: str) -> MethodSpread:
-    """Statistics of the quantity `key` by one method, over the sessions."""
+    """Return the statistics of the quantity `key` by one method, over the sessions.
+
+    All fields are None if the method does not determine it.
+    """
     values, uncertainties = [], []
     for one in results:
         found = one.found.get(method)
@@ -425,13 +459,13 @@ def spread_of(results: Sequence[Results], method: str, key: str) -> MethodSpread
 
 
 def rms(values: Floats) -> float:
-    """Root mean square of the finite values."""
+    """Return the root mean square of the finite values; NaN if no value is finite."""
     finite = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(finite**2))) if finite.size else math.nan
 
 
 def printed_verdicts() -> dict[str, dict[str, Any]]:
-    """For each row of the paper's table, state which printed method is nearer to the measured value.
+    """Return for each row of the paper's table which printed method is nearer to the measured value.
 
     The methods are compared twice: by their values, and by their absolute values. The second comparison
     ignores the sign of the non-orthogonality N, which is negative for MMPM.
@@ -451,18 +485,19 @@ def printed_verdicts() -> dict[str, dict[str, Any]]:
 
 BIASES_MG = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 NOISES_MG = (0.05, 0.16, 0.5, 1.6)
-"""Biases of an axis and noise of a reading on the map; 0.16 mg is a dwell of 1 s of the ADIS16354."""
+"""Standard uncertainties of a reading on the map of errors; 0.16 mg is a dwell of 1 s of the ADIS16354."""
 _MEAN_SQUARE_TANGENT = math.tan(math.radians(GREATEST_ALPHA_DEG)) / math.radians(GREATEST_ALPHA_DEG) - 1
-"""Mean of tan²α over start angles that are uniform within the range of the simulator."""
+"""Mean of tan²α over start angles α that are uniform within the range of the simulator."""
 
 
 def propagated_errors(
     fixture_deg: float, bias_mg: float, noise_mg: float
 ) -> dict[str, tuple[float, float]]:
-    """Errors of ΔK and Δφ (rad) by the paper's method and by MMPM, by linear propagation.
+    """Return the errors of ΔK and of Δφ (rad), each by the paper's method and by MMPM.
 
-    The arguments are standard deviations of a declared angle, of the bias of an axis and of a reading.
-    The fixture enters ΔK of two positions by √2 tan α, and Δφ by √2; MMPM takes it by √(2/9) in both.
+    They follow by linear propagation from the standard deviations of a declared angle, of the bias of an
+    axis and of a reading. The fixture enters ΔK of two positions by √2 tan α, and Δφ by √2; MMPM takes it
+    by √(2/9) in both.
     """
     gain = (truth_of("x").scale_x + truth_of("x").scale_y) / 2
     noise, bias = 1e-3 * noise_mg / gain, 1e-3 * bias_mg / gain
@@ -475,7 +510,11 @@ def propagated_errors(
 
 
 def crossing_deg(bias_mg: float, noise_mg: float) -> float:
-    """Fixture error in degrees above which the paper's method has the smaller error of ΔK."""
+    """Return the standard deviation of a declared angle above which the paper's method is the better.
+
+    It is in degrees; better is the method with the smaller error of ΔK. `bias_mg` and `noise_mg` are the
+    standard deviations of a bias and of a reading.
+    """
     two, nine = propagated_errors(0.0, bias_mg, noise_mg)["delta_k"]
     return math.degrees(math.sqrt((two**2 - nine**2) / (2 / 9 - 2 * _MEAN_SQUARE_TANGENT)))
 
@@ -483,7 +522,7 @@ def crossing_deg(bias_mg: float, noise_mg: float) -> float:
 SESSIONS = 10
 LEAST_SESSIONS, MOST_SESSIONS = 2, 10_000
 TRACED_SHARE = 5
-"""One of this many simulated sensors is traced, but at least one of each kind."""
+"""One of this many simulated sensors is traced, but at least one for each column of the table."""
 _MOST_JOBS = 8
 
 
@@ -494,7 +533,9 @@ class Study:
     Attributes
     ----------
     seed, sessions : int
-        Seed of all random numbers, and number of simulated sensors of each kind.
+        Seed of all random numbers, and number of simulated sensors for each column of the table.
+    table : Comparison
+        The paper's table with the statistics of the simulated sessions.
     results : mapping of str to sequence of Results
         Results of the simulated sensors of the table's columns `x` and `y`.
     """
@@ -510,7 +551,7 @@ class Study:
         return f"adis-gonio paper --seed {self.seed} --sessions {self.sessions}"
 
     def as_dict(self) -> dict[str, Any]:
-        """The document that `adis-gonio paper --json` prints."""
+        """Return the JSON document that `adis-gonio paper --json` prints."""
         truths = {f"column_{column}": truth_of(column).as_dict() for column in AXES}
         return {
             "command": f"{self.command} --json",
@@ -580,7 +621,7 @@ _GRAPHS = {"scale_error": ("SF", "1"), "offset": ("Δφ", "g"), "non_orthogonali
 
 
 def build_page(done: Study) -> str:
-    """Render the study as one HTML page that loads nothing."""
+    """Return the study as one HTML page that loads nothing."""
     return render(
         "The seed paper reproduced",
         "two positions against nine",
@@ -592,7 +633,7 @@ def build_page(done: Study) -> str:
 
 
 def sections(done: Study) -> tuple[Section, ...]:
-    """Sections of the HTML page of the study."""
+    """Return the sections of the HTML page of the study."""
     return (
         _summary(done),
         _table(done),
@@ -604,7 +645,7 @@ def sections(done: Study) -> tuple[Section, ...]:
 
 
 def verdicts(done: Study) -> tuple[str, ...]:
-    """Sentences that state the results of the study."""
+    """Return sentences that state the results of the study."""
     printed = printed_verdicts().values()
     signed = sum(verdict["nearer"] == "paper" for verdict in printed)
     unsigned = sum(verdict["nearer_without_sign"] == "paper" for verdict in printed)
@@ -689,7 +730,7 @@ def _figure_3(done: Study) -> Section:
 
 
 def figures_3(done: Study) -> dict[str, tuple[str, str]]:
-    """The three graphs of the paper's figure 3 as SVG with captions, by parameter."""
+    """Return the three graphs of the paper's figure 3 as SVG with captions, by parameter."""
     made = {}
     for name, (printed, unit) in _GRAPHS.items():
         cells = [cell for cell in done.table.cells if cell.row.key == name]

@@ -1,4 +1,4 @@
-"""Offset words: biases and zero rates of a calibration as numbers for the sensor's offset registers."""
+"""Numbers for the sensor's offset registers that remove the biases and zero rates of a calibration."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class OffsetWord(JsonRecord):
     Attributes
     ----------
     name : str
-        Register.
+        Name of the register.
     number, before : int or None
-        Number to write, and the number during the session; None if the file does not state it.
+        Number to write, and the number during the session (None if the file does not state it).
     bias, u : float, float or None
-        Bias or zero rate that is corrected, in `unit`.
+        Bias or zero rate that the number removes and its standard uncertainty (None if unknown), in `unit`.
     lsb : float
         Step of the register, in `unit`.
     unit : {"mg", "°/s"}
@@ -47,9 +47,10 @@ class OffsetWord(JsonRecord):
     def of(
         cls, name: str, bias: Coefficient, offsets: Sequence[int] | None, k: int, lsb: float, unit: str
     ) -> OffsetWord:
-        """Compute the number of one offset register that removes a bias.
+        """Return the number for one offset register that removes a bias.
 
-        It is the k-th of the registers with the numbers `offsets` during the session.
+        It is the k-th of the registers; `offsets` are their numbers during the session, None if unknown.
+        `lsb` is the step of the register in `unit`.
 
         Raises
         ------
@@ -74,7 +75,7 @@ class OffsetWord(JsonRecord):
 
     @property
     def remainder(self) -> float:
-        """Remaining bias after the correction, due to the rounding of the number, in `unit`."""
+        """Bias that remains after the correction because the number is rounded, in `unit`."""
         return self.bias + (self.number - (self.before or 0)) * self.lsb
 
     def __str__(self) -> str:
@@ -83,12 +84,12 @@ class OffsetWord(JsonRecord):
 
 
 def offset_words(calibration: Calibration) -> tuple[OffsetWord, ...]:
-    """Compute the numbers for the offset registers that remove the bias from the accelerometers' outputs.
+    """Return the numbers for the offset registers that remove the biases of the accelerometers.
 
     Raises
     ------
     FitError
-        The sensor has no such registers, the session does not determine a bias, or one is too large.
+        The sensor has no such registers, the session does not determine a bias, or a bias is too large.
     """
     where = calibration.provenance
     if where.sensor not in VARIANTS or where.counts:
@@ -109,7 +110,7 @@ def offset_words(calibration: Calibration) -> tuple[OffsetWord, ...]:
 
 
 def gyro_offset_words(gyro: GyroCalibration) -> tuple[OffsetWord, ...]:
-    """Compute the offset register numbers that remove the gyros' zero rates; `FitError` if too large."""
+    """Return the offset register numbers that remove the gyros' zero rates; `FitError` if too large."""
     return tuple(
         OffsetWord.of(
             f"{axis.upper()}GYRO_OFF",
@@ -124,16 +125,16 @@ def gyro_offset_words(gyro: GyroCalibration) -> tuple[OffsetWord, ...]:
 
 
 def offset_words_in(path: str | Path) -> tuple[OffsetWord, ...]:
-    """Compute the numbers for offset registers from the file of a calibration or a session.
+    """Return the numbers for the offset registers from the file of a calibration or a session.
 
     The numbers are for gyros and accelerometers, as far as the file determines them.
 
     Raises
     ------
     DataError
-        The file is neither.
+        The file is neither a calibration nor a session.
     FitError
-        It gives no offsets.
+        The file determines neither biases nor zero rates.
     """
     try:
         calibration = load_calibration(path)
@@ -155,12 +156,12 @@ def offset_words_in(path: str | Path) -> tuple[OffsetWord, ...]:
 
 
 def registers_text(calibration: Calibration) -> str:
-    """Lines `NAME=NUMBER` for `adis-gonio registers`, with the corrected biases as comments.
+    """Return lines `NAME=NUMBER` for `adis-gonio registers`, with the removed biases as comments.
 
     Raises
     ------
     FitError
-        As `offset_words`.
+        A bias is not determined or too large for its register, or the sensor has no such registers.
     """
     where, gyro = calibration.provenance, calibration.gyro
     lines = [

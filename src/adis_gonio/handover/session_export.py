@@ -32,13 +32,13 @@ from adis_gonio.tracing.trace_calibrations import (
 )
 
 ROWS = 100_000
-"""Rows of a row group of a Parquet file."""
+"""Number of rows of a row group of a Parquet file."""
 
 
 def write_parquet(session: Session, path: str | Path) -> None:
     """Write all samples of a session to a Parquet file; missing values are null.
 
-    The columns are as in the samples CSV.
+    The columns are the columns of the samples CSV.
 
     The metadata key `adis_gonio` has the session without its samples as JSON; each column has its unit.
 
@@ -92,20 +92,22 @@ class ExportSource:
     Attributes
     ----------
     path : Path
+        File of the session or calibration.
     method : str or None
-        Method of the fit; None for the best one.
+        Method of the fit; None for the recommended one.
     traced : bool
-        True for the coefficients of the traced model.
+        True to export the coefficients of the traced model, False for those of the fit.
     samples : bool
-        True for every sample in JSON.
+        True to include every sample in JSON.
     name : str
         Prefix of every name in a C header.
     overrides : Overrides or None
-        Corrections of the session's metadata.
+        Corrections of the session's metadata; None without corrections.
     tolerance : Tolerance or None
-        Tolerance of the angle, for the statement of conformity in a certificate.
+        Tolerance of the angle for the statement of conformity in a certificate; None for no statement.
     gyros : Path or None
-        Session or calibration of the sensor's gyros, used instead of the gyros of this session.
+        File of a session or calibration of the sensor's gyros, used instead of the gyros of this session;
+        None for the latter.
     """
 
     path: Path
@@ -136,13 +138,13 @@ class ExportSource:
     def write(self, kind: str, path: Path) -> list[str]:
         """Write the source in a format to a new or empty file; return remarks on the content.
 
-        If the registers changed during the session, only the data are written, since a calibration would
-        hold for no state of the registers.
+        `kind` is the name of the format. If the sensor's registers changed during the session, only the
+        data are written, since a calibration would hold for no state of the registers.
 
         Raises
         ------
         UsageError, DataError, FitError, NotInstalledError, OSError
-            As its parts.
+            The options do not fit the format, or a file, a fit, an extra or the disk fails.
         """
         self.check(kind)
         chosen = BY_NAME[kind]
@@ -207,7 +209,7 @@ class ExportSource:
         return fit(session, method=self.method)
 
     def _json(self, session: Session) -> str:
-        """JSON document of the session with its calibration, if it determines one, and its fit or trace."""
+        """Return the JSON document of a session: its calibration, if determined, and its fit or trace."""
         about = session_dict(session)
         if not self.samples:
             del about["dwells"]

@@ -1,4 +1,4 @@
-"""Residual → missing effect → corrected model → error before and after.
+"""The trace: from the residual of a session to the missing effect, and to a model corrected for it.
 
 >>> import adis_gonio
 >>> result = adis_gonio.trace(adis_gonio.load_session("session.csv"))  # doctest: +SKIP

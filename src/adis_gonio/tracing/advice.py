@@ -1,4 +1,4 @@
-"""Advice on further measurements in words; `proposals` computes the measurements."""
+"""Advice on further measurements, in sentences; the module `proposals` chooses the measurements."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from adis_gonio.tracing.selection import Selection
 from adis_gonio.tracing.trace_result import NextDwell
 
 PLAIN = 100.0
-"""Standard uncertainties above which only a lower limit is stated."""
+"""Expected difference in standard uncertainties above which a sentence states only "more than"."""
 
 
 def advise(
@@ -31,13 +31,13 @@ def advise(
     Parameters
     ----------
     data : Readings
-        All dwells.
+        Readings of all dwells.
     selection : Selection
-        Selection made from the fitted dwells.
+        Model chosen from the fitted dwells, with its rivals.
     terms : sequence of Term
-        All candidates of the session.
+        All candidate terms of the session.
     confounded : sequence of sequences of str
-        Groups that the session cannot distinguish.
+        Groups of names of effects that the session cannot distinguish.
     """
     measurements = tuple(replace(m, sentence=_sentence([m])) for m in propose(data, selection, terms))
     lines = list(sentences(measurements))
@@ -63,7 +63,7 @@ def advise(
 
 
 def sentences(measurements: Sequence[NextDwell]) -> tuple[str, ...]:
-    """Return the proposed measurements as sentences, one for all measurements with a common purpose."""
+    """Return the proposed measurements as sentences; one sentence lists the dwells with one purpose."""
     return tuple(_sentence(group) for group in _grouped(measurements))
 
 
@@ -80,7 +80,7 @@ def place(measurement: NextDwell) -> str:
 
 
 def where(measurement: NextDwell) -> str:
-    """Describe a proposed dwell by position alone, such as `45° from above`."""
+    """Describe a proposed dwell by its angle or attitude alone, such as `45° from above`."""
     if measurement.angle_deg is not None:
         side = " from above" if measurement.approach < 0 else ""
         return f"{measurement.angle_deg:g}°{side}"
@@ -90,7 +90,7 @@ def where(measurement: NextDwell) -> str:
 
 
 def _grouped(measurements: Sequence[NextDwell]) -> list[list[NextDwell]]:
-    """Group proposed dwells by purpose: to separate a pair of hypotheses, or to cover unseen effects."""
+    """Group proposed dwells by purpose: to separate two hypotheses, or to show effects not yet visible."""
     groups: dict[object, list[NextDwell]] = {}
     for m in measurements:
         key: object = (m.one, m.other)
@@ -120,7 +120,7 @@ def _sentence(group: Sequence[NextDwell]) -> str:
 
 
 def _faint(group: Sequence[NextDwell]) -> str:
-    """Return advice to repeat positions, if a single dwell there cannot decide between the hypotheses."""
+    """Return the sentence for hypotheses that a single dwell cannot separate: repeat some positions."""
     what = list(dict.fromkeys(place(m) for m in group))
     where = _joined(what, "; " if any("," in w for w in what) else ", ")
     names = _joined(list(dict.fromkeys(name for m in group for name in _varying(m))), ", ")
@@ -133,7 +133,7 @@ def _faint(group: Sequence[NextDwell]) -> str:
 
 
 def _varying(measurement: NextDwell) -> tuple[str, ...]:
-    """Return the effects that only one of the two models compared by a proposed dwell contains, sorted."""
+    """Return the sorted effects that only one of the two models compared by a proposed dwell contains."""
     return tuple(sorted(set(measurement.one) ^ set(measurement.other)))
 
 
@@ -150,9 +150,18 @@ def _by_hand(
     *,
     alone: bool,
 ) -> list[str]:
-    """Return actions of the operator that distinguish groups of effects which no dwell separates.
+    """Return actions of the operator that distinguish confounded effects which no further dwell separates.
 
-    If no attitude is searched for (`alone`), include actions that confirm a name against unnamed forms.
+    Parameters
+    ----------
+    confounded : sequence of sequences of str
+        Groups of effects that the session cannot distinguish; the first of each group is in the model.
+    decided : set of str
+        Effects that a proposed dwell decides, which need no action.
+    remedies : mapping of str to str
+        Action by effect.
+    alone : bool
+        True if the model has no attitude to choose: also confirm an effect whose group has no named rival.
     """
     to_do: dict[str, list[str]] = {}
     for names in confounded:
@@ -175,7 +184,7 @@ def _by_hand(
 
 
 def _of_cycles(selection: Selection) -> list[str]:
-    """Return advice on angles that distinguish a found periodic stage error from others that fit as well.
+    """Return advice on angles that separate the found periodic stage error from others that fit as well.
 
     At the session's angles, stage errors with different numbers of cycles per turn can look alike. Each
     line advises additional angles that distinguish them.
@@ -200,18 +209,18 @@ _FORM_SHOWS = {
     "force": "add poses between those of this session, with each axis along and against gravity",
     "rotation": "turn the part slowly and briskly, to both sides",
 }
-"""Action that shows the form of an unnamed cause, by its covariate."""
+"""Action that shows the form of an unnamed cause, by the covariate on which the cause depends."""
 
 
 def _of_unnamed(model: Sequence[Term]) -> list[str]:
-    """Return actions that show how the unnamed part depends on its covariates, one line each."""
+    """Return actions that show how the model's unnamed terms depend on covariates, one line each."""
     covariates = dict.fromkeys(c for term in model if term.name is None for c in term.covariates)
     to_do = dict.fromkeys(_FORM_SHOWS[name] for name in covariates if name in _FORM_SHOWS)
     return [f"to see the form of the unnamed part: {what}" for what in to_do]
 
 
 def _not_recorded(data: Readings) -> list[str]:
-    """Return advice to record the conditions that are missing from the session."""
+    """Return advice to record conditions that are missing from the session, one line each."""
     c = data.conditions
     lines = []
     if data.planar and c.angle_rad is None:

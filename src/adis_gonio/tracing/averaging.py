@@ -28,18 +28,21 @@ Member = tuple[float, NamelessTerm, Floats]
 
 @dataclass(frozen=True)
 class RidgeSolution:
-    """Fit of one member (a set of unnamed terms) with priors, in addition to the fixed columns.
+    """Fit of the base model, the named terms and one averaged alternative (a member): a ridge regression.
 
     Attributes
     ----------
     terms : tuple of NamelessTerm
-    values, half : (p,), (p, k) float
-        Values, and a root of their covariance in units of the noise.
+        Unnamed terms of the member.
+    values : (p,) float
+        Fitted amplitudes: of the base and named parameters (the fixed columns), then of `terms`.
+    half : (p, k) float
+        Root of the covariance of `values`, in units of the noise.
     used : float
-        Degrees of freedom.
+        Degrees of freedom that the fit uses.
     visible : float
-        Share of the terms' contribution that the fixed columns could not reproduce. It is 1 without terms
-        and for processes, since their priors keep them small.
+        Share (0 to 1) of the contribution of `terms` that the fixed columns could not reproduce. It is 1 if
+        `terms` is empty and for Gaussian processes, since their priors keep them small.
     """
 
     terms: tuple[NamelessTerm, ...]
@@ -49,7 +52,10 @@ class RidgeSolution:
     visible: float
 
     def columns(self, there: Fit, width: int) -> Floats:
-        """Return the whitened columns (rows, p) of a fit; its first `width` columns are the fixed ones."""
+        """Return the whitened columns (rows, p) of base model, named and own terms for the dwells of a fit.
+
+        The first `width` columns of the fit's Jacobian belong to base model and named terms.
+        """
         own = [there.white(there.candidate(term)) for term in self.terms]
         return np.concatenate([there.jacobian[:, :width], *own], axis=1)
 
@@ -61,8 +67,8 @@ class AveragedTerm(NamelessTerm):
     Attributes
     ----------
     members : tuple of (weight, term, values)
-        Weight, unnamed term and fitted amplitudes of each averaged function. Either all of them enter the
-        angle, or none.
+        Weight, unnamed term and fitted amplitudes of each averaged function. Either all of them change the
+        angle, or all of them change the readings.
     """
 
     members: tuple[Member, ...] = ()
@@ -73,7 +79,7 @@ class AveragedTerm(NamelessTerm):
         return max(self.members, key=lambda member: member[0])[1].form
 
     def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Return the weighted mean of the members' contributions to the readings or to the angle."""
+        """Return the members' mean contribution to the readings or to the angle, by their weights."""
         parts = [weight * term.added(own, ideal, conditions) for weight, term, own in self.members]
         total: Floats = np.sum(parts, axis=0)
         return total
@@ -86,18 +92,18 @@ class AveragedTerm(NamelessTerm):
 
 @dataclass(frozen=True)
 class AveragedFit(Fit):
-    """A fit of an averaged model; its uncertainty includes the differences between the members.
+    """Fit of a model with averaged unnamed functions; its u includes the differences between these.
 
     Attributes
     ----------
     mixed_covariance : (p, p) float
-        Covariance of base and named parameters.
+        Covariance of the base and named parameters over all members.
     mixed_used : float
         Degrees of freedom used by base, named terms and members, averaged with the members' weights.
     solutions : tuple of (float, RidgeSolution)
-        The members with their weights.
+        Fit of each averaged alternative (member), with its weight; the weights sum to 1.
     inflation : float
-        Factor on the variance of the noise under which they were solved.
+        Factor on the variance of the noise with which the members were fitted.
     """
 
     mixed_covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)))
@@ -112,15 +118,15 @@ class AveragedFit(Fit):
 
     @property
     def used(self) -> float:
-        """Degrees of freedom used by the fit, equal to `mixed_used`."""
+        """Degrees of freedom that the fit uses, equal to `mixed_used`."""
         return self.mixed_used
 
     @property
     def joint_covariance(self) -> Floats:
-        """Covariance (p + axes, p + axes) of the parameters, and of the averaged terms at the middle.
+        """Covariance (p + axes, p + axes) of the p parameters and of the averaged terms at mid-session.
 
-        These are the readings of the terms that depend on nothing but time, on each axis without
-        acceleration.
+        An averaged term is stated as its contribution to the reading of each axis without acceleration;
+        only terms that depend on nothing but time are included, other terms have zeros.
         """
         width, stated = len(self.mixed_covariance), []
         for weight, one in self.solutions:
@@ -131,7 +137,11 @@ class AveragedFit(Fit):
         return mixed_covariance(stated, width + self.data.axes, self.inflation)[0]
 
     def carried(self, there: Fit) -> Floats:
-        """Root (rows, k) of the covariance of the predictions, within members and between them."""
+        """Return a root (rows, k) of the covariance of the predicted whitened readings of dwells.
+
+        `there` is the fit on these dwells. The covariance includes the uncertainty of each member and the
+        differences between members.
+        """
         width = len(self.mixed_covariance)
         weights = np.sqrt([weight for weight, _ in self.solutions])
         columns = [member.columns(there, width) for _, member in self.solutions]
@@ -146,7 +156,7 @@ class AveragedFit(Fit):
 
 @dataclass(frozen=True)
 class Averaged:
-    """A model with named effects, and with the mean of several possible unnamed functions.
+    """A model with named effects, to which the mean of several possible unnamed functions is added.
 
     Attributes
     ----------
@@ -154,11 +164,11 @@ class Averaged:
         Named terms, then at most one averaged term at the angle and one at the readings. Base and named
         terms were refitted with them.
     smooth : NamelessTerm
-        The most probable process.
+        The most probable Gaussian process among the averaged functions.
     weight : float
-        Total probability of the processes.
+        Total probability of all Gaussian processes, as opposed to formulas or no function.
     candidates : tuple of Process
-        The processes with the highest evidence.
+        The Gaussian processes with the highest evidence.
     """
 
     fit: AveragedFit
@@ -173,7 +183,7 @@ class Averaged:
 
 
 def average(selection: Selection, candidates: Sequence[Process] | None = None) -> Averaged | None:
-    """Return a model with the mean of unnamed functions in addition to the named effects.
+    """Return a model with the mean of unnamed functions in addition to the named effects of a selection.
 
     None if the named effects explain the readings.
 
@@ -184,8 +194,10 @@ def average(selection: Selection, candidates: Sequence[Process] | None = None) -
 
     Parameters
     ----------
+    selection : Selection
+        Chosen model, with its named effects.
     candidates : sequence of Process, optional
-        Processes to try; all by default.
+        Gaussian processes to try; all by default.
     """
     if selection.data.noise_known and selection.inflation > 1:
         measured = _average(replace(selection, inflation=1.0), candidates)
@@ -251,9 +263,10 @@ def _named_columns(fit: Fit) -> list[Floats]:
 
 
 def _covered_by_process(term: NamelessTerm, covered: set[tuple[Where, tuple[str, ...]]]) -> bool:
-    """Return True if a term approximates a function that a Gaussian process also describes.
+    """Return True if an unnamed term approximates a function that a Gaussian process also describes.
 
-    Both fit the readings equally well, but outside their range a polynomial diverges.
+    `covered` has the place and covariates of each process. Both fit the readings equally well, but outside
+    their range a polynomial diverges.
     """
     return term.basis.approximates and (term.where, term.covariates) in covered
 
@@ -261,10 +274,10 @@ def _covered_by_process(term: NamelessTerm, covered: set[tuple[Where, tuple[str,
 def _formulas(
     selection: Selection, named: tuple[int, ...], candidates: Sequence[Process]
 ) -> list[tuple[float, tuple[NamelessTerm, ...]]]:
-    """Return the unnamed terms of each probable model that has exactly these named terms.
+    """Return the unnamed terms of each probable model that has exactly the named terms `named`.
 
-    Each comes with its log evidence minus the log evidence of the model with the named terms alone. Terms
-    that approximate a function which a process also describes are omitted.
+    Each entry begins with the log evidence of its model minus the log evidence of the named terms alone.
+    Terms that approximate a function which a process in `candidates` also describes are omitted.
     """
     problem, found = selection.problem, selection.found
 
@@ -290,7 +303,19 @@ def fit_members(
     pool: Sequence[tuple[float, tuple[NamelessTerm, ...]]],
     weights: Floats,
 ) -> tuple[tuple[float, RidgeSolution], ...]:
-    """Fit each member that has a weight; return the fits with their weights, which sum to 1."""
+    """Fit each member of a pool that has a weight; return the fits with their weights, which sum to 1.
+
+    Parameters
+    ----------
+    fixed : (rows, width) float
+        Whitened columns of the base model and the named terms.
+    target : (rows,) float
+        Whitened readings minus the prediction at the values where the model is linearised.
+    pool : sequence of (float, tuple of NamelessTerm)
+        Log evidence and unnamed terms of each member.
+    weights : (m,) float
+        Posterior weight of each member; 0 drops it.
+    """
     likely = np.flatnonzero(weights).tolist()
     solved = [(float(weights[k]), solve_ridge(selection, fixed, target, pool[k][1])) for k in likely]
     # Members that base and named terms could imitate are dropped, unless this would drop all of them.
@@ -302,10 +327,12 @@ def fit_members(
 def mixed_covariance(
     solutions: Sequence[tuple[float, RidgeSolution]], width: int, inflation: float
 ) -> tuple[Floats, float]:
-    """Return the covariance (k, k) of the fixed parameters and the degrees of freedom of all members.
+    """Return the covariance of the base and named parameters over all members, and the degrees of freedom.
 
-    The covariance contains the uncertainty within each member and the differences between members. The
-    degrees of freedom are a weighted mean.
+    The first `width` values of each solution are these parameters. Their covariance (width, width)
+    contains the uncertainty within each member and the differences between members, both in units of the
+    noise variance times `inflation`. The degrees of freedom are the weighted mean of the degrees that each
+    member uses.
     """
     mean = np.sum([weight * one.values[:width] for weight, one in solutions], axis=0)
     covariance = np.zeros((width, width))
@@ -316,7 +343,10 @@ def mixed_covariance(
 
 
 def _members(solutions: Sequence[tuple[float, RidgeSolution]], fit: Fit, width: int) -> list[Member]:
-    """Return each unnamed term of the solutions with the weight of its member and its amplitudes."""
+    """Return each unnamed term of the fitted members, with the weight of its member and its amplitudes.
+
+    `width` is the number of base and named parameters, which come first in the values of a member.
+    """
     members: list[Member] = []
     for weight, one in solutions:
         cut = width
@@ -334,9 +364,10 @@ def middle_s(fit: Fit) -> float:
 
 
 def _at_middle(fit: Fit, terms: Sequence[NamelessTerm]) -> Floats:
-    """Derivative (axes, k) of the readings without acceleration at the middle by the terms' amplitudes.
+    """Return the derivative (axes, k) of the readings at mid-session by the amplitudes of unnamed terms.
 
-    It is zero for functions of the angle, and for terms that depend on more than time.
+    The readings are those without acceleration. The derivative is zero for functions of the angle, and for
+    terms that depend on more than time.
     """
     middle, still = Conditions(time_s=np.array([middle_s(fit)])), np.zeros((1, fit.data.axes))
     rows = [np.zeros((fit.data.axes, 0))]
@@ -350,7 +381,15 @@ def _at_middle(fit: Fit, terms: Sequence[NamelessTerm]) -> Floats:
 def solve_ridge(
     selection: Selection, fixed: Floats, target: Floats, terms: Sequence[NamelessTerm]
 ) -> RidgeSolution:
-    """Solve the ridge regression of one member."""
+    """Fit one member: base model, named terms and the unnamed `terms`, whose amplitudes have priors.
+
+    Parameters
+    ----------
+    fixed : (rows, width) float
+        Whitened columns of the base model and the named terms, which have no priors.
+    target : (rows,) float
+        Whitened readings minus the prediction at the values where the model is linearised.
+    """
     fit = selection.fit
     blocks = [fit.white(fit.candidate(term)) for term in terms]
     columns = np.concatenate([fixed, *blocks], axis=1)
@@ -377,7 +416,7 @@ def solve_ridge(
 
 
 def _averaged_terms(members: Sequence[Member]) -> list[AveragedTerm]:
-    """Return the averaged terms: at most one that enters the readings and one that enters the angle."""
+    """Return the averaged terms of these members: at most one for the readings, one for the angle."""
     made = []
     for angle in (False, True):
         mine = tuple(member for member in members if member[1].enters_angle == angle)

@@ -1,7 +1,7 @@
 """Names that are accepted, credible sets of names for each cause, and names that remain undecided.
 
 Credible sets
-    Each probable model votes, weighted by its posterior, for its explanation of a cause of the chosen
+    Each probable model votes, weighted by its posterior, for its explanation of one cause in the chosen
     model. If it contains the cause, it votes for the cause. If not, it votes for its additional terms, to
     the degree that they can reproduce the contribution of the cause, or for no cause. A surface that
     replaces two names therefore counts against both. Variants of a name (axes, shapes, dwells) add up.
@@ -34,7 +34,7 @@ from adis_gonio.tracing.selection import Selection
 from adis_gonio.tracing.thresholds import limits
 
 SLOW = {"time", "order", "temperature", "temperature_rate", "supply", "variance"}
-"""Covariates that change from dwell to dwell; all others depend on the position."""
+"""Covariates that change from dwell to dwell (slow ones); all others depend on the position."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,9 @@ class Names:
     accepted : tuple of str
         Names that are accepted.
     rejected : mapping of str to str
-        Names that are not accepted, with the reason.
+        Names that are not accepted, each with the reason.
     confounded : tuple of tuple of str
+        Groups of effects or unnamed functions that the session cannot distinguish.
     """
 
     accepted: tuple[str, ...]
@@ -89,14 +90,21 @@ def judge(selection: Selection, averaged: Averaged | None = None) -> Names:
 
 
 def unknown_of(selection: Selection, averaged: Averaged | None) -> list[NamelessTerm]:
-    """Return the unnamed terms that compete with the names: of the average, or else of the model."""
+    """Return the unnamed terms that may be the cause instead of a name.
+
+    They are the terms of the chosen model or, if it has none, the process with which `averaged` replaces
+    them.
+    """
     terms = [selection.problem.terms[k] for k in selection.verdict.best]
     own = [term for term in terms if isinstance(term, NamelessTerm)]
     return own if own or averaged is None else [averaged.smooth]
 
 
 def related(term: Term, unknown: Term) -> bool:
-    """Return True if a named and an unnamed term may be pieces of a single cause."""
+    """Return True if a named and an unnamed term may be pieces of a single cause.
+
+    This is possible if their covariates are of one kind (slow, or dependent on the position).
+    """
     if not term.covariates:
         return False
     if term.dwell is not None:
@@ -109,7 +117,7 @@ def _kinds(covariates: Sequence[str]) -> set[bool]:
 
 
 def _replacements(selection: Selection) -> list[tuple[str, ...]]:
-    """Return groups of effects that are exchanged between the chosen model and other probable models."""
+    """Return groups of effects that the chosen model has and another probable model replaces by others."""
     verdict = selection.verdict
     best = verdict.best
     top = verdict.weights.get(best, max(verdict.weights.values()))
@@ -134,7 +142,7 @@ def _replacements(selection: Selection) -> list[tuple[str, ...]]:
 
 @dataclass(frozen=True)
 class _Part:
-    """An effect or unnamed function of a model, without its axes, to compare models by their causes."""
+    """An effect or unnamed function of a model without its axes, for a comparison of models by causes."""
 
     name: str | None
     shown_as: str
@@ -146,16 +154,17 @@ def _parts(selection: Selection, model: Model) -> list[_Part]:
 
 
 class CredibleSet(JsonRecord):
-    """Smallest set of names that together have 95 % of the probability to be one cause.
+    """Smallest set of names that together have 95 % of the probability of being one cause in the model.
 
     The JSON document is one entry of `sets`.
 
     Attributes
     ----------
     cause : str
-        Name in the model, or the covariates of an unnamed function.
+        Name that the model has for the cause, or the covariates of an unnamed function.
     names : tuple of str
-        The most probable first; an unnamed function by its covariates.
+        Possible names of the cause, the most probable first; an unnamed function is named by its
+        covariates.
     probability : tuple of float
         Probability of each name.
     present : float
@@ -169,25 +178,29 @@ class CredibleSet(JsonRecord):
 
 
 def credible_sets(selection: Selection, averaged: Averaged | None = None) -> tuple[CredibleSet, ...]:
-    """Return the credible set of each cause of the chosen model, in the order of the model's terms."""
+    """Return the credible set of each cause in the chosen model, in the order of the model's terms.
+
+    `averaged` is the average that replaces the unnamed part of the model, if any.
+    """
     causes = dict.fromkeys(map(cause_name, selection.terms))
     return tuple(set_of(selection, cause, averaged) for cause in causes)
 
 
 def merge_by_function(sets: Sequence[CredibleSet], likelier: Mapping[str, str]) -> tuple[CredibleSet, ...]:
-    """Keep one set for all named causes that are more probably pieces of one unnamed function: the first.
+    """Merge the sets of named causes that are more probably pieces of one unnamed function: keep the first.
 
     Parameters
     ----------
+    sets : sequence of CredibleSet
     likelier : mapping of str to str
-        For each of these causes, the unnamed function.
+        For each of these named causes, the unnamed function; causes that are not in it keep their sets.
     """
     leads = [likelier.get(one.cause, one.cause) for one in sets]
     return tuple(one for k, one in enumerate(sets) if leads[k] not in leads[:k])
 
 
 def set_of(selection: Selection, cause: str, averaged: Averaged | None = None) -> CredibleSet:
-    """Return the credible set of one cause: a name, or the covariates of an unnamed function."""
+    """Return the credible set of one cause, given as its name or as an unnamed function's covariates."""
     share, present = votes(selection, cause, averaged)
     names: list[str] = []
     for name in sorted(share, key=lambda name: -share[name]):
@@ -200,9 +213,10 @@ def set_of(selection: Selection, cause: str, averaged: Averaged | None = None) -
 def votes(
     selection: Selection, cause: str, averaged: Averaged | None = None
 ) -> tuple[dict[str, float], float]:
-    """Return the probability of each name for a cause, and the probability that the cause is present.
+    """Return the probability of each possible name of a cause, and the probability that it is present.
 
-    Each probable model counts for the name that it contains, with its own probability.
+    `cause` is its name in the chosen model. Each probable model counts for the name that it contains, with
+    its own probability.
 
     Parameters
     ----------
@@ -222,7 +236,7 @@ def votes(
 
 
 def _count_votes(selection: Selection, cause: str) -> tuple[dict[str, float], float]:
-    """Return the sum of the votes for each name that could explain a cause, and of those for none."""
+    """Return the sum of the models' votes for each possible name of a cause, and of the votes for none."""
     near = selection.found.near(limits.voting)
     top = max(near.values())
     place = _Place.of(selection, cause)
@@ -238,18 +252,19 @@ def _count_votes(selection: Selection, cause: str) -> tuple[dict[str, float], fl
 
 
 def probability_of(selection: Selection, cause: str, averaged: Averaged | None = None) -> float:
-    """Return the probability that a cause is present and has this name."""
+    """Return the probability that a cause of the chosen model is present and that its name is right."""
     share, present = votes(selection, cause, averaged)
     return min(share.get(cause, 0.0) * present, 1.0)
 
 
 @dataclass(frozen=True)
 class _Place:
-    """One cause of the chosen model, to find the names that other models have in its place.
+    """One cause in the chosen model, with the means to find the names that other models have instead.
 
     Attributes
     ----------
     problem : LinearProblem
+        Linear problem in which the models were chosen.
     cause : str
         Name of the cause, or the covariates of an unnamed function.
     ours : frozenset of str
@@ -274,7 +289,7 @@ class _Place:
         return cls(problem, cause, ours, added / max(float(np.linalg.norm(added)), 1e-300))
 
     def choice(self, model: Model) -> dict[str, float]:
-        """Return the names that a model has in the place of this cause, with shares that sum to at most 1.
+        """Return the names that a model has instead of this cause, with shares that sum to at most 1.
 
         If the model lacks several causes, each of its additional terms is shared among them, in proportion
         to the part of the cause's contribution that it reproduces.
@@ -299,13 +314,16 @@ class _Place:
         return {word: whole * share / sum(part.values()) for word, share in part.items()}
 
     def _explained(self, fresh: Sequence[int], kept: Sequence[int]) -> float:
-        """Return the share (0 to 1) of the cause's contribution that these terms reproduce."""
+        """Return the share (0 to 1) of the cause's contribution that some terms reproduce.
+
+        The terms are those numbered in `fresh` and `kept`.
+        """
         basis, _ = span(self.problem, [*fresh, *kept])
         return float(((basis.T @ self.added) ** 2).sum())
 
 
 def _may_be_piece(selection: Selection, cause: str, averaged: Averaged) -> bool:
-    """Return True if a named cause may be a piece of the function that the average describes."""
+    """Return True if a named cause may be a piece of the Gaussian process that the average describes."""
     terms = [selection.problem.terms[k] for k in selection.verdict.best]
     return any(
         unknown is averaged.smooth and related(term, unknown)
@@ -316,12 +334,12 @@ def _may_be_piece(selection: Selection, cause: str, averaged: Averaged) -> bool:
 
 
 def cause_name(term: Term) -> str:
-    """Return the name of an effect, or the covariates of an unnamed function in words."""
+    """Return the name of an effect, or a text with the covariates of an unnamed function."""
     return term.name or f"unnamed: {join_words(term.covariates)}"
 
 
 def undecided(selection: Selection, count: int = 5) -> tuple[str, ...]:
-    """Return the named effects that could explain the residual of a model that is not adequate.
+    """Return at most `count` named effects that could explain the residual of a model that is not adequate.
 
     Each effect is added alone and tested by an F-test at 10 %. The noise is taken from the residual, since
     the noise measured within the dwells does not explain it. If any effect passes, effects of similar

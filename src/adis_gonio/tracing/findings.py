@@ -1,7 +1,8 @@
 """Findings of a chosen model: parameters with uncertainty, explained shares, unnamed part, rivals, notes.
 
 Share of each finding
-    The excess of a model is its χ² minus its degrees of freedom or, if the noise is unknown, the square of
+    The excess of a model is the amount by which its χ² exceeds its degrees of freedom or, if the noise is
+    unknown, the square of
     its residual. The share of an added effect is the decrease of the excess when it is added, as a fraction
     of the base model's excess. The shares of all effects add up to the total explained fraction, at most
     100 %.
@@ -66,10 +67,14 @@ def dof_of(selection: Selection) -> float:
 def finding_of(
     selection: Selection, name: str, averaged: Averaged | None = None, judged: Selection | None = None
 ) -> Finding:
-    """Return the finding for a named effect of the chosen model: its parameters and its test.
+    """Return the finding for a named effect of the chosen model: its parameters, test and probability.
 
     Parameters
     ----------
+    selection : Selection
+        Chosen model with its fit.
+    averaged : Averaged, optional
+        Average that replaces the unnamed part of the model.
     judged : Selection, optional
         Selection with the posterior that gives the probability; by default `selection`.
     """
@@ -122,7 +127,7 @@ def finding_of(
 
 
 def differs_from_zero(finding: Finding) -> bool:
-    """Return True if at least one parameter of a finding differs significantly from zero."""
+    """Return True if at least one parameter of a finding differs from zero by more than its U."""
     least = limits.significance / NORMAL_95
     halves = [(abs(v.value), v.U or 0.0) for v in finding.parameters.values() if v.u]
     return not halves or any(size > least * half for size, half in halves)
@@ -142,7 +147,7 @@ def scatter_finding(scatter: Scatter, explains: float) -> Finding:
 
 
 def _explained_chi2(selection: Selection, members: Sequence[int]) -> tuple[float, int]:
-    """Return the increase of χ² if these terms are removed from the model, and their number of columns."""
+    """Return the rise of χ² if the terms `members` are removed from the model, and their columns."""
     best = selection.verdict.best
     with_all = float((span(selection.problem, best)[1] ** 2).sum())
     others = [k for k in best if k not in members]
@@ -155,7 +160,8 @@ def unnamed_of(
 ) -> Unnamed | None:
     """Return the unnamed part of the result: structure in the readings that no named effect explains.
 
-    It comes from the model's unnamed terms or from the average that replaces them. Its probability is the
+    It consists of the model's unnamed terms or of the average that replaces them; None without both. Its
+    probability is the
     probability of the least probable function, as in the credible sets, by the posterior of `judged` if
     given.
     """
@@ -198,7 +204,7 @@ def rivals_of(selection: Selection) -> tuple[Rival, ...]:
 
 
 def base_of(selection: Selection) -> dict[str, Value]:
-    """Return the base parameters by name, in the units of `adis_gonio.fit`; in the plane also ΔK.
+    """Return the base parameters of the final fit by name, in the units of results; in the plane also ΔK.
 
     Their uncertainty covers the values in other probable models.
     """
@@ -226,10 +232,11 @@ def base_of(selection: Selection) -> dict[str, Value]:
 
 
 def zeros_of(selection: Selection, seen: Sequence[Finding] = ()) -> dict[str, Value]:
-    """Return the readings at zero acceleration that no finding states, for readings in counts.
+    """Return the readings of unaccelerated axes in counts, as far as no finding in `seen` states them.
 
-    An axis without a bias in the model is at the approximate zero that was used to convert the readings
-    to mg. Its bias is fitted together with the other parameters. Empty if the zero of the unit is known.
+    The result is empty if the unit of the readings is known. An axis without a bias in the model is at the
+    approximate zero that was used to convert the readings to mg. Its bias is fitted together with the other
+    parameters.
     """
     data = selection.data
     if data.unit.known:
@@ -261,7 +268,10 @@ def zeros_of(selection: Selection, seen: Sequence[Finding] = ()) -> dict[str, Va
 
 
 def in_units_of_file(finding: Finding, unit: Unit) -> Finding:
-    """Return a bias in counts as the reading at zero acceleration; other findings are unchanged."""
+    """Return a bias finding with the unaccelerated reading in counts; leave other findings unchanged.
+
+    `unit` is the unit of the readings; if it is known, a bias is unchanged too.
+    """
     if unit.known or finding.effect != "bias":
         return finding
     stated = {}
@@ -275,7 +285,7 @@ def in_units_of_file(finding: Finding, unit: Unit) -> Finding:
 
 
 def notes_of(selection: Selection, scatter: Scatter | None) -> tuple[str, ...]:
-    """Return notes on the noise and on periodic stage errors that the angles cannot distinguish."""
+    """Return notes on the noise, on dwell-to-dwell scatter, and on stage errors that look alike."""
     data = selection.data
     notes = list(data.notes)
     for cycles, others in cycles_alike(selection):
@@ -304,7 +314,7 @@ def notes_of(selection: Selection, scatter: Scatter | None) -> tuple[str, ...]:
 
 
 def excesses(fits: Sequence[Fit], figures: Sequence[ErrorFigures]) -> list[float]:
-    """Return by how much the χ² of each nested model exceeds its degrees of freedom.
+    """Return for each nested model by how much its χ² exceeds its degrees of freedom.
 
     If the noise is unknown, the squared residual is used instead.
     """
@@ -317,10 +327,10 @@ def excesses(fits: Sequence[Fit], figures: Sequence[ErrorFigures]) -> list[float
 
 
 def shares(steps: Sequence[str], excess: Sequence[float]) -> dict[str, float]:
-    """Return the share of the base model's excess χ² that each added effect explains, by name.
+    """Return by effect the share of the base model's excess χ² that adding the effect removes.
 
-    The `steps` are the names of the effects in the order in which they were added. An effect that
-    increases the excess has the share 0.
+    `excess` is the excess χ² of each nested model, the base model first. The `steps` are the names of the
+    effects in the order in which they were added. An effect that increases the excess has the share 0.
     """
     found = dict.fromkeys(steps, 0.0)
     least = excess[0]
@@ -332,12 +342,12 @@ def shares(steps: Sequence[str], excess: Sequence[float]) -> dict[str, float]:
 
 
 def with_shares(found: Sequence[Finding], of_step: dict[str, float]) -> tuple[Finding, ...]:
-    """Return the findings with `explains` set to their shares of the base model's excess χ²."""
+    """Return the findings with `explains` set to the effect's share of the base model's excess χ²."""
     return tuple(replace(finding, explains=of_step.get(finding.effect, 0.0)) for finding in found)
 
 
 def unnamed_with_share(unnamed: Unnamed | None, of_step: dict[str, float]) -> Unnamed | None:
-    """Return the unnamed part with `explains` set to its share of the base model's excess χ².
+    """Return the unnamed part, if any, with `explains` set to its share of the base model's excess χ².
 
     If no step added an unnamed term, the share is limited to the part that the steps leave unexplained.
     """
@@ -352,13 +362,21 @@ def unnamed_with_share(unnamed: Unnamed | None, of_step: dict[str, float]) -> Un
 
 @dataclass(frozen=True)
 class Mixture:
-    """Parameter values (M, p) of M probable models minus the reported values, with the models' weights."""
+    """Parameter values of M probable models, for an uncertainty that covers the choice of the model.
+
+    Attributes
+    ----------
+    away : (M, p) float
+        Values in each model minus the reported values.
+    weight : (M,) float
+        Posterior weights of the models.
+    """
 
     away: Floats
     weight: Floats
 
     def u(self, within: float, along: Floats) -> float:
-        """Return the uncertainty of a linear combination of parameters, averaged over all probable models.
+        """Return the standard uncertainty of a linear combination of parameters over all probable models.
 
         `along` (p,) are the coefficients of the combination; `within` is its standard uncertainty if the
         model is known.
@@ -378,7 +396,7 @@ class Mixture:
 
 
 def base_mixture(selection: Selection) -> Mixture:
-    """Return the values of the base parameters in each probable model, with the models' weights.
+    """Return the base parameters in each probable model (minus the reported ones) with the models' weights.
 
     If an average replaces the unnamed functions, its covariance contains their spread. Models with the
     names of the chosen model then count as the chosen model.
@@ -405,7 +423,7 @@ def base_mixture(selection: Selection) -> Mixture:
 
 
 def effect_mixture(selection: Selection, name: str) -> tuple[list[str], Mixture]:
-    """Return the names of an effect's amplitudes, and their values in the probable models with the effect.
+    """Return the names of an effect's amplitudes, and their values in all probable models with the effect.
 
     Models with other shapes or dwells are excluded: shapes are fitted, and the covariance contains their
     spread. If the chosen model has a bias, models without a bias are excluded too. Every sensor has a
@@ -429,7 +447,7 @@ def _names(problem: LinearProblem, model: Sequence[int]) -> frozenset[str]:
 
 
 def _kind(terms: Sequence[Term], model: Sequence[int], name: str) -> tuple[object, ...]:
-    """Return the shape parameters and options of an effect in a model; empty if the model lacks it."""
+    """Return the shape parameters and choices of an effect in a model; empty without the effect."""
     mine = [terms[k] for k in model if terms[k].name == name]
     return tuple(
         (term.shapes, tuple(getattr(term.effect, choice) for choice in term.effect.choices()))
@@ -439,7 +457,7 @@ def _kind(terms: Sequence[Term], model: Sequence[int], name: str) -> tuple[objec
 
 
 def _amplitudes_of(problem: LinearProblem, model: Sequence[int], name: str) -> dict[str, float]:
-    """Return an effect's amplitudes by parameter name, from a linear fit of a model."""
+    """Return an effect's amplitudes in a model by parameter name, from a linear fit of this model."""
     out: dict[str, float] = {}
     for k, own in zip(model, amplitudes(problem, model), strict=True):
         term = problem.terms[k]
@@ -458,7 +476,7 @@ def follows_clock(term: Term) -> bool:
 
 
 def clock_at_middle(fit: Fit, ideal: Floats, *, turned: bool = False) -> tuple[Floats, Floats]:
-    """Return the contribution of all time-dependent terms to a reading at the middle of the session.
+    """Return the contribution of all terms that depend on time alone to a reading at mid-session.
 
     Parameters
     ----------
@@ -470,6 +488,7 @@ def clock_at_middle(fit: Fit, ideal: Floats, *, turned: bool = False) -> tuple[F
     Returns
     -------
     added : (axes,) or () float
+        Contribution, in the unit of the readings or in rad.
     gradient : (axes, p) or (p,) float
         Derivative by all parameters of the fit.
     """
@@ -484,7 +503,7 @@ def clock_at_middle(fit: Fit, ideal: Floats, *, turned: bool = False) -> tuple[F
 
 
 def bias_at_middle(selection: Selection, finding: Finding) -> Finding:
-    """Return a bias with its value at the middle of the session; other findings are unchanged."""
+    """Return a bias finding with its value at the middle of the session; leave other findings unchanged."""
     if finding.effect != "bias":
         return finding
     fit = selection.fit
@@ -510,7 +529,7 @@ MOST_NAMED = 5
 
 
 def cycles_alike(selection: Selection) -> list[tuple[int, tuple[int, ...]]]:
-    """Return numbers of cycles per turn that could replace the number of each periodic stage error."""
+    """Return each periodic stage error's cycles per turn with other numbers that fit as well."""
     problem, best = selection.problem, selection.verdict.best
     angle = selection.data.conditions.angle_rad
     periodic = {
@@ -542,9 +561,11 @@ _POWER_90 = 1.2815515655446004
 def detectable(
     found: Search, model: Model, missing: dict[str, str], part: str = "accelerometer"
 ) -> dict[str, Detectable]:
-    """Return the smallest amplitude of each effect that the search would find with 90 % power.
+    """Return the smallest amplitude of each effect that the search would find with 90 % probability.
 
-    A column c of an effect, projected off base and model, has a score z ~ N(|c| a, 1). The effect is added
+    `model` is the chosen model; `missing` has the reason of each effect that is not a candidate, and `part`
+    is the part of the sensor. A column c of an effect, projected off base and model, has a score z ~ N(|c|
+    a, 1) for an amplitude a. The effect is added
     if z² > 2 × its price, hence a = (√(2 price) + 1.28)/|c|. The result is the worst of several axes and
     the median of several shapes or dwells.
     """
@@ -553,7 +574,7 @@ def detectable(
 
     @cache
     def basis_without(name: str | None) -> Floats:
-        """Return an orthonormal basis of the model's columns without the terms of an effect."""
+        """Return an orthonormal basis of the model's columns without the terms of one effect."""
         return span(problem, [m for m in model if name is None or problem.terms[m].name != name])[0]
 
     figures: dict[tuple[str, str, str], list[float]] = defaultdict(list)
@@ -587,7 +608,7 @@ def detectable(
 
 
 def _lengths(problem: LinearProblem, term: int, basis: np.ndarray) -> list[float]:
-    """Return how much each amplitude of a term changes the readings beyond changes that the model can make.
+    """Return the change of the readings per unit of each amplitude of a term that the model cannot make.
 
     It is the length of the whitened column after projection off the base model and `basis`.
     """

@@ -1,4 +1,4 @@
-"""The grammar of unnamed terms: a place in the model that a cause enters × a function of covariates.
+"""The grammar of unnamed terms: each combines a place in the model with a function of covariates.
 
 Places: the bias of an axis, its gain, its misalignment against the other axes, the true angle. Functions:
 a power, modulus or sign of the reading; a harmonic of the stage; of temperature, time, supply, approach,
@@ -30,13 +30,12 @@ from adis_gonio.tracing.named_candidates import choices_of_axes
 from adis_gonio.tracing.thresholds import limits
 
 Shape = Callable[[Floats], Floats]
-"""Function of one covariate that is scaled to −1 … 1."""
+"""Function of one covariate that is scaled to the range −1 … 1."""
 Columns = Callable[[Conditions], Floats]
 """Function that computes one or q columns, (n,) or (n, q), from the conditions of n dwells."""
 
 COMMON = ("reading", "force", "rotation", "angle", "time", "temperature")
-"""Covariates with full prior weight; supply, approach, the previous position and products are less
-probable."""
+"""Covariates with full prior weight; other covariates and products are less probable."""
 
 EVERYWHERE: tuple[Where, ...] = ("bias", "gain", "misalignment", "angle")
 
@@ -47,35 +46,39 @@ def line_shape(u: Floats) -> Floats:
 
 
 def power_shape(exponent: int) -> Shape:
-    """Return the function u^exponent, with a whole exponent."""
+    """Return the function u → u^exponent, with a whole exponent."""
     return lambda u: np.asarray(np.prod([u] * exponent, axis=0))
 
 
 def step_shape(place: float) -> Shape:
-    """Return a step function: 0 up to `place`, 1 beyond it."""
+    """Return a step function of u: 0 up to `place`, 1 beyond it."""
     return lambda u: np.where(u > place, 1.0, 0.0)
 
 
 def knee_shape(place: float, sign: float) -> Shape:
-    """Return a function with a knee: 0 on one side of `place`, a straight line on the other."""
+    """Return a function of u with a knee: 0 on one side of `place`, a straight line on the other.
+
+    The line is on the upper side for `sign` 1, on the lower side for −1.
+    """
     return lambda u: np.maximum(sign * (u - place), 0)
 
 
 def growth_shape(rate: float) -> Shape:
-    """Return the function exp(rate · u), scaled so that its maximum is 1."""
+    """Return the function u → exp(rate · u), scaled so that its maximum over −1 … 1 is 1."""
     return lambda u: np.exp(rate * u - abs(rate))
 
 
 def approach_shape(time_constant: float, sign: float) -> Shape:
-    """Return an exponential that decays from the start (sign −1) or rises to the end (sign 1).
+    """Return an exponential function of time that decays from the start (sign −1) or rises to the end (1).
 
-    The unit of the time constant is the length of the session.
+    The time u is −1 at the start of the session and 1 at its end; the unit of the time constant is the
+    length of the session.
     """
     return lambda u: np.exp((sign * (u + 1) / 2 - (sign > 0)) / time_constant)
 
 
 def bump_shape(place: float, width: float) -> Shape:
-    """Return a Gaussian bell curve with its centre at `place`."""
+    """Return a Gaussian bell curve of u with its centre at `place` and a standard deviation of `width`."""
     return lambda u: np.exp(-0.5 * ((u - place) / width) ** 2)
 
 
@@ -90,19 +93,19 @@ def multiple(function: Callable[..., Floats], times: int) -> Shape:
 
 
 def legendre(degrees: Sequence[int]) -> Shape:
-    """Return a function that computes the Legendre polynomials of these degrees, (n, len(degrees))."""
+    """Return a function of u with the Legendre polynomials of these degrees, (n, len(degrees))."""
     one = np.eye(max(degrees) + 1)
     return lambda u: np.stack([np.polynomial.legendre.legval(u, one[k]) for k in degrees], axis=1)
 
 
 def harmonics(orders: Sequence[int]) -> Shape:
-    """Return a function that computes sines and cosines of multiples of an angle, (n, 2 len(orders))."""
+    """Return a function of an angle with sines and cosines of its multiples, (n, 2 len(orders))."""
     return lambda t: np.stack([f(k * t) for k in orders for f in (np.sin, np.cos)], axis=1)
 
 
 @dataclass(frozen=True)
 class _Made:
-    """An unnamed function as a candidate: its family, basis functions, and the parameters it may change."""
+    """An unnamed function as a candidate: its family, basis functions, and places where it may enter."""
 
     family: str
     basis: Basis
@@ -110,7 +113,7 @@ class _Made:
 
 
 def nameless_terms(data: Readings) -> list[NamelessTerm]:
-    """Return all unnamed candidate terms of a session, each with its prior probability."""
+    """Return all unnamed candidate terms of a session, each with its prior probability as cost."""
     made = list(_bases(data))
     weight = {m.family: 1.0 if m.family in COMMON else limits.family_weight for m in made}
     total = sum(weight[family] for family in sorted(weight))
@@ -170,7 +173,25 @@ def _formula(
     smooth: bool = False,
     constant: bool = False,
 ) -> _Made:
-    """Make a candidate from a function of the conditions, with a constant as first column if `constant`."""
+    """Return a candidate made from a function of the conditions.
+
+    Parameters
+    ----------
+    family : str
+        Covariate or group that shares one part of the prior.
+    form : str
+        Text for the function.
+    columns : callable
+        Function that computes the columns.
+    places : tuple of str
+        Places in the model that the function may enter.
+    covariates : tuple of str
+        Covariates of the function; by default `family`.
+    smooth : bool
+        True if the function approximates one without a formula, False for a formula.
+    constant : bool
+        Add a constant as the first column.
+    """
 
     def matrix(conditions: Conditions) -> Floats:
         rows = columns(conditions)
@@ -190,9 +211,10 @@ def _both(
     covariates: tuple[str, ...] = (),
     smooth: bool = False,
 ) -> Iterator[_Made]:
-    """Yield a formula as a candidate, and if no effect has it, also the formula with a constant bias.
+    """Yield a formula as a candidate and, if no named effect has it, the formula plus a constant bias.
 
-    `named` lists the places where the catalogue already contains this formula.
+    `named` lists the places where the catalogue already contains this formula; `smooth` is True if the
+    formula only approximates a function.
     """
     places = tuple(place for place in EVERYWHERE if place not in named)
     yield _formula(family, form, columns, places, covariates=covariates, smooth=smooth)
@@ -205,7 +227,7 @@ def _both(
 def _of_own(
     family: str, form: str, function: Shape, *, smooth: bool = False, constant: bool = False
 ) -> _Made:
-    """Make a candidate that is a function of each axis's own reading, or of the rate about this axis."""
+    """Return a candidate that is a function of each axis's own reading, or of the rate about this axis."""
 
     def columns(driven: Floats, axis: int) -> Floats:
         rows = function(driven[:, axis])
@@ -215,7 +237,7 @@ def _of_own(
 
 
 def _of_others(form: str, function: Callable[[Floats, Floats], Floats]) -> _Made:
-    """Make a candidate that is a function of each axis's own reading and of the other axes' readings."""
+    """Return a candidate that is a function of each axis's own reading and of the other axes' readings."""
 
     def columns(ideal: Floats, axis: int) -> Floats:
         others = [k for k in range(ideal.shape[1]) if k != axis]
@@ -267,7 +289,7 @@ def _of_reading(data: Readings) -> Iterator[_Made]:
 
 
 def _of_force(data: Readings) -> Iterator[_Made]:
-    """Yield functions of the accelerometer readings as candidates for a gyro.
+    """Yield functions of the accelerometer readings (the force) as candidates for a gyro.
 
     The components and their squares are omitted, because they are named effects.
     """
@@ -310,9 +332,10 @@ def _of_force(data: Readings) -> Iterator[_Made]:
 
 
 def _powers(moving: Sequence[int], degree: int) -> list[tuple[int, ...]]:
-    """Return the products of up to `degree` components of the force, each as a tuple of axis numbers.
+    """Return all products of up to `degree` components of the force, each as a tuple of axis numbers.
 
-    Products with z² are omitted if x² + y² + z² = 1 g makes them redundant.
+    `moving` are the axes whose component varies. If all three vary, products with z² are omitted, since
+    x² + y² + z² = 1 g² makes them redundant.
     """
     made = [
         parts
@@ -352,7 +375,7 @@ _OF_COVARIATE: dict[str, Callable[[Readings], Iterator[_Made]]] = {
     "force": _of_force,
     "rotation": _of_rotation,
 }
-"""Functions of the covariates that drive a measurement (`Measurement.driven_by`)."""
+"""Functions that yield candidates, by the covariate that drives a measurement (`driven_by`)."""
 
 
 def _of_angle() -> Iterator[_Made]:
@@ -393,7 +416,7 @@ def _scaled(values: Floats) -> tuple[float, float]:
 
 
 def step_places(values: Floats, count: int) -> list[float]:
-    """Return values between the observed values of a covariate, as places for a step.
+    """Return at most `count` values between the observed values of a covariate, as places for a step.
 
     They are at even quantiles, with at least two dwells on either side, because a step that separates a
     single dwell is an outlier, which is a named effect.
@@ -406,7 +429,19 @@ def step_places(values: Floats, count: int) -> list[float]:
 
 @dataclass(frozen=True)
 class _Course:
-    """Makes candidate functions of one covariate, and their formulas with its symbol."""
+    """One covariate of the session, with methods that yield candidate functions of it.
+
+    Attributes
+    ----------
+    family, letter, unit : str
+        Name of the covariate, and its symbol and unit in the text for a function.
+    sides : tuple of str
+        Words for the upper and the lower side of a knee.
+    get : callable
+        Function that returns the covariate (n,) from the conditions.
+    middle, half : float
+        Middle of its range and half of the range.
+    """
 
     family: str
     letter: str
@@ -417,11 +452,11 @@ class _Course:
     half: float
 
     def inside(self, function: Shape) -> Columns:
-        """Return columns that apply a function to the covariate, scaled to −1 … 1."""
+        """Return a function that computes `function` of the covariate scaled to −1 … 1."""
         return lambda c: function((self.get(c) - self.middle) / self.half)
 
     def steps_and_knees(self, knots: Sequence[float]) -> Iterator[_Made]:
-        """Yield step functions with the step at each knot, and functions with a knee on an even grid."""
+        """Yield step functions with a step at each value in `knots`, and knees on an even grid."""
         for knot in knots:
             form = f"a step at {self.letter} = {knot:.4g}{self.unit}"
             yield from _both(self.family, form, self.inside(step_shape((knot - self.middle) / self.half)))
@@ -432,7 +467,11 @@ class _Course:
                 yield from _both(self.family, form, self.inside(shape))
 
     def bumps(self, widths: Sequence[float], digits: int) -> Iterator[_Made]:
-        """Yield bell curves of each width, centred on an even grid of the covariate."""
+        """Yield bell curves of each width, with centres on an even grid of the covariate.
+
+        `widths` are in units of half the covariate's range; `digits` is the precision of the width in the
+        text.
+        """
         for knot in np.linspace(self.middle - 0.75 * self.half, self.middle + 0.75 * self.half, 7):
             for width in widths:
                 size = f"{width * self.half:.{digits}g}{self.unit}"
@@ -441,7 +480,7 @@ class _Course:
                 yield from _both(self.family, form, self.inside(shape))
 
     def waves(self, count: int) -> Iterator[_Made]:
-        """Yield oscillations along the covariate, with geometrically spaced periods."""
+        """Yield `count` oscillations along the covariate, with geometrically spaced periods."""
         for cycles in np.geomspace(0.5, 0.5 * 2 ** ((count - 1) / 1.5), count).tolist():
 
             def columns(c: Conditions, cycles: float = cycles) -> Floats:
@@ -452,7 +491,7 @@ class _Course:
             yield _formula(self.family, form, columns)
 
     def polynomials(self, levels: int) -> Iterator[_Made]:
-        """Yield polynomials of the covariate of increasing degree, below its number of different values."""
+        """Yield polynomials of the covariate, of degrees below its number `levels` of values."""
         for degree in (2, 3, 4, 5, 6, 8):
             if degree < levels:
                 form = f"a smooth function of {self.family} (degree {degree})"
@@ -465,7 +504,21 @@ class _Course:
 def _of_scalar(
     family: str, letter: str, zero: str, get: Columns, reference: float, data: Readings
 ) -> Iterator[_Made]:
-    """Yield all candidate functions of one covariate: line, powers, steps, knees, exponentials, bumps."""
+    """Yield all candidate functions of one covariate, such as the temperature.
+
+    They are lines, powers, steps, knees, exponentials, bumps, waves and polynomials.
+
+    Parameters
+    ----------
+    family, letter : str
+        Name of the covariate, and its symbol in formulas.
+    zero : str
+        Text for its reference value, such as `25 °C`.
+    get : callable
+        Function that returns the covariate (n,) from the conditions.
+    reference : float
+        Reference value, at which powers of the covariate are zero.
+    """
     values = get(data.conditions)
     course = _Course(family, letter, "", ("above", "below"), get, *_scaled(values))
     half = course.half
@@ -510,7 +563,7 @@ def _of_time(data: Readings) -> Iterator[_Made]:
 
 
 def _of_rate(data: Readings) -> Iterator[_Made]:
-    """Yield functions of the temperature's rate of change and of lagging temperatures.
+    """Yield functions of the temperature's rate of change and of lagged temperatures as candidates.
 
     They may also enter the gains and the angle.
     """
@@ -582,7 +635,7 @@ def _of_memory(data: Readings) -> Iterator[_Made]:
 
 @dataclass(frozen=True)
 class _Factor:
-    """A covariate that may be multiplied by another: name, symbol, values, and its meaningful zero."""
+    """A covariate that may be multiplied by another one: its name, symbol, values and reference value."""
 
     name: str
     letter: str
@@ -617,7 +670,7 @@ def _products(data: Readings) -> Iterator[_Made]:
 
 
 def _cycles_times(factor: _Factor, conditions: Conditions) -> Iterator[_Made]:
-    """Yield stage errors of few cycles per turn with an amplitude proportional to a covariate.
+    """Yield stage errors with one to three cycles per turn and an amplitude proportional to a covariate.
 
     In some orders of positions they look like errors of many cycles per turn and constant amplitude.
     """

@@ -1,8 +1,8 @@
 """The whitened linear problem in which effects are chosen, with a block of orthonormal columns per term.
 
-About a state of the model, the readings minus the prediction and the columns of every term are whitened and
-projected off the base model. Each term's block is made orthonormal, so that its score statistic is the sum
-of its squared scores, and a search needs only dot products of columns.
+About given parameter values, the readings minus the prediction and the columns of every term are whitened
+and projected off the base model. Each term's block is made orthonormal, so that its score statistic is the
+sum of its squared scores, and a search needs only dot products of columns.
 
 Amplitudes have a normal prior with the width of the physical bounds. The prior acts like additional rows
 below each block (target 0, a column 1/σ). Blocks do not share these rows, so they are not stored. A block
@@ -26,24 +26,23 @@ from adis_gonio.fitting.estimation.terms import ROUNDING, Term
 from adis_gonio.tracing.thresholds import limits
 
 _RANK = 1e-7
-"""A column is dropped if its squared length, after projection off the other columns of its term, is
-smaller."""
+"""Least squared length of a column outside the other columns of its term; a shorter column is dropped."""
 _TINY = 1e-8
-"""Least squared part of a column outside a model; a smaller one is a rounding error."""
+"""Least squared part of a column outside a model; a smaller part is a rounding error."""
 
 
 @dataclass(frozen=True)
 class LinearProblem:
-    """The model linearised at given values, with derivatives by all candidate terms as columns.
+    """The model linearised at given parameter values, with a block of columns for each candidate term.
 
     Attributes
     ----------
     terms : tuple of Term
-        Candidates that this session can show.
+        Candidate terms that this session can show.
     columns : (rows, P) float
-        Blocks of the terms in order; QᵀQ + `prior` is the identity for each.
+        Columns of all terms in order. The columns Q of one term (its block) have QᵀQ + `prior` = 1.
     first, width : (M,) int
-        First column and number of columns of each term; widths are in ascending order.
+        First column and number of columns of each of the M terms; the numbers ascend.
     target : (rows,) float
         Whitened readings minus prediction, projected off the base model.
     dof : int
@@ -51,7 +50,7 @@ class LinearProblem:
     back : tuple of (d, width) float
         Matrices that map the coefficients of a block to the amplitudes of its term.
     cost, column_price : (M,) float
-        −ln of each term's share of the prior; price of its columns.
+        −ln of each term's share of the prior, and the price of its columns: both lower the log evidence.
     hidden : tuple of Term
         Candidates that the session cannot show, since their columns lie in the base model.
     prior : tuple of (width, width) float
@@ -75,7 +74,7 @@ class LinearProblem:
 
     @property
     def chi2(self) -> float:
-        """χ² of the residual of the base model."""
+        """χ² of the base model's residual."""
         return float(self.target @ self.target)
 
     def block(self, term: int) -> Floats:
@@ -83,14 +82,19 @@ class LinearProblem:
         return self.columns[:, self.first[term] : self.first[term] + self.width[term]]
 
     def gains(self, basis: Floats, residual: Floats) -> Floats:
-        """Return the decrease of χ² (M,) if each term is added to a model with this residual (rows,).
+        """Return the decrease of χ² (M,) by each term if it alone is added to a model.
 
-        `basis` (rows, k) is an orthonormal basis of the model's columns.
+        `basis` (rows, k) is an orthonormal basis of the model's columns, `residual` (rows,) the model's
+        residual.
         """
         return self.gains_from_products(residual @ self.columns, basis.T @ self.columns)
 
     def gains_from_products(self, z: Floats, inside: Floats) -> Floats:
-        """Compute `gains` from the products of all columns with the residual (P,) and the basis (k, P)."""
+        """Return the decrease of χ² (M,) by each added term, from products of all P columns.
+
+        `z` (P,) are their products with the model's residual, `inside` (k, P) with an orthonormal basis of
+        the model's columns.
+        """
         if not len(self.first):
             return np.zeros(0)
         k = len(inside)
@@ -116,10 +120,11 @@ class LinearProblem:
         return np.concatenate(gains)
 
     def pair_gains(self, z: Floats, inside: Floats, gram: Floats) -> Floats:
-        """Return the decrease of χ² (M, M) if two terms are added to a model together, for each pair.
+        """Return the decrease of χ² (M, M) by each pair of terms if both are added to a model.
 
-        The products of all columns with the residual, the model's basis and each other are (P,), (k, P) and
-        (P, P). Only entries above the diagonal are valid; −∞ if the first term lies in the model.
+        `z` (P,), `inside` (k, P) and `gram` (P, P) are the products of all columns with the model's
+        residual, with an orthonormal basis of its columns and with each other. Only entries above the
+        diagonal are valid; −∞ if the first term lies in the model.
         """
         # Orthonormalise the part of each block outside the model.
         z, left = z.copy(), gram - inside.T @ inside
@@ -149,7 +154,7 @@ class LinearProblem:
         return both + alone[:, None]
 
     def subset(self, chosen: NDArray[np.intp]) -> LinearProblem:
-        """Return the problem restricted to the terms with these numbers, in ascending order."""
+        """Return the problem restricted to the terms with the numbers `chosen`, in ascending order."""
         index = np.array(
             [column for k in chosen for column in range(self.first[k], self.first[k] + self.width[k])],
             dtype=np.intp,
@@ -168,7 +173,7 @@ class LinearProblem:
         )
 
     def with_inflation(self, inflation: float) -> LinearProblem:
-        """Return the problem with the noise variance multiplied by `inflation`.
+        """Return the problem with the measured noise variance multiplied by `inflation`.
 
         This changes the weight of the prior relative to the readings.
         """
@@ -203,7 +208,7 @@ class LinearProblem:
 
     @cached_property
     def _groups(self) -> tuple[tuple[slice, slice, int], ...]:
-        """The terms in groups of equal width: their numbers, their columns and the width."""
+        """Terms in groups of equal width: slice of their numbers, slice of their columns, width."""
         groups = []
         begin = 0
         for size, count in zip(*np.unique(self.width, return_counts=True), strict=True):
@@ -213,7 +218,10 @@ class LinearProblem:
         return tuple(groups)
 
     def gain(self, model: Sequence[int]) -> float:
-        """Return the decrease of χ² by a model, minus the χ² of its amplitudes under the prior."""
+        """Return the decrease of χ² by a model with its most probable amplitudes.
+
+        The χ² of these amplitudes under their prior is subtracted.
+        """
         if not len(model):
             return 0.0
         columns, gram = self.columns_and_gram(model)
@@ -221,7 +229,7 @@ class LinearProblem:
         return float(along @ along)
 
     def columns_and_gram(self, model: Sequence[int]) -> tuple[Floats, Floats]:
-        """Return the columns (rows, p) of a model, and their Gram matrix (p, p) including the prior."""
+        """Return the columns (rows, p) of a model, and their Gram matrix (p, p) with the prior rows."""
         columns = np.concatenate([self.block(k) for k in model], axis=1)
         gram = columns.T @ columns
         start = 0
@@ -234,10 +242,11 @@ class LinearProblem:
 
 
 def _gains_of_wide_blocks(z: Floats, inside: Floats, first: NDArray[np.intp]) -> Floats:
-    """Compute `LinearProblem.gains` (…, M) by systems of the size k of the model.
+    """Return the decrease of χ² (…, M) by each added term, computed by systems of the size k of the model.
 
-    By Woodbury's identity the inverse needs only (1 + ε) 1 − AAᵀ. Products with the residual are (…, P),
-    with the basis (k, …, P); `first` (M,) are the first columns of the blocks.
+    By Woodbury's identity the inverse needs only (1 + ε) 1 − AAᵀ. `z` (…, P) are the products of all
+    columns with the residual, `inside` (k, …, P) with the model's basis; `first` (M,) are the first
+    columns of the blocks. For models with fewer columns than the blocks.
     """
     k, start = len(inside), int(first[0])
     z, inside, first = z[..., start:], inside[..., start:], first - start
@@ -268,7 +277,7 @@ def _solve_small_systems(gram: Floats, right: Floats) -> Floats:
 
 
 class Products:
-    """Cache of the products of a model's columns with the columns of all candidate terms.
+    """Cache of the products of the columns of models with the columns of the terms that may extend them.
 
     With these products, an extension of a model can be scored without using the rows.
     """
@@ -300,7 +309,7 @@ class Products:
         return problem.chi2 - float(along @ along), self._target - along @ inside, inside
 
     def pairs(self, model: Sequence[int]) -> tuple[float, int, Floats]:
-        """Return the χ² of a model's residual, the number of its columns, and `pair_gains` (M, M)."""
+        """Return a model's χ², its number of columns, and the decrease of χ² (M, M) by pairs of terms."""
         chi2, z, inside = self.of_model(model)
         return chi2, len(inside), self._joining.pair_gains(z, inside, self._gram)
 
@@ -311,7 +320,7 @@ class Products:
 
 
 def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
-    """Linearise the terms at the values of a fit, and return the linear problem.
+    """Return the linear problem about the values of a fit, with these candidate terms.
 
     The model of the fit may already contain some of the terms.
     """
@@ -347,7 +356,16 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
 
 
 def project_off_base(base: Floats, columns: Floats, widths: NDArray[np.intp]) -> tuple[Floats, Floats]:
-    """Return the part of columns outside the span of the base model, scaled to 1, and its lengths."""
+    """Return the part of columns outside the span of the base model, scaled to length 1, and its lengths.
+
+    Parameters
+    ----------
+    base : (rows, k) float
+        Orthonormal basis of the base model's whitened columns.
+    columns : (rows, P) float
+    widths : (M,) int
+        Number of columns of each term.
+    """
     before = np.linalg.norm(columns, axis=0)
     # A column of rounding errors (the sixth harmonic's sine on a grid of 30°) is set to zero.
     starts = np.cumsum(widths) - widths
@@ -365,7 +383,7 @@ def project_off_base(base: Floats, columns: Floats, widths: NDArray[np.intp]) ->
 def _orthonormal_blocks(
     columns: Floats, length: Floats, spread: Floats, widths: NDArray[np.intp]
 ) -> tuple[list[int], NDArray[np.intp], Floats, tuple[Floats, ...], tuple[Floats, ...]]:
-    """Orthonormalise the columns of each term; return the visible terms and their blocks.
+    """Orthonormalise the columns of each term; return the terms that the session shows, and their blocks.
 
     The result is: terms, widths (M,), blocks (rows, P), back maps and prior Gram matrices. Blocks of equal
     width are adjacent and computed at once. A back map converts the coefficients of a block
@@ -409,14 +427,24 @@ def _orthonormal_blocks(
 def _back_maps(
     half: Floats, index: NDArray[np.intp], length: Floats, spread: Floats
 ) -> tuple[Floats, Floats]:
-    """Return matrices that convert block coefficients to amplitudes, and Gram matrices of the prior."""
+    """Return matrices that convert block coefficients to amplitudes, and Gram matrices of the prior.
+
+    Parameters
+    ----------
+    half : (…, d, width) float
+        Combinations of a term's d columns that form its block.
+    index : (…, d) int
+        Numbers of these columns.
+    length, spread : (P,) float
+        Length of each column before scaling, and prior standard deviation of its amplitude.
+    """
     back = half / length[index][..., None]
     away = back / spread[index][..., None]
     return back, away.swapaxes(-1, -2) @ away
 
 
 def _column_prices(columns: Floats, first: NDArray[np.intp]) -> Floats:
-    """Return the price of each term's columns, ½ Σ ln(1 + s² n), in nats.
+    """Return the price of each term's columns, ½ Σ ln(1 + s² n) in nats: the loss of log evidence.
 
     The sum is over the columns u of the term; s is the prior standard deviation in units of the noise; n =
     1/Σ u⁴ is the effective number of rows of a column.
@@ -429,7 +457,7 @@ def _column_prices(columns: Floats, first: NDArray[np.intp]) -> Floats:
 
 
 def orthonormal(columns: Floats) -> Floats:
-    """Return an orthonormal basis (rows, k) of the span of columns of any size.
+    """Return an orthonormal basis (rows, k) of the span of columns (rows, p) of any lengths.
 
     Directions that consist of rounding errors are dropped.
     """
@@ -440,7 +468,7 @@ def orthonormal(columns: Floats) -> Floats:
 
 
 def span(problem: LinearProblem, model: Sequence[int]) -> tuple[Floats, Floats]:
-    """Return an orthonormal basis (rows, k) of a model's columns, and the residual of the target.
+    """Return an orthonormal basis (rows, k) of a model's columns, and the target's residual (rows,).
 
     Amplitudes are free: the prior is not applied.
     """
@@ -452,7 +480,7 @@ def span(problem: LinearProblem, model: Sequence[int]) -> tuple[Floats, Floats]:
 
 
 def _orthonormal_combinations(gram: Floats) -> Floats:
-    """Return a matrix (p, k) that turns columns with this Gram matrix into orthonormal columns."""
+    """Return a matrix (p, k) that turns p columns with this Gram matrix into k orthonormal columns."""
     values, vectors = np.linalg.eigh(gram)
     seen = values > limits.independent
     half: Floats = vectors[:, seen] / np.sqrt(values[seen])

@@ -1,4 +1,4 @@
-"""Search over models by moves from the best one, and the posterior of the scored models.
+"""Search for the model of the highest evidence, and the posterior of all models that it scored.
 
 Score of a model
     The score is ½ (explained χ²) − price of its columns − price of its terms. The price of a column is
@@ -58,13 +58,14 @@ class Search:
     ----------
     problem : LinearProblem
     prices : (M,) float
-        Price of each term.
+        Amount in nats by which each term lowers the score of a model.
     inflation : float
-        Factor on the noise variance (greater than 1 if no model is adequate).
+        Factor on the measured noise variance; greater than 1 if no model is adequate.
     scores : dict of model to float
-        Scores against the base model, whose score is 0; a model is a sorted tuple of term numbers.
+        Log evidence of each model minus that of the base model, whose score is 0; a model is a sorted
+        tuple of term numbers.
     promise : (M,) float
-        Largest rise of the score by this term, added to any model that every term extended.
+        Largest rise of the score that each term brought to any model that was extended by every term.
     """
 
     problem: LinearProblem
@@ -104,14 +105,15 @@ def search(
     explored: int = limits.explored,
     spare: int | None = None,
 ) -> Search:
-    """Search for models of up to `max_terms` terms that explain the readings.
+    """Score models of up to `max_terms` terms that may explain the readings, and return their scores.
 
     Parameters
     ----------
     inflation : float
-        Factor on the noise variance (greater than 1 if no model is adequate).
+        Factor on the measured noise variance; greater than 1 if no model is adequate.
     explored : int
-        Number of the best models whose neighbours are all scored.
+        Number of the best models whose neighbours (models with a term added, dropped or exchanged) are all
+        scored.
     spare : int
         Degrees of freedom that must remain; by default half of the base model's degrees of freedom, since a
         model with more columns than remaining readings could not fail. A single named effect with at most
@@ -130,9 +132,9 @@ def search(
 
 
 class _Joining:
-    """Terms that extend models, their numbers among all terms, and a cache of products of columns.
+    """Terms that may extend models: all terms or the named ones, with a cache of products of columns.
 
-    `opened` are the models that were extended by each of these terms.
+    `number` are their numbers among all terms; `opened` are the models that each of them has extended.
     """
 
     def __init__(self, problem: LinearProblem, number: NDArray[np.intp]) -> None:
@@ -179,7 +181,7 @@ class _Climb:
         self._climb(self.every, self.explored)
 
     def _climb(self, joining: _Joining, explored: int) -> None:
-        """Score the neighbours of the best models of these terms until the best ones do not change."""
+        """Score the neighbours of the `explored` best models until these models do not change."""
         leads = self.leads[joining is self.names]
         done: set[tuple[Model, bool]] = set()
         while not spent():
@@ -201,9 +203,9 @@ class _Climb:
                     self.score_pairs(rest)
 
     def _reduced(self, model: Model, far: bool) -> Iterator[Model]:
-        """Yield a model and all models with one term less.
+        """Yield a model and all models that it becomes without one of its terms.
 
-        If `far`, also models with two terms less, and each model with a bias added.
+        If `far` is true, also yield the models without two terms, and each model with a bias added.
         """
         for dropped in range(min(len(model), 1 + far) + 1):
             for rest in itertools.combinations(model, len(model) - dropped):
@@ -215,7 +217,8 @@ class _Climb:
     def score_pairs(self, model: Model, *, start: bool = False) -> None:
         """Score all models that extend a model by two named terms.
 
-        At the start of a search the best pairs are stored, later only those that score near the best model.
+        At the start of a search (`start`) the best pairs are stored, later only pairs that score near the
+        best model.
         """
         found, problem, joining = self.found, self.found.problem, self.names
         if model in self.paired or len(model) + 2 > self.max_terms or len(joining.number) < 2:
@@ -233,7 +236,7 @@ class _Climb:
         self._keep(model, joining.number[np.argwhere(wanted)], scores[wanted])
 
     def _keep(self, model: Model, added: NDArray[np.intp], scores: Floats) -> None:
-        """Store the scores (n,) of a model extended by terms, given by their numbers (n, k)."""
+        """Store the scores (n,) of a model extended by terms, given by their numbers (n, k) in `added`."""
         wider = np.empty((len(added), len(model) + added.shape[1]), dtype=np.intp)
         wider[:, : len(model)], wider[:, len(model) :] = model, added
         wider.sort(axis=1)
@@ -302,9 +305,9 @@ class ModelPosterior:
     best : tuple of int
         The most probable model.
     weights : dict of model to float
-        Posterior of each class of models that span the same space, by its representative; sums to 1.
+        Posterior of each class of models with equal predictions, by its simplest model; the sum is 1.
     same : dict of model to list of models
-        The other models of each class.
+        The other models of each class, by its simplest model.
     names : dict of str to float
         Posterior probability that each effect is present.
     """
@@ -328,7 +331,7 @@ def posterior(found: Search) -> dict[Model, float]:
 
 
 def weigh(found: Search) -> ModelPosterior:
-    """Return the posterior probabilities of the models and of names."""
+    """Return the posterior probabilities of the scored models and of the names that they contain."""
     each = posterior(found)
     same = _classes(found, list(each))
     weights = {m: sum(each[k] for k in (m, *others)) for m, others in same.items()}
@@ -343,7 +346,7 @@ def weigh(found: Search) -> ModelPosterior:
 
 
 def presence_probabilities(terms: Sequence[Term], weights: Mapping[Model, float]) -> dict[str, float]:
-    """Return the probability that each name is present."""
+    """Return the probability that each name is present: the weight of the models that contain it."""
     names: dict[str, float] = defaultdict(float)
     for model, weight in weights.items():
         for name in {terms[k].name for k in model} - {None}:

@@ -1,4 +1,4 @@
-"""Candidates of the catalogue: every effect on every choice of axes, with its shapes on a grid."""
+"""Candidate terms of the catalogue: every effect on every choice of axes, with its shapes on a grid."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def choices_of_axes(axes: Sequence[Any], most: int | None = None) -> list[tuple[
 
 
 def prior_weight(kind: type[Effect]) -> float:
-    """Prior weight of an effect by its group (`Effect.prior`), relative to an effect without a group."""
+    """Return the prior weight of an effect by its group, relative to an effect without a group."""
     constant, curvature, force = limits.bias_weight, limits.quadratic_weight, limits.g_weight
     return {"constant": constant, "curvature": curvature, "force": force}.get(kind.prior, 1.0)
 
 
 def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
-    """Return the candidate terms of all named effects, and for each excluded effect the reason.
+    """Return the candidate terms of all named effects, and the reason for each effect without candidates.
 
     A bias of all axes has nearly the whole prior, since each axis of a real part has a bias. Each other
     effect has a fixed share. Its variants (axes, dwell, degree, shape) divide it evenly; its numbers of
@@ -96,7 +96,7 @@ def _variants(kind: type[Effect], data: Readings) -> Iterator[tuple[Effect, tupl
 
 
 def _options(kind: type[Effect], data: Readings) -> list[dict[str, int]]:
-    """Return the possible settings of an effect in this session: dwell, degree, cycles, or option."""
+    """Return the values to try in this session for an effect's choices (dwell, degree, cycles, options)."""
     choices = kind.choices()
     options: list[dict[str, int]] = [{}]
     if "dwell" in choices and data.conditions.order is not None:
@@ -114,9 +114,10 @@ def _options(kind: type[Effect], data: Readings) -> list[dict[str, int]]:
 
 
 def cycles_shown(angle_rad: Floats, most: int | None = None) -> list[int]:
-    """Return the numbers of cycles per turn that these angles can distinguish from each other.
+    """Return the numbers of cycles per turn, at least three, that these angles distinguish from each other.
 
-    Each number, up to `most`, is also distinguished from a constant and from fewer cycles.
+    Each number, up to `most` (by default the limit of the trace), is also distinguished from a constant
+    and from fewer cycles.
     """
     most = limits.most_cycles if most is None else most
     one = of_one_phase(np.arange(2 * most + 1), angle_rad)
@@ -128,7 +129,7 @@ def cycles_shown(angle_rad: Floats, most: int | None = None) -> list[int]:
 
 
 def _grid(parameter: Parameter, data: Readings) -> list[float]:
-    """Return the values to try for a shape parameter (a time constant, or else its typical value).
+    """Return the values to try for a shape parameter: a grid of time constants, or its typical value.
 
     Time constants range from the spacing of the dwells to 1.5 times the length of the session.
     """

@@ -1,10 +1,10 @@
-"""Trace one dwell in one pose, sample by sample: dependence of the zero on conditions at rest.
+"""Trace of a single dwell, sample by sample: how the bias depends on conditions while the sensor rests.
 
 A single pose does not show gains, angles or a bias. The base model is therefore one constant per axis, and
 the candidates vary in time: temperature (up to the third power), its lag, warm-up, drift, supply. Each axis
 has its own degree and time constant.
 
-A zero also moves without a recorded cause: it jumps, it walks at random, or its noise is 1/f. An effect is
+A bias also moves without a recorded cause: it jumps, it walks at random, or its noise is 1/f. An effect is
 therefore added only if it is more probable than these (`_Noise`), and if the error in most held-out blocks
 of time does not grow. Held-out blocks are used neither for the fit nor for the choice of degree and time
 constant. Inside a fold, degrees and time constants are averaged instead of chosen: each variant predicts
@@ -40,29 +40,31 @@ from adis_gonio.tracing.trace_result import ErrorFigures, Finding, Step, TraceRe
 BLOCKS = 10
 LEAST_ROWS = 200
 AVERAGES = 100
-"""Number of averages over equal intervals for which slow noise is modelled."""
+"""Number of averages over equal intervals of the recording for which slow noise is modelled."""
 NOISE_RATIOS = (0.1, 1.0, 10.0, 1e2, 1e3, 1e4)
-"""Variances of slow noise over the session to try, in variances of an average from its fast noise."""
+"""Sizes of slow noise that are tried: its variance over the session in variances of an average.
+The variance of an average is the one from its fast noise."""
 DEGREES = (1, 2, 3)
 ONE_WAY = 0.98
-"""Rank correlation above which temperature and time count as one covariate."""
+"""Rank correlation of temperature and time above which these count as one covariate."""
 TAUS = 14
 _WHITE = "white noise"
 _POLYNOMIAL = ("bias_temperature", "thermal_lag")
 _RIDGE = 1e-12
-"""Ridge relative to the largest diagonal entry, so that equal columns do not make the system singular."""
+"""Ridge of the normal equations relative to their largest diagonal entry.
+It keeps them solvable if columns are equal."""
 
 
 @dataclass(frozen=True)
 class _Variant:
-    """One variant of an effect: a degree of its polynomial and a time constant.
+    """One variant of an effect: with one degree of its polynomial and one time constant.
 
     Attributes
     ----------
     columns : tuple of int
         Numbers of its columns in the design.
     shape : float or None
-        Time constant in s.
+        Time constant in s; None for an effect without one.
     """
 
     columns: tuple[int, ...]
@@ -71,7 +73,7 @@ class _Variant:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """An effect of the catalogue, with its variants: degrees and time constants to try."""
+    """An effect of the catalogue with the variants (degrees, time constants) to try."""
 
     effect: Effect
     variants: tuple[_Variant, ...]
@@ -86,16 +88,18 @@ class _Problem(ComputedOnce):
     readings : (n, axes) float
         Samples in mg, minus their mean.
     design : (n, P) float
-        Constant first; each column is divided by its largest modulus `size`.
+        Columns of all variants, a constant first; each is divided by its largest modulus `size`.
     size : (P,) float
     gram : (BLOCKS, P, P) float
+        Products of the columns with each other, summed over each block of time.
     cross : (BLOCKS, P, axes) float
+        Products of the columns with the readings, summed over each block of time.
     square : (BLOCKS, axes) float
-        Sums of squares of the readings after subtraction of their means.
+        Sums of squares of the readings in each block of time.
     tried : int
         Number of candidate effects.
     noises : tuple of _Noise
-        Ways in which the zero may move without a recorded cause.
+        Kinds of slow noise by which the bias may move without a recorded cause.
     """
 
     readings: Floats
@@ -110,20 +114,22 @@ class _Problem(ComputedOnce):
 
 @dataclass(frozen=True)
 class _Noise:
-    """One kind of slow noise, with averaged samples that are whitened for R sizes of this noise.
+    """One kind of slow noise, with averages of the samples that are whitened for R sizes of this noise.
 
-    A jump of the zero at any time competes as one more column: a step between two averages.
+    A jump of the bias at any time competes as one more column: a step between two averages.
 
     Attributes
     ----------
     kind : str
+        `white noise`, `a random walk` or `1/f noise`.
     readings : (R, n, axes) float
         Whitened averages of the readings, projected off a constant as all other columns.
     design : (R, n, P) float
+        Whitened averages of the columns of all variants.
     steps : (R, n, n − 1) float
-        Steps of unit size between neighbouring averages.
+        Whitened steps of unit size between neighbouring averages.
     scale : (R,) float
-        Logarithm of the density's factor that depends only on the noise.
+        Logarithm of the factor of the likelihood that depends only on kind and size of the noise.
     """
 
     kind: str
@@ -137,7 +143,7 @@ Model = tuple[_Candidate, ...]
 
 
 def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
-    """Find the causes of the drift of the samples in a session with a single pose.
+    """Return the trace of a session with a single pose: the causes by which its samples drift.
 
     Raises
     ------
@@ -235,7 +241,7 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
 def series_readings(session: Session, dwell: Dwell) -> Floats:
     """Return the samples (n, axes) of a dwell in mg.
 
-    Samples in counts are scaled so that their mean has the length of gravity.
+    Samples in counts of unknown scale are scaled so that their mean has the length of gravity.
     """
     scale = mg_per_unit(session)
     if session.accel_unit == "counts":
@@ -256,14 +262,17 @@ def series_conditions(dwell: Dwell) -> Conditions:
 
 
 def _problem(readings: Floats, conditions: Conditions) -> tuple[_Problem, tuple[_Candidate, ...]]:
-    """Build the regression on all candidate effects; return it and the effects that vary in time."""
+    """Return the regression of the samples on all candidate effects, and these effects."""
     n, axes = readings.shape
     letters = AXES[:axes]
     columns: list[Floats] = [np.ones(n)]
     candidates: list[_Candidate] = []
 
     def take(name: str, variants: Sequence[tuple[Floats, float | None]]) -> None:
-        """Add an effect to the candidates, and the columns (n, d) of its variants to the design."""
+        """Add an effect to the candidates, and the columns of its variants to the design.
+
+        `variants` are columns (n, d) with a time constant in s, None without one.
+        """
         made = effect(name, letters)
         kept = []
         for block, shape in variants:
@@ -312,7 +321,7 @@ def _problem(readings: Floats, conditions: Conditions) -> tuple[_Problem, tuple[
 
 
 def _course(name: str, tau_s: float, conditions: Conditions) -> Floats:
-    """Return the values (n,) of an effect of unit amplitude with this time constant, for each sample."""
+    """Return the course (n,) of an effect: its value for unit amplitude and this time constant."""
     made = effect(name, ("x",))
     ones = np.ones((len(conditions), 1))
     course: Floats = made.derivative(np.array([0.0, tau_s]), ones, conditions)[:, 0, 0]
@@ -328,7 +337,7 @@ def _temperature_powers(conditions: Conditions) -> Floats:
 
 
 def _lag_powers(lag_c: Floats, above_c: Floats) -> Floats:
-    """Return (T_lag − 25 °C)^k − (T − 25 °C)^k, k = 1 to 3, for a lagging element at T_lag, (n, 3).
+    """Return (T_lag − 25 °C)^k − (T − 25 °C)^k, k = 1 to 3, (n, 3), for an element at T_lag.
 
     `lag_c` is T_lag − T and `above_c` is T − 25 °C, both (n,).
     """
@@ -348,7 +357,7 @@ def _labels(made: Effect, count: int) -> tuple[tuple[str, ...], tuple[str, ...]]
 
 
 def _choices(model: Model) -> list[tuple[int, ...]]:
-    """Return all combinations of one variant for each effect of a model."""
+    """Return all combinations of one variant for each effect of a model, as numbers of variants."""
     lists = []
     several = sum(len(candidate.variants) > len(DEGREES) for candidate in model) > 1
     for candidate in model:
@@ -371,7 +380,7 @@ def _columns(model: Model, choice: tuple[int, ...]) -> list[int]:
 
 
 def _solve_with_ridge(gram: Floats, cross: Floats) -> Floats:
-    """Solve normal equations with a ridge too small to change the result; return (…, p, axes).
+    """Solve normal equations for coefficients (…, p, axes), with a negligible ridge.
 
     The ridge only makes the equations solvable if columns are equal.
     """
@@ -387,7 +396,9 @@ def _fits(problem: _Problem, model: Model) -> tuple[list[tuple[int, ...]], Float
     Returns
     -------
     choices : list of tuple of int
+        Combinations: for each effect of the model the number of its variant.
     coefficients : (choices, BLOCKS, P, axes) float
+        Coefficients of all columns without each block, zero for unused columns.
     inside : (choices, BLOCKS, axes) float
         Sums of squares of the residual in the fitted blocks.
     spread : (choices, BLOCKS) float
@@ -414,7 +425,17 @@ def _fits(problem: _Problem, model: Model) -> tuple[list[tuple[int, ...]], Float
 
 
 def _squares(square: Floats, cross: Floats, gram: Floats, solution: Floats) -> Floats:
-    """Return the residual sums of squares (BLOCKS, axes) for given coefficients (BLOCKS, p, axes)."""
+    """Return the residual sum of squares (BLOCKS, axes) of each fit of blocks of time.
+
+    Parameters
+    ----------
+    square : (BLOCKS, axes) float
+        Sums of squares of the readings.
+    cross, gram : (BLOCKS, p, axes), (BLOCKS, p, p) float
+        Products of the columns with the readings and with each other.
+    solution : (BLOCKS, p, axes) float
+        Coefficients of the columns.
+    """
     # |y − Xb|² = yᵀy − 2 bᵀXᵀy + bᵀXᵀX b, from the sums of each block.
     quadratic = np.einsum("bia,bij,bja->ba", solution, gram, solution)
     left: Floats = np.maximum(square - 2 * (cross * solution).sum(axis=1) + quadratic, 0.0)
@@ -422,10 +443,11 @@ def _squares(square: Floats, cross: Floats, gram: Floats, solution: Floats) -> F
 
 
 def _held_out(problem: _Problem, model: Model) -> Floats:
-    """Return the held-out sum of squares (BLOCKS, axes) of a model, averaged over its variants.
+    """Return the sum of squared errors (BLOCKS, axes) of a model on held-out blocks of time.
 
-    A variant takes no part in a block that the others predict with more than four times the variance of the
-    noise; a block without any variant counts as a constant.
+    The prediction is the mean over the variants of the model's effects, weighted by likelihood. A variant
+    takes no part in a block that the other blocks predict with more than four times the variance of the
+    noise; a block without any variant is predicted by a constant.
     """
     _, coefficients, inside, spread = _fits(problem, model)
     # The noise is fitted: −n/2 ln(sum of squares), with one independent value per block.
@@ -443,7 +465,7 @@ def _best_variants(problem: _Problem, model: Model) -> list[tuple[int, ...]]:
 
 
 def _whiten_averages(readings: Floats, design: Floats, time_s: Floats) -> tuple[_Noise, ...]:
-    """Average samples over short intervals, and whiten the averages for each kind of slow noise."""
+    """Return averages of the samples over short intervals, whitened for each kind of slow noise."""
     count = min(AVERAGES, len(time_s))
     cuts = np.arange(count) * len(time_s) // count
     size = np.diff(np.append(cuts, len(time_s)))[:, None]
@@ -482,7 +504,7 @@ def _whiten_averages(readings: Floats, design: Floats, time_s: Floats) -> tuple[
 
 
 def _log_evidence(problem: _Problem, model: Model) -> Floats:
-    """Return the log evidence (kinds, 2, axes) of a model by kind of noise, without and with a jump.
+    """Return the log evidence of a model by kind of noise, without and with a jump, (kinds, 2, axes).
 
     The kinds of noise have equal prior probability, and a jump has the probability of a candidate. The size
     of the noise, the place of the jump and the variants of the model's effects are averaged. The prior of p
@@ -497,7 +519,10 @@ def _log_evidence(problem: _Problem, model: Model) -> Floats:
         total = (noise.readings**2).sum(axis=1)
 
         def factor(rest: Floats, p: int, n: int = n) -> Floats:
-            """Return the logarithm of the factor of p amplitudes that leave a share `rest`, 1 − R²."""
+            """Return the logarithm of the evidence's factor for p amplitudes.
+
+            `rest` is 1 − R², the share of the sum of squares that they leave unexplained.
+            """
             g = float(n)
             return np.asarray(
                 0.5 * (n - 1 - p) * np.log1p(g) - 0.5 * (n - 1) * np.log1p(g * np.maximum(rest, 0.0))
@@ -526,7 +551,7 @@ def _log_evidence(problem: _Problem, model: Model) -> Floats:
 
 
 def _log_odds(problem: _Problem, model: Model, simpler: Model) -> float:
-    """Return the log posterior odds of a model against a model that lacks one of its effects.
+    """Return the log posterior odds of a model against a `simpler` model that lacks one of its effects.
 
     An effect has the prior odds 1 to the number of candidates. It may be absent on some axes, each with
     probability ½.
@@ -541,10 +566,10 @@ def _log_odds(problem: _Problem, model: Model, simpler: Model) -> float:
 
 
 def _shares(problem: _Problem, model: Model, candidates: Sequence[_Candidate]) -> dict[_Candidate, float]:
-    """Return for each further effect the probability that it belongs to the model.
+    """Return for each effect that the model lacks the probability that it belongs to the model.
 
-    The probability that none does is the rest. The prior odds of each against none are 1 to the number of
-    candidates.
+    The probabilities sum to 1 together with the probability that no further effect belongs to the model.
+    The prior odds of each effect against none are 1 to the number of candidates.
     """
     from scipy.special import softmax
 
@@ -557,7 +582,7 @@ def _shares(problem: _Problem, model: Model, candidates: Sequence[_Candidate]) -
 
 
 def _uncaused(problem: _Problem, model: Model) -> list[str]:
-    """Return the axes on which the bias changes without a recorded cause, one line of text each."""
+    """Return a text for each axis on which the bias changes without a recorded cause."""
     from scipy.special import softmax
 
     out = []
@@ -603,9 +628,9 @@ def _figures(problem: _Problem, model: Model) -> ErrorFigures:
 
 
 def _coefficients(problem: _Problem, columns: list[int], axis: int, without: int | None = None) -> Floats:
-    """Fit the listed columns to one axis; return coefficients (P,), zero for the other columns.
+    """Return the coefficients (P,) of a fit of the listed columns to one axis; zero for other columns.
 
-    The fit uses all blocks, or all except block `without`.
+    The fit uses all blocks of time, or all except block `without`.
     """
     kept = np.arange(BLOCKS) != (-1 if without is None else without)
     gram = problem.gram[kept].sum(axis=0)[np.ix_(columns, columns)]
@@ -639,7 +664,7 @@ def _finding(problem: _Problem, model: Model, which: int, explains: float, share
 
 
 def _spread(problem: _Problem, columns: list[int], axis: int) -> Floats:
-    """Return standard uncertainties (P,) of the coefficients of one axis, by the jackknife over blocks."""
+    """Return the standard uncertainties (P,) of one axis' coefficients, by the jackknife over blocks."""
     # Estimates without each block in turn.
     values = np.array([_coefficients(problem, columns, axis, b) for b in range(BLOCKS)])
     spread: Floats = np.sqrt((BLOCKS - 1) * values.var(axis=0)) / problem.size
@@ -647,7 +672,7 @@ def _spread(problem: _Problem, columns: list[int], axis: int) -> Floats:
 
 
 def _detectable(problem: _Problem, model: Model) -> dict[str, Detectable]:
-    """Return for each found effect the amplitude that a test at 1 % significance detects with 90 % power.
+    """Return for each effect of the model the amplitude that a test at 1 % detects with 90 % probability.
 
     The uncertainties are from the jackknife over blocks.
     """
@@ -663,7 +688,7 @@ def _detectable(problem: _Problem, model: Model) -> dict[str, Detectable]:
 
 
 def series_columns(finding: Finding, conditions: Conditions, axes: int) -> list[Floats]:
-    """Return for each axis the design columns (n, d) of a finding, with its degree and time constant."""
+    """Return for each axis the columns (n, d) of a finding, with its degree and time constant."""
     out = []
     one = np.ones((len(conditions), 1))
     for axis in AXES[:axes]:

@@ -34,35 +34,35 @@ from adis_gonio.tracing.trace_result import NextDwell, Purpose
 
 MOST_RIVALS = 10
 COVERED = 0.9
-"""Share of the posterior that the rival models have together."""
+"""Share of the posterior that the compared models have together."""
 WORTH_CONDITIONS = 0.2
-"""Share of the best hypothesis' posterior that justifies heating or a change of the supply."""
+"""Posterior, as a share of the best model's, above which a model justifies heating or another supply."""
 UNSEEN = 0.03
 """Prior probability of an effect that the session could not have shown."""
 LEAST_SEPARATION = 3.0
-"""Expected separation of two hypotheses, in standard uncertainties, that a measurement must reach."""
+"""Least expected difference of two hypotheses, in standard uncertainties, of a proposed measurement."""
 FAINT_SEPARATION = 0.1
-"""Separation that is accepted instead if the model is not adequate and no measurement reaches more."""
+"""Least difference that is accepted if the model is inadequate and no measurement reaches more."""
 LEAST_INFORMATION: dict[Purpose, float] = {"decide": 0.05, "cover": 0.02}
-"""Least expected information in nats. Two equally probable models have 0.7 nats; an effect that the session
-could not have shown has 0.1 nats."""
+"""Least expected information in nats of a measurement, by its purpose.
+Two equally probable models have 0.7 nats; an effect that the session could not have shown has 0.1 nats."""
 TYPICALS = 2.0
 """Prior standard deviation of an effect in units of its typical size on benches."""
 START_RAD, SENSOR = 0.3, 0.03
-"""Prior standard deviations of the start angle, and of gains (1 is perfect) and skews (rad), about the fit.
+"""Prior standard deviations of the start angle (rad), and of gains and skews (rad), about fitted values.
 Without a measurement these are known as well as sensors are alike."""
 FAR = 1e6
-"""Whitened predictions are limited to this, because they may overflow in an extrapolation."""
+"""Limit of predictions in standard uncertainties, because they may overflow in an extrapolation."""
 
 _SUPPLY_V = (4.80, 5.20)
-"""Inside the specified supply range (4.75 to 5.25 V) with a margin."""
+"""Supply voltages that are proposed: inside the specified range (4.75 to 5.25 V) with a margin."""
 _WARMER_C = 10.0
 _WARMING_S = 600.0
-"""Time in which a part reaches another temperature."""
+"""Time in s in which a part reaches another temperature."""
 _EFFORT_TEMPERATURE = 4.0
 _EFFORT_SUPPLY = 1.0
 _EFFORT_WAIT_S = 300.0
-"""Efforts in units of one additional position."""
+"""Efforts in units of one additional position: another temperature, another supply, a wait of so many s."""
 
 
 @dataclass(frozen=True)
@@ -72,12 +72,15 @@ class ImaginedDwell:
     Attributes
     ----------
     angle_deg : float or None
+        Angle of the stage; None in space.
     direction : tuple of float or None
+        In space: direction of gravity in the sensor; None in a plane.
     approach : int
+        +1 from below, −1 from above; 0 does not matter.
     wait_s : float
         Waiting time in addition to the usual time between two dwells.
     temperature_c, supply_v : float or None
-        Required temperature and supply if they differ from the session's.
+        Required temperature in °C and supply in V; None for no change.
     """
 
     angle_deg: float | None
@@ -110,10 +113,11 @@ class Hypothesis:
     Attributes
     ----------
     labels : tuple of str
-        Its effects, and descriptions of its unnamed terms.
+        Names of the model's effects, and descriptions of its unnamed terms.
     weight : float
-        Probability among the hypotheses.
+        Probability of the model among the hypotheses.
     fit : Fit
+        Fit of the model to the session.
     shift, root : (p,), (p, p) float
         Posterior mean minus the fitted parameters, and a root of the posterior covariance.
     chi2 : float
@@ -134,18 +138,18 @@ def propose(
     terms: Sequence[Term],
     most: int = 4,
 ) -> tuple[NextDwell, ...]:
-    """Return proposed measurements that would distinguish the possible models, most informative first.
+    """Return proposed dwells that would distinguish the possible models, the most informative first.
 
     Parameters
     ----------
     data : Readings
-        All dwells.
+        Readings of all dwells.
     selection : Selection
-        Selection made from the fitted dwells.
+        Model chosen from the fitted dwells, with its rivals.
     terms : sequence of Term
-        All candidates of the session.
+        All candidate terms of the session.
     most : int
-        Largest number of measurements for each of the two questions.
+        Largest number of dwells for each of the two questions (see the module).
     """
     turned = data.model.freedom > 0 or data.conditions.force_g is not None
     if not turned or (data.planar and data.conditions.angle_rad is None):
@@ -173,7 +177,7 @@ def propose(
 
 
 def label(term: Term) -> str:
-    """Return the text for a term in an advice: its name, or the description of an unnamed term."""
+    """Return the words for a term in a sentence of advice: its name, or a description if it is unnamed."""
     if term.name is not None:
         return term.name
     where = {"bias": "zero", "gain": "gain", "angle": "true angle", "misalignment": "misalignment"}
@@ -199,7 +203,7 @@ def _labels(model: Sequence[Term]) -> tuple[str, ...]:
 
 
 def _rivals(selection: Selection) -> list[Hypothesis]:
-    """Return hypotheses that compete: the chosen model, and the best model of each other set of names.
+    """Return the chosen model and the best model of each other probable set of names, as hypotheses.
 
     Together they have most of the posterior probability. An adequate model has rivals that contain it: with
     few dwells an effect can be too faint to be found and yet as probable as its absence.
@@ -227,9 +231,10 @@ def _rivals(selection: Selection) -> list[Hypothesis]:
 
 
 def _explanations(selection: Selection, terms: Sequence[Term]) -> tuple[float, list[Hypothesis]]:
-    """Return hypotheses for the residual of a model that is not adequate, each with one more effect.
+    """Return a noise factor, and hypotheses that add one effect each to a model that is not adequate.
 
-    The noise is the measured noise or, if larger, the smallest residual of any hypothesis. If several names
+    The factor on the noise variance is 1 or, if larger, the smallest χ² per degree of freedom of any
+    hypothesis. If several names
     are undecided, only these are compared. "No further effect" is not a hypothesis, because the model is
     not adequate.
     """
@@ -254,7 +259,8 @@ def _extended(
 ) -> list[Hypothesis]:
     """Return the chosen model and its extensions by one more effect, as hypotheses with weights.
 
-    The weights are the prior share times the evidence of the session.
+    Effects in `known` are omitted. A weight is the prior probability of the effect times the evidence of
+    the session, with the noise variance multiplied by `inflation`.
     """
     base, evidence = fitted_hypothesis(selection.fit, 1.0, inflation)
     pairs = [(base, evidence)]
@@ -271,7 +277,7 @@ def _extended(
 
 
 def widest_terms(terms: Sequence[Term]) -> dict[str, NamedTerm]:
-    """Return one candidate term for each effect: on all axes, with a shape in the middle of its grid.
+    """Return one candidate term for each effect: on all its axes, with a shape in the middle of its grid.
 
     Effects of single dwells are omitted.
     """
@@ -292,7 +298,8 @@ def widest_terms(terms: Sequence[Term]) -> dict[str, NamedTerm]:
 def fitted_hypothesis(fit: Fit, weight: float, inflation: float) -> tuple[Hypothesis, float]:
     """Return the hypothesis that a fitted model is true, and its log evidence.
 
-    The posterior of the parameters assumes priors of physically plausible size.
+    `weight` is the hypothesis' prior probability; the noise variance is multiplied by `inflation`. The
+    posterior of the parameters assumes priors of physically plausible size.
     """
     columns = whitened_columns(fit, fit.whitener / np.sqrt(inflation))
     flat = columns.reshape(-1, columns.shape[2])
@@ -316,7 +323,8 @@ def fitted_hypothesis(fit: Fit, weight: float, inflation: float) -> tuple[Hypoth
 def parameter_prior(fit: Fit, flat: Floats) -> tuple[Floats, Floats]:
     """Return the mean and inverse variance (p,) of the prior of each parameter.
 
-    The prior is wide for base parameters, and has the typical physical size for effects.
+    `flat` are the whitened columns (rows, p) of the parameters. The prior is wide for base parameters, and
+    has the typical physical size for effects.
     """
     means = [fit.values.base]
     spreads = [START_RAD if np.isinf(p.spread) else SENSOR for p in fit.data.model.parameters]
@@ -340,7 +348,10 @@ def parameter_prior(fit: Fit, flat: Floats) -> tuple[Floats, Floats]:
 
 
 def whitened_columns(fit: Fit, whiten: Floats) -> Floats:
-    """Return the derivatives (n, rows, p) of the whitened readings with respect to all parameters."""
+    """Return the derivatives (n, rows, p) of the whitened readings with respect to all parameters.
+
+    `whiten` (n, rows, axes) are the matrices that whiten the readings.
+    """
     columns = whiten @ fit.columns
     return np.clip(np.nan_to_num(columns, posinf=FAR, neginf=-FAR), -FAR, FAR)
 
@@ -355,20 +366,25 @@ def _normalised(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
 
 @dataclass(frozen=True)
 class PredictedDwells:
-    """Whitened readings of n dwells predicted by each hypothesis, with roots of their covariances.
+    """Whitened readings of n imagined dwells as each hypothesis predicts them.
 
-    Per hypothesis the means are (n, rows) and the roots (n, rows, p).
+    Attributes
+    ----------
+    mean : list of (n, rows) float
+        Predicted readings by each hypothesis.
+    root : list of (n, rows, p) float
+        Root of the covariance that the parameters of each hypothesis add to the predictions.
     """
 
     mean: list[Floats]
     root: list[Floats]
 
     def of(self, k: int) -> PredictedDwells:
-        """Predicted readings of the dwell number k alone."""
+        """Return the predicted readings of dwell number k alone."""
         return PredictedDwells([m[k : k + 1] for m in self.mean], [r[k : k + 1] for r in self.root])
 
     def after(self, other: PredictedDwells) -> PredictedDwells:
-        """Return the predictions of `other`, followed by these."""
+        """Return the predictions for the dwells of `other`, followed by those for these dwells."""
         return PredictedDwells(
             [np.concatenate(pair) for pair in zip(other.mean, self.mean, strict=True)],
             [np.concatenate(pair) for pair in zip(other.root, self.root, strict=True)],
@@ -385,7 +401,25 @@ def _greedy(
     least: float = LEAST_SEPARATION,
     heating: bool = True,
 ) -> tuple[list[ImaginedDwell], list[NextDwell]]:
-    """Choose dwells one by one; each adds the most information per effort to the dwells chosen before."""
+    """Choose dwells one by one; each adds the most information per effort to the dwells before it.
+
+    Parameters
+    ----------
+    inflation : float
+        Factor on the noise variance.
+    most : int
+        Largest number of dwells to choose.
+    before : list of ImaginedDwell
+        Dwells that were chosen already.
+    least : float
+        Least difference of two hypotheses in standard uncertainties that a dwell must show.
+    heating : bool
+        False to allow no dwell at another temperature or supply.
+
+    Returns
+    -------
+    The dwells `before` and the chosen dwells, and the chosen dwells as records for the result.
+    """
     places = list(before)
     out: list[NextDwell] = []
     if len(hypotheses) < 2:
@@ -437,7 +471,9 @@ def _separated_pair(
 ) -> tuple[int, int] | None:
     """Return the two hypotheses that a dwell separates best; None if it separates no pair.
 
-    The more probable hypothesis is first.
+    The more probable hypothesis is first. `apart` (K, K) are the expected separations, `least` is the
+    smallest in standard uncertainties; `conditions` is True if the dwell needs another temperature or
+    supply.
     """
     both = np.maximum(apart, apart.T)
     likely = np.sqrt(np.outer(weights, weights)) * (both >= least**2)
@@ -455,9 +491,10 @@ def _separated_pair(
 
 
 def information_nats(weights: Floats, given: PredictedDwells, options: PredictedDwells | None) -> Floats:
-    """Return the expected information (n,) in nats of each option about which hypothesis is true.
+    """Return the expected information (n,) in nats of each optional dwell about the true hypothesis.
 
-    The dwells `given` are measured too. Without options the result (1,) is for these dwells alone.
+    `weights` are the probabilities of the hypotheses. The dwells `given` are measured too. Without options
+    the result (1,) is for these dwells alone.
     """
     count = 1 if options is None else len(options.mean[0])
     means, covariances = [], []
@@ -485,7 +522,10 @@ def information_nats(weights: Floats, given: PredictedDwells, options: Predicted
 
 
 def expected_separations(dwells: PredictedDwells) -> Floats:
-    """Return how well dwells separate K hypotheses: expected excess χ² (K, K) of j if i is true."""
+    """Return how well dwells separate K hypotheses: the expected excess χ² (K, K) of j if i is true.
+
+    The excess is the χ² beyond its degrees of freedom.
+    """
     count = len(dwells.mean)
     out = np.zeros((count, count))
     if not dwells.mean[0].size:
@@ -529,7 +569,7 @@ def _measurement(
 
 
 def _options(data: Readings) -> list[ImaginedDwell]:
-    """Return the dwells to choose from: all positions, and some positions with a changed condition.
+    """Return the imagined dwells to choose from: all positions, and some with a changed condition.
 
     A changed condition is a wait, another temperature or another supply.
     """
@@ -566,7 +606,7 @@ def _predict(
     options: list[ImaginedDwell],
     before: list[ImaginedDwell],
 ) -> PredictedDwells:
-    """Predict the whitened readings of each option, measured after the dwells `before`."""
+    """Predict the whitened readings of each optional dwell, measured after the dwells `before`."""
     groups: dict[float | None, list[int]] = {}
     for k, place in enumerate(options):
         groups.setdefault(place.temperature_c, []).append(k)
@@ -606,7 +646,10 @@ def _imagining(fit: Fit, imagined: Readings) -> Fit:
 def _imagined(
     data: Readings, options: list[ImaginedDwell], before: list[ImaginedDwell], temperature_c: float | None
 ) -> Readings:
-    """Make readings for dwells not yet measured, at one temperature, after the session and `before`."""
+    """Return the readings of imagined dwells at one temperature, after the session and the dwells `before`.
+
+    `temperature_c` None means the last temperature before them.
+    """
     c, n = data.conditions, len(options)
     end = float(c.time_s.max())
     step = float(np.median(np.diff(np.sort(c.time_s)))) if len(data) > 1 else 30.0
@@ -663,7 +706,10 @@ def _imagined(
 
 
 def _warmed(c: Conditions, n: int, wanted: float | None) -> Floats | None:
-    """Return the temperatures (n, 3) of the three dies after their mean has changed to `wanted`."""
+    """Return the temperatures (n, 3) of the three dies after their mean has changed to `wanted` in °C.
+
+    None if they were not recorded.
+    """
     if c.temperatures_c is None or c.temperature_c is None or wanted is None:
         return None
     return np.tile(c.temperatures_c[-1] + wanted - c.temperature_c[-1], (n, 1))

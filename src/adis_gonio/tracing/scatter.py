@@ -1,4 +1,4 @@
-"""Dwell-to-dwell scatter as a hypothesis: more noise than the samples within the dwells show.
+"""Scatter from dwell to dwell as a hypothesis: more noise than the samples within the dwells show.
 
 A loose seat of the part, an understated fixture uncertainty, or telegraph and heavy-tailed noise scatter
 the readings without following a covariate. A variance component competes with every function. Its size
@@ -42,15 +42,17 @@ class Scatter:
     Attributes
     ----------
     kind : {"reading_scatter", "fixture_scatter"}
+        Quantity that scatters: the reading, or the angle of the part in its fixture.
     value, u : float
         Standard deviation of a reading on each axis in its unit, or of an angle in degrees, and its
         standard uncertainty.
     declared : float
-        Uncertainty measured within the dwells, or stated for the fixture, in the same unit.
+        Standard uncertainty measured within the dwells, or stated for the fixture, in `unit`.
     log_odds : float
-        Log evidence for scatter, against functions with the measured noise.
+        Log evidence for scatter, minus that for functions of covariates with the measured noise.
     p_value : float
-        p-value of the restricted likelihood ratio for a model, divided by the component's prior share.
+        p-value of the restricted likelihood ratio without and with scatter, divided by the prior
+        probability of scatter; at most 1.
     """
 
     kind: Kind
@@ -72,8 +74,9 @@ def with_scatter(
 ) -> tuple[Selection, Scatter | None]:
     """Return the selection, or a selection with dwell-to-dwell scatter if its evidence is higher.
 
-    Scatter of the readings and of the fixture are compared with the candidates that scored well. With the
-    better one, a model is selected from all candidates.
+    `terms` are all candidate terms. Scatter of the readings and of the fixture are first compared with the
+    candidates that scored well. With the
+    better kind, a model is selected from all candidates. The scatter is None if its evidence is not higher.
     """
     data = selection.data
     promising = selection.promising(terms)
@@ -107,18 +110,18 @@ def _kinds(data: Readings) -> Iterator[Kind]:
 
 
 def _price(data: Readings) -> float:
-    """Return the price of scatter in nats, for its parameter and its prior probability."""
+    """Return the loss of log evidence in nats by scatter: for its parameter and its prior probability."""
     return -math.log(limits.effect_share) + 0.5 * math.log(max(data.mean.size, 2))
 
 
 def _evidence(selection: Selection) -> float:
-    """Return the log evidence of the chosen model, except for constants common to all models."""
+    """Return the log evidence of a selection's model, except for constants common to all models."""
     prices = sum(float(selection.found.prices[k]) for k in selection.verdict.best)
     return _restricted(selection.fit, base_only=True) - prices
 
 
 def _evidence_of_processes(selection: Selection) -> float:
-    """Return the log evidence of the best smooth function together with named terms of the model.
+    """Return the log evidence of the best smooth function of a covariate, with named terms of the model.
 
     The function is tried with all named terms, with the bias only and without named terms, since named
     terms may have explained a part of it.
@@ -146,7 +149,7 @@ def _evidence_of_processes(selection: Selection) -> float:
 def _fit_component(
     data: Readings, kind: Kind, selection: Selection, terms: Sequence[Term], max_effects: int
 ) -> tuple[float, Selection | None]:
-    """Return the size of one kind of scatter and the model selected with it, or (0, None) if small.
+    """Return the size of one kind of scatter and the model selected with it; (0, None) if it is small.
 
     Size and model are determined alternately, twice.
     """
@@ -178,7 +181,7 @@ def _select_with(
 
 
 def _likeliest_size(fit: Fit, data: Readings, kind: Kind) -> float:
-    """Return the size of the scatter with the greatest restricted likelihood for a model; 0 if none.
+    """Return the size of the scatter with the greatest restricted likelihood for a fitted model; 0 if none.
 
     The unit is the unit of the readings, or rad for scatter of the fixture.
     """
@@ -194,12 +197,12 @@ def _likeliest_size(fit: Fit, data: Readings, kind: Kind) -> float:
 
 
 def _fit_with(fit: Fit, data: Readings) -> Fit:
-    """Refit the model to readings with other noise, by a single iteration from the present values."""
+    """Refit a model to readings with other noise, by a single iteration from its present values."""
     return replace(fit, data=data).refit(1)
 
 
 def _measured_u(data: Readings, kind: Kind) -> float:
-    """Return the standard uncertainty of a reading; for the fixture, of an angle in rad."""
+    """Return the stated u of a reading; for scatter of the fixture the u of an angle in rad."""
     reading = float(np.sqrt(np.median(data.variance_of_mean)))
     if kind == "reading_scatter":
         return reading
@@ -240,9 +243,10 @@ def _restricted(fit: Fit, *, base_only: bool = False) -> float:
 
 
 def _make_scatter(data: Readings, kind: Kind, size: float, chosen: Selection, log_odds: float) -> Scatter:
-    """Return the scatter for the result, with its uncertainty.
+    """Return the scatter as a record for the result, with its uncertainty.
 
-    The uncertainty follows from the curvature of the restricted likelihood.
+    `size` is in the unit of the readings or in rad, `chosen` the model selected with it. The uncertainty
+    follows from the curvature of the restricted likelihood.
     """
     from scipy.special import chdtrc
 

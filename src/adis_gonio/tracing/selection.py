@@ -1,4 +1,4 @@
-"""Selection of effects: choose in a linearised model, refit the full model, linearise and choose again."""
+"""Selection of effects: choose a linearised model, refit the full model, linearise and choose again."""
 
 from __future__ import annotations
 
@@ -19,19 +19,22 @@ from adis_gonio.tracing.thresholds import limits
 
 @dataclass(frozen=True)
 class Selection(ComputedOnce):
-    """The chosen model, with the search that found it and its test.
+    """A chosen model, with the search that found it and the test of its residual.
 
     Attributes
     ----------
     problem : LinearProblem
-        Linear problem about the final state.
+        Linear problem about the values of the last fit.
     found : Search
+        All models that the search has scored.
     verdict : ModelPosterior
+        Posterior of these models, and the chosen one.
     base, fit : Fit
         Base model and chosen model, fitted by nonlinear least squares.
     inflation : float
-        Factor on the noise variance under which effects were chosen; 1 if the model is adequate.
+        Factor on the measured noise variance with which effects were chosen; 1 if the model is adequate.
     adequate : bool
+        True if the residual is not larger than the measured noise.
     """
 
     problem: LinearProblem
@@ -53,7 +56,7 @@ class Selection(ComputedOnce):
         return self.fit.terms
 
     def promising(self, terms: Sequence[Term]) -> list[Term]:
-        """Return the terms that scored well in the search, and the best term for each name with axes."""
+        """Return those of `terms` that scored well, and the best one for each name and its axes."""
         candidates = self.problem.terms
         ranked = [candidates[k] for k in np.argsort(-self.found.promise)]
         active = {term.label for term in ranked[: limits.fold_active]}
@@ -66,7 +69,7 @@ class Selection(ComputedOnce):
         return [term for term in terms if term.label in active]
 
     def without_functions(self, refuted: Sequence[Term]) -> Selection:
-        """Return a selection with the best model that has no unnamed function of these covariates.
+        """Return a selection of the best model without unnamed functions of the refuted terms' covariates.
 
         Held-out dwells have contradicted these functions (`refuted`).
         """
@@ -82,7 +85,7 @@ class Selection(ComputedOnce):
         return replace(self, found=found, verdict=verdict).with_model(verdict.best)
 
     def with_model(self, chosen: Sequence[int]) -> Selection:
-        """Return a copy that chooses another model, given by term numbers, and refit it."""
+        """Return a copy of the selection that chooses and refits the model with these term numbers."""
         model = tuple(chosen)
         return replace(
             self.with_fit(fit_model(self.problem, model, self.base)),
@@ -98,7 +101,10 @@ class Selection(ComputedOnce):
 
 
 def fit_model(problem: LinearProblem, chosen: Sequence[int], about: Fit) -> Fit:
-    """Fit a model by nonlinear least squares, starting at its amplitudes in the linear problem."""
+    """Fit a model by nonlinear least squares from its amplitudes in the linear problem.
+
+    `chosen` are its term numbers; `about` is a fit with the data and the starting base parameters.
+    """
     terms = [problem.terms[k] for k in chosen]
     values = [term.start(a) for term, a in zip(terms, amplitudes(problem, chosen), strict=True)]
     return about.with_terms(terms, values).refit()
@@ -111,7 +117,21 @@ def select(
     explored: int = limits.explored,
     rounds: int = limits.rounds,
 ) -> Selection:
-    """Choose a model for these readings, and fit it; the readings must not contain `check` dwells."""
+    """Choose a model for these readings, and fit it.
+
+    Parameters
+    ----------
+    data : Readings
+        Readings without `check` dwells.
+    terms : sequence of Term
+        All candidate terms.
+    max_terms : int
+        Largest number of terms of the model.
+    explored : int
+        Number of the best models whose neighbours are all scored.
+    rounds : int
+        Largest number of rounds of choosing and refitting.
+    """
     base = Fit.begin(data).refit()
     about = _start_with_slips(base, terms) if max_terms else base
     inflation = 1.0 if data.noise_known else max(base.chi2 / max(base.dof, 1), 1e-12)
@@ -151,12 +171,11 @@ def select(
 
 
 def _start_with_slips(base: Fit, terms: Sequence[Term]) -> Fit:
-    """Linearise about approximate slips of the part: refit the base model with these slips and a bias.
+    """Return a fit of the base model with approximate slips of the part and a bias, to linearise about it.
 
-    The `base` is returned unchanged if no candidate is a slip of known size.
-
-    A slip that is too large for the linearised model would look like an outlier on both axes. If the model
-    is linearised about the approximate slip and bias instead, the linearisation is accurate.
+    `base` is returned unchanged if no candidate is a slip of known size. A slip that is too large for the
+    linearised model would look like an outlier on both axes. If the model is linearised about the
+    approximate slip and bias instead, the linearisation is accurate.
     """
     orders = base.data.conditions.order
     here = set() if orders is None else set(np.round(orders).tolist())
@@ -175,7 +194,7 @@ def _start_with_slips(base: Fit, terms: Sequence[Term]) -> Fit:
 def _refit_best(
     problem: LinearProblem, verdict: ModelPosterior, about: Fit, most: float
 ) -> tuple[ModelPosterior, Fit]:
-    """Refit the best model; if its χ² exceeds the base model's, try the next best models.
+    """Refit the best model; if its χ² exceeds `most`, the base model's χ², try the next best models.
 
     A model that contains the base model cannot have a larger χ². Such a refit has diverged: it
     started at amplitudes that only the linearised model allows.
@@ -191,7 +210,7 @@ def _refit_best(
 def _search_with_noise(
     data: Readings, problem: LinearProblem, max_terms: int, explored: int, inflation: float
 ) -> tuple[Search, float]:
-    """Search; if even the best model is not adequate, search again with a larger noise.
+    """Return a search and its noise factor; if no model is adequate, search again with a larger noise.
 
     The unexplained part is then treated as noise of unknown origin (Birge's ratio), so that a name must be
     significant against it.
@@ -216,7 +235,7 @@ def _search_with_noise(
 
 
 def _separate_bias(problem: LinearProblem, base: Fit, about: Fit) -> Callable[[], Fit] | None:
-    """Return a function that fits a bias alone, or None if a bias explains only a part."""
+    """Return a function that fits a bias alone; None unless a bias explains nearly all of the excess χ²."""
     constants = _mostly_bias(problem)
     if constants is not None:
         return lambda: fit_model(problem, [constants], about)
@@ -225,7 +244,10 @@ def _separate_bias(problem: LinearProblem, base: Fit, about: Fit) -> Callable[[]
 
 
 def _mostly_bias(problem: LinearProblem) -> int | None:
-    """Return the term number of the bias if it alone explains nearly all of the excess χ², else None."""
+    """Return the term number of the bias if it alone explains nearly all of the excess χ², else None.
+
+    The excess is the χ² of the base model beyond its degrees of freedom.
+    """
     widest = _widest_bias(problem)
     if widest is None:
         return None

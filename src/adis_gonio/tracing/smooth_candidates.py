@@ -1,4 +1,4 @@
-"""Smooth candidates: Gaussian processes in a covariate, for a residual that follows no formula.
+"""Smooth candidates: Gaussian processes in covariates, for a residual that follows no formula.
 
 A Gaussian process with kernel k is a linear term with one column for each feature of its kernel,
 φ(u)·φ(u′) = k(u, u′), and a normal prior on the amplitudes (Rasmussen and Williams, Gaussian Processes for
@@ -27,15 +27,15 @@ from adis_gonio.tracing.named_candidates import choices_of_axes
 from adis_gonio.tracing.thresholds import limits
 
 LENGTHS = (0.1, 0.18, 0.32, 0.56, 1.0)
-"""Lengths of a kernel in units of the covariate's range."""
+"""Correlation lengths ℓ of a kernel that are tried, in units of the covariate's range."""
 RING = (0.25, 0.4, 0.65, 1.0)
-"""Widths w of the periodic kernel exp(−2 sin²(Δ/2)/w²)."""
+"""Widths w of the periodic kernel exp(−2 sin²(Δ/2)/w²) that are tried."""
 AMPLITUDES = (2.0, 4.0, 8.0, 16.0)
-"""Prior standard deviations of a process, in standard uncertainties of a reading."""
+"""Prior standard deviations of a process that are tried, in standard uncertainties of a reading."""
 
 _HARMONICS = 16
 _BEYOND = 0.1
-"""Fraction of its fitted range by which a covariate may lie outside this range."""
+"""Fraction of its fitted range by which a covariate counts beyond this range; it is clipped there."""
 
 Get = Callable[[Conditions], Floats]
 
@@ -49,7 +49,7 @@ class Process:
     term : NamelessTerm
         The kernel's features as basis functions; the attribute `shrinkage` is the amplitude of the process.
     price : float
-        −ln of its prior probability.
+        −ln of the prior probability of the process.
     """
 
     term: NamelessTerm
@@ -57,9 +57,9 @@ class Process:
 
 
 def processes(data: Readings) -> list[Process]:
-    """Return all Gaussian processes to try in a session.
+    """Return all Gaussian processes to try in a session, as candidates for an unnamed function.
 
-    There is one for each place, covariate, length and amplitude.
+    There is one for each place in the model, covariate, length and amplitude.
     """
     reading_u = float(np.sqrt(data.variance_of_mean.mean()))
     subsets = choices_of_axes(range(data.axes))
@@ -103,11 +103,11 @@ def evidence(
     fit : Fit
         Fit about which the processes are linear.
     beside : (rows, k) float
-        Orthonormal whitened columns of the other terms; their amplitudes have flat priors.
+        Orthonormal whitened columns of the other terms of the model; their amplitudes have flat priors.
     target : (rows,) float
         Whitened readings minus their projection on `beside`.
     inflation : float
-        Factor on the noise variance.
+        Factor on the measured noise variance.
     """
     scores = np.zeros(len(candidates))
     spectra: dict[tuple[int, Where, tuple[int, ...]], tuple[Floats, Floats]] = {}
@@ -130,7 +130,7 @@ def evidence(
 
 
 def _bases(data: Readings) -> Iterator[tuple[Basis, tuple[Where, ...]]]:
-    """Yield basis functions for every kernel, with the parameters of the model that they may change."""
+    """Yield basis functions for every kernel, each with the places in the model that they may enter."""
     c = data.conditions
     scalars, rings = _lines_and_rings(c, data.model.driven_by)
     for name, get in scalars.items():
@@ -153,7 +153,10 @@ def _bases(data: Readings) -> Iterator[tuple[Basis, tuple[Where, ...]]]:
 
 
 def _lines_and_rings(c: Conditions, driven_by: Sequence[str]) -> tuple[dict[str, Get], dict[str, Get]]:
-    """Return two groups of covariates by name: covariates on a line, and covariates that are angles."""
+    """Return two groups of covariates by name: covariates on a line, and covariates that are angles.
+
+    `driven_by` are the covariates that drive the measurement, such as the force for gyros.
+    """
     lines: dict[str, Get] = {"time": lambda k: k.time_s}
     if "force" in driven_by and c.force_g is not None:
         lines |= {f"force_{letter}": _component(axis) for axis, letter in enumerate(AXES)}
@@ -174,9 +177,9 @@ def _component(axis: int) -> Get:
 
 
 def _inducing(low: float, high: float, length: float) -> Callable[[Floats], Floats]:
-    """Return basis functions for the kernel exp(−½ Δ²/ℓ²) on an interval (Nyström's method).
+    """Return basis functions for the kernel exp(−½ Δ²/ℓ²) on an interval, by Nyström's method.
 
-    The method uses points 0.6 ℓ apart.
+    ℓ is `length`; the method uses points 0.6 ℓ apart from `low` to `high`.
     """
     points = np.linspace(low, high, max(int(np.ceil((high - low) / (0.6 * length))) + 1, 4))
 
@@ -191,7 +194,8 @@ def _inducing(low: float, high: float, length: float) -> Callable[[Floats], Floa
 def _line(get: Get, seen: Floats, length: float) -> Get:
     """Return basis functions for a constant, a line and the kernel exp(−½ Δ²/ℓ²) of a covariate.
 
-    The covariate is scaled to its fitted range and clipped shortly beyond it.
+    `get` returns the covariate, `seen` are its fitted values, ℓ is `length` in units of their range. The
+    covariate is clipped shortly beyond this range.
     """
     low, size = float(seen.min()), float(np.ptp(seen))
     curve = _inducing(-_BEYOND, 1 + _BEYOND, length)
@@ -204,7 +208,7 @@ def _line(get: Get, seen: Floats, length: float) -> Get:
 
 
 def _product(one: Get, two: Get) -> Get:
-    """Return the basis functions of the product of two kernels, from the functions of each."""
+    """Return the basis functions of the product of two kernels, from the basis functions of each kernel."""
 
     def features(conditions: Conditions) -> Floats:
         left, right = one(conditions), two(conditions)

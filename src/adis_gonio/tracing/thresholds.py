@@ -12,13 +12,13 @@ from typing import Any, Literal
 from adis_gonio.base.uncertainty import CREDIBLE_SET, INADEQUATE
 
 Origin = Literal["level", "derived", "physical", "measured", "chosen", "effort"]
-"""A level is a promise (1 %, 95 %). Derived: follows from mathematics. Physical: a limit of parts or
-benches. Measured: by a script. Chosen: by judgement. Effort: a larger value finds the same, but
-slower."""
+"""Origin of a number.
+A level is a promise (1 %, 95 %). Derived: follows from mathematics. Physical: a limit of parts or benches.
+Measured: by a script. Chosen: by judgement. Effort: a larger value gives equal results, but more slowly."""
 
 
 def number(value: float, origin: Origin, why: str, off: float | None = None) -> Any:
-    """Make a field of `Limits` with its origin and reason.
+    """Return a field of `Limits` with its default value, origin and reason.
 
     The value `off` disables the rule that uses the number; None if there is no rule.
     """
@@ -104,4 +104,4 @@ class Limits:
 
 
 limits = Limits()
-"""The numbers in use."""
+"""The thresholds and weights that the trace uses."""

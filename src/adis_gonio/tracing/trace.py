@@ -81,9 +81,9 @@ from adis_gonio.tracing.validation import (
 )
 
 UNCHECKED = "the time limit ended the trace before this was checked"
-"""Reason given for each term of a model that was not validated."""
+"""Reason that the result gives for each term of a model that was not validated."""
 ZERO_OF_COUNTS = Detectable(None, "", "", "lies in the base model: counts have no zero of their own")
-"""Detectability of a bias in counts if it is not a finding but one of the base parameters."""
+"""Entry of `detectable` for a bias of readings in counts, which is a base parameter and no finding."""
 
 
 @solvable
@@ -93,7 +93,7 @@ def trace(
     time_limit: float | None = None,
     part: str = ACCELEROMETER,
 ) -> TraceResult:
-    """Trace the residual of a session to the effects that the seed paper's model lacks.
+    """Trace the residual of a session to the effects that the base model lacks.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def trace(
     Raises
     ------
     DataError
-        As `adis_gonio.fitting.estimation.readings_of`.
+        No readings can be made from the dwells (see `adis_gonio.fitting.estimation.readings_of`).
     FitError
         Fewer readings than base parameters.
     UsageError
@@ -165,10 +165,14 @@ def with_time_left_out(result: TraceResult, *, checked: bool) -> TraceResult:
 
 
 def trace_readings(data: Readings, max_effects: int = 6, positions: Diagnosis | None = None) -> TraceResult:
-    """Find the causes of the residual of readings, like `trace` for a session.
+    """Trace readings to the causes of their residual.
 
     Parameters
     ----------
+    data : Readings
+        Readings of all dwells.
+    max_effects : int
+        Largest number of terms added to the base model.
     positions : Diagnosis, optional
         Earlier diagnosis of the positions: effects of single dwells to exclude, sizes of large slips.
     """
@@ -190,18 +194,21 @@ class TraceRun:
     Attributes
     ----------
     data, measured : Readings
-        All readings, with any extra scatter in their noise; the fitted readings with the measured noise.
+        All readings, with dwell-to-dwell scatter in their noise if there is any; readings without check
+        dwells, with the measured noise.
     terms, missing : list of Term, mapping of str to str
-        Candidates; for each effect that is not a candidate, the reason.
+        Candidate terms; for each effect that is not a candidate, the reason.
     selection, scatter : Selection, Scatter or None
-        The chosen model; the dwell-to-dwell scatter under which it was chosen.
+        The chosen model; the dwell-to-dwell scatter under which it was chosen, None without scatter.
     averaged : Averaged or None
-        Average over unnamed functions, used instead of the chosen unnamed function.
+        Average over unnamed functions, used instead of the chosen unnamed function; None if not needed.
     fits, steps, errors, figures
         Nested fits from the base model to the chosen model; the name of the term added at each step; the
         held-out errors that choose the longest acceptable model; the error figures of the result.
     names : Names
+        Accepted, rejected and confounded names of the model.
     findings : list of Finding
+        Findings for the accepted names.
     reasons : mapping of str to str
         For each rejected name, the reason.
     """
@@ -216,12 +223,15 @@ class TraceRun:
 
     @property
     def final(self) -> Selection:
-        """The selection for the result: of the chosen model, or of the average over unnamed functions."""
+        """The selection for the result: the chosen model, with averaged unnamed functions if any."""
         return self.selection if self.averaged is None else self.selection.with_fit(self.averaged.fit)
 
     @property
     def judged(self) -> Selection:
-        """The chosen model with the posterior probabilities that are used to judge its causes."""
+        """The chosen model with the posterior by which its causes are judged.
+
+        The posterior may include an unknown cause (`beside_unknown_cause`).
+        """
         judge, best = self.weighed, self.selection.verdict.best
         verdict = replace(judge.verdict, best=best)
         return replace(self.selection, problem=judge.problem, found=judge.found, verdict=verdict)
@@ -237,8 +247,8 @@ class TraceRun:
         """Remove unnamed functions that make the prediction of held-out dwells worse, and choose again.
 
         A removed function has no posterior probability any more, so the names that it competed with gain.
-        If the model without the functions predicts held-out dwells worse than the shorter model with them,
-        the functions stay, and the model will be shortened.
+        If the best model without the functions predicts held-out dwells worse than the shorter model with
+        them, the functions stay, and the model will be shortened.
         """
         self.nest(self.selection)
         while gone := refuted_functions(self.selection, self.fits, self.errors):
@@ -253,7 +263,7 @@ class TraceRun:
                 break
 
     def nest(self, selection: Selection) -> None:
-        """Store a selection and compute its nested models, of one term more each, with held-out errors."""
+        """Store a selection, and fit its nested models (one term more each) with held-out errors."""
         self.selection = selection
         self.averaged = attempt("the average of functions without a name", lambda: average(selection), None)
         self.fold = Fold.of(selection, self.terms, self.averaged, self.max_effects)
@@ -284,7 +294,10 @@ class TraceRun:
                 self.names = replace(self.names, confounded=(*self.names.confounded, could))
 
     def measure_errors(self) -> None:
-        """Compute the errors of the nested models on held-out dwells, with effects chosen in each fold."""
+        """Compute the errors of the nested models on held-out dwells.
+
+        The effects of the final model are chosen again without each fold.
+        """
         self.figures, self.design = attempt(
             "the error on held-out dwells, effects chosen again",
             lambda: error_figures(self.selection, self.measured, self.checking, self.fits, self.fold),
@@ -292,7 +305,10 @@ class TraceRun:
         )
 
     def shorten(self) -> None:
-        """Shorten the model to the longest nested model with a held-out error that is not worse."""
+        """Cut the model to the longest nested model with a held-out error that is not worse.
+
+        Not worse means hardly larger than the held-out error of any shorter model.
+        """
         reported = reported_errors(self.figures) if self.checking is None else None
         unit = self.measured.model.unit
         count, self.names, cut = never_worse(self.names, self.steps, self.errors, reported, unit)
@@ -336,14 +352,14 @@ class TraceRun:
 
     @property
     def functions_checked(self) -> bool:
-        """False if the dwells are too few to choose an unnamed function without some of them."""
+        """True if there are enough dwells to choose an unnamed function again without some of them."""
         return len(self.measured) >= limits.least_choice
 
     @property
     def unnamed(self) -> Unnamed | None:
-        """The unnamed part of the model.
+        """The unnamed part of the model as a record for the result; None without such a part.
 
-        If no fold could check it, its probability is limited to the one needed to accept a name.
+        If no fold could check it, its probability is limited to the threshold for accepting a name.
         """
         found = unnamed_of(self.selection, self.averaged, self.judged)
         if found is None or self.functions_checked:
@@ -415,7 +431,10 @@ class TraceRun:
 def shown_findings(
     findings: Sequence[Finding], data: Readings, scatter: Scatter | None, of_step: dict[str, float]
 ) -> tuple[Finding, ...]:
-    """Return the findings in the file's units with the share that each explains; scatter is the last."""
+    """Return the findings for the result, in the file's units and with the share that each explains.
+
+    `of_step` are these shares by effect. Scatter, if any, is the last finding, with the remaining share.
+    """
     seen = with_shares([in_units_of_file(finding, data.unit) for finding in findings], of_step)
     if scatter is None:
         return seen
@@ -425,7 +444,10 @@ def shown_findings(
 def search_model(
     training: Readings, terms: Sequence[Term], max_effects: int
 ) -> tuple[Selection, Scatter | None]:
-    """Choose a model of the readings, with dwell-to-dwell scatter if this explains them better."""
+    """Choose a model of the readings, with dwell-to-dwell scatter if this explains them better.
+
+    `training` are the readings without check dwells, `terms` all candidate terms.
+    """
     current().tell("the search for effects")
     first = select(training, terms, max_effects)
     if spent():
@@ -452,7 +474,17 @@ def likelier_functions(sets: Sequence[CredibleSet], terms: Sequence[Term]) -> di
 def weak_names(
     findings: Sequence[Finding], final: ErrorFigures, likelier: Mapping[str, str]
 ) -> dict[str, str]:
-    """Return the effects that must not be reported as found, by name, each with the reason."""
+    """Return the effects that must not be reported as found, each with the reason.
+
+    Parameters
+    ----------
+    findings : sequence of Finding
+        Findings for the accepted names.
+    final : ErrorFigures
+        Errors of the final model.
+    likelier : mapping of str to str
+        For each name that an unnamed function replaces with higher probability, this function.
+    """
     weak = {}
     for finding in findings:
         if finding.effect in likelier:
@@ -469,7 +501,7 @@ def weak_names(
 
 
 def disagreement_of(final: Selection, checking: Readings) -> list[str]:
-    """Return a list with a note if the check dwells contradict the model; otherwise an empty list."""
+    """Return a note if the check dwells contradict the final model, in a list; else an empty list."""
     p = disagreement_p_value(final.fit, checking, final.inflation)
     if p >= limits.adequate:
         return []
@@ -496,7 +528,7 @@ _MOVED = frozenset({"mistyped", "misset", "swapped"})
 
 
 def correct_slips(data: Readings, positions: Diagnosis) -> Readings:
-    """Return the readings with declared angles corrected for large lasting slips; unchanged without slips.
+    """Return readings whose declared angles are corrected for large slips that last for the later dwells.
 
     The stage's dial and its errors are unaffected by a slip, so `Conditions.angle_rad` does not change.
     """
@@ -507,7 +539,7 @@ def correct_slips(data: Readings, positions: Diagnosis) -> Readings:
 
 
 def _large_slips(data: Readings, positions: Diagnosis) -> list[PositionFinding]:
-    """Return the lasting slips that are too large for the linearised model."""
+    """Return the slips that last for the later dwells and are too large for the linearised model."""
     return [f for f in positions.findings if f.finding == "slipped" and _out_of_reach(data, f)]
 
 
@@ -525,7 +557,7 @@ def _out_of_reach(data: Readings, found: PositionFinding) -> bool:
 def restrict_candidates(
     terms: Sequence[NamedTerm], data: Readings, positions: Diagnosis
 ) -> list[NamedTerm]:
-    """Return the candidates without effects of single dwells that the angles exclude.
+    """Return the candidates without effects of single dwells that the diagnosed positions exclude.
 
     The candidates of large slips get the size of the slip as the start value of the fit.
 
@@ -559,7 +591,7 @@ def restrict_candidates(
 
 
 def with_positions(result: TraceResult, data: Readings, positions: Diagnosis) -> TraceResult:
-    """Return the result with the findings on wrong positions, and with advice to correct these first."""
+    """Return the result with the findings on wrong positions, and advice to correct these first."""
     if not positions.findings:
         return result
     corrected = [

@@ -1,4 +1,4 @@
-"""Calibrations from sessions: by the final model of a trace, or by a fit; accelerometers and gyros.
+"""Calibrations of accelerometers and gyros from sessions, by the final model of a trace or by a fit.
 
 `load_calibration` and `load_gyro_calibration` read a JSON file, or fit a session.
 
@@ -53,7 +53,7 @@ _GYRO_UNKNOWN = "is not known to be a function of the rate, the force, the tempe
 
 
 def calibration_of_trace(result: TraceResult) -> Calibration:
-    """Return the calibration by the final model: base parameters and the effects that can be corrected.
+    """Return the calibration by a trace's final model: base parameters, and effects that can be corrected.
 
     Terms that depend only on the session's clock are evaluated at the middle of the session. Bias, gain and
     start angle refer to that time, which `not_corrected` states.
@@ -113,9 +113,10 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
 
 
 def _may_hold_bias(term: Term, *, biased: bool) -> bool:
-    """Return True if a term may have absorbed a part of the bias, in a model with or without a bias.
+    """Return True if a term may have absorbed a part of the bias.
 
-    This is true for a function of the reading. In a model without a bias it is also true for an unnamed
+    This is possible for a function of the reading. In a model without a bias (`biased` is False) it is also
+    possible for an unnamed
     function with an unknown value at the middle of the session.
     """
     unnamed = not biased and term.name is None and not follows_clock(term)
@@ -123,9 +124,10 @@ def _may_hold_bias(term: Term, *, biased: bool) -> bool:
 
 
 def _refit_without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[Fit, float]:
-    """Refit without the given terms but with a bias; return the fit and its variance factor.
+    """Refit a model without some of its terms but with a bias; return the fit and its noise factor.
 
-    If only named terms are removed from a model with a bias, the fit is not changed.
+    The factor on the noise variance is at least `inflation`. If only named terms are removed from a model
+    with a bias, the fit is not changed.
     """
     biased = any(term.constant for term in fit.terms)
     terms = [term for term in terms if _may_hold_bias(term, biased=biased)]
@@ -144,9 +146,9 @@ def _refit_without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[F
 
 
 class _Columns:
-    """Collects the parameters of a calibration and their gradients, from a fit.
+    """Collector of a calibration's parameters, each with its gradient by the parameters of a fit.
 
-    Terms in time are evaluated at the middle of the session.
+    Terms that depend on time alone are evaluated at the middle of the session.
     """
 
     def __init__(self, fit: Fit) -> None:
@@ -162,12 +164,12 @@ class _Columns:
             self.covariance = fit.joint_covariance
             self.offset_slope = np.concatenate([self.offset_slope, np.eye(axes)], axis=1)
         self.rows: list[tuple[str, float, str, Floats]] = []
-        """Name, value, unit and gradient (p,) or (p + axes,) of each parameter."""
+        """Name, value, unit and gradient (p,) or (p + axes,) of each collected parameter."""
 
     def _gain(self, axis: int) -> tuple[float, Floats]:
-        """Return the factor by which time-dependent terms change the scale of an axis at mid-session.
+        """Return the factor on an axis' scale by terms that depend on time alone, at mid-session.
 
-        The second result is its gradient (p,) by all parameters.
+        The second result is its gradient by all parameters of the fit.
         """
         ideal_mg = np.zeros(self.fit.data.axes)
         ideal_mg[axis] = MG_PER_G
@@ -176,7 +178,7 @@ class _Columns:
         return float(factor), self._padded(slope[axis] - self._slope[axis]) / MG_PER_G
 
     def _padded(self, slope: Floats) -> Floats:
-        """Gradient (p,) in the length of the rows."""
+        """Return a gradient (p,) with zeros appended, up to the length of the gradients in `rows`."""
         return np.pad(slope, (0, len(self.covariance) - len(slope)))
 
     def _gradient(self, place: int | None, factor: float = 1.0) -> Floats:
@@ -186,7 +188,7 @@ class _Columns:
         return gradient
 
     def base(self, parameter: BaseParameter) -> None:
-        """Add a base parameter to the list; the start angle only if the dwells determine it."""
+        """Add a base parameter to the collection; the start angle only if the dwells determine it."""
         k = self.fit.data.model.index(parameter.name)
         if parameter.name == "alpha" and not self.fit.data.visible[k]:
             return
@@ -207,7 +209,7 @@ class _Columns:
         self.rows.append((parameter.name, stated, unit, gradient))
 
     def biases(self, terms: Sequence[NamedTerm]) -> list[str]:
-        """Add the bias of every axis to the list; return the names of the biases that were fitted.
+        """Add the bias of every axis to the collection; return the names of the biases that were fitted.
 
         A bias that was not fitted is zero.
         """
@@ -225,7 +227,7 @@ class _Columns:
         return list(at)
 
     def effect(self, term: NamedTerm) -> EffectTerm:
-        """Add the parameters of an effect to the list; return the effect with their names."""
+        """Add the parameters of an effect to the collection; return the effect with their names."""
         index = self.fit.terms.index(term)
         start = self.fit.slice_of(index).start
         names = []
@@ -239,7 +241,10 @@ class _Columns:
         return EffectTerm(term.effect, tuple(names))
 
     def stated(self, inflation: float) -> tuple[tuple[Coefficient, ...], Floats]:
-        """Return the collected parameters with uncertainties, and their covariance matrix."""
+        """Return the collected parameters with uncertainties, and their covariance matrix.
+
+        `inflation` is the factor on the noise variance.
+        """
         rows = np.stack([gradient for _, _, _, gradient in self.rows])
         # Covariance of functions of the parameters by their gradients.
         matrix = rows @ self.covariance @ rows.T * inflation
@@ -251,9 +256,10 @@ class _Columns:
 
 
 def _is_corrected(term: NamedTerm, result: TraceResult) -> bool:
-    """Return True if the calibration shall correct an effect.
+    """Return True if the calibration of a trace corrects an effect of its model.
 
-    It does so if the effect is a finding, or confounded only with other effects that are corrected.
+    The calibration corrects it if the effect is a finding, or confounded only with other effects that are
+    corrected.
     """
     if term.name in {finding.effect for finding in result.found}:
         return True
@@ -313,7 +319,10 @@ def _not_corrected(term: Term, nameless: str, unknown: str) -> NotCorrected:
 def _gyro_stated(
     fit: Fit, kept: Sequence[NamedTerm], inflation: float
 ) -> tuple[tuple[Coefficient, ...], Floats]:
-    """Return the gyro parameters in the form of a calibration, and their covariance matrix."""
+    """Return the gyro parameters of a fit in the form of a calibration, and their covariance matrix.
+
+    `kept` are the terms of effects that can be corrected, `inflation` the factor on the noise variance.
+    """
     parameters = list(fit.data.model.parameters)
     units = [one.unit for one in parameters]
     names, places = [one.name for one in parameters], list(range(len(parameters)))
@@ -331,12 +340,14 @@ def _gyro_stated(
 
 
 def with_gyros(calibration: Calibration, session: Session, *, traced: bool = False) -> Calibration:
-    """Return a calibration with the gyro calibration of a session; unchanged if this is not possible.
+    """Return a calibration with the gyro calibration of a session added; unchanged if the session has none.
+
+    `traced` is True for the gyros' traced model with its effects.
 
     Raises
     ------
     SessionError
-        As `gyro_calibration_of`.
+        A write of gyro offsets was interrupted, so that the current offsets are unknown.
     """
     try:
         gyro = gyro_calibration_of(session, traced=traced)
@@ -348,7 +359,7 @@ def with_gyros(calibration: Calibration, session: Session, *, traced: bool = Fal
 
 
 def gyros_alone(session: Session) -> str:
-    """Return advice for an error message if a session calibrates only its gyros; else an empty text."""
+    """Return advice for an error message if a session can calibrate only its gyros; else an empty text."""
     try:
         gyro_calibration_of(session)
     except AdisGonioError:
@@ -360,9 +371,7 @@ def gyros_alone(session: Session) -> str:
 
 
 def gyro_calibration_of(session: Session, *, traced: bool = False) -> GyroCalibration:
-    """Return the calibration of a session's gyros for the offsets written to the sensor afterwards.
-
-    The calibration is valid for the offsets that the sensor has after the session.
+    """Return the calibration of a session's gyros, valid for the offsets that the sensor has after it.
 
     Parameters
     ----------
@@ -380,12 +389,15 @@ def gyro_calibration_of(session: Session, *, traced: bool = False) -> GyroCalibr
 
 
 def gyros_as_recorded(session: Session, *, traced: bool = False) -> GyroCalibration:
-    """Return the calibration of a session's gyros for the offsets that they had while recording."""
+    """Return the calibration of a session's gyros, valid for the offsets that they had while recording.
+
+    `traced` is True for the traced model with its effects.
+    """
     return make_gyro_calibration(gyro_estimates_of(session, traced=traced), provenance_of(session))
 
 
 def gyro_estimates_of(session: Session, *, traced: bool = False) -> GyroEstimates:
-    """Return the calibration parameters of a session's gyros, from the fit or the trace.
+    """Return the calibration parameters of a session's gyros, from the fit or (if `traced`) the trace.
 
     Raises
     ------
@@ -400,7 +412,7 @@ def gyro_estimates_of(session: Session, *, traced: bool = False) -> GyroEstimate
 
 
 _FOR_OTHERS = (".h", ".hpp", ".xml", ".html", ".parquet")
-"""Endings of files that `export` and `report` write for other programs."""
+"""Endings of files that `export` and `report` write for other programs, which contain no session."""
 
 
 def load_calibration(path: str | Path, method: str | None = None) -> Calibration:
@@ -411,7 +423,7 @@ def load_calibration(path: str | Path, method: str | None = None) -> Calibration
     Parameters
     ----------
     method : str, optional
-        Method of the fit if the file is a session.
+        Method of the fit if the file is a session; by default the recommended one.
 
     Raises
     ------
@@ -442,7 +454,7 @@ def load_calibration(path: str | Path, method: str | None = None) -> Calibration
 def load_gyro_calibration(
     path: str | Path, part: Provenance | None = None, *, traced: bool = False
 ) -> GyroCalibration:
-    """Load a gyro calibration from a JSON file or a session file; see `GyroCalibration.load`.
+    """Load a gyro calibration from a JSON file, or fit the gyros of a session file.
 
     Parameters
     ----------

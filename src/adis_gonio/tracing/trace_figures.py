@@ -1,6 +1,6 @@
-"""Data of the figures of a trace: residual against covariate before and after each step.
+"""Data of the figures of a trace: residual against covariate, before and after each added effect.
 
-For a single pose the points are samples, otherwise dwells.
+For a session of a single pose the points are samples, otherwise dwells.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from adis_gonio.tracing.validation import residuals_on
 
 _LEFT = ("angle", "time", "temperature", "supply")
 _LEAST_SPAN = {"temperature": 0.145, "supply": 0.0018}
-"""Ranges (°C, V) smaller than one digit of the chip's thermometer and voltmeter, not shown in figures."""
+"""Ranges (°C, V) below one digit of the chip's thermometer and voltmeter, not shown in figures."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,13 @@ class Panel:
         residual_x, residual_y, residual_z, or norm (in space), in mg; angle in degrees: angle computed
         from the reading minus the declared angle.
     x : (n,) float
+        Values of the covariate.
     before, after : (n,) float
+        Values of the quantity without and with the added effect.
     u : (n,) float
         Standard uncertainty of a point; NaN if unknown.
     check_x, check_after : (m,) float
-        Check dwells.
+        Covariate and quantity (with the effect) of the check dwells.
     """
 
     covariate: str
@@ -59,11 +61,15 @@ class Panel:
 
 @dataclass(frozen=True)
 class StepView:
-    """The panels that show the residual before and after an added effect.
+    """Panels of one added effect: the residual without and with it.
 
-    They are empty if the effect's term is unknown.
-
-    If `beside_all` is true, `before` is the final model without this effect instead of the previous model.
+    Attributes
+    ----------
+    effect : str
+    panels : tuple of Panel
+        Empty if the effect's term is unknown.
+    beside_all : bool
+        True if `before` is the final model without this effect, False if it is the previous nested model.
     """
 
     effect: str
@@ -80,7 +86,7 @@ class Views:
     steps : tuple of StepView
         Residuals before and after each added effect.
     left : tuple of Panel
-        Residuals of the final model; `before` is the base model.
+        Residuals of the final model (`after`) and of the base model (`before`).
     """
 
     steps: tuple[StepView, ...]
@@ -93,7 +99,7 @@ def views_of(readings: Readings, result: TraceResult) -> Views:
     Parameters
     ----------
     readings : Readings
-        All dwells of the session, check dwells included.
+        Readings of all dwells of the session, check dwells included.
     """
     checking, chain = readings.checking, result.fits
     steps = []
@@ -103,7 +109,7 @@ def views_of(readings: Readings, result: TraceResult) -> Views:
 
 
 def _new_term(before: Fit, after: Fit) -> Term:
-    """Return the term that a model contains in addition to the previous nested model."""
+    """Return the term that a nested model contains in addition to the previous nested model."""
     inside = {term.label for term in before.terms}
     fresh = [term for term in after.terms if term.label not in inside]
     return (fresh or list(after.terms))[-1]
@@ -132,7 +138,7 @@ def _axes(term: Term) -> list[int]:
 
 
 def _covariate(data: Readings, term: Term, axis: int) -> str:
-    """Return the name of the covariate against which a term is best plotted."""
+    """Return the name of the covariate over which the residual shows a term best, on one axis."""
     planar_angle = data.planar and data.conditions.angle_rad is not None
     shown = term.effect.shown_over if isinstance(term, NamedTerm) else ""
     name = term.covariates[0] if term.covariates else ""
@@ -170,7 +176,10 @@ def _values(conditions: Conditions, data: Readings, name: str) -> Floats | None:
 
 
 def _lag(data: Readings, after: Fit) -> Floats:
-    """Return the temperature of the fitted lagging element minus the die's temperature, (n,) in °C."""
+    """Return the temperature of the fitted lagging element minus the die's temperature, (n,) in °C.
+
+    NaN if the model has no such element.
+    """
     for term, values in zip(after.terms, after.values.terms, strict=True):
         if isinstance(term, NamedTerm) and term.effect.shown_over == "temperature_lag":
             axis = AXES.index(term.effect.axes[0])
@@ -207,7 +216,10 @@ def _panel(checking: Readings | None, covariate: str, quantity: str, before: Fit
 
 
 def view_residual(fit: Fit, quantity: str, others: Readings | None = None) -> Floats:
-    """Return the residual (n,) of an axis, the norm or the angle, for the fitted dwells or others."""
+    """Return the residual (n,) of an axis, of the norm or of the angle in degrees.
+
+    It is for the fitted dwells, or for the dwells of `others` if given.
+    """
     data = fit.data if others is None else others
     if quantity == "angle":
         turned = fit.angle_error_rad(data)
@@ -226,7 +238,7 @@ def _along(data: Readings) -> Floats:
 
 
 def view_uncertainty(fit: Fit, quantity: str) -> Floats:
-    """Return the standard uncertainty (n,) of an axis, the norm or the angle, for the fitted dwells."""
+    """Return the standard uncertainty (n,) of the residual of an axis, the norm or the angle."""
     data = fit.data
     if quantity == "angle":
         # A reading changes by `slope` standard uncertainties per rad.
@@ -241,7 +253,7 @@ def view_uncertainty(fit: Fit, quantity: str) -> Floats:
 
 
 def _left(checking: Readings | None, result: TraceResult) -> tuple[Panel, ...]:
-    """Return panels with the final residual over each covariate that varied.
+    """Return panels with the final model's residual over each covariate that varied.
 
     The covariates of the unnamed part are first.
     """
@@ -287,7 +299,10 @@ def series_views(session: Session, result: TraceResult) -> Views:
 
 
 def _series_left(readings: Floats, blocks: Sequence[Sequence[Floats]]) -> Floats:
-    """Return the residual (n, axes) after a fit of a constant and of columns (n, d) for each axis."""
+    """Return the residual (n, axes) of samples after a fit of a constant and of columns for each axis.
+
+    `blocks` has, for each effect, the columns (n, d) of each axis.
+    """
     left = np.empty_like(readings)
     for axis in range(readings.shape[1]):
         design = np.concatenate([np.ones((len(readings), 1)), *(block[axis] for block in blocks)], axis=1)

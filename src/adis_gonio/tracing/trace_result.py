@@ -33,26 +33,30 @@ if TYPE_CHECKING:
 
 
 class ErrorFigures(JsonRecord):
-    """Errors of a model: on the fitted dwells, on held-out dwells and of the angle.
+    """Errors of a model, as root mean squares: on fitted dwells, on held-out dwells, and of the angle.
 
     The JSON document is the keys of `error.before`.
 
     Attributes
     ----------
     residual_rms : float
-        Residual of the fitted dwells, in `unit`.
+        Residual of the fitted dwells: reading minus model, in `unit`.
     heldout_rms : float or None
-        Reading minus model at the attitude that fits the dwell best, over the held-out dwells.
+        Reading minus model at the attitude that fits the dwell best, over the held-out dwells; None if no
+        dwell was held out.
     angle_rms_deg : float or None
-        Angle computed from the reading minus declared angle, over the held-out dwells.
+        Angle computed from the reading minus declared angle, over the held-out dwells; None without
+        declared angles or held-out dwells.
     chi2_per_dof : float or None
+        χ² of the residual against the measured noise, per degree of freedom.
         None if the noise of a reading is unknown or no degree of freedom remains.
     heldout_by_axis : mapping of str to float or None
         Held-out error of each axis, for a single pose traced sample by sample and for gyros (no common
-        attitude of their axes).
+        attitude of their axes); None for other sessions.
     heldout_kept : float or None
         Held-out error of the final model if its effects are kept in each fold and only their values are
-        fitted again. `heldout_rms` then refers to effects that were chosen again in each fold.
+        fitted again; None if not computed. `heldout_rms` then refers to effects that were chosen again in
+        each fold.
     unit : str
         Unit of the readings, which ends the JSON names (`residual_rms_mg`).
     """
@@ -76,14 +80,16 @@ class Finding(JsonRecord):
     effect : str
     axes : tuple of str
     parameters : mapping of str to Value
+        Parameters of the effect by name.
     p_value : float
         p-value of the group score test in the final model, times the number of candidates, at most 1.
     explains : float
-        Fraction of the base model's excess residual; 0 for an effect that was found only inside dwells.
+        Share of the base model's excess χ² (beyond its degrees of freedom) that the effect removes; 0 for
+        an effect that was found only inside dwells.
     probability : float
         Posterior probability that the effect is present; inside dwells, 1 minus the p-value.
     equivalents : tuple of str
-        Models with the same predictions in this session.
+        Other models with equal predictions in this session, as texts.
     cause : str
         Cause of the effect in one sentence.
     """
@@ -111,10 +117,11 @@ class Unnamed(JsonRecord):
     form : str
         Formula in words.
     explains : float
-        Fraction of the base model's excess residual.
+        Share of the base model's excess χ² (beyond its degrees of freedom) that the structure explains.
     probability : float
-        Posterior probability of these covariates.
+        Posterior probability that the residual depends on these covariates.
     p_value : float
+        p-value of the structure, corrected for the number of functions that were tried.
     """
 
     covariates: tuple[str, ...]
@@ -135,7 +142,7 @@ Purpose = Literal["decide", "cover"]
 
 
 class NextDwell(JsonRecord):
-    """A proposed further dwell.
+    """A proposed dwell after the session, which separates two hypotheses about the model.
 
     The JSON document is one entry of `measurements`.
 
@@ -144,13 +151,13 @@ class NextDwell(JsonRecord):
     angle_deg : float or None
         Angle to declare; None in space.
     direction : tuple of 3 float or None
-        In space: reading of an ideal sensor there, in units of G.
+        In space: reading of an ideal sensor there, in units of local gravity; None in a plane.
     approach : {1, -1, 0}
-        Direction of travel in which the angle is reached; 0 does not matter.
+        Direction from which the angle is to be reached, +1 from below, -1 from above; 0 does not matter.
     wait_s : float
         Waiting time before the dwell, in addition to the usual time between two dwells.
     temperature_c, supply_v : float or None
-        Required temperature and supply; None for no change.
+        Required temperature in °C and supply in V; None for no change.
     separation : float
         Expected difference of the reading between the two hypotheses, in standard uncertainties of the
         measurement, beyond the difference that earlier proposed dwells show.
@@ -162,6 +169,7 @@ class NextDwell(JsonRecord):
     one, other : tuple of str
         Effects that only one of the two hypotheses contains; one of the two may be empty.
     sentence : str
+        The proposal in words.
     """
 
     document_keys = (
@@ -184,7 +192,7 @@ class NextDwell(JsonRecord):
 
     @property
     def separates(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Effects that only the first of the two compared models contains, and those of only the second."""
+        """Effects that only the first of the two hypotheses contains, and effects of only the second."""
         return self.one, self.other
 
 
@@ -196,11 +204,11 @@ class Stopped(JsonRecord):
     Attributes
     ----------
     limit_s, elapsed_s : float
-        The limit, and the time after which the trace ended.
+        The time limit, and the time after which the trace ended, both in s.
     left_out : tuple of str
-        Stages that ended early or were not begun.
+        Names of the stages that ended early or did not begin.
     checked : bool
-        Whether the validation was completed. Without it the result contains no findings.
+        True if the validation was completed; else the result contains no findings.
     """
 
     document_keys = ("limit_s", "elapsed_s", "left_out", "checked", "sentence")
@@ -212,12 +220,12 @@ class Stopped(JsonRecord):
 
     @classmethod
     def of(cls, budget: Budget, *, checked: bool) -> Stopped:
-        """Make the record of the stages that a time budget has cut off."""
+        """Return the record of the stages that a time limit (`budget`) has ended or skipped."""
         return cls(budget.limit_s, budget.elapsed_s, tuple(budget.left_out), checked)
 
     @property
     def sentence(self) -> str:
-        """A sentence that reports the time limit and the stages that it cut off."""
+        """A sentence that reports the time limit and the stages that it ended or skipped."""
         if self.checked:
             outcome = "what is called found was checked"
         else:
@@ -227,7 +235,7 @@ class Stopped(JsonRecord):
 
 
 class Rival(JsonRecord):
-    """The terms of another probable model; one entry of `rivals` in the JSON."""
+    """Another probable model, its terms and its posterior probability; one entry of `rivals`."""
 
     terms: tuple[str, ...]
     probability: float
@@ -239,7 +247,7 @@ class TraceResult(ParameterTable):
     Attributes
     ----------
     adequate : bool
-        Whether the residual of the final model agrees with the noise measured within the dwells; False if
+        True if the residual of the final model agrees with the noise measured within the dwells; False if
         this was not tested (see `adequacy`).
     found : tuple of Finding
         Named effects that were found.
@@ -248,11 +256,11 @@ class TraceResult(ParameterTable):
     confounded : tuple of tuple of str
         Effects, or an effect and unnamed forms, that this session cannot distinguish.
     unnamed : Unnamed or None
-        Structure that no named effect explains.
+        Structure in the residual that no named effect explains; None if there is none.
     before, after : ErrorFigures
         Errors of the base model and of the final model.
     detectable : mapping of str to Detectable
-        For each effect, the smallest amplitude that would have been found.
+        For each effect, the smallest amplitude that would have been found with 90 % probability.
     advice : tuple of str
         Sentences about further measurements.
     rivals : tuple of Rival
@@ -262,6 +270,7 @@ class TraceResult(ParameterTable):
     reasons : mapping of str to str
         For each effect that is confounded or rejected, the reason.
     notes : tuple of str
+        Remarks on noise, positions and dwells, one sentence each.
     within : tuple of WithinFinding
         Findings in the samples inside the dwells.
     heldout_design : str
@@ -274,9 +283,10 @@ class TraceResult(ParameterTable):
         Fit of the base model, then of the model after each step; not in the JSON and not compared. Empty
         for a single pose traced sample by sample.
     inflation : float
-        Factor on the noise variance used for the stated uncertainties.
+        Factor on the measured noise variance for the stated uncertainties; above 1 if it does not explain
+        the residual.
     stopped : Stopped or None
-        Stages that the time limit cut off; None if the trace was completed.
+        Stages that the time limit ended or skipped; None if the trace was completed.
     provenance : Provenance or None
         Origin of the readings; None if no session was given.
     overrides : mapping
@@ -321,7 +331,7 @@ class TraceResult(ParameterTable):
 
     @property
     def tested(self) -> bool:
-        """True if the final model could be tested.
+        """True if the final model could be tested against the measured noise.
 
         This needs a known noise and more readings than parameters.
         """
@@ -329,13 +339,13 @@ class TraceResult(ParameterTable):
 
     @property
     def adequacy(self) -> Literal["adequate", "not adequate", "not tested"]:
-        """Whether the residual of the final model agrees with the noise measured within the dwells."""
+        """Verdict that states if the final model's residual agrees with the noise within the dwells."""
         if not self.tested:
             return "not tested"
         return "adequate" if self.adequate else "not adequate"
 
     def calibration(self) -> Calibration | GyroCalibration:
-        """Return the calibration by the final model: readings to angles, or gyro readings to rates.
+        """Return the calibration by the final model: of readings to angles, or of gyro readings to rates.
 
         Effects that depend only on the reading (for gyros: the rate and the force), the temperature or the
         supply are corrected. Effects of the bench are listed as not corrected.
@@ -373,10 +383,9 @@ class TraceResult(ParameterTable):
 
     @property
     def reference_temperature_c(self) -> float | None:
-        """Temperature at which the parameters hold.
+        """Temperature in °C at which the parameters are valid; None if it was not recorded.
 
-        25 °C if the model contains an effect of temperature, else the mean of the dwells. None if the
-        temperature was not recorded.
+        It is 25 °C if the model contains an effect of temperature, else the mean of the dwells.
         """
         if any("temperature" in c for fit in self.fits[-1:] for term in fit.terms for c in term.covariates):
             return REFERENCE_C
@@ -410,6 +419,6 @@ class TraceResult(ParameterTable):
         return {"before": self.before, "after": self.after}
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the result as the JSON document that `trace` prints."""
+        """Return the JSON document that the command `trace` prints."""
         other = {} if self.part == ACCELEROMETER else {"part": self.part}
         return {**other, **super().as_dict(), **listed(self.position_findings)}

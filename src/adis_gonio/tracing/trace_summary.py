@@ -1,4 +1,4 @@
-"""Sentences on the result of a trace, shared by the terminal's summary and the report page."""
+"""Sentences on the result of a trace, for the summary in the terminal and the report page."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _SURE = (
     (0.9, 5e-2, "likely"),
     (0.0, 1.0, "the best of several explanations"),
 )
-"""Smallest probability and largest p-value of a finding for each phrase."""
+"""Phrases for the certainty of a finding, each with its smallest probability and largest p-value."""
 
 
 @dataclass(frozen=True)
@@ -65,13 +65,13 @@ _WRITTEN_DOWN = {"serial": "part", "stage": "stage", "operator": "operator"}
 
 
 def written_down(session: Session) -> dict[str, str]:
-    """Return the serial number, stage and operator of a session, under their names on the page."""
+    """Return the serial number, stage and operator of a session by their names on the page, if stated."""
     texts = {name: str(getattr(session, field, "")).strip() for field, name in _WRITTEN_DOWN.items()}
     return {name: text for name, text in texts.items() if text}
 
 
 def overridden(session: Session) -> list[str]:
-    """Return a text for each value of metadata that the user replaced.
+    """Return a text for each value of the session's metadata that the user replaced.
 
     An example is `gravity_mps2: 9.81 instead of 9.80665`.
     """
@@ -146,7 +146,7 @@ def error_rows(result: TraceResult) -> tuple[list[str], list[list[str]]]:
 
 
 def _by_axis(rows: Sequence[tuple[str, ErrorFigures]], unit: str) -> dict[str, list[float | None]]:
-    """Return the columns with the held-out error of each axis; empty if it was not computed by axis."""
+    """Return the columns with the held-out error of each axis; empty if not computed by axis."""
     each = [error.heldout_by_axis for _, error in rows]
     return {f"{axis} / {unit}": [(own or {}).get(axis) for own in each] for axis in each[0] or ()}
 
@@ -160,19 +160,19 @@ def how_sure(finding: Finding) -> str:
 
 
 def uncertain_steps(result: TraceResult) -> list[str]:
-    """Return the effects of the final model that are not certain enough to be findings."""
+    """Return the effects in the final model that are not certain enough to be findings."""
     found = {finding.effect for finding in result.found}
     return list(dict.fromkeys(step.effect for step in result.steps if step.effect not in found))
 
 
 def ordered(result: TraceResult) -> list[Finding]:
-    """Return the findings in the order in which the model got their effects."""
+    """Return the findings in the order in which the trace added their effects to the model."""
     order = [step.effect for step in result.steps]
     return sorted(result.found, key=lambda f: order.index(f.effect) if f.effect in order else len(order))
 
 
 def inside_only(result: TraceResult) -> list[Finding]:
-    """Return the findings inside dwells that are not among the effects of the model."""
+    """Return the findings inside the dwells whose effects are not in the model of the readings."""
     steps = {step.effect for step in result.steps}
     seen = {finding.effect for finding in result.within}
     return [finding for finding in result.found if finding.effect in seen - steps]
@@ -187,7 +187,7 @@ def within(result: TraceResult) -> list[str]:
 
 
 def headline(result: TraceResult) -> str:
-    """Return the outcome of the trace in a few sentences; if the time limit ended it, this is first."""
+    """Return the outcome of a trace in a few sentences; a time limit that ended it is mentioned first."""
     if result.stopped is not None:
         rest = f" {_outcome(result)}" if result.stopped.checked else ""
         return result.stopped.sentence + rest
@@ -203,7 +203,7 @@ def _outcome(result: TraceResult) -> str:
 
 
 def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
-    """Return sentences about these findings and how well the model describes the readings."""
+    """Return sentences about the effects found, and how well the model describes the readings."""
     names = [with_axes(finding) for finding in found]
     what = f"Found: {join_words(names)}." if names else ""
     rest = result.unnamed
@@ -257,7 +257,7 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
 
 
 def exact(result: TraceResult) -> bool:
-    """Return True if the final model passes exactly through every reading, so that it cannot be tested."""
+    """Return True if the final model passes exactly through every reading and cannot be tested."""
     return bool(result.steps) and result.after.residual_rms < 1e-9 * result.before.residual_rms
 
 
@@ -294,7 +294,10 @@ def gains(result: TraceResult) -> str:
 
 
 def confounded(result: TraceResult, most: int = 4) -> list[str]:
-    """Return the groups of effects that the session cannot distinguish, one line for each group."""
+    """Return the groups of effects that the session cannot distinguish, one line for each group.
+
+    `most` is the largest number of rivals that a line names.
+    """
     groups: dict[str, list[str]] = {}
     for names in result.confounded:
         if len(names) == 1:
@@ -319,13 +322,16 @@ def confounded(result: TraceResult, most: int = 4) -> list[str]:
 
 
 def open_names(result: TraceResult) -> list[str]:
-    """Return the rejected effects outside these groups, each with its reason."""
+    """Return the rejected effects outside the groups of `confounded`, each with its reason."""
     grouped = {names[0] for names in result.confounded}
     return [f"{name}: {reason}" for name, reason in result.reasons.items() if name not in grouped]
 
 
 def unnamed(result: TraceResult) -> str:
-    """Describe the unnamed part: its form, the share it explains and its probability; "" if none."""
+    """Describe the unnamed part: its form, the share of the excess χ² that it explains, and p.
+
+    The text is empty if there is no unnamed part.
+    """
     rest = result.unnamed
     if rest is None:
         return ""
@@ -334,7 +340,7 @@ def unnamed(result: TraceResult) -> str:
 
 
 def sight(result: TraceResult) -> SightWords:
-    """Group effects that were not found by whether the session could show them at typical size."""
+    """Group effects that were not found by whether the session could have shown them at typical size."""
     found = {finding.effect for finding in result.found}
     undecided = {name for names in result.confounded for name in names} | set(result.reasons)
     undecided |= {step.effect for step in result.steps}
@@ -363,7 +369,7 @@ def sight(result: TraceResult) -> SightWords:
 
 
 def absent(result: TraceResult) -> str:
-    """Return the statement about effects that the session could show but that were not found."""
+    """Return the conclusion about effects that the session could have shown but that were not found."""
     if result.adequate and result.unnamed is None:
         return "absent: it would have been found"
     return "not found: without other effects it would have been found"
@@ -375,7 +381,7 @@ def amplitude(entry: Detectable) -> str:
 
 
 def typical(name: str, entry: Detectable) -> str:
-    """Return the typical size of an effect's parameter on a bench, with unit."""
+    """Return the typical size of an effect's parameter on a bench, with unit; empty if unknown."""
     prototype = _parameter(name, entry)
     return "" if prototype is None else with_unit(f"{abs(prototype.typical):.4g}", prototype.unit)
 

@@ -1,4 +1,4 @@
-"""The answer of a traced session: the recommended method together with the effects of the trace."""
+"""The answer of a traced session: the recommended method together with the effects of its trace."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ from adis_gonio.fitting.uncertainty import MODEL, BudgetRow, ShownAngle, budget_
 from adis_gonio.tracing.trace_result import TraceResult
 
 TRACED = "trace"
-"""Name of the traced model in the scores."""
+"""Name under which the traced model is listed in the scores."""
 
 
 @dataclass(frozen=True)
 class TracedAnswer(Answer):
-    """Answer to the user from a traced model, which has effects that the recommended method lacks.
+    """Answer to the user from a traced model, which has effects that no method of the fit contains.
 
     Attributes
     ----------
     traced : TraceResult
-        The trace with the recommended model.
+        Trace whose final model is recommended.
     """
 
     traced: TraceResult
@@ -65,7 +65,10 @@ class TracedAnswer(Answer):
         return {"angle": shown_angle(self.traced, math.nan if score is None else score)}
 
     def error_curves(self) -> tuple[ErrorCurve | None, ErrorCurve]:
-        """Error of the angle over the turn, without and with the calibration by the traced model."""
+        """Return the angle's error over the turn, without and with the calibration by the traced model.
+
+        The first curve is None if the sensor's scale is unknown.
+        """
         from adis_gonio.tracing.trace_calibrations import calibration_of_trace
 
         return calibration_of_trace(self.traced).error_curves()
@@ -82,7 +85,7 @@ class TracedAnswer(Answer):
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Doubts about the model: none, since the model contains the effects."""
+        """Doubts about the model: none, since the model contains the effects that would raise doubts."""
         return ()
 
     @property
@@ -118,9 +121,9 @@ def answer_with_trace(result: FitResult, trace: TraceResult | None, *, own: bool
     result : FitResult
         Result of any method.
     trace : TraceResult, optional
-        Trace of the same session.
+        Trace of the fitted session.
     own : bool
-        Show this result instead of the recommended one.
+        Show this result instead of the result of the recommended method.
 
     Returns
     -------
@@ -153,7 +156,7 @@ def answer_with_trace(result: FitResult, trace: TraceResult | None, *, own: bool
 
 
 def _beyond(likely: FitResult, trace: TraceResult) -> tuple[str, ...]:
-    """Return the effects of the traced model that a fit lacks, by name.
+    """Return the effects of the traced model that the fit `likely` lacks, by name.
 
     A bias does not count if the fit contains biases, as most fits do.
     """
@@ -163,7 +166,7 @@ def _beyond(likely: FitResult, trace: TraceResult) -> tuple[str, ...]:
 
 
 def _confirmed(recommended: Recommendation, trace: TraceResult) -> Recommendation:
-    """Return the recommendation with a remark that a trace found no additional effect."""
+    """Return the recommendation of a method with a remark that the trace found no additional effect."""
     if trace.stopped is not None and not trace.stopped.checked:
         return recommended
     said = {
@@ -175,7 +178,7 @@ def _confirmed(recommended: Recommendation, trace: TraceResult) -> Recommendatio
 
 
 def _of_trace(session: Readings, trace: TraceResult) -> DwellPrediction | None:
-    """Predict each dwell by the traced model refitted without it; None if the axes differ."""
+    """Return each dwell's prediction by the traced model refitted without it; None if the axes differ."""
     final = trace.fits[-1]
     if not session.planar and not final.data.planar and final.data.axes != session.axes:
         return None
@@ -187,7 +190,10 @@ def _of_trace(session: Readings, trace: TraceResult) -> DwellPrediction | None:
 def _reason(
     trace: TraceResult, found: dict[str, DwellPrediction], scores: dict[str, Score], best: str
 ) -> str | None:
-    """Return the reason to recommend the traced model; None if it predicts worse or was not checked."""
+    """Return the reason to recommend the traced model; None if it predicts worse or was not validated.
+
+    `found` and `scores` are the predictions and errors of all models, `best` is the best method.
+    """
     if trace.stopped is not None and not trace.stopped.checked:
         return None
     if predicts_worse(found[TRACED], found[best]):
@@ -205,9 +211,9 @@ def _reason(
 
 
 def shown_angle(traced: TraceResult, error_deg: float) -> Value:
-    """Return an angle error with the standard uncertainty of an angle by the traced model.
+    """Return an angle error in degrees with the standard uncertainty of an angle by the traced model.
 
-    The uncertainty is the root mean square over the dwells.
+    The uncertainty is the root mean square over the dwells; None if an average replaces parameters.
     """
     final = traced.fits[-1]
     covariance = _covariance(final)
@@ -221,10 +227,11 @@ def shown_angle(traced: TraceResult, error_deg: float) -> Value:
 
 
 def budgets_of_trace(traced: TraceResult, values: Mapping[str, Value]) -> dict[str, tuple[BudgetRow, ...]]:
-    """Return the budgets of `delta_k`, `delta_phi` and `angle` by the traced model.
+    """Return the uncertainty budgets of `delta_k`, `delta_phi` and `angle` by the traced model.
 
-    The part of u that is not explained by the sources of the readings is assigned to the choice of the
-    model: a residual larger than the noise, and other models of equal probability.
+    They are the budgets of these `values`. The part of u that is not explained by the sources of the
+    readings is assigned to the choice of the model: a residual larger than the noise, and other models of
+    equal probability.
     """
     final = traced.fits[-1]
     covariance = _covariance(final)
@@ -261,7 +268,7 @@ def _gradients(fit: Fit) -> dict[str, Floats]:
 
 
 def _completed(rows: tuple[BudgetRow, ...], value: Value) -> tuple[BudgetRow, ...]:
-    """Return the rows of a budget with a row added, so that they sum to the variance of a value.
+    """Return the rows of an uncertainty budget that sum to the variance of a value.
 
     The remainder is assigned to the choice of the model.
     """

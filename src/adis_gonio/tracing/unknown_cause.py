@@ -1,4 +1,4 @@
-"""An unknown cause beside every model, for sessions in which no model is adequate.
+"""An unknown cause in addition to every model, for sessions in which no model is adequate.
 
 If no model explains the residual, the models are compared although all of them are wrong, and one of them
 would get nearly all of the posterior. The misfit is then modelled as a random function: a Gaussian process
@@ -21,15 +21,16 @@ from adis_gonio.tracing.model_search import Model, search, weigh
 from adis_gonio.tracing.selection import Selection
 
 LENGTH, WIDTH = 0.3, 0.65
-"""Length of the process in units of a covariate's range; width in units of the direction of gravity."""
+"""Correlation length of the process in units of a covariate's range, and its width for directions.
+The width is in units of the length of a unit vector along gravity."""
 SIZES = np.geomspace(0.5, 500.0, 31)
 """Standard deviations of the process that are tried, in standard uncertainties of a reading."""
 MOST_ROWS = 600
-"""Largest number of rows for which the covariance of the process is computed."""
+"""Largest number of whitened readings for which the covariance of the process is computed."""
 
 
 def beside_unknown_cause(selection: Selection, max_terms: int) -> Selection:
-    """Let an unknown cause compete with the models of a selection, and return it with the new posterior.
+    """Return a selection with the posterior of its models when an unknown cause competes with them.
 
     The unknown cause is a Gaussian process in all covariates. The chosen model and its fit stay. A
     selection that is adequate, or with unknown noise, is returned unchanged.
@@ -49,9 +50,10 @@ def beside_unknown_cause(selection: Selection, max_terms: int) -> Selection:
 
 
 def unknown_features(fit: Fit) -> Floats:
-    """Return whitened features (rows, k) of the Gaussian process that represents an unknown cause.
+    """Return whitened features (rows, k) of an unknown cause: F Fᵀ is the covariance of the process.
 
-    They are projected off the base model.
+    The Gaussian process has a standard deviation of one standard uncertainty of a reading. The features are
+    projected off the base model.
     """
     c = fit.data.conditions
     unit = fit.ideal / np.linalg.norm(fit.ideal, axis=1)[:, None]
@@ -72,7 +74,10 @@ def unknown_features(fit: Fit) -> Floats:
 
 
 def likeliest_size(problem: LinearProblem, model: Model, features: Floats) -> float:
-    """Return the standard deviation of the unknown cause with the greatest restricted likelihood."""
+    """Return the size of the unknown cause with the greatest restricted likelihood, from `SIZES`.
+
+    The size is a standard deviation in standard uncertainties of a reading, in addition to a model.
+    """
     basis, residual = span(problem, model)
     rest = features - basis @ (basis.T @ features)
     values, vectors = np.linalg.eigh(rest @ rest.T)

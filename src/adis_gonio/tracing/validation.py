@@ -1,4 +1,4 @@
-"""Validation of a trace: errors on held-out dwells, and the names and steps that survive them.
+"""Validation of a trace: errors on held-out dwells, and the names and steps that these errors allow.
 
 Held-out dwells are the `check` dwells or, without any, folds of dwells with the selection repeated inside
 each fold. A fold consists of whole dwells: every fifth dwell (shuffled); blocks of time, if positions
@@ -40,9 +40,9 @@ class HeldOut:
     residual : (n, axes) float
         Reading minus model at the attitude that fits the dwell best within the fixture's tolerance.
     angle_rad : (n,) float or None
-        Angle computed from the reading minus declared angle.
+        Angle computed from the reading minus declared angle; None without declared angles.
     predicted : (n,) bool
-        True for each dwell if the model that was fitted without it determines its reading.
+        True for each dwell whose reading is determined by the model that was fitted without it.
     """
 
     residual: Floats
@@ -59,7 +59,7 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class Chosen:
-    """A model fitted without the held-out dwells.
+    """A model that was chosen and fitted without the held-out dwells.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Chosen:
 
 
 def residuals_on(fit: Fit, data: Readings) -> HeldOut:
-    """Return the residuals of a model on dwells that it was not fitted to."""
+    """Return the residuals of a model on dwells to which it was not fitted."""
     there = fit.on(data)
     turned = fit.angle_error_rad(data)
     return HeldOut(there.misfit, turned, np.ones(len(data), dtype=bool))
@@ -84,14 +84,15 @@ def residuals_on(fit: Fit, data: Readings) -> HeldOut:
 def rms(residual: Floats, by_axis: bool) -> float:
     """Return the root mean square of residuals (n, axes).
 
-    It is over all axes, or, if not `by_axis`, of the length of each dwell's residual.
+    If `by_axis`, the mean is over all axes and dwells; else it is of the squared length of each dwell's
+    residual.
     """
     squares = residual**2
     return float(np.sqrt(squares.mean() if by_axis else squares.sum(axis=1).mean()))
 
 
 def folds(data: Readings) -> dict[str, list[NDArray[np.bool_]]]:
-    """Return the possible ways to hold out dwells: for each name the masks (n,) of its folds."""
+    """Return the possible designs of holding out dwells: for each name, the masks (n,) of its folds."""
     n = len(data)
     count = min(limits.folds, n) if n > limits.alone else n
     order = np.arange(n)
@@ -135,9 +136,10 @@ def masks_about_axes(data: Readings) -> list[NDArray[np.bool_]]:
 def predicted_dwells(
     data: Readings, designs: Mapping[str, list[NDArray[np.bool_]]], model: Sequence[Term]
 ) -> dict[str, NDArray[np.bool_]]:
-    """Return for each way to hold out dwells a mask (n,) of the dwells that count in the held-out error.
+    """Return for each design of holding out dwells a mask (n,) of the dwells that count in the error.
 
-    Under designs that leave out whole ranges of angle or time, a dwell counts if the other dwells predict
+    `designs` has the masks of the folds by design, `model` the terms of the model. Under designs that leave
+    out whole ranges of angle or time, a dwell counts if the other dwells predict
     it by the base model and the unnamed functions of the model. If a quarter of a turn is left out, the
     rest does not determine a function with harmonics there; a jump seen only by its first dwell is not
     determined without that dwell.
@@ -159,9 +161,9 @@ def predicted_dwells(
 def determined(
     data: Readings, masks: Sequence[NDArray[np.bool_]], beside: Sequence[Term] = ()
 ) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the dwells that can be predicted from the dwells of the other folds.
+    """Return a mask (n,) of the dwells that the dwells of the other folds can predict.
 
-    The prediction is by the base model and biases.
+    `masks` (n,) are the dwells of each fold. The prediction is by the base model and biases.
 
     With whitened columns X, the prediction of held-out rows has covariance 1 + X_b (X₋bᵀ X₋b)⁻¹ X_bᵀ in
     units of the noise. A dwell counts up to a variance of four. Beyond that its error shows that the fit
@@ -170,7 +172,7 @@ def determined(
     Parameters
     ----------
     beside : sequence of Term
-        Terms with columns that have to be determined too.
+        Further terms of the model, whose amplitudes the other folds have to determine too.
     """
     begun = Fit.begin(data)
     # A bias on each axis, in units of the full reading.
@@ -213,9 +215,9 @@ def cross_validate(
     designs: dict[str, list[NDArray[np.bool_]]],
     fit: Callable[[Readings], Chosen],
 ) -> dict[str, HeldOut]:
-    """Return, by the way to hold out dwells, the residuals under models fitted without each fold.
+    """Return for each design the residuals of held-out dwells under models fitted without their fold.
 
-    `fit` selects and fits a model of the remaining dwells.
+    `designs` has the masks of the folds by name; `fit` selects and fits a model of the remaining dwells.
     """
     out = {}
     folds_in_all, begun = sum(map(len, designs.values())), 0
@@ -237,18 +239,20 @@ def cross_validate(
 
 
 def select_counted(left: Mapping[str, HeldOut], counts: Mapping[str, NDArray[np.bool_]]) -> list[HeldOut]:
-    """Return, for each way to hold out dwells, the residuals of the dwells in the masks `counts`."""
+    """Return for each design of holding out dwells the residuals of the dwells in the masks `counts`."""
     return [left[name].rows(own) for name, own in counts.items()]
 
 
 def drop_unpredicted(
     counts: Mapping[str, NDArray[np.bool_]], anew: Mapping[str, HeldOut]
 ) -> dict[str, NDArray[np.bool_]]:
-    """Remove from the masks the dwells that a model chosen without them does not determine.
+    """Remove from masks of counted dwells those that a model chosen without them does not determine.
 
-    If the quarter of a turn that shows an effect is left out, or a fifth of a few poses, another effect may
-    be chosen that fits the rest equally well. Its covariance shows that the missing dwells are undetermined
-    by many mg. A design with less than a third of its dwells remaining is dropped, unless all designs are.
+    `counts` has the mask of each design, `anew` the residuals under models chosen again in each fold. If
+    the quarter of a turn that shows an effect is left out, or a fifth of a few poses, another effect may
+    be chosen that fits the rest equally well. Its covariance shows that the missing dwells are
+    undetermined by many mg. A design with less than a third of its dwells remaining is dropped, unless all
+    designs are.
     """
     out = {}
     for name, own in counts.items():
@@ -260,15 +264,16 @@ def drop_unpredicted(
 
 @dataclass(frozen=True)
 class Fold:
-    """The choice and fit of a model, to be repeated without the dwells of each fold.
+    """Settings and results of choosing and fitting a model again without the dwells of each fold.
 
     Attributes
     ----------
     terms : sequence of Term
-        Candidates inside a fold.
+        Candidate terms inside a fold.
     averaged : Averaged or None
-        Average on all dwells.
+        Average over unnamed functions that was found with all dwells; None without one.
     max_effects : int
+        Largest number of terms of a model.
     """
 
     terms: Sequence[Term]
@@ -282,16 +287,20 @@ class Fold:
     def of(
         cls, selection: Selection, terms: Sequence[Term], averaged: Averaged | None, max_effects: int
     ) -> Fold:
-        """Return a fold with the candidates that scored well on all dwells (`Selection.promising`)."""
+        """Return settings with those of `terms` as candidates that scored well on all dwells."""
         return cls(selection.promising(terms), averaged, max_effects)
 
     def left_out(
         self, data: Readings, designs: Mapping[str, list[NDArray[np.bool_]]], fit: Fit | None = None
     ) -> dict[str, HeldOut]:
-        """Return the residuals on held-out dwells, for each way to hold them out; computed once.
+        """Return the residuals on held-out dwells for each design, which are computed only once.
 
         Parameters
         ----------
+        data : Readings
+            All dwells that may be held out.
+        designs : mapping of str to list of (n,) bool
+            Masks of the folds by design.
         fit : Fit, optional
             Fit with the effects that are kept in every fold; by default effects are chosen again.
         """
@@ -301,7 +310,7 @@ class Fold:
         return {name: self._made[id(fit), name][1] for name in designs}
 
     def chosen_anew(self, rows: Readings) -> Chosen:
-        """Choose and fit a model from the dwells that are not held out."""
+        """Choose and fit a model of `rows`, the dwells that are not held out."""
         chosen = select(
             rows, self.terms, self.max_effects, explored=limits.fold_explored, rounds=limits.fold_rounds
         )
@@ -313,7 +322,7 @@ class Fold:
 
 
 def nest_fits(selection: Selection, averaged: Averaged | None) -> tuple[list[Fit], list[str]]:
-    """Return fits of nested models, from the base model to the chosen model, and the added names.
+    """Return fits of nested models, from the base model to the chosen model, and the name added at each.
 
     The term that explains most is added first.
     """
@@ -350,7 +359,13 @@ def error_figures(
     Parameters
     ----------
     measured : Readings
-        Fitted readings with the measured noise.
+        Fitted readings with the measured noise (without dwell-to-dwell scatter).
+    checking : Readings or None
+        Readings of the check dwells, which are then the held-out dwells.
+    fits : sequence of Fit
+        Nested fits, the base model first.
+    fold : Fold
+        Settings for the choice of a model inside a fold.
     """
     data = selection.data
     if checking is not None:
@@ -380,7 +395,10 @@ def error_figures(
 def without_folds(
     fits: Sequence[Fit], measured: Readings, checking: Readings | None
 ) -> tuple[list[ErrorFigures], str]:
-    """Return the errors of nested models without folds: held-out errors are from check dwells only."""
+    """Return the errors of nested models without folds: held-out errors are from check dwells only.
+
+    The second result describes the held-out dwells.
+    """
     lefts: list[list[HeldOut]] = [[] for _ in fits]
     design = "no dwell"
     if checking is not None:
@@ -392,7 +410,7 @@ def without_folds(
 def figures_of_fit(fit: Fit, measured: Readings, left: Sequence[HeldOut]) -> ErrorFigures:
     """Return the error figures of a fit: residual, held-out error, angle error and χ².
 
-    `left` are its residuals on held-out dwells.
+    `left` are its residuals on held-out dwells, `measured` the readings with the measured noise.
     """
     residual = [part.residual for part in left]
     turned = [part.angle_rad for part in left if part.angle_rad is not None]
@@ -429,15 +447,15 @@ def _parameters(fit: Fit) -> int:
 
 
 def leaves_too_few(fit: Fit) -> bool:
-    """Return True if too few dwells remain for the choice of a model when some are held out."""
+    """Return True if too few dwells would remain to choose a model when some dwells are held out."""
     rows = (len(fit.data) - 1) * fit.data.equations_each
     return len(fit.data) < limits.least_choice or rows < _parameters(fit)
 
 
 def leave_each_out(fits: Sequence[Fit]) -> tuple[list[list[HeldOut]], str]:
-    """Return residuals with each dwell held out alone, and a description of this.
+    """Return the residuals of nested models with each dwell held out alone, and a description of this.
 
-    Empty lists if the other dwells do not determine the final model.
+    The lists are empty if the other dwells do not determine the final model.
 
     The other dwells are too few to choose effects, so only the values are fitted again.
     """
@@ -458,11 +476,12 @@ def leave_each_out(fits: Sequence[Fit]) -> tuple[list[list[HeldOut]], str]:
 
 
 def guard_errors(selection: Selection, fits: Sequence[Fit], fold: Fold) -> list[float | None]:
-    """Return the held-out errors of nested models by which the final model is chosen.
+    """Return the held-out errors of nested models that decide how many terms the final model has.
 
     In each fold the effects are kept and only their values are fitted.
 
-    `check` dwells are excluded, since they must not influence the choice.
+    An error is None if no dwell can be held out. `check` dwells are excluded, since they must not
+    influence the choice.
     """
     if leaves_too_few(selection.fit) or len(fits) == 1:
         return [None for _ in fits]
@@ -489,9 +508,9 @@ def rms_deg(turned: list[Floats]) -> float | None:
 
 
 def reject_unchecked(names: Names, selection: Selection) -> Names:
-    """Reject the names of a model that leaves too few readings, since it would fit any data.
+    """Reject all names but the bias if the model leaves too few readings to check it.
 
-    A bias is accepted: every sensor has one, so it needs no proof.
+    Such a model would fit any data. A bias is accepted: every sensor has one, so it needs no proof.
     """
     dof = selection.fit.dof
     if dof >= limits.least_checks:
@@ -502,16 +521,20 @@ def reject_unchecked(names: Names, selection: Selection) -> Names:
 
 
 def reject_names(names: Names, reasons: dict[str, str]) -> Names:
-    """Return the names with some of them rejected; rejected names are then listed as `confounded`."""
+    """Return the names without those in `reasons` among the accepted ones.
+
+    The rejected names are then listed as `confounded`.
+    """
     more = tuple((name,) for name in reasons if name in names.accepted)
     accepted = tuple(name for name in names.accepted if name not in reasons)
     return Names(accepted, names.rejected, tuple(dict.fromkeys((*names.confounded, *more))))
 
 
 def longest_acceptable(errors: Sequence[float | None], most: int) -> int:
-    """Return the number of terms of the longest nested model with an acceptable held-out error.
+    """Return the number of terms of the longest nested model with a held-out error that is not worse.
 
-    Its error is hardly larger than the error of any shorter model. At most `most` terms are allowed.
+    Not worse means hardly larger than the error of any shorter model. `errors` are the held-out errors, the
+    base model first; at most `most` terms are allowed, which is the result if an error is None.
     """
     known = [error for error in errors if error is not None]
     if len(known) < len(errors):
@@ -525,7 +548,10 @@ def longest_acceptable(errors: Sequence[float | None], most: int) -> int:
 def refuted_functions(
     selection: Selection, fits: Sequence[Fit], errors: Sequence[float | None]
 ) -> list[Term]:
-    """Return the unnamed functions that make the prediction of held-out dwells worse."""
+    """Return the model's unnamed functions that make the prediction of held-out dwells worse.
+
+    `errors` are the held-out errors of the nested `fits`.
+    """
     stay = fits[longest_acceptable(errors, len(fits) - 1)]
     if stay is fits[-1]:
         return []
@@ -539,10 +565,12 @@ def never_worse(
     reported: tuple[float, float] | None,
     unit: str = "mg",
 ) -> tuple[int, Names, dict[str, str]]:
-    """Find the longest nested model with a held-out error hardly larger than of any shorter model.
+    """Find the longest nested model whose held-out error is hardly larger than any shorter model's.
 
     Parameters
     ----------
+    names : Names
+        Names of the longest model.
     steps : sequence of str
         Name of the term that each model adds to the one before.
     errors : sequence of float or None
@@ -573,9 +601,10 @@ def never_worse(
 def disagreement_p_value(fit: Fit, others: Readings, inflation: float = 1.0) -> float:
     """Return the p-value of the residuals of held-out dwells under a fitted model.
 
-    The predicted reading has the covariance 1 + X C Xᵀ, from its noise and from the parameters (Cook and
-    Weisberg, Residuals and Influence in Regression, 1982, chapter 2). Noise that dwells share is treated
-    as independent noise of each dwell.
+    `others` are the held-out dwells, `inflation` is the factor on their noise variance. The predicted
+    reading has the covariance 1 + X C Xᵀ, from its noise and from the parameters (Cook and Weisberg,
+    Residuals and Influence in Regression, 1982, chapter 2). Noise that dwells share is treated as
+    independent noise of each dwell.
     """
     alone = replace(others, own_covariance=others.covariance, slow=None)
     there = fit.on(alone)

@@ -1,1 +1,1 @@
-"""Search for effects in the samples inside the dwells."""
+"""Search for effects in the single samples inside the dwells."""

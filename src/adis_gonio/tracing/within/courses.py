@@ -1,10 +1,11 @@
-"""Courses that all dwells share: a slope, or settling after each move.
+"""Courses that the samples of all dwells share: a slope, or settling after each move.
 
-Each dwell is projected on the course (a line, or exponentials with time constants from a few samples to
-half a dwell). The amplitudes are tested by their own scatter from dwell to dwell (t-test). Slow noise
-within a dwell is independent between dwells, so no model of the noise is needed. The amplitude is equal
-in all dwells, or proportional to the change of the axis's reading in the preceding move. Time starts at
-the first sample of the dwell, since the file does not contain the end of the move.
+A course is the deviation from the dwell's mean as a function of time. Each dwell is projected on it (a
+line, or exponentials with time constants from a few samples to half a dwell). The amplitudes are tested by
+their scatter from dwell to dwell (t-test). Slow noise within a dwell is independent between dwells, so no
+model of the noise is needed. The amplitude is equal in all dwells, or proportional to the change of the
+axis's reading in the preceding move. Time starts at the first sample of the dwell, since the file does not
+contain the end of the move.
 
 The time constant is then fitted. Standard uncertainties follow from least squares with residuals that are
 correlated within dwells (sandwich estimator, one cluster per dwell).
@@ -37,30 +38,42 @@ LEAST_DWELLS = 4
 LEAST_SAMPLES = 6
 _TAUS = 12
 _LONGEST = 0.5
-"""Longest time constant in lengths of a dwell; with a longer one the course is a straight line."""
+"""Longest time constant in lengths of a dwell; a longer one would give nearly a straight line."""
 _BENT = 9.0
-"""Least decrease of the squares, in units of the noise variance, by an exponential instead of a line."""
+"""Least gain of an exponential over a line: decrease of the sum of squares in noise variances."""
 _POINTS = 120
 _ROUNDING_MG = 1e-9
-"""Least scatter of a projection. Constant samples project on their rounding, equal in all dwells."""
+"""Least standard deviation of a projection; constant samples project on their rounding errors."""
 
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A shape that the samples of all dwells follow on one axis: a line, or with `tau` an exponential."""
+    """A course on one axis, with its test over all dwells.
+
+    Attributes
+    ----------
+    axis : int
+    tau : float or None
+        Time constant in s of an exponential; None for a line.
+    by_move : bool
+        True if the amplitude is proportional to the change of the reading in the preceding move, False if
+        it is equal in all dwells.
+    p_value : float
+        p-value, corrected for the number of tests.
+    """
 
     axis: int
     tau: float | None
     by_move: bool
     p_value: float
     explained: float
-    """Explained sum of squares in mg²."""
+    """Sum of squares in mg² that the course explains."""
     noise: float
-    """Variance of a dwell's projection on the course, in mg²."""
+    """Variance from dwell to dwell of the projection on the course, in mg²."""
 
 
 def courses(samples: Samples, most: int = 2) -> tuple[list[WithinFinding], Samples]:
-    """Find slopes and settling common to all dwells; return findings, and samples without them."""
+    """Find at most `most` courses common to all dwells; return findings, and samples without them."""
     found: list[WithinFinding] = []
     while len(found) < most:
         usable = samples.counts >= LEAST_SAMPLES
@@ -75,16 +88,20 @@ def courses(samples: Samples, most: int = 2) -> tuple[list[WithinFinding], Sampl
 
 
 def _regressors(samples: Samples) -> Floats:
-    """Return possible causes of a course's amplitude in each dwell and axis, (2, d, axes).
+    """Return the two factors to which a course's amplitude may be proportional, (2, d, axes).
 
-    The first is 1, the second the change of the axis's reading in g since the dwell before.
+    In each dwell and axis the first is 1, the second is the change of the axis's reading in g since the
+    dwell before.
     """
     change = np.diff(samples.reading, axis=0, prepend=samples.reading[:1]) / MG_PER_G
     return np.stack([np.ones_like(change), change])
 
 
 def grid(samples: Samples, usable: Usable) -> list[float | None]:
-    """Return the time constants in s to try; None represents a straight line."""
+    """Return the time constants in s to try; None in the list stands for a straight line.
+
+    `usable` (d,) is True for the dwells that are long enough.
+    """
     lengths = [float(samples.elapsed_s(k)[-1]) for k in np.flatnonzero(usable).tolist()]
     longest = float(np.median(lengths))
     shortest = 3 * samples.period_s
@@ -94,14 +111,15 @@ def grid(samples: Samples, usable: Usable) -> list[float | None]:
 
 
 def _course(elapsed_s: Floats, tau: float | None) -> Floats:
-    """Return the course (n,): the elapsed time in s, or an exponential decay if `tau` is given."""
+    """Return the course (n,): the elapsed time in s, or an exponential decay if `tau` (s) is given."""
     return elapsed_s if tau is None else np.exp(-elapsed_s / tau)
 
 
 def projections(samples: Samples, usable: Usable, tau: float | None) -> tuple[Floats, Floats]:
     """Return the projections (d, axes) of the samples of each dwell on a course, and its norms (d,).
 
-    A projection is the amplitude times the norm.
+    `usable` (d,) is True for the dwells that are long enough; `tau` is a time constant in s, None for a
+    line. A projection is the amplitude of the course times its norm.
     """
     z, norm = np.zeros((len(samples), samples.axes)), np.zeros(len(samples))
     for k in np.flatnonzero(usable).tolist():
@@ -114,7 +132,7 @@ def projections(samples: Samples, usable: Usable, tau: float | None) -> tuple[Fl
 
 
 def _best(samples: Samples, usable: Usable) -> _Candidate | None:
-    """Return the significant course that explains most of the variance; None if none is significant."""
+    """Return the significant course that explains most variance; None if no course is significant."""
     taus = grid(samples, usable)
     kinds = _regressors(samples)
     tests = len(taus) * 2 * samples.axes
@@ -208,7 +226,7 @@ def _fit_course(samples: Samples, usable: Usable, best: _Candidate) -> tuple[Wit
 
 
 def _significant_axes(samples: Samples, usable: Usable, best: _Candidate) -> list[int]:
-    """Return the axes with the course: the axis of `best`, and others on which it is significant."""
+    """Return the axes with the course: the axis of `best`, and other axes on which it is significant."""
     z, norm = projections(samples, usable, best.tau)
     g = norm[:, None] * _regressors(samples)[int(best.by_move)]
     energy = np.maximum((g**2).sum(axis=0), 1e-300)
@@ -285,9 +303,10 @@ def _finding(
 
 
 def _waiting_time(samples: Samples, amplitude: float, tau: float) -> float:
-    """Return the time in s to wait until settling shifts a dwell's mean by a third of its noise.
+    """Return the time in s to wait until settling shifts a dwell's mean by only a third of its noise.
 
-    The noise of the mean is that of white noise over the samples.
+    `amplitude` is the largest amplitude of the settling in mg, `tau` its time constant in s. The noise of
+    the mean is computed as of white samples.
     """
     sizes = []
     for k in range(len(samples)):
@@ -302,7 +321,7 @@ def _waiting_time(samples: Samples, amplitude: float, tau: float) -> float:
 def _view(
     samples: Samples, best: _Candidate, tau: float | None, slope: float, weight: Floats, dwells: list[int]
 ) -> View:
-    """Return the figure of a course: its weighted mean over the dwells, in at most `_POINTS` points."""
+    """Return the figure of a course: the mean over the dwells, in at most `_POINTS` points, and the fit."""
     length = min(len(samples.values[k]) for k in dwells)
     norm = float((weight[dwells] ** 2).sum())
     # Least-squares course: each dwell weighted by its regressor.

@@ -1,4 +1,4 @@
-"""Events in single dwells: a step, a slope, a transient.
+"""Events in the samples of single dwells: a step, a slope, a transient.
 
 At each of several scales (from a few samples to half a dwell) the means of neighbouring stretches are
 subtracted (Haar wavelet at every position). For stationary noise of any spectrum, 1/f noise included, the
@@ -37,8 +37,8 @@ from adis_gonio.tracing.within.samples import (
 _SHORTEST = 8
 _LEAST_SAMPLES = 6
 _MANY = 300
-"""With more independent differences the scatter is the median absolute deviation, else from other
-dwells."""
+"""Number of independent differences above which their scatter is the median absolute deviation.
+With fewer differences the scatter comes from the other dwells."""
 _RARE, _FEW = 1e-3, 0.15
 _LEAST_DWELLS = 6
 _EFFICIENCY = 0.37
@@ -46,22 +46,21 @@ _EFFICIENCY = 0.37
 _LIVELY = 0.6
 _TAUS = 8
 _CLEAR = 4.0
-"""A form (step, drift, settling) describes a dwell only if its size is this many standard uncertainties."""
+"""Least size of a form (step, drift, settling), in standard uncertainties, to describe a dwell by it."""
 _POINTS = 300
 
 
 @dataclass(frozen=True)
 class _Scale:
-    """Differences between the means of neighbouring stretches of samples, for one length of the stretches.
+    """Differences between the means of neighbouring stretches of samples, for one length of stretch.
 
-    On one scale the length is half of the dwell.
+    On one of the scales the length is half of the dwell.
     """
 
     differences: list[Floats]
-    """For each dwell (m, axes), divided by their standard deviation for white noise with the dwell's
-    scatter."""
+    """For each dwell the differences (m, axes), divided by their standard deviation for white noise."""
     places: list[Floats]
-    """For each dwell, the first sample (m,) of the later of the two stretches."""
+    """For each dwell the number (m,) of the first sample in the later of the two stretches."""
     independent: Floats
     """Number of independent differences in each dwell, (d,)."""
 
@@ -71,24 +70,37 @@ _Form = Literal["step", "drift", "settling", "disturbance"]
 
 @dataclass(frozen=True)
 class _Look:
-    """The most significant difference of means in each dwell and axis, over all lengths of stretches."""
+    """The most significant difference of means in each dwell and axis, over all lengths of stretches.
+
+    Attributes
+    ----------
+    place : (d, axes) float
+        Number of the first sample in the later of the two stretches.
+    stretch : (d, axes) float
+        Length of the stretches in samples.
+    unit : (d, axes) float
+        Scale of the samples in mg: their scatter on an axis on which it differs between dwells, else 1.
+    """
 
     place: Floats
     stretch: Floats
     difference_mg: Floats
-    """All (d, axes): first sample of the later stretch, length of the stretches, their difference."""
+    """Later minus earlier mean (d, axes) in mg."""
     noise: list[tuple[Floats, Floats]]
-    """For each scale: length of the stretches (d,), standard deviation (d, axes) in units of `unit`."""
+    """For each scale: lengths of the stretches (d,), and standard deviations (d, axes) in `unit`."""
     unit: Floats
 
     def u_mg(self, dwell: int, axis: int, stretch: float) -> float:
-        """Return the standard uncertainty in mg of the difference of two means over such stretches."""
+        """Return the standard uncertainty in mg of the difference of two means over such stretches.
+
+        `stretch` is the length of each stretch in samples.
+        """
         best = min(self.noise, key=lambda one: abs(np.log(max(one[0][dwell], 1e-9) / stretch)))
         return float(best[1][dwell, axis] * np.sqrt(2 / max(best[0][dwell], 1.0)) * self.unit[dwell, axis])
 
 
 def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFinding]:
-    """Find steps, slopes and transients of single dwells.
+    """Find steps, slopes and transients in the samples of single dwells.
 
     Parameters
     ----------
@@ -165,7 +177,11 @@ def _scales(samples: Samples, unit: Floats, reach: int) -> list[_Scale]:
 
 
 def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) -> None:
-    """Test the differences for one length of stretches, and lower p-values (d, axes) that are larger."""
+    """Test the differences on one scale, and lower the p-values `p` (d, axes) where they are larger.
+
+    `coarse` (d, axes) is the error of a mean by the converter's step, `tests` the number of tests; `look`
+    gets the differences with the lowest p-values.
+    """
     noise = np.zeros_like(p)
     look.noise.append((np.array([float(own[0]) if len(own) else 0.0 for own in scale.places]), noise))
     every = np.concatenate(scale.differences)
@@ -203,10 +219,10 @@ def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) 
 
 
 def _without_outliers(squares: Floats, weight: Floats) -> tuple[Floats, Floats]:
-    """Return the mean squares and weights of dwells, with weight 0 for outliers far above the others.
+    """Return the mean squared differences of dwells and their weights, with weight 0 for outliers.
 
-    With a coarse converter many dwells have no difference at all, so the upper quartile is the reference.
-    If more than a few dwells are far above it, none is excluded.
+    Outliers are far above the other dwells. With a coarse converter many dwells have no difference at all,
+    so the upper quartile is the reference. If more than a few dwells are far above it, none is excluded.
     """
     use = weight > 0
     if use.sum() < _LEAST_DWELLS:
@@ -220,9 +236,9 @@ def _without_outliers(squares: Floats, weight: Floats) -> tuple[Floats, Floats]:
 
 
 def _independent(nominal: Floats, squares: Floats) -> Floats:
-    """Return the effective number (d,) of independent differences in each dwell.
+    """Return the effective number (d,) of independent differences in each dwell, at most `nominal`.
 
-    It is limited by the scatter of the dwells' mean squares.
+    It is limited by the scatter of the dwells' mean squared differences (d,).
 
     A filter longer than the stretches correlates neighbouring places. The median absolute deviation of the
     mean squares is used, so that a few unusual dwells do not matter.
@@ -238,7 +254,7 @@ def _independent(nominal: Floats, squares: Floats) -> Floats:
 
 
 def _describe(samples: Samples, k: int, axis: int, look: _Look) -> tuple[_Form, Place, Floats]:
-    """Return the form that describes a dwell best, and its course (n,) about the dwell's mean.
+    """Return the form that describes a dwell best, its place and its course (n,) about the dwell's mean.
 
     If the form is not significant in the noise of its scale, the event is a disturbance of the length at
     which it was found.
@@ -347,7 +363,7 @@ def _finding(
 
 
 def _view(samples: Samples, k: int, axis: int, model: Floats, kind: _Form) -> View:
-    """Return the data of an event's figure: averaged samples of the dwell, and the fitted form."""
+    """Return the figure of an event: averaged samples of the dwell, and the fitted form."""
     rows = samples.values[k][:, axis] - samples.values[k][:, axis].mean()
     time = samples.elapsed_s(k)
     x, y, shown = neighbour_means(_POINTS, time, rows, model)

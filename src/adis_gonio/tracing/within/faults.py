@@ -52,12 +52,11 @@ _NEIGHBOURS = 15
 _LEAST_SAMPLES = 2 * _NEIGHBOURS
 _LEAST_RUN = 8
 _LIVELY = 0.6
-"""If the noise is smaller, in steps of the converter, runs of equal values are normal (as in
-`estimation.screening`)."""
+"""Noise in steps of the converter below which runs of equal values are normal."""
 _LONG_QUANTILE = 0.9
 _LEAST_LONG = 20
 _SAFETY = 1.5
-"""Safety factor on the mean excess of long runs, since this is only an estimate."""
+"""Safety factor on the mean by which long runs exceed their limit, since this mean is an estimate."""
 
 
 def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding | None, Samples]:
@@ -109,13 +108,13 @@ def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding
 
 
 def _from_neighbours(column: Floats, reach: int) -> tuple[Floats, Floats, Floats]:
-    """Return the distance (n,) of each sample from the nearer of two medians of its neighbours.
+    """Return the distance (n,) of each sample from the median of its neighbours on the nearer side.
 
-    The medians are over the samples before and after. The second result (n,) is the nearer median, the
-    third (m,) the distances from the median before.
+    One median is over samples before it, one over samples after it. The second result (n,) is the nearer
+    median, the third (m,) are the distances from the median before.
 
-    The scatter is estimated from these, since the distance to the nearer of two medians is too small on
-    average.
+    The scatter is estimated from the third result, since the distance to the nearer of two medians is too
+    small on average.
     """
     half = _NEIGHBOURS // 2
     n = len(column)
@@ -131,7 +130,7 @@ def _from_neighbours(column: Floats, reach: int) -> tuple[Floats, Floats, Floats
 
 
 def _groups(flags: NDArray[np.bool_], gap: int) -> list[tuple[int, int]]:
-    """Group flagged samples that are at most `gap` apart; return (first, last + 1) of each group."""
+    """Group flagged samples at most `gap` samples apart; return (first, last + 1) of each group."""
     at = np.flatnonzero(flags)
     cuts = np.flatnonzero(np.diff(at) > gap)
     firsts, lasts = np.concatenate([[0], cuts + 1]), np.concatenate([cuts, [len(at) - 1]])
@@ -177,7 +176,16 @@ def _spikes_finding(
 
 
 def stuck(samples: Samples, scatter: Floats, reach: int) -> WithinFinding | None:
-    """Find runs of equal samples that are too long for noise and converter; None if there are none."""
+    """Find runs of equal samples that are too long for noise and converter; None if there are none.
+
+    Parameters
+    ----------
+    samples : Samples
+    scatter : (d, axes) float
+        Standard deviation of single samples in each dwell.
+    reach : int
+        Number of samples over which neighbours are correlated.
+    """
     places: list[Place] = []
     least_p = 1.0
     tests = len(samples) * samples.axes
@@ -235,7 +243,10 @@ def _run_lengths(column: Floats) -> NDArray[np.intp]:
 
 
 def _tail(lengths: NDArray[np.intp]) -> tuple[float, float]:
-    """Return the run length at which the exponential tail of run lengths begins, and its mean excess."""
+    """Return the run length at which the exponential tail of run lengths begins, and its mean excess.
+
+    The mean excess is the mean by which longer runs exceed this length.
+    """
     if not lengths.size:
         return 1.0, 0.0
     start = float(np.quantile(lengths, _LONG_QUANTILE))
@@ -244,7 +255,7 @@ def _tail(lengths: NDArray[np.intp]) -> tuple[float, float]:
 
 
 def saturation(session: Session, data: Readings) -> WithinFinding | None:
-    """Find the ends of the sensor's range that samples have reached; None if no sample has."""
+    """Return the finding on the ends of the sensor's range that samples reached; None if no sample has."""
     if data.converter is None or not data.converter.limits:
         return None
     limits = data.converter.limits
@@ -280,12 +291,12 @@ def saturation(session: Session, data: Readings) -> WithinFinding | None:
 
 
 def quantization(session: Session, samples: Samples, reach: int) -> WithinFinding | None:
-    """Find axes on which the converter's step is too coarse for the noise; None if there is no such axis.
+    """Return the finding on axes whose converter step is too coarse for the noise; None without such axes.
 
     Parameters
     ----------
     reach : int
-        Samples over which neighbours are correlated.
+        Number of samples over which neighbours are correlated.
     """
     found: dict[int, float] = {}
     for axis in range(samples.axes):
@@ -315,7 +326,7 @@ def quantization(session: Session, samples: Samples, reach: int) -> WithinFindin
 
 
 def _coarse(samples: Samples, axis: int, reach: int) -> float:
-    """Return the p-value of the hypothesis that noise spreads the samples over several converter steps.
+    """Return the p-value of the hypothesis that noise spreads an axis' samples over several steps.
 
     It is 1 if the samples scatter enough.
     """
@@ -340,7 +351,7 @@ def _coarse(samples: Samples, axis: int, reach: int) -> float:
 
 
 def _lost_bits(session: Session, samples: Samples, axis: int) -> float:
-    """Return the probability that chance makes all codes differ by multiples of a number above 1.
+    """Return the probability that all codes of an axis differ by multiples of a number above 1 by chance.
 
     It is 1 if there is no such number, or if the sensor's codes are unknown.
     """

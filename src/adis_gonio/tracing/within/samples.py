@@ -19,7 +19,7 @@ from adis_gonio.model.effects import AXES
 from adis_gonio.model.records import Session
 
 _LEAST_LEVEL = 100
-"""Number of samples above which a dwell determines its own scatter."""
+"""Number of samples above which a dwell alone determines the scatter of its samples."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Samples:
     values : d arrays (n, axes)
         Samples in mg.
     quantum : (axes,) float
-        Step of the converter in mg; for values with many digits the smallest difference.
+        Step of the converter on each axis in mg; for values with many digits the smallest difference.
     reading : (d, axes) float
         Recorded mean of each dwell in mg.
     """
@@ -66,7 +66,7 @@ class Samples:
 
     @property
     def period_s(self) -> float:
-        """Median time between samples in s; nan if all times are equal."""
+        """Median time between samples in s; NaN if all times are equal."""
         steps = np.concatenate([np.diff(time) for time in self.time_s])
         steps = steps[steps > 0]
         return float(np.median(steps)) if steps.size else float("nan")
@@ -85,7 +85,17 @@ class Samples:
         at: int | None = None,
         shift: float | None = None,
     ) -> Place:
-        """Make the record of a place in the samples from indices of dwell, axis and sample (`at`)."""
+        """Return the record of a place: a dwell and an axis by their indices, with the size of the finding.
+
+        Parameters
+        ----------
+        value, u, unit : float, float or None, str
+            Size of the finding with its standard uncertainty.
+        at : int or None
+            Index of the sample; None if the finding has no time.
+        shift : float or None
+            Resulting shift of the dwell's mean in mg.
+        """
         time = None if at is None else float(self.time_s[dwell][at])
         size = Value(float(value), u, unit)
         return Place(int(self.position[dwell]), self.letters[axis], time, size, shift)
@@ -113,7 +123,7 @@ def samples_of(session: Session, data: Readings) -> Samples | None:
     ----------
     session : Session
     data : Readings
-        Readings of the session.
+        Readings of the session, with the unit of the samples.
     """
     used = set(data.position.tolist())
     dwells = [dwell for dwell in session.dwells if dwell.position in used]
@@ -132,7 +142,7 @@ def samples_of(session: Session, data: Readings) -> Samples | None:
 
 
 def deviation(rows: Floats, axis: int = 0) -> Floats:
-    """Return a standard deviation that is robust against outliers.
+    """Return the standard deviation of values along `axis`, robust against outliers.
 
     It is computed from the median absolute deviation.
     """
@@ -176,12 +186,13 @@ class Place(JsonRecord):
     position : int
         Number of the dwell in the file.
     axis : str
+        Letter of the axis.
     time_s : float or None
-        Time within the session.
+        Time in s within the session; None if the finding has no time.
     value : Value or None
-        Size (height of a step, samples of a run, …).
+        Size of the finding (height of a step, samples of a run, …); None if it has no size.
     shift_mg : float or None
-        Resulting shift of the dwell's mean; None if unknown.
+        Resulting shift of the dwell's mean in mg; None if unknown.
     """
 
     position: int
@@ -198,14 +209,15 @@ class View:
     Attributes
     ----------
     x, y : (n,) float
-        Points.
+        Points of the measured curve.
     x_label, y_label, caption : str
     model : (n,) float or None
-        Fitted course at the points.
+        Fitted curve at the points; None without a fit.
     model_label : str
     y_log : bool
+        True for a logarithmic y axis.
     points : bool
-        Whether y are single points instead of a course.
+        True to draw single points instead of a line.
     """
 
     x: Floats
@@ -229,22 +241,23 @@ class WithinFinding(JsonRecord):
     kind : str
         drift, settling, step, disturbance, tone, spikes, stuck, noise_change, limit or coarse.
     effect : str or None
-        Name in the catalogue, if the finding has the form of a named effect.
+        Name in the catalogue if the finding has the form of a named effect, else None.
     axes : tuple of str
     positions : tuple of int
         Numbers of the affected dwells.
     parameters : mapping of str to Value
+        Sizes of the finding by name.
     p_value : float
         p-value times the number of tests of its search and the number of searches, at most 1.
     sentence : str
     places : tuple of Place
-        Single dwells and axes; empty if all of `positions` share the parameters.
+        Dwells and axes with their own sizes; empty if all of `positions` share the parameters.
     advice : str
         Recommended action against the cause; empty if none is needed.
     aliases_hz : tuple of float or None
-        Other frequencies that would appear at this line; None if this is not a tone.
+        Other frequencies in Hz that sampling would show at the frequency of a tone; None for other kinds.
     view : View or None
-        Data of the figure; neither in the document nor compared.
+        Data of the figure, neither in the document nor compared; None without a figure.
     """
 
     kind: Kind
@@ -263,13 +276,13 @@ class WithinFinding(JsonRecord):
 def corrected(p_value: float, tests: float) -> float:
     """Return a p-value corrected for multiple tests (Bonferroni), at most 1.
 
-    It is multiplied by the number of tests of its search and by the number of searches.
+    It is multiplied by `tests`, the number of tests of its search, and by the number of searches.
     """
     return min(1.0, float(p_value) * max(tests, 1.0) * SEARCHES)
 
 
 def axes_and_positions(places: Sequence[Place]) -> tuple[tuple[str, ...], tuple[int, ...]]:
-    """Return the sorted axes and the sorted positions of some places, each without repetition."""
+    """Return the sorted axes and the sorted positions that occur in some places, without repetition."""
     return tuple(sorted({p.axis for p in places})), tuple(sorted({p.position for p in places}))
 
 
@@ -282,7 +295,10 @@ def neighbour_means(most: int, *columns: Floats) -> list[Floats]:
 
 
 def positions_text(positions: tuple[int, ...], dwells: int, most: int = 12) -> str:
-    """Name positions in a text, such as `all 24 dwells`, `position 7` or `positions 3, 4, 9`."""
+    """Name positions in a text, such as `all 24 dwells`, `position 7` or `positions 3, 4, 9`.
+
+    `dwells` is the number of all dwells; at most `most` positions are listed.
+    """
     if len(positions) == dwells and dwells > 1:
         return f"all {dwells} dwells"
     return name_positions(positions, most)

@@ -65,13 +65,13 @@ from adis_gonio.tracing.within.variances import (
 )
 
 _CLAIMED_DWELLS = 4
-"""Smallest number of dwells of a finding that counts among `found`."""
+"""Smallest number of dwells with a finding for it to count as found."""
 _MOST_OUT = 0.2
-"""If a larger share of the dwells deviates, the model is assumed to be wrong, and not the dwells."""
+"""Share of deviating dwells above which the model is assumed to be wrong, and not these dwells."""
 
 
 def with_second_pass(session: Session, data: Readings, result: TraceResult) -> TraceResult:
-    """Add the findings inside the dwells to the trace of a session's readings.
+    """Return the trace of a session's readings with the findings inside the dwells added.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def with_second_pass(session: Session, data: Readings, result: TraceResult) -> T
 
 
 def counts_as_found(finding: WithinFinding) -> bool:
-    """Return True if a finding inside the dwells is certain enough for `TraceResult.found`."""
+    """Return True if a finding inside the dwells is certain enough to count in `TraceResult.found`."""
     return (
         finding.effect is not None
         and probability(finding.p_value) >= limits.certain
@@ -114,7 +114,7 @@ def counts_as_found(finding: WithinFinding) -> bool:
 
 
 def probability(p_value: float) -> float:
-    """Return the posterior probability that a finding with this p-value is real (see the module)."""
+    """Return the posterior probability that a finding with this p-value is real (see the module's text)."""
     depth = -math.log(max(p_value, 1e-300))
     # ∫ ξ p^(ξ−1) dξ from 0 to 1, against the uniform density under the null hypothesis.
     evidence = (math.expm1(depth) - depth) / depth**2 if depth > 1e-6 else 0.5
@@ -145,7 +145,7 @@ def _finding_of(finding: WithinFinding) -> Finding:
 
 
 def _of_single_dwells(data: Readings, result: TraceResult) -> list[str]:
-    """Return advice to repeat each dwell that the model explains by an effect of this dwell alone."""
+    """Return advice to repeat each dwell for which the model has an effect of this dwell alone."""
     lines = []
     training = data.rows(~data.check)
     orders = training.conditions.order
@@ -195,7 +195,7 @@ _FARTHEST = 64
 
 
 def search_within(samples: Samples) -> tuple[WithinFinding, ...]:
-    """Search the samples inside the dwells for effects; return the list for `TraceResult.within`."""
+    """Search the samples inside the dwells for effects; return the findings, for `TraceResult.within`."""
     return look_within(samples)[0]
 
 
@@ -214,9 +214,9 @@ def look_within(samples: Samples) -> tuple[tuple[WithinFinding, ...], dict[str, 
 
 
 def correlation_reach(samples: Samples) -> int:
-    """Return the lag in samples beyond which samples are hardly correlated (less than `_CORRELATED`).
+    """Return the lag, in samples, beyond which the samples of a dwell are hardly correlated.
 
-    The result is at most `_FARTHEST`.
+    Hardly means less than `_CORRELATED`. The result is at most `_FARTHEST`.
     """
     longest = min(_FARTHEST, int(samples.counts.max()) // 4)
     total = np.zeros(longest + 1)
@@ -238,19 +238,19 @@ def correlation_reach(samples: Samples) -> int:
 
 _POWER = 0.9
 _TAPERED = 2 / 3 * 0.95
-"""(Σw)²/(n Σw²) of Hann's taper, times the average loss between two frequencies of the grid."""
+"""Loss of a tone's power by Hann's taper, (Σw)²/(n Σw²), and between two frequencies of the grid."""
 _LARGEST = 1e6
 
 
 def sensitivity(samples: Samples, density: Density | None) -> dict[str, Detectable]:
-    """Return by name the smallest amplitude of each effect inside the dwells that would be found.
+    """Return by effect the smallest amplitude that the search inside the dwells would find.
 
     Parameters
     ----------
     samples : Samples
         Samples with the effects of all findings subtracted.
     density : Density or None
-        Spectral density of their noise.
+        Spectral density of the samples' noise; None if the dwells are too short for a spectrum.
     """
     return {
         "tone": _tone(samples, density),
@@ -301,7 +301,7 @@ def _tone(samples: Samples, density: Density | None) -> Detectable:
 
 
 def _noise_change(samples: Samples, density: Density | None) -> Detectable:
-    """Return the smallest additional white noise, starting mid-session, that the search would have found.
+    """Return the smallest white noise, added from mid-session on, that the search would have found.
 
     Two tests look for one change of the noise between dwells: the F-test of the variance and the t-test
     of the level.
@@ -325,9 +325,10 @@ def _noise_change(samples: Samples, density: Density | None) -> Detectable:
 
 
 def _joining(quiet: Floats, away: float) -> float:
-    """Return the variance in mg² of white noise that raises the log level of half of the dwells by `away`.
+    """Return the variance in mg² of white noise that raises the level of half of the dwells by `away` nats.
 
-    The level is in units of the density (points,) of all dwells, which the added noise changes too.
+    `quiet` (points,) is the spectral density without it. The level of a dwell is relative to the density
+    of all dwells, which the added noise changes too.
     """
     middle = len(quiet) // 2, (len(quiet) - 1) // 2
 
@@ -348,7 +349,7 @@ def _joining(quiet: Floats, away: float) -> float:
 
 
 def _settling(samples: Samples) -> Detectable:
-    """Return the smallest amplitude of settling, shared by all dwells, that the search would have found.
+    """Return the smallest amplitude of a settling of all dwells that the search would have found.
 
     The time constant is the middle of the searched grid; the limit comes from the t-test over the dwells.
     """

@@ -44,26 +44,37 @@ from adis_gonio.model.effects import effect
 from adis_gonio.tracing.within.samples import Samples, View, WithinFinding, corrected, positions_text
 
 HIGHEST_HZ = effect("tone", ("x",)).parameters[1].high
-"""Highest frequency considered: the bound of the catalogue's `tone`."""
+"""Highest frequency in Hz that is considered: the bound of the catalogue's `tone`."""
 MOST_ALIASES = 6
-"""Largest number of aliases in a sentence."""
+"""Largest number of aliases that a sentence lists."""
 MOST = 5
-"""Largest number of lines that are searched for."""
+"""Largest number of spectral lines that are searched for."""
 _MOST_POINTS = 600
 
 
 @dataclass(frozen=True)
 class _Peak:
-    """A frequency of the spectrum at which there is a significant line."""
+    """A point of the spectrum at which there is a significant line.
+
+    Attributes
+    ----------
+    at : int
+        Index of the frequency.
+    p_value : float
+        p-value of the line, corrected for the number of tests.
+    """
 
     at: int
     p_value: float
     dwell: int | None
-    """Row of the density of the only dwell with the line; None for all dwells."""
+    """Row in `Density.power` of the only dwell with the line; None for a line in all dwells."""
 
 
 def tones(samples: Samples) -> tuple[list[WithinFinding], Samples, Density | None]:
-    """Find spectral lines; return them, the samples without them, and the remaining noise density."""
+    """Find spectral lines; return findings, the samples without the lines, and the remaining noise density.
+
+    The density is None if no dwell is long enough for a spectrum.
+    """
     found: list[WithinFinding] = []
     density = density_of(samples)
     while density is not None and len(found) < MOST:
@@ -110,7 +121,7 @@ def _highest(density: Density) -> _Peak | None:
 def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFinding, Samples] | None:
     """Fit a sine near a peak and subtract it; return the finding and the samples without it.
 
-    None if the sine is not significant at the real times of the samples.
+    The result is None if the sine is not significant at the real times of the samples.
     """
     period = samples.period_s
     dwells = density.dwells
@@ -192,9 +203,9 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
 
 
 def _dwells_with(density: Density, peak: _Peak) -> list[int]:
-    """Return the indices of the dwells that show a spectral line.
+    """Return the rows (in `Density.power`) of the dwells that show a spectral line.
 
-    These are all dwells if the peak was found in the average over all.
+    These are all dwells if the line was found in the average over all.
     """
     if peak.dwell is None:
         return list(range(len(density.dwells)))
@@ -206,7 +217,7 @@ def _dwells_with(density: Density, peak: _Peak) -> list[int]:
 
 
 def aliases_hz(frequency_hz: float, rate_hz: float) -> tuple[float, ...]:
-    """Return the frequencies that sampling at `rate_hz` folds to a frequency, in ascending order.
+    """Return the other frequencies that sampling at `rate_hz` shows at `frequency_hz`, ascending.
 
     They are k f_s ± f, up to `HIGHEST_HZ`.
     """
@@ -216,7 +227,7 @@ def aliases_hz(frequency_hz: float, rate_hz: float) -> tuple[float, ...]:
 
 
 def _alias_text(folding: tuple[float, ...]) -> str:
-    """Return the text that names the aliases of a spectral line; empty if there are none."""
+    """Return the text that lists the aliases in Hz of a spectral line; empty if there are none."""
     if not folding:
         return ""
     named = ", ".join(format_number(f, 4) for f in folding[:MOST_ALIASES])
@@ -227,7 +238,7 @@ def _alias_text(folding: tuple[float, ...]) -> str:
 def _amplitudes(
     frequency: float, times: list[Floats], rows: list[Floats]
 ) -> tuple[Floats, list[tuple[Floats, Floats]]]:
-    """Fit a sine of this frequency to each dwell; return squared amplitudes (d, axes) and quadratures.
+    """Fit a sine of one frequency in Hz to each dwell; return squared amplitudes (d, axes) and quadratures.
 
     The quadratures are the amplitudes of cosine and sine.
     """
@@ -244,7 +255,8 @@ def _amplitudes(
 def _sizes(squares: Floats, noise: Floats, excess: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Return a line's amplitude on each axis (axes,), its standard uncertainty and its significance.
 
-    Noise adds to the square of an amplitude. Noise and a change of the line's strength both appear in the
+    `squares` (d, axes) are the squared amplitudes in each dwell, `noise` is the part of them that noise
+    adds on average, `excess` is their ratio. Noise and a change of the line's strength both appear in the
     scatter of the squares over dwells.
     """
     d = len(squares)
@@ -288,41 +300,43 @@ def _view(density: Density, period: float, axis: int, letter: str, frequency: fl
 
 
 PADDING = 2
-"""Number of frequencies on the grid per independent value of the spectrum."""
+"""Number of frequencies on the grid per independent value of the spectrum (ordinate)."""
 LOWEST = 6
 """Cycles per dwell below which a line cannot be distinguished from slow noise or drift."""
 LEAST_SAMPLES = 32
 _FILTERS = range(7)
 _FLOORS = (0.0, *np.geomspace(1e-3, 30.0, 8).tolist())
-"""Floor of the converter at the lowest searched frequency, in units of the filtered density's maximum."""
+"""Floors of the converter's noise that are tried, at the lowest searched frequency.
+They are in units of the filtered noise density's maximum."""
 _KNEES = (np.inf, 0.2, 0.07, 0.025, 0.0)
-"""Corner frequencies of the floor in cycles per sample, above which it falls with the square. A slow signal
-crosses codes the more rarely the slower it is."""
+"""Corner frequencies in cycles per sample above which the floor falls with the square of the frequency.
+A slow signal crosses codes the more rarely the slower it is."""
 _FLICKERS = (0.0, *np.geomspace(0.01, 300.0, 10).tolist())
-"""Density of the 1/f noise at the lowest searched frequency, in the unit of `_FLOORS`."""
+"""Densities of 1/f noise that are tried, at the lowest searched frequency, in the unit of `_FLOORS`."""
 _ROUNDING = 1e-30
-"""Smallest power in mg²; an axis that repeats a single value has no noise at all."""
+"""Smallest power in mg²: an axis that repeats a single value has no noise at all."""
 _CELLS = 120
 _LENGTHS = 5
 _LINE = 2.0
-"""Ordinates on each side that a line covers under Hann's taper."""
+"""Number of independent values of the spectrum on each side that a line covers under Hann's taper."""
 _STEEP = 1.5
-"""The fitted shape is replaced by its largest value within this many ordinates on each side."""
+"""Distance within which the largest value of the fitted shape is used.
+It is the number of independent values of the spectrum on each side."""
 TAPER_LOSS = 1.944
-"""n Σw⁴ / (Σw²)² of Hann's taper, the loss of degrees of freedom."""
+"""Factor n Σw⁴ / (Σw²)² of Hann's taper, by which it reduces the degrees of freedom."""
 _WIDTHS = (6, 16, 40)
-"""Half widths of the running median in independent ordinates; used is the largest that is at most a third
-of the ordinate's number."""
+"""Half widths of the running median in independent values of the spectrum (ordinates).
+The largest half width is used that is at most a third of the ordinate's number."""
 
 
 @dataclass(frozen=True)
 class Density:
-    """Periodograms of dwells with one sampling rate.
+    """Noise density in the dwells, and their periodograms, for one sampling rate.
 
     Attributes
     ----------
     dwells : (d,) int
-        Numbers of the sufficiently long dwells.
+        Indices of the dwells that are long enough for a spectrum.
     frequency : (k,) float
         Frequency in cycles per sample.
     searched : slice
@@ -330,12 +344,12 @@ class Density:
     power : (d, k, axes) float
         Periodograms in mg² (two-sided density per sample).
     level : (d, axes) float
-        Loudness of each dwell relative to `base`, at least the median. The density of a dwell is about
-        `level · base`.
+        Noise power of each dwell relative to `base`, at least the median over the dwells. The density of a
+        dwell is about `level · base`.
     base : (k, axes) float
-        Pooled density for a level of 1.
+        Noise density from all dwells together, for a `level` of 1.
     bound : (k, axes) float
-        Threshold density for a line: `base` or, if larger, the density on either side.
+        Density that a line has to exceed: `base` or, if larger, the density on either side.
     width : (k,) float
         Number of independent ordinates in the running median.
     """
@@ -351,14 +365,14 @@ class Density:
 
     @property
     def relative(self) -> Floats:
-        """Power of each dwell at each searched frequency and axis, in units of its threshold density."""
+        """Power of each dwell at each searched frequency and axis, in units of `bound` there."""
         return self.power[:, self.searched] / self.level[:, None, :] / self.bound[None, self.searched]
 
     @cached_property
     def effective(self) -> Floats:
-        """Effective number of independent dwells in the pooled spectrum of each axis, (axes,).
+        """Effective number (axes,) of independent dwells in the mean spectrum of all dwells.
 
-        The average over this many independent spectra would scatter about the density as much as the pooled
+        The average over this many independent spectra would scatter about the density as much as the mean
         spectrum does; it is at most the number of dwells. `bound` is not used for this, since it scatters
         too.
         """
@@ -435,10 +449,11 @@ def density_of(samples: Samples) -> Density | None:
 
 
 def _beside(pooled: Floats, searched: slice, each: float) -> Callable[[Floats, int], Floats]:
-    """Return a function that removes the highest peak from a noise density.
+    """Return a function that removes the highest peak of one axis from a density (k, axes).
 
-    The peak on an axis is the highest point relative to its neighbours. The density (k,) there is replaced
-    by the geometric mean of the densities on both sides.
+    The peak is the highest point of `pooled` (k, axes) relative to its neighbours. The density (k,) there
+    is replaced by the geometric mean of the densities on both sides. `each` is the number of frequencies
+    per ordinate.
     """
     above = (pooled / np.maximum(_flanks(pooled, each), 1e-300))[searched]
     peaks = searched.start + above.argmax(axis=0)
@@ -456,9 +471,10 @@ def _beside(pooled: Floats, searched: slice, each: float) -> Callable[[Floats, i
 
 
 def _gain(own: Floats, with_peak: Floats, without: Floats, peak: NDArray[np.bool_]) -> float:
-    """Return by how much a peak is more likely part of the noise's shape than a line, as log likelihood.
+    """Return the log likelihood for a peak as part of the noise's shape, minus that for a spectral line.
 
-    The difference is per dwell and independent point of the spectrum.
+    The difference is per dwell and independent point of the spectrum. `own` is the density, `peak` its
+    mask.
 
     Whittle likelihood with fitted scale: a shape fitted with the peak, against a shape fitted without it
     plus a line at the peak.
@@ -475,7 +491,7 @@ def _gain(own: Floats, with_peak: Floats, without: Floats, peak: NDArray[np.bool
 def _flanks(pooled: Floats, each: float) -> Floats:
     """Return at each frequency the larger of the mean densities below and above it, (k, axes).
 
-    The width of a line around the frequency is left out.
+    The width of a line around the frequency is left out; `each` is the number of frequencies per ordinate.
     """
     near, far = round(_LINE * each), round(2 * _LINE * each)
     sums = np.concatenate([np.zeros((1, pooled.shape[1])), np.cumsum(pooled, axis=0)])
@@ -501,7 +517,8 @@ def without_line(rows: Floats) -> Floats:
 def _widths(points: int, each: float) -> Floats:
     """Return the half width (k,) of the running median at each frequency of a spectrum.
 
-    The unit is the number of independent values of the spectrum (ordinates).
+    The unit is the number of independent values (ordinates); `each` is the number of frequencies per
+    ordinate.
     """
     ordinate = np.arange(points) / each
     width = np.full(points, float(_WIDTHS[0]))
@@ -511,7 +528,10 @@ def _widths(points: int, each: float) -> Floats:
 
 
 def _smooth(flat: Floats, searched: slice, width: Floats, each: float) -> Floats:
-    """Smooth a density by a running median; outside the searched frequencies it is constant."""
+    """Smooth a density (k,) by a running median of half width `width`, in ordinates.
+
+    Outside the searched frequencies it is constant.
+    """
     smooth = np.empty_like(flat)
     # The parts outside contain drift and the last ordinate, which must not influence the rest.
     inside = flat[searched]
@@ -533,9 +553,9 @@ def _smooth(flat: Floats, searched: slice, width: Floats, each: float) -> Floats
 def _shape(pooled: Floats, frequency: Floats, responses: Sequence[Floats]) -> Floats:
     """Fit the shape (k,) of a noise density: white noise behind a filter, a floor and 1/f noise.
 
-    The `responses` (k,) are the possible filters. The fit maximises the Whittle likelihood with a fitted
-    scale, over cells of neighbouring frequencies. The model is averaged over these cells too, so that a
-    cell may be wider than a notch of the filter.
+    `pooled` (k,) is the measured density; the `responses` (k,) are the possible filters. The fit maximises
+    the Whittle likelihood with a fitted scale, over cells of neighbouring frequencies. The model is
+    averaged over these cells too, so that a cell may be wider than a notch of the filter.
     """
     # Cells grow with frequency, since the passband of a long filter has few ordinates.
     edges = np.unique((len(frequency) * np.linspace(0, 1, _CELLS, endpoint=False) ** 2).astype(np.intp))
@@ -550,7 +570,7 @@ def _shape(pooled: Floats, frequency: Floats, responses: Sequence[Floats]) -> Fl
     falls = {knee: _falling(frequency, knee) for knee in _KNEES}
 
     def deviance(own: Floats) -> Floats:
-        """Return −2 log likelihood, except for a constant, of models (…, cells) with fitted scale."""
+        """Return −2 log likelihood of models (…, cells) with fitted scale, except for a constant."""
         return np.asarray(np.log(own) @ weight + weight.sum() * np.log((seen / own) @ weight))
 
     best, chosen, start = np.inf, np.ones_like(pooled), (0.0, 0.0, 0.0)
@@ -593,9 +613,10 @@ def _falling(frequency: Floats, knee: float) -> Floats:
 
 
 def _expected(filter_m: int, counts: NDArray[np.intp], size: int) -> Floats:
-    """Return the expected periodogram of white noise behind the sensor's filter.
+    """Return the expected periodogram of white noise behind the sensor's filter with 2^`filter_m` taps.
 
-    It includes the leakage and resolution of the taper, averaged over lengths of the dwells.
+    It includes the leakage and resolution of the taper, averaged over the lengths `counts` of the dwells;
+    `size` is the length of the transform.
     """
     taps = 2**filter_m
     window = np.convolve(np.ones(taps), np.ones(taps)) / taps**2

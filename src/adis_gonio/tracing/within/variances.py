@@ -1,4 +1,4 @@
-"""Change of the scatter of samples between dwells: `noise_change`.
+"""Changes of the scatter of the samples between dwells: the effect `noise_change`.
 
 The variance of a dwell is compared above `LOWEST` cycles per dwell, without drift and slow noise. Its
 degrees of freedom depend on the density (correlated neighbours count less), on the excess of the fourth
@@ -30,15 +30,15 @@ from adis_gonio.tracing.within.tones import TAPER_LOSS, Density, without_line
 
 LEAST_DWELLS = 3
 _LIVELY = 0.6
-"""If the noise is smaller, in steps of the converter, the variance depends only on the mean's position
-between two codes."""
+"""Noise in steps of the converter below which no test is made.
+With smaller noise the variance depends only on the mean's position between two codes."""
 TESTS = 4
-"""Number of tests per axis that share its error probability."""
+"""Number of tests per axis that share the error probability of the axis."""
 
 
 @dataclass(frozen=True)
 class Levels:
-    """Variances (d,) of dwells on one axis in mg² and their levels, each with degrees of freedom.
+    """Variances (d,) of the samples of dwells on one axis in mg², and their levels, each with its dof.
 
     A level is a dwell's mean power over frequencies, in units of the noise density of all dwells.
     """
@@ -54,7 +54,7 @@ class Levels:
 
     @cached_property
     def course(self) -> Floats:
-        """Logarithm of each dwell's level, (d,), corrected for the bias of the logarithm."""
+        """Logarithm of each dwell's level, (d,), corrected for the bias of a logarithm."""
         half = self.level_dof / 2
         return np.log(np.maximum(self.level, 1e-300)) - special.digamma(half) + np.log(half)
 
@@ -74,7 +74,7 @@ class Levels:
         return float(special.chdtrc(d - 1, max(statistic, 0.0)))
 
     def changed(self) -> float:
-        """Return the p-value of the t-test for a single change of the level, at the best of all places."""
+        """Return the p-value of the t-test for a single change of the level, at the best of all dwells."""
         d = len(self.level)
         p = 1.0
         for cut in range(1, d):
@@ -84,7 +84,10 @@ class Levels:
 
 
 def step_of(course: Floats, weight: Floats, cut: int) -> tuple[float, float]:
-    """Return the change of a series (d,) at index `cut` (mean after minus mean before), with its u."""
+    """Return the change of a series (d,) at index `cut`, and its standard uncertainty.
+
+    The change is the mean after minus the mean before; `weight` (d,) are the weights of the values.
+    """
     parts = [(course[own], weight[own]) for own in (slice(cut), slice(cut, None))]
     means = [float(np.average(x, weights=w)) for x, w in parts]
     squares = sum(float(w @ (x - mean) ** 2) for (x, w), mean in zip(parts, means, strict=True))
@@ -93,7 +96,7 @@ def step_of(course: Floats, weight: Floats, cut: int) -> tuple[float, float]:
 
 
 def noise_change(samples: Samples, density: Density | None) -> WithinFinding | None:
-    """Find a change of the samples' scatter from dwell to dwell; None if there is no change.
+    """Return the finding on a change of the samples' scatter from dwell to dwell; None without a change.
 
     At least three dwells are needed.
     """
@@ -118,12 +121,18 @@ def noise_change(samples: Samples, density: Density | None) -> WithinFinding | N
 
 
 def heterogeneous(finding: WithinFinding | None, samples: Samples) -> list[int]:
-    """Return the numbers of the axes on which the scatter differs between dwells."""
+    """Return the indices of the axes on which the finding shows that the scatter differs between dwells.
+
+    The list is empty without a finding.
+    """
     return [] if finding is None else [samples.letters.index(axis) for axis in finding.axes]
 
 
 def levels_of(samples: Samples, density: Density, axis: int) -> Levels:
-    """Return the variance and level of each dwell on one axis, without the lowest frequencies."""
+    """Return the variance and level of each dwell on one axis.
+
+    The lowest frequencies, with drift and slow noise, are excluded.
+    """
     searched = density.searched
     band = density.power[:, searched, axis]
     base = density.base[searched, axis]
@@ -168,7 +177,7 @@ def _ratio_p(one: Levels, other: Levels) -> float:
 
 
 def _best_cut(levels: list[Levels]) -> int | None:
-    """Return the first dwell after the noise increases once; None if it does not increase.
+    """Return the index of the first dwell after the best single increase of the noise; None without one.
 
     The best place is found by least squares over all axes.
     """
@@ -186,7 +195,7 @@ def _best_cut(levels: list[Levels]) -> int | None:
 def _explained(own: Levels, cut: int) -> bool:
     """Return True if a single change of the noise explains the variances of an axis.
 
-    The change is at `cut` or within the dwell before; the variances on each side must agree.
+    The change is before dwell `cut` or within the dwell before it; the variances on each side must agree.
     """
     at = np.arange(len(own.variance))
     parts = [own.rows(at < cut - 1), own.rows(at > cut)]
@@ -242,9 +251,9 @@ def _joined(
 ) -> Value:
     """Return the standard deviation in mg of the noise that was added at a change of the noise.
 
-    It follows from the variance of the samples or, if white noise describes the change of the spectrum
-    better than the spectrum of the noise does, from the spectrum: behind a long filter the variance
-    hardly changes.
+    `quiet` and `loud` (d,) are the dwells before and after the change. The value follows from the variance
+    of the samples or, if white noise describes the change of the spectrum better than the spectrum of the
+    noise does, from the spectrum: behind a long filter the variance hardly changes.
     """
     base = density.base[density.searched, axis]
     power = density.power[:, density.searched, axis] / base
@@ -319,7 +328,7 @@ def _varying(
 
 
 def _rectification(levels: list[Levels]) -> str:
-    """Return a text for the user: different variances could reveal a rectification of vibration."""
+    """Return the end of a sentence: different variances may show a rectification of vibration."""
     spread = max(float(np.ptp(own.variance)) for own in levels)
     return (
         f"; variances differ by up to {format_number(spread)} mg², in which a vibration_rectification could"
@@ -336,7 +345,7 @@ def _start(
     quiet: NDArray[np.bool_],
     loud: NDArray[np.bool_],
 ) -> tuple[float, float]:
-    """Return the time of the change of the noise, and its standard uncertainty.
+    """Return the time in s of the change of the noise, and its standard uncertainty.
 
     Both come from the posterior over all places of the change.
 
