@@ -617,13 +617,13 @@ def judge_recordings(paths: Iterable[str | Path], part: Variant) -> tuple[RowFin
 
 def findings_text(findings: Sequence[RowFinding]) -> str:
     """Table of findings in 80 columns, contradicted rows first, with the observations below each row."""
-    lines = [f"{'row':19}{'the table says':17}{'the recording says':19}{'evidence':>8}  verdict"]
+    lines = [f"{'row':20}{'the table says':18}{'recorded':18}{'evidence':>8}  verdict"]
     order = [Outcome.CONTRADICTS, Outcome.OPEN, Outcome.CONFIRMS]
     for one in sorted((f for f in findings if f.observations), key=lambda f: order.index(f.outcome)):
         size = abs(one.log10_evidence)
         odds = f"{10**size:.0f}" if size < 4 else f"1e{min(size, 99):.0f}"
         odds = f"{odds}:1" if one.log10_evidence >= 0 else f"1:{odds}"
-        lines.append(f"{one.name:19}{one.table[:16]:17}{one.best[:18]:19}{odds:>8}  {one.outcome}")
+        lines.append(f"{one.name:20}{one.table[:17]:18}{one.best[:17]:18}{odds:>8}  {one.outcome}")
         lines.append(f"  {one.question} {one.seen}"[:80])
     lines += ["", "evidence: odds of the table against its best rival, by the recordings alone"]
     idle = ", ".join(one.name for one in findings if not one.observations)
