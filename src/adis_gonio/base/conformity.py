@@ -146,6 +146,7 @@ class Tolerance(JsonRecord):
     limit_deg : float
         Largest permissible |error| of the angle.
     rule : {"guarded", "simple", "shared"}
+        Decision rule (see the module's table).
     risk : float
         Largest risk of a false accept, and of a false reject, by the rule `guarded`.
 
@@ -204,6 +205,7 @@ class Conformity(JsonRecord):
     Attributes
     ----------
     verdict : {"pass", "fail", "undecided"}
+        Statement by the decision rule.
     false_accept, false_reject : float
         Specific risks: the probability that the largest |error| is above the tolerance, and that it is not.
     largest_deg : float
@@ -237,9 +239,11 @@ class Statement(JsonRecord):
     Attributes
     ----------
     tolerance : Tolerance
+        Tolerance and decision rule of both statements.
     without_calibration : Conformity or None
         None for a sensor of unknown scale, which shows no angle without its calibration.
     with_calibration : Conformity
+        Conformity of readings corrected by the calibration.
     """
 
     tolerance: Tolerance = field(metadata=INLINE)
@@ -266,6 +270,7 @@ def state_conformity(tolerance: Tolerance, curves: tuple[ErrorCurve | None, Erro
     """State if the sensor's angle conforms without and with its calibration.
 
     `curves` are the error curves without calibration (None for a sensor of unknown scale) and with it.
+    `tolerance` has the limit and the decision rule.
     """
     before, after = curves
     without = None if before is None else tolerance.decide(before)

@@ -73,7 +73,10 @@ def signed(value: float | None, decimals: int | None = None, *, digits: int = 0)
 
 
 def format_span(low: float, high: float, decimals: int, unit: str) -> str:
-    """Format a range such as `24.4 to 24.9 °C`; a single value if both ends have the same text."""
+    """Format a range such as `24.4 to 24.9 °C`; a single value if both ends have the same text.
+
+    Both ends have `decimals` decimals.
+    """
     ends = dict.fromkeys(format_fixed(end, decimals) for end in (low, high))
     return f"{' to '.join(ends)}{NO_BREAK}{unit}"
 
@@ -223,7 +226,7 @@ class QuantityRow:
     def of(cls, name: str, value: Value) -> QuantityRow:
         """Format a quantity as a row; value, u and U have as many decimals as show two digits of u.
 
-        Without an uncertainty, u is the text `u unknown`.
+        Without an uncertainty, u is the text `u unknown`. `name` is the parameter's name.
         """
         shown, unit = NAMES.get(name, name), format_unit(value.unit)
         if value.u is None or value.U is None or value.k is None:

@@ -129,6 +129,7 @@ class Value:
     u : float or None
         Standard uncertainty; None if not determined.
     unit : str
+        Unit of value and u.
     dof : float
         Degrees of freedom of u; infinite if u is exactly known.
     """

@@ -117,7 +117,8 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
 def _rates_content(calibration: Calibration, gyro: GyroCalibration, name: str) -> dict[str, Any]:
     """Return the values that the template `rates.h.jinja` needs for a calibration of gyros.
 
-    `FitError` if the calibration has no form for a firmware.
+    `FitError` if the calibration has no form for a firmware. `name` is the prefix of all names in the
+    header.
     """
     polynomial = fixed_point.rate_polynomial_of(calibration, gyro)
     fixed = fixed_point.FixedRates(polynomial)
@@ -376,7 +377,8 @@ def _checks(
 ) -> list[dict[str, Any]]:
     """Return test vectors of the header: scans at 1 g around a turn, with the angles to compute.
 
-    The angles avoid the multiples of 45°; `plane` are the two axes.
+    The angles avoid the multiples of 45°; `plane` are the two axes. `polynomial` and `fixed` are the
+    calibration in floating and fixed point.
     """
     psi = (np.arange(CHECKS) + 0.37) * 2 * np.pi / CHECKS
     g = np.zeros((CHECKS, polynomial.axes))
@@ -399,7 +401,7 @@ def _rate_checks(fixed: fixed_point.FixedRates, of: fixed_point.Polynomial) -> l
     """Return test vectors of the header: gyro readings with a scan, and the corrected rates to compute.
 
     The turns are about every axis in both senses, at forces of 1 g and at other than nominal conditions.
-    `of` is the polynomial of the accelerometers.
+    `of` is the polynomial of the accelerometers. `fixed` are the constants of the gyros in fixed point.
     """
     dps = np.array([[250.0, -31.0, 7.0], [-250.0, 90.0, -60.0], [3.0, -4.0, 270.0], [0.0, 0.0, 0.0]])
     g = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.6, -0.8], [0.5, 0.5, 0.7]])

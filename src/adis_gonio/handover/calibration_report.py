@@ -159,7 +159,11 @@ def certificate_section(
 def _error_figures(
     curves: tuple[ErrorCurve | None, ErrorCurve], tolerance: Tolerance | None
 ) -> list[Figure]:
-    """Draw the error of the angle over the turn with its uncertainty band, without and with calibration."""
+    """Draw the error of the angle over the turn with its uncertainty band, without and with calibration.
+
+    `curves` are the error curves without (None if unknown) and with calibration; `tolerance` is drawn as
+    lines if given.
+    """
     figures = []
     for curve, role, state in zip(curves, _ROLES, ("without", "with"), strict=True):
         if curve is None:
@@ -188,7 +192,8 @@ def _key(values: Mapping[str, Value]) -> list[KeyFigure]:
 def _large(name: str, value: Value) -> KeyFigure:
     """Format a value with U as a result in large numerals.
 
-    For the error of the angle, U belongs to a displayed angle and is shown separately.
+    For the error of the angle, U belongs to a displayed angle and is shown separately. `name` is the name
+    of the quantity.
     """
     if value.k is None:
         return KeyFigure(NAMES[name], with_unit(format_number(value.value, 4), value.unit), UNKNOWN)

@@ -540,7 +540,8 @@ def _p_same(ours: Floats, theirs: Floats) -> float:
     """Return the exact p-value of the two-sided Kolmogorov-Smirnov test that two samples are alike.
 
     It counts the orders of the joined samples in which the distribution functions stay closer than in the
-    data (Kim and Jennrich, in Selected Tables in Mathematical Statistics 1, 1973).
+    data (Kim and Jennrich, in Selected Tables in Mathematical Statistics 1, 1973). `ours` and `theirs` are
+    these samples.
     """
     m, n = len(ours), len(theirs)
     joined = np.concatenate([ours, theirs])
@@ -575,7 +576,7 @@ def _samples(session: Session, data: Readings) -> list[Floats]:
 def _allan(samples: Sequence[Floats], period_s: float) -> tuple[Floats, Floats]:
     """Return averaging times in s, one per octave, and the overlapping Allan deviations of all dwells.
 
-    `samples` (n, axes) are the samples of each dwell.
+    `samples` (n, axes) are the samples of each dwell. `period_s` is the sample period.
     """
     times, deviation = overlapping(samples)
     return period_s * np.array(times, dtype=float), deviation
@@ -584,7 +585,8 @@ def _allan(samples: Sequence[Floats], period_s: float) -> tuple[Floats, Floats]:
 def _density(samples: Sequence[Floats], period_s: float) -> tuple[Floats, Floats]:
     """Return frequencies in Hz and amplitude densities by Welch's method, averaged over all dwells.
 
-    The densities are averaged over bands of a third of an octave.
+    The densities are averaged over bands of a third of an octave. `period_s` is the sample period;
+    `samples` (n, axes) are the samples of each dwell.
     """
     length = int(min(1024, np.median([len(part) for part in samples])))
     parts = [part for part in samples if len(part) >= length]

@@ -317,7 +317,15 @@ class Scaled:
 
 @dataclass(frozen=True)
 class FixedTerm:
-    """A term of the polynomial with its coefficient as a scaled integer."""
+    """A term of the polynomial, with its coefficient as a scaled integer.
+
+    Attributes
+    ----------
+    monomial : Monomial
+        Axis, coefficient and factors of the term.
+    coefficient : Scaled
+        The coefficient in fixed point.
+    """
 
     monomial: Monomial
     coefficient: Scaled

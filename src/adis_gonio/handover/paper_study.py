@@ -65,6 +65,7 @@ class TableRow:
     key, printed, unit : str
         Name of the parameter in this package and in the paper, and the unit in which the row is read here.
     axis : {"x", "y"}
+        Axis of the row.
     measured, paper, mmpm, specification : float
         Columns of the table: the measured value, the results by the paper's method and by MMPM, and the
         specification.
@@ -105,7 +106,10 @@ RMSD = {"SF": 0.0033, "Δφ": 0.001}
 
 
 def row_of(key: str, axis: Axis) -> TableRow:
-    """Return the row of the paper's table for a parameter and an axis."""
+    """Return the row of the paper's table for a parameter and an axis.
+
+    `key` is the name of the parameter in this package.
+    """
     return next(row for row in TABLE if (row.key, row.axis) == (key, axis))
 
 
@@ -188,6 +192,7 @@ class Part:
     seed : int
         Seed of the simulator: start angle within ±5°, noise and the stage's errors.
     truth : Truth
+        True parameters of the sensor.
     settings : mapping of str to float
         Further settings of the simulation by name.
     effects : str
@@ -393,6 +398,7 @@ class Cell:
     Attributes
     ----------
     row : TableRow
+        Row of the table as printed.
     ours : mapping of str to MethodSpread
         Statistics of the simulated sessions by method.
     """
@@ -495,9 +501,9 @@ def propagated_errors(
 ) -> dict[str, tuple[float, float]]:
     """Return the errors of ΔK and of Δφ (rad), each by the paper's method and by MMPM.
 
-    They follow by linear propagation from the standard deviations of a declared angle, of the bias of an
-    axis and of a reading. The fixture enters ΔK of two positions by √2 tan α, and Δφ by √2; MMPM takes it
-    by √(2/9) in both.
+    They follow by linear propagation from the standard deviations of a declared angle (`fixture_deg`), of
+    the bias of an axis (`bias_mg`) and of a reading (`noise_mg`). The error of a declared angle enters ΔK
+    of two positions by √2 tan α, and Δφ by √2; it enters both by √(2/9) in MMPM.
     """
     gain = (truth_of("x").scale_x + truth_of("x").scale_y) / 2
     noise, bias = 1e-3 * noise_mg / gain, 1e-3 * bias_mg / gain

@@ -31,6 +31,7 @@ class OffsetWord(JsonRecord):
     lsb : float
         Step of the register, in `unit`.
     unit : {"mg", "°/s"}
+        Unit of the axis that the register belongs to.
     """
 
     document_keys = ("number", "value", "u", "unit")
@@ -50,7 +51,8 @@ class OffsetWord(JsonRecord):
         """Return the number for one offset register that removes a bias.
 
         It is the k-th of the registers; `offsets` are their numbers during the session, None if unknown.
-        `lsb` is the step of the register in `unit`.
+        `lsb` is the step of the register in `unit`. `name` is the register, `bias` the bias or zero rate,
+        `unit` its unit.
 
         Raises
         ------

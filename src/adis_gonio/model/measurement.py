@@ -67,6 +67,7 @@ class BaseParameter:
     Attributes
     ----------
     name : str
+        Name of the parameter, such as `scale_x`.
     unit : str
         Unit in results: `deg` (radians inside), `1`, or the measurement's own.
     nominal : float
@@ -149,7 +150,10 @@ class Measurement(ABC):
         return ideal / self.full
 
     def pose(self, reading: Floats, conditions: Conditions) -> Floats | None:
-        """Return the unit vectors (n, axes) of gravity along the sensor's axes; None if unknown."""
+        """Return the unit vectors (n, axes) of gravity along the sensor's axes; None if unknown.
+
+        `reading` (n, axes) are the measured readings.
+        """
         return np.asarray(reading / np.linalg.norm(reading, axis=1, keepdims=True))
 
     @property
@@ -190,15 +194,24 @@ class Measurement(ABC):
 
     @abstractmethod
     def ideal(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Return the ideal readings (n, axes) in `unit` at attitudes rotated further by `turn_rad`."""
+        """Return the ideal readings (n, axes) in `unit` at attitudes rotated further by `turn_rad`.
+
+        `base` (p,) are the base parameters; `attitude` are the attitudes of n dwells.
+        """
 
     @abstractmethod
     def tangent(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Return the derivative of `ideal` by the attitude, (n, axes, freedom) in `unit` per rad."""
+        """Return the derivative of `ideal` by the attitude, (n, axes, freedom) in `unit` per rad.
+
+        It is taken for the base parameters `base` (p,), at attitudes rotated further by `turn_rad` (n,).
+        """
 
     @abstractmethod
     def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Return the derivative of `ideal` by the base parameters, (n, axes, p), per rad or per 1."""
+        """Return the derivative of `ideal` by the base parameters, (n, axes, p), per rad or per 1.
+
+        It is taken at the attitudes of n dwells, rotated further by `turn_rad` (n,).
+        """
 
     @abstractmethod
     def moved(self, attitude: Floats, step: Floats) -> Floats:
@@ -450,7 +463,10 @@ def axes_matrix_derivatives(skews_rad: Floats) -> Floats:
 
 
 def gains_and_skews(gram: Floats) -> tuple[Floats, Floats]:
-    """Return scale factors (d,) and skews (pairs,) in rad from diag(K) D Dᵀ diag(K) (d, d), d = 2 or 3."""
+    """Return scale factors (d,) and skews (pairs,) in rad from `gram`, diag(K) D Dᵀ diag(K) (d, d).
+
+    d is 2 or 3. K are the scale factors, and the rows of D are the axes.
+    """
     # The diagonal has the squared gains; the rest has the cosines between the axes.
     gains = np.sqrt(np.diag(gram))
     cosines = gram / np.outer(gains, gains)

@@ -324,7 +324,7 @@ class Dwell:
     temperature_c, supply_v : (n,) float or None
         Temperature in °C (of several thermometers their mean) and supply in V; None if not recorded.
     temperatures_c : (n, 3) float or None
-        Temperatures of the three gyros' dies, if all three were recorded.
+        Temperatures in °C of the three gyros' dies; None if not all three were recorded.
     first_row : int or None
         First row of the dwell in the file, for messages; None without such a file.
     turned_deg : float or None

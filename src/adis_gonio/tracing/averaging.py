@@ -332,7 +332,7 @@ def mixed_covariance(
     The first `width` values of each solution are these parameters. Their covariance (width, width)
     contains the uncertainty within each member and the differences between members, both in units of the
     noise variance times `inflation`. The degrees of freedom are the weighted mean of the degrees that each
-    member uses.
+    member uses. Each member of `solutions` has its weight.
     """
     mean = np.sum([weight * one.values[:width] for weight, one in solutions], axis=0)
     covariance = np.zeros((width, width))
@@ -345,7 +345,8 @@ def mixed_covariance(
 def _members(solutions: Sequence[tuple[float, RidgeSolution]], fit: Fit, width: int) -> list[Member]:
     """Return each unnamed term of the fitted members, with the weight of its member and its amplitudes.
 
-    `width` is the number of base and named parameters, which come first in the values of a member.
+    `width` is the number of base and named parameters, which come first in the values of a member. Each
+    member of `solutions` has its weight.
     """
     members: list[Member] = []
     for weight, one in solutions:

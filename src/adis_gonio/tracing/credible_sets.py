@@ -103,7 +103,8 @@ def unknown_of(selection: Selection, averaged: Averaged | None) -> list[Nameless
 def related(term: Term, unknown: Term) -> bool:
     """Return True if a named and an unnamed term may be pieces of a single cause.
 
-    This is possible if their covariates are of one kind (slow, or dependent on the position).
+    This is possible if their covariates are of one kind (slow, or dependent on the position). `term` is
+    the named term, `unknown` the unnamed one.
     """
     if not term.covariates:
         return False
@@ -142,7 +143,15 @@ def _replacements(selection: Selection) -> list[tuple[str, ...]]:
 
 @dataclass(frozen=True)
 class _Part:
-    """An effect or unnamed function of a model without its axes, for a comparison of models by causes."""
+    """An effect or unnamed function of a model without its axes, for a comparison of models by causes.
+
+    Attributes
+    ----------
+    name : str or None
+        Name of the effect; None for an unnamed function.
+    shown_as : str
+        Text for it in the result.
+    """
 
     name: str | None
     shown_as: str
@@ -200,7 +209,10 @@ def merge_by_function(sets: Sequence[CredibleSet], likelier: Mapping[str, str]) 
 
 
 def set_of(selection: Selection, cause: str, averaged: Averaged | None = None) -> CredibleSet:
-    """Return the credible set of one cause, given as its name or as an unnamed function's covariates."""
+    """Return the credible set of one cause, given as its name or as an unnamed function's covariates.
+
+    `averaged` is the average that replaces the unnamed part of the model, if any.
+    """
     share, present = votes(selection, cause, averaged)
     names: list[str] = []
     for name in sorted(share, key=lambda name: -share[name]):
@@ -252,7 +264,10 @@ def _count_votes(selection: Selection, cause: str) -> tuple[dict[str, float], fl
 
 
 def probability_of(selection: Selection, cause: str, averaged: Averaged | None = None) -> float:
-    """Return the probability that a cause of the chosen model is present and that its name is right."""
+    """Return the probability that a cause of the chosen model is present and that its name is right.
+
+    `averaged` is the average that replaces the unnamed part of the model, if any.
+    """
     share, present = votes(selection, cause, averaged)
     return min(share.get(cause, 0.0) * present, 1.0)
 

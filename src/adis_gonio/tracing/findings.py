@@ -163,7 +163,7 @@ def unnamed_of(
     It consists of the model's unnamed terms or of the average that replaces them; None without both. Its
     probability is the
     probability of the least probable function, as in the credible sets, by the posterior of `judged` if
-    given.
+    given. `averaged` is this average.
     """
     from scipy.special import chdtrc
 
@@ -316,7 +316,8 @@ def notes_of(selection: Selection, scatter: Scatter | None) -> tuple[str, ...]:
 def excesses(fits: Sequence[Fit], figures: Sequence[ErrorFigures]) -> list[float]:
     """Return for each nested model by how much its χ² exceeds its degrees of freedom.
 
-    If the noise is unknown, the squared residual is used instead.
+    If the noise is unknown, the squared residual is used instead. `fits` are the nested models, `figures`
+    their errors.
     """
     if any(figure.chi2_per_dof is None for figure in figures):
         return [figure.residual_rms**2 for figure in figures]
@@ -342,7 +343,10 @@ def shares(steps: Sequence[str], excess: Sequence[float]) -> dict[str, float]:
 
 
 def with_shares(found: Sequence[Finding], of_step: dict[str, float]) -> tuple[Finding, ...]:
-    """Return the findings with `explains` set to the effect's share of the base model's excess χ²."""
+    """Return the findings with `explains` set to the effect's share of the base model's excess χ².
+
+    `of_step` are these shares by effect.
+    """
     return tuple(replace(finding, explains=of_step.get(finding.effect, 0.0)) for finding in found)
 
 
@@ -350,6 +354,7 @@ def unnamed_with_share(unnamed: Unnamed | None, of_step: dict[str, float]) -> Un
     """Return the unnamed part, if any, with `explains` set to its share of the base model's excess χ².
 
     If no step added an unnamed term, the share is limited to the part that the steps leave unexplained.
+    `of_step` are the shares of all effects.
     """
     if unnamed is None:
         return None

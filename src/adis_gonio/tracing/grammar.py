@@ -214,7 +214,8 @@ def _both(
     """Yield a formula as a candidate and, if no named effect has it, the formula plus a constant bias.
 
     `named` lists the places where the catalogue already contains this formula; `smooth` is True if the
-    formula only approximates a function.
+    formula only approximates a function. `family` is the group of candidates that shares a part of the
+    prior, `form` the text for the formula, `columns` the function that computes it.
     """
     places = tuple(place for place in EVERYWHERE if place not in named)
     yield _formula(family, form, columns, places, covariates=covariates, smooth=smooth)
@@ -227,7 +228,11 @@ def _both(
 def _of_own(
     family: str, form: str, function: Shape, *, smooth: bool = False, constant: bool = False
 ) -> _Made:
-    """Return a candidate that is a function of each axis's own reading, or of the rate about this axis."""
+    """Return a candidate that is a function of each axis's own reading, or of the rate about this axis.
+
+    `family` is the covariate, `form` the text for the function; `smooth` is True if it only approximates a
+    function, `constant` if it contains a constant.
+    """
 
     def columns(driven: Floats, axis: int) -> Floats:
         rows = function(driven[:, axis])
@@ -237,7 +242,10 @@ def _of_own(
 
 
 def _of_others(form: str, function: Callable[[Floats, Floats], Floats]) -> _Made:
-    """Return a candidate that is a function of each axis's own reading and of the other axes' readings."""
+    """Return a candidate that is a function of each axis's own reading and of the other axes' readings.
+
+    `form` is the text for the function.
+    """
 
     def columns(ideal: Floats, axis: int) -> Floats:
         others = [k for k in range(ideal.shape[1]) if k != axis]
@@ -635,7 +643,17 @@ def _of_memory(data: Readings) -> Iterator[_Made]:
 
 @dataclass(frozen=True)
 class _Factor:
-    """A covariate that may be multiplied by another one: its name, symbol, values and reference value."""
+    """A covariate that may be multiplied by another one.
+
+    Attributes
+    ----------
+    name, letter : str
+        Name of the covariate, and its symbol in formulas.
+    get : callable
+        Function that returns its values (n,) from the conditions.
+    zero : float
+        Value that counts as zero in a product, such as 25 °C.
+    """
 
     name: str
     letter: str

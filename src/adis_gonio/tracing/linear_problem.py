@@ -191,7 +191,10 @@ class LinearProblem:
         return moved._with_prior(self.prior, self.inflation)
 
     def _with_prior(self, prior: Sequence[Floats], inflation: float) -> LinearProblem:
-        """Return the problem with other prior Gram matrices, one for each of the M terms."""
+        """Return the problem with other prior Gram matrices, one for each of the M terms.
+
+        `inflation` is the factor on the noise variance that they contain.
+        """
         columns = np.empty_like(self.columns)
         back: list[Floats] = []
         turned: list[Floats] = []
@@ -264,6 +267,7 @@ def _solve_small_systems(gram: Floats, right: Floats) -> Floats:
     """Solve M small positive definite systems by elimination: (k, k, M) and (k, M) → (k, M).
 
     Each elimination step is vectorised over all systems; factorising each system alone would be slower.
+    `gram` are the matrices, `right` the right-hand sides.
     """
     gram, solved = gram.copy(), right.copy()
     k = len(right)
@@ -388,7 +392,7 @@ def _orthonormal_blocks(
     The result is: terms, widths (M,), blocks (rows, P), back maps and prior Gram matrices. Blocks of equal
     width are adjacent and computed at once. A back map converts the coefficients of a block
     to amplitudes. A prior Gram matrix (width, width) follows from the prior standard deviation `spread`
-    (P,) of each column's amplitude.
+    (P,) of each column's amplitude. `length` (P,) is the length of each column before it was scaled.
     """
     starts = np.cumsum(widths) - widths
     found: dict[int, list[tuple[int, Floats, Floats, Floats]]] = {}
@@ -447,7 +451,7 @@ def _column_prices(columns: Floats, first: NDArray[np.intp]) -> Floats:
     """Return the price of each term's columns, ½ Σ ln(1 + s² n) in nats: the loss of log evidence.
 
     The sum is over the columns u of the term; s is the prior standard deviation in units of the noise; n =
-    1/Σ u⁴ is the effective number of rows of a column.
+    1/Σ u⁴ is the effective number of rows of a column. `first` are the numbers of the terms' first columns.
     """
     if not len(first):
         return np.zeros(0)

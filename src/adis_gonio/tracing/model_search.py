@@ -57,6 +57,7 @@ class Search:
     Attributes
     ----------
     problem : LinearProblem
+        Linear problem with all candidate terms.
     prices : (M,) float
         Amount in nats by which each term lowers the score of a model.
     inflation : float
@@ -181,7 +182,10 @@ class _Climb:
         self._climb(self.every, self.explored)
 
     def _climb(self, joining: _Joining, explored: int) -> None:
-        """Score the neighbours of the `explored` best models until these models do not change."""
+        """Score the neighbours of the `explored` best models until these models do not change.
+
+        `joining` are the terms that may extend a model.
+        """
         leads = self.leads[joining is self.names]
         done: set[tuple[Model, bool]] = set()
         while not spent():
@@ -346,7 +350,10 @@ def weigh(found: Search) -> ModelPosterior:
 
 
 def presence_probabilities(terms: Sequence[Term], weights: Mapping[Model, float]) -> dict[str, float]:
-    """Return the probability that each name is present: the weight of the models that contain it."""
+    """Return the probability that each name is present: the weight of the models that contain it.
+
+    `weights` are the posterior probabilities of the models.
+    """
     names: dict[str, float] = defaultdict(float)
     for model, weight in weights.items():
         for name in {terms[k].name for k in model} - {None}:

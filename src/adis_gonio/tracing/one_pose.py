@@ -90,6 +90,7 @@ class _Problem(ComputedOnce):
     design : (n, P) float
         Columns of all variants, a constant first; each is divided by its largest modulus `size`.
     size : (P,) float
+        Largest modulus of each column before the division.
     gram : (BLOCKS, P, P) float
         Products of the columns with each other, summed over each block of time.
     cross : (BLOCKS, P, axes) float
@@ -144,6 +145,8 @@ Model = tuple[_Candidate, ...]
 
 def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
     """Return the trace of a session with a single pose: the causes by which its samples drift.
+
+    `max_effects` is the largest number of effects in the model.
 
     Raises
     ------
@@ -465,7 +468,10 @@ def _best_variants(problem: _Problem, model: Model) -> list[tuple[int, ...]]:
 
 
 def _whiten_averages(readings: Floats, design: Floats, time_s: Floats) -> tuple[_Noise, ...]:
-    """Return averages of the samples over short intervals, whitened for each kind of slow noise."""
+    """Return averages of the samples over short intervals, whitened for each kind of slow noise.
+
+    `readings` and `design` are the samples and the columns of the regression.
+    """
     count = min(AVERAGES, len(time_s))
     cuts = np.arange(count) * len(time_s) // count
     size = np.diff(np.append(cuts, len(time_s)))[:, None]
@@ -521,7 +527,8 @@ def _log_evidence(problem: _Problem, model: Model) -> Floats:
         def factor(rest: Floats, p: int, n: int = n) -> Floats:
             """Return the logarithm of the evidence's factor for p amplitudes.
 
-            `rest` is 1 − R², the share of the sum of squares that they leave unexplained.
+            `rest` is 1 − R², the share of the sum of squares that they leave unexplained. n is the number
+            of averages.
             """
             g = float(n)
             return np.asarray(
@@ -664,7 +671,10 @@ def _finding(problem: _Problem, model: Model, which: int, explains: float, share
 
 
 def _spread(problem: _Problem, columns: list[int], axis: int) -> Floats:
-    """Return the standard uncertainties (P,) of one axis' coefficients, by the jackknife over blocks."""
+    """Return the standard uncertainties (P,) of one axis' coefficients, by the jackknife over blocks.
+
+    `columns` are the fitted columns.
+    """
     # Estimates without each block in turn.
     values = np.array([_coefficients(problem, columns, axis, b) for b in range(BLOCKS)])
     spread: Floats = np.sqrt((BLOCKS - 1) * values.var(axis=0)) / problem.size

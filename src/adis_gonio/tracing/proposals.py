@@ -473,7 +473,7 @@ def _separated_pair(
 
     The more probable hypothesis is first. `apart` (K, K) are the expected separations, `least` is the
     smallest in standard uncertainties; `conditions` is True if the dwell needs another temperature or
-    supply.
+    supply. `weights` are the probabilities of the hypotheses.
     """
     both = np.maximum(apart, apart.T)
     likely = np.sqrt(np.outer(weights, weights)) * (both >= least**2)
@@ -606,7 +606,10 @@ def _predict(
     options: list[ImaginedDwell],
     before: list[ImaginedDwell],
 ) -> PredictedDwells:
-    """Predict the whitened readings of each optional dwell, measured after the dwells `before`."""
+    """Predict the whitened readings of each optional dwell, measured after the dwells `before`.
+
+    `inflation` is the factor on the noise variance.
+    """
     groups: dict[float | None, list[int]] = {}
     for k, place in enumerate(options):
         groups.setdefault(place.temperature_c, []).append(k)
@@ -648,7 +651,7 @@ def _imagined(
 ) -> Readings:
     """Return the readings of imagined dwells at one temperature, after the session and the dwells `before`.
 
-    `temperature_c` None means the last temperature before them.
+    `temperature_c` None means the last temperature before them. `options` are these dwells.
     """
     c, n = data.conditions, len(options)
     end = float(c.time_s.max())

@@ -75,8 +75,8 @@ def with_scatter(
     """Return the selection, or a selection with dwell-to-dwell scatter if its evidence is higher.
 
     `terms` are all candidate terms. Scatter of the readings and of the fixture are first compared with the
-    candidates that scored well. With the
-    better kind, a model is selected from all candidates. The scatter is None if its evidence is not higher.
+    candidates that scored well. With the better kind, a model is selected from all candidates. The scatter
+    is None if its evidence is not higher. `max_effects` is the largest number of terms of a model.
     """
     data = selection.data
     promising = selection.promising(terms)
@@ -151,7 +151,8 @@ def _fit_component(
 ) -> tuple[float, Selection | None]:
     """Return the size of one kind of scatter and the model selected with it; (0, None) if it is small.
 
-    Size and model are determined alternately, twice.
+    Size and model are determined alternately, twice. `terms` are the candidate terms; `max_effects` is the
+    largest number of terms of the model.
     """
     bias = [term for term in selection.terms if term.constant]
     kept = selection.fit.with_terms(bias, [selection.fit.value_of(term) for term in bias])
@@ -173,7 +174,10 @@ def _fit_component(
 def _select_with(
     data: Readings, kind: Kind, size: float, terms: Sequence[Term], max_effects: int
 ) -> Selection:
-    """Select a model of the readings with a scatter component of this size added to their noise."""
+    """Select a model of the readings with a scatter component of this size added to their noise.
+
+    `kind` is the kind of scatter; `max_effects` is the largest number of terms of the model.
+    """
     few, rounds = limits.fold_explored, limits.fold_rounds
     found = select(_add_component(data, kind, size), terms, max_effects, explored=few, rounds=rounds)
     check()
@@ -202,7 +206,10 @@ def _fit_with(fit: Fit, data: Readings) -> Fit:
 
 
 def _measured_u(data: Readings, kind: Kind) -> float:
-    """Return the stated u of a reading; for scatter of the fixture the u of an angle in rad."""
+    """Return the stated u of a reading; for scatter of the fixture the u of an angle in rad.
+
+    `kind` is the kind of scatter.
+    """
     reading = float(np.sqrt(np.median(data.variance_of_mean)))
     if kind == "reading_scatter":
         return reading
@@ -246,7 +253,8 @@ def _make_scatter(data: Readings, kind: Kind, size: float, chosen: Selection, lo
     """Return the scatter as a record for the result, with its uncertainty.
 
     `size` is in the unit of the readings or in rad, `chosen` the model selected with it. The uncertainty
-    follows from the curvature of the restricted likelihood.
+    follows from the curvature of the restricted likelihood. `log_odds` is its log evidence minus that for
+    functions of covariates.
     """
     from scipy.special import chdtrc
 

@@ -213,7 +213,8 @@ def _search_with_noise(
     """Return a search and its noise factor; if no model is adequate, search again with a larger noise.
 
     The unexplained part is then treated as noise of unknown origin (Birge's ratio), so that a name must be
-    significant against it.
+    significant against it. `inflation` is the first noise factor; `explored` is the number of the best
+    models whose neighbours are all scored.
     """
     found = search(problem, max_terms, inflation, explored)
     for _ in range(4):
@@ -235,7 +236,11 @@ def _search_with_noise(
 
 
 def _separate_bias(problem: LinearProblem, base: Fit, about: Fit) -> Callable[[], Fit] | None:
-    """Return a function that fits a bias alone; None unless a bias explains nearly all of the excess χ²."""
+    """Return a function that fits a bias alone; None unless a bias explains nearly all of the excess χ².
+
+    The excess is the χ² of the base model beyond its degrees of freedom. `base` is the fit of the base
+    model; `about` is the fit at which `problem` is linearised.
+    """
     constants = _mostly_bias(problem)
     if constants is not None:
         return lambda: fit_model(problem, [constants], about)

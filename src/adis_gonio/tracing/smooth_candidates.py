@@ -98,6 +98,8 @@ def evidence(
 ) -> Floats:
     """Return the log evidence of each process minus its price in nats, one value for each candidate.
 
+    A process is a candidate for an unnamed function.
+
     Parameters
     ----------
     fit : Fit
@@ -220,7 +222,8 @@ def _product(one: Get, two: Get) -> Get:
 def _ring(get: Get, width: float) -> Get:
     """Return basis functions for the periodic kernel exp(−2 sin²(Δ/2)/w²) of an angle.
 
-    Its Fourier coefficients are modified Bessel functions I_k(1/w²).
+    Its Fourier coefficients are modified Bessel functions I_k(1/w²). `get` returns the angle in rad, w is
+    `width`.
     """
     order = np.arange(_HARMONICS + 1)
     weight = special.ive(order, 1 / width**2) * np.where(order == 0, 1.0, 2.0)

@@ -159,7 +159,10 @@ def _trace(session: Session, max_effects: int, part: str) -> TraceResult:
 
 
 def with_time_left_out(result: TraceResult, *, checked: bool) -> TraceResult:
-    """Return the result with a record of the stages that the time limit ended or skipped, if any."""
+    """Return the result with a record of the stages that the time limit ended or skipped, if any.
+
+    `checked` is True if the validation of the result was completed.
+    """
     budget = current()
     return replace(result, stopped=Stopped.of(budget, checked=checked)) if budget.left_out else result
 
@@ -466,7 +469,10 @@ def reported_errors(figures: Sequence[ErrorFigures]) -> tuple[float, float] | No
 
 
 def likelier_functions(sets: Sequence[CredibleSet], terms: Sequence[Term]) -> dict[str, str]:
-    """Map each named cause to the unnamed function that is more probable in its place, if any."""
+    """Map each named cause to the unnamed function that is more probable in its place, if any.
+
+    `sets` are the credible sets of the causes, `terms` all candidate terms.
+    """
     names = {term.name for term in terms}
     return {one.cause: one.names[0] for one in sets if one.names[0] not in names and one.cause in names}
 
@@ -531,6 +537,7 @@ def correct_slips(data: Readings, positions: Diagnosis) -> Readings:
     """Return readings whose declared angles are corrected for large slips that last for the later dwells.
 
     The stage's dial and its errors are unaffected by a slip, so `Conditions.angle_rad` does not change.
+    `positions` has the diagnosed slips.
     """
     moved_deg = np.zeros(len(data))
     for found in _large_slips(data, positions):

@@ -66,6 +66,7 @@ class StepView:
     Attributes
     ----------
     effect : str
+        Name of the effect.
     panels : tuple of Panel
         Empty if the effect's term is unknown.
     beside_all : bool
@@ -154,7 +155,10 @@ def _covariate(data: Readings, term: Term, axis: int) -> str:
 
 
 def _values(conditions: Conditions, data: Readings, name: str) -> Floats | None:
-    """Return the values (n,) of a covariate in the unit of the figures; None if it was not recorded."""
+    """Return the values (n,) of a covariate in the unit of the figures; None if it was not recorded.
+
+    `name` is the covariate as in `Panel.covariate`.
+    """
     c = conditions
     if name.startswith("reading_"):
         return data.mean[:, AXES.index(name[-1])] / data.model.full
@@ -218,7 +222,8 @@ def _panel(checking: Readings | None, covariate: str, quantity: str, before: Fit
 def view_residual(fit: Fit, quantity: str, others: Readings | None = None) -> Floats:
     """Return the residual (n,) of an axis, of the norm or of the angle in degrees.
 
-    It is for the fitted dwells, or for the dwells of `others` if given.
+    It is for the fitted dwells, or for the dwells of `others` if given. `quantity` is named as in
+    `Panel.quantity`.
     """
     data = fit.data if others is None else others
     if quantity == "angle":
@@ -238,7 +243,10 @@ def _along(data: Readings) -> Floats:
 
 
 def view_uncertainty(fit: Fit, quantity: str) -> Floats:
-    """Return the standard uncertainty (n,) of the residual of an axis, the norm or the angle."""
+    """Return the standard uncertainty (n,) of the residual of an axis, the norm or the angle.
+
+    `quantity` is named as in `Panel.quantity`.
+    """
     data = fit.data
     if quantity == "angle":
         # A reading changes by `slope` standard uncertainties per rad.

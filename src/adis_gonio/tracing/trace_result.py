@@ -78,7 +78,9 @@ class Finding(JsonRecord):
     Attributes
     ----------
     effect : str
+        Name of the effect in the catalogue.
     axes : tuple of str
+        Letters of the axes on which it acts; empty for an effect without axes.
     parameters : mapping of str to Value
         Parameters of the effect by name.
     p_value : float
@@ -220,7 +222,10 @@ class Stopped(JsonRecord):
 
     @classmethod
     def of(cls, budget: Budget, *, checked: bool) -> Stopped:
-        """Return the record of the stages that a time limit (`budget`) has ended or skipped."""
+        """Return the record of the stages that a time limit (`budget`) has ended or skipped.
+
+        `checked` is True if the validation was completed.
+        """
         return cls(budget.limit_s, budget.elapsed_s, tuple(budget.left_out), checked)
 
     @property

@@ -146,7 +146,10 @@ def error_rows(result: TraceResult) -> tuple[list[str], list[list[str]]]:
 
 
 def _by_axis(rows: Sequence[tuple[str, ErrorFigures]], unit: str) -> dict[str, list[float | None]]:
-    """Return the columns with the held-out error of each axis; empty if not computed by axis."""
+    """Return the columns with the held-out error of each axis; empty if not computed by axis.
+
+    `rows` are the errors of each nested model by its name.
+    """
     each = [error.heldout_by_axis for _, error in rows]
     return {f"{axis} / {unit}": [(own or {}).get(axis) for own in each] for axis in each[0] or ()}
 
@@ -376,12 +379,18 @@ def absent(result: TraceResult) -> str:
 
 
 def amplitude(entry: Detectable) -> str:
-    """Return the smallest amplitude that would have been found, with unit; a dash if there is none."""
+    """Return the smallest amplitude that would have been found, with unit; a dash if there is none.
+
+    `entry` is the effect's entry of `TraceResult.detectable`.
+    """
     return "–" if entry.amplitude is None else with_unit(format_number(entry.amplitude, 2), entry.unit)
 
 
 def typical(name: str, entry: Detectable) -> str:
-    """Return the typical size of an effect's parameter on a bench, with unit; empty if unknown."""
+    """Return the typical size of an effect's parameter on a bench, with unit; empty if unknown.
+
+    `name` is the effect, `entry` its entry of `TraceResult.detectable`.
+    """
     prototype = _parameter(name, entry)
     return "" if prototype is None else with_unit(f"{abs(prototype.typical):.4g}", prototype.unit)
 

@@ -33,7 +33,8 @@ def beside_unknown_cause(selection: Selection, max_terms: int) -> Selection:
     """Return a selection with the posterior of its models when an unknown cause competes with them.
 
     The unknown cause is a Gaussian process in all covariates. The chosen model and its fit stay. A
-    selection that is adequate, or with unknown noise, is returned unchanged.
+    selection that is adequate, or with unknown noise, is returned unchanged. `max_terms` is the largest
+    number of terms of a model.
     """
     data, problem = selection.data, selection.problem
     if selection.adequate or not data.noise_known or len(problem.target) > MOST_ROWS or not max_terms:
@@ -76,7 +77,8 @@ def unknown_features(fit: Fit) -> Floats:
 def likeliest_size(problem: LinearProblem, model: Model, features: Floats) -> float:
     """Return the size of the unknown cause with the greatest restricted likelihood, from `SIZES`.
 
-    The size is a standard deviation in standard uncertainties of a reading, in addition to a model.
+    The size is a standard deviation in standard uncertainties of a reading, in addition to a model. The
+    unknown cause has the unit covariance F Fᵀ of `features` F.
     """
     basis, residual = span(problem, model)
     rest = features - basis @ (basis.T @ features)

@@ -190,7 +190,7 @@ def determined(
 def _poses_repeat(data: Readings, blocks: list[NDArray[np.bool_]]) -> bool:
     """Return True if every dwell has a near pose in another block of time.
 
-    Near is less than 2.5 steps of the angle, or 45° in space.
+    Near is less than 2.5 steps of the angle, or 45° in space. `blocks` (n,) are the masks of the blocks.
     """
     if not data.planar:
         unit = data.model.pose(data.mean, data.conditions)
@@ -239,7 +239,10 @@ def cross_validate(
 
 
 def select_counted(left: Mapping[str, HeldOut], counts: Mapping[str, NDArray[np.bool_]]) -> list[HeldOut]:
-    """Return for each design of holding out dwells the residuals of the dwells in the masks `counts`."""
+    """Return for each design of holding out dwells the residuals of the dwells in the masks `counts`.
+
+    `left` has the residuals of all held-out dwells.
+    """
     return [left[name].rows(own) for name, own in counts.items()]
 
 
@@ -324,7 +327,8 @@ class Fold:
 def nest_fits(selection: Selection, averaged: Averaged | None) -> tuple[list[Fit], list[str]]:
     """Return fits of nested models, from the base model to the chosen model, and the name added at each.
 
-    The term that explains most is added first.
+    The term that explains most is added first. `averaged` is the average that replaces the unnamed part,
+    if any.
     """
     left = list(selection.verdict.best)
     model: list[int] = []
@@ -361,7 +365,7 @@ def error_figures(
     measured : Readings
         Fitted readings with the measured noise (without dwell-to-dwell scatter).
     checking : Readings or None
-        Readings of the check dwells, which are then the held-out dwells.
+        Readings of the check dwells, which are then the held-out dwells; None without check dwells.
     fits : sequence of Fit
         Nested fits, the base model first.
     fold : Fold
@@ -397,7 +401,8 @@ def without_folds(
 ) -> tuple[list[ErrorFigures], str]:
     """Return the errors of nested models without folds: held-out errors are from check dwells only.
 
-    The second result describes the held-out dwells.
+    The second result describes the held-out dwells. `measured` are the fitted readings with the measured
+    noise; `checking` are the check dwells, None without any.
     """
     lefts: list[list[HeldOut]] = [[] for _ in fits]
     design = "no dwell"
@@ -481,7 +486,7 @@ def guard_errors(selection: Selection, fits: Sequence[Fit], fold: Fold) -> list[
     In each fold the effects are kept and only their values are fitted.
 
     An error is None if no dwell can be held out. `check` dwells are excluded, since they must not
-    influence the choice.
+    influence the choice. `fold` has the settings for a choice without each fold.
     """
     if leaves_too_few(selection.fit) or len(fits) == 1:
         return [None for _ in fits]
@@ -501,7 +506,10 @@ def _heldout(parts: Sequence[HeldOut], data: Readings) -> float | None:
 
 
 def rms_deg(turned: list[Floats]) -> float | None:
-    """Return the root mean square in degrees of angles in rad, modulo whole turns; None if empty."""
+    """Return the root mean square in degrees of angles in rad, modulo whole turns; None if empty.
+
+    `turned` are arrays of such angles.
+    """
     if not turned:
         return None
     return float(np.degrees(np.sqrt((wrap_radians(np.concatenate(turned)) ** 2).mean())))
@@ -567,6 +575,8 @@ def never_worse(
 ) -> tuple[int, Names, dict[str, str]]:
     """Find the longest nested model whose held-out error is hardly larger than any shorter model's.
 
+    `unit` is the unit of the errors in the reasons.
+
     Parameters
     ----------
     names : Names
@@ -574,7 +584,8 @@ def never_worse(
     steps : sequence of str
         Name of the term that each model adds to the one before.
     errors : sequence of float or None
-        Held-out errors of the nested models, the base model first; effects are kept in the folds.
+        Held-out errors of the nested models, the base model first; effects are kept in the folds. If an
+        error is None, nothing is cut.
     reported : tuple of 2 float, optional
         Reported errors of the base model and the longest model, which may refer to other dwells.
 

@@ -148,6 +148,7 @@ class Parameter:
     Attributes
     ----------
     name, unit : str
+        Name of the parameter, and unit of its values.
     low, high : float
         Physical bounds of the value in `unit`; a fitted value outside them is not plausible.
     typical : float
@@ -396,7 +397,10 @@ class Effect(ABC):
     def samples_mg(
         self, values: Floats, samples_mg: Floats, conditions: Conditions, rng: np.random.Generator
     ) -> Floats:
-        """Return the samples (n, axes) in mg, changed by the effect only if `enters` is SAMPLES."""
+        """Return the samples (n, axes) in mg, changed by the effect only if `enters` is SAMPLES.
+
+        `rng` is the source of random numbers.
+        """
         return samples_mg
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
@@ -469,7 +473,8 @@ def did_you_mean(name: str, known: Sequence[str]) -> str:
 def by_letters(prototypes: Sequence[Parameter], letters: Sequence[str]) -> tuple[Parameter, ...]:
     """Return a copy of each parameter for each axis letter: `k2` becomes `k2_x`, `k2_y`.
 
-    `prototypes` are the parameters without a letter. All parameters of one letter are together.
+    `prototypes` are the parameters without a letter, `letters` the letters to append. All parameters of
+    one letter are together.
     """
     return _by_letters(tuple(prototypes), tuple(letters))
 

@@ -56,7 +56,10 @@ def alike(cycles: int, others: int, angle_rad: Floats) -> bool:
 
 
 def of_one_phase(cycles: NDArray[np.int_], angle_rad: Floats) -> NDArray[np.bool_]:
-    """Return for each number of cycles per turn (m,) if its wave has one phase at all the angles."""
+    """Return for each number of cycles per turn (m,) if its wave has one phase at all the angles.
+
+    `angle_rad` (n,) are the angles.
+    """
     length = np.abs(np.exp(1j * cycles[:, None] * angle_rad).mean(axis=1))
     return np.asarray(length > 1 - _SAME_PHASE)
 
@@ -355,7 +358,10 @@ class SampleEffect(AxisEffect):
     def change(
         self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
     ) -> Floats:
-        """Return the changed samples of the axes in `axes`, (n, len(axes)) in mg."""
+        """Return the changed samples of the axes in `axes`, (n, len(axes)) in mg.
+
+        `own_mg` (n, len(axes)) are the samples before the change; `rng` is the source of random numbers.
+        """
 
 
 class Saturation(SampleEffect):

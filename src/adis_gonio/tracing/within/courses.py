@@ -132,7 +132,10 @@ def projections(samples: Samples, usable: Usable, tau: float | None) -> tuple[Fl
 
 
 def _best(samples: Samples, usable: Usable) -> _Candidate | None:
-    """Return the significant course that explains most variance; None if no course is significant."""
+    """Return the significant course that explains most variance; None if no course is significant.
+
+    `usable` (d,) is True for the dwells that are long enough.
+    """
     taus = grid(samples, usable)
     kinds = _regressors(samples)
     tests = len(taus) * 2 * samples.axes
@@ -226,7 +229,10 @@ def _fit_course(samples: Samples, usable: Usable, best: _Candidate) -> tuple[Wit
 
 
 def _significant_axes(samples: Samples, usable: Usable, best: _Candidate) -> list[int]:
-    """Return the axes with the course: the axis of `best`, and other axes on which it is significant."""
+    """Return the axes with the course: the axis of `best`, and other axes on which it is significant.
+
+    `usable` (d,) is True for the dwells that are long enough.
+    """
     z, norm = projections(samples, usable, best.tau)
     g = norm[:, None] * _regressors(samples)[int(best.by_move)]
     energy = np.maximum((g**2).sum(axis=0), 1e-300)
@@ -321,7 +327,11 @@ def _waiting_time(samples: Samples, amplitude: float, tau: float) -> float:
 def _view(
     samples: Samples, best: _Candidate, tau: float | None, slope: float, weight: Floats, dwells: list[int]
 ) -> View:
-    """Return the figure of a course: the mean over the dwells, in at most `_POINTS` points, and the fit."""
+    """Return the figure of a course: the mean over the dwells, in at most `_POINTS` points, and the fit.
+
+    `slope` is the fitted amplitude, `weight` (d,) the factor to which each dwell's amplitude is
+    proportional.
+    """
     length = min(len(samples.values[k]) for k in dwells)
     norm = float((weight[dwells] ** 2).sum())
     # Least-squares course: each dwell weighted by its regressor.

@@ -223,6 +223,7 @@ def _without_outliers(squares: Floats, weight: Floats) -> tuple[Floats, Floats]:
 
     Outliers are far above the other dwells. With a coarse converter many dwells have no difference at all,
     so the upper quartile is the reference. If more than a few dwells are far above it, none is excluded.
+    `squares` and `weight` (d,) are these mean squares and weights.
     """
     use = weight > 0
     if use.sum() < _LEAST_DWELLS:
@@ -257,7 +258,7 @@ def _describe(samples: Samples, k: int, axis: int, look: _Look) -> tuple[_Form, 
     """Return the form that describes a dwell best, its place and its course (n,) about the dwell's mean.
 
     If the form is not significant in the noise of its scale, the event is a disturbance of the length at
-    which it was found.
+    which it was found. `k` and `axis` are the indices of dwell and axis.
     """
     rows = samples.values[k][:, axis] - samples.values[k][:, axis].mean()
     elapsed = samples.elapsed_s(k)

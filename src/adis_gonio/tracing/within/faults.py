@@ -62,13 +62,17 @@ _SAFETY = 1.5
 def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding | None, Samples]:
     """Find spikes in all dwells, and replace them by the median of their neighbours.
 
+    The finding is None without spikes.
+
     Parameters
     ----------
     samples : Samples
+        Samples of all dwells.
     scatter : (d, axes) float
-        Standard deviation of single samples.
+        Standard deviation of single samples in each dwell.
     reach : int
-        Samples over which neighbours are correlated; a spike before the sensor's filter has this width.
+        Number of samples over which neighbours are correlated; a spike before the sensor's filter has this
+        width.
     """
     total = int(samples.counts.sum()) * samples.axes
     limit = -float(special.ndtri(FOUND_WITHIN / (2 * total * SEARCHES)))
@@ -114,7 +118,8 @@ def _from_neighbours(column: Floats, reach: int) -> tuple[Floats, Floats, Floats
     median, the third (m,) are the distances from the median before.
 
     The scatter is estimated from the third result, since the distance to the nearer of two medians is too
-    small on average.
+    small on average. `column` (n,) are the samples of one axis; `reach` is the number of samples over
+    which neighbours are correlated.
     """
     half = _NEIGHBOURS // 2
     n = len(column)
@@ -328,7 +333,8 @@ def quantization(session: Session, samples: Samples, reach: int) -> WithinFindin
 def _coarse(samples: Samples, axis: int, reach: int) -> float:
     """Return the p-value of the hypothesis that noise spreads an axis' samples over several steps.
 
-    It is 1 if the samples scatter enough.
+    It is 1 if the samples scatter enough. `reach` is the number of samples over which neighbours are
+    correlated.
     """
     step = float(samples.quantum[axis])
     if not step > 0:

@@ -90,11 +90,11 @@ class Samples:
         Parameters
         ----------
         value, u, unit : float, float or None, str
-            Size of the finding with its standard uncertainty.
+            Size of the finding with its standard uncertainty (None if unknown) and unit.
         at : int or None
             Index of the sample; None if the finding has no time.
         shift : float or None
-            Resulting shift of the dwell's mean in mg.
+            Resulting shift of the dwell's mean in mg; None if unknown.
         """
         time = None if at is None else float(self.time_s[dwell][at])
         size = Value(float(value), u, unit)
@@ -243,6 +243,7 @@ class WithinFinding(JsonRecord):
     effect : str or None
         Name in the catalogue if the finding has the form of a named effect, else None.
     axes : tuple of str
+        Letters of the affected axes.
     positions : tuple of int
         Numbers of the affected dwells.
     parameters : mapping of str to Value
@@ -250,6 +251,7 @@ class WithinFinding(JsonRecord):
     p_value : float
         p-value times the number of tests of its search and the number of searches, at most 1.
     sentence : str
+        The finding in words.
     places : tuple of Place
         Dwells and axes with their own sizes; empty if all of `positions` share the parameters.
     advice : str

@@ -304,7 +304,7 @@ def _noise_change(samples: Samples, density: Density | None) -> Detectable:
     """Return the smallest white noise, added from mid-session on, that the search would have found.
 
     Two tests look for one change of the noise between dwells: the F-test of the variance and the t-test
-    of the level.
+    of the level. The amplitude is None if there are too few dwells.
     """
     if density is None or len(density.dwells) < LEAST_LOUD:
         return Detectable(None, "mg", "extra", f"needs {LEAST_LOUD} dwells long enough for a spectrum")
@@ -374,7 +374,7 @@ def _settling(samples: Samples) -> Detectable:
 def _noncentral(p: float, dof: int) -> float:
     """Return the true value, in standard uncertainties, that a t-test detects with 90 % probability.
 
-    The test is one-sided, at significance level `p`.
+    The test is one-sided, at significance level `p`. `dof` are the degrees of freedom of the test.
     """
     limit = -float(special.stdtrit(dof, p))
 

@@ -205,7 +205,7 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
 def _dwells_with(density: Density, peak: _Peak) -> list[int]:
     """Return the rows (in `Density.power`) of the dwells that show a spectral line.
 
-    These are all dwells if the line was found in the average over all.
+    These are all dwells if the line was found in the average over all. `peak` is the peak of the line.
     """
     if peak.dwell is None:
         return list(range(len(density.dwells)))
@@ -453,7 +453,7 @@ def _beside(pooled: Floats, searched: slice, each: float) -> Callable[[Floats, i
 
     The peak is the highest point of `pooled` (k, axes) relative to its neighbours. The density (k,) there
     is replaced by the geometric mean of the densities on both sides. `each` is the number of frequencies
-    per ordinate.
+    per ordinate. `searched` are the frequencies among which the peak is searched for.
     """
     above = (pooled / np.maximum(_flanks(pooled, each), 1e-300))[searched]
     peaks = searched.start + above.argmax(axis=0)
@@ -477,7 +477,7 @@ def _gain(own: Floats, with_peak: Floats, without: Floats, peak: NDArray[np.bool
     mask.
 
     Whittle likelihood with fitted scale: a shape fitted with the peak, against a shape fitted without it
-    plus a line at the peak.
+    plus a line at the peak. `with_peak` and `without` are the shapes fitted with and without the peak.
     """
 
     def loss(shape: Floats, part: NDArray[np.bool_]) -> float:
@@ -518,7 +518,7 @@ def _widths(points: int, each: float) -> Floats:
     """Return the half width (k,) of the running median at each frequency of a spectrum.
 
     The unit is the number of independent values (ordinates); `each` is the number of frequencies per
-    ordinate.
+    ordinate. `points` is the number of frequencies.
     """
     ordinate = np.arange(points) / each
     width = np.full(points, float(_WIDTHS[0]))
@@ -530,7 +530,7 @@ def _widths(points: int, each: float) -> Floats:
 def _smooth(flat: Floats, searched: slice, width: Floats, each: float) -> Floats:
     """Smooth a density (k,) by a running median of half width `width`, in ordinates.
 
-    Outside the searched frequencies it is constant.
+    Outside the searched frequencies it is constant. `each` is the number of frequencies per ordinate.
     """
     smooth = np.empty_like(flat)
     # The parts outside contain drift and the last ordinate, which must not influence the rest.
@@ -555,7 +555,8 @@ def _shape(pooled: Floats, frequency: Floats, responses: Sequence[Floats]) -> Fl
 
     `pooled` (k,) is the measured density; the `responses` (k,) are the possible filters. The fit maximises
     the Whittle likelihood with a fitted scale, over cells of neighbouring frequencies. The model is
-    averaged over these cells too, so that a cell may be wider than a notch of the filter.
+    averaged over these cells too, so that a cell may be wider than a notch of the filter. `frequency` (k,)
+    is in cycles per sample.
     """
     # Cells grow with frequency, since the passband of a long filter has few ordinates.
     edges = np.unique((len(frequency) * np.linspace(0, 1, _CELLS, endpoint=False) ** 2).astype(np.intp))
@@ -605,7 +606,7 @@ def _shape(pooled: Floats, frequency: Floats, responses: Sequence[Floats]) -> Fl
 def _falling(frequency: Floats, knee: float) -> Floats:
     """Return a density (k,) that falls with the square of the frequency above a corner frequency.
 
-    It is 1 at the lowest frequency.
+    It is 1 at the lowest frequency. `knee` is this frequency; infinite for a constant density.
     """
     if np.isinf(knee):
         return np.ones_like(frequency)

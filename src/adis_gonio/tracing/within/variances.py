@@ -38,9 +38,16 @@ TESTS = 4
 
 @dataclass(frozen=True)
 class Levels:
-    """Variances (d,) of the samples of dwells on one axis in mg², and their levels, each with its dof.
+    """Variances and noise levels of dwells on one axis.
 
-    A level is a dwell's mean power over frequencies, in units of the noise density of all dwells.
+    Attributes
+    ----------
+    variance : (d,) float
+        Variance of the samples of each dwell in mg².
+    level : (d,) float
+        Mean power of each dwell over frequencies, in units of the noise density of all dwells.
+    dof, level_dof : (d,) float
+        Degrees of freedom of the variances and of the levels.
     """
 
     variance: Floats
@@ -98,7 +105,8 @@ def step_of(course: Floats, weight: Floats, cut: int) -> tuple[float, float]:
 def noise_change(samples: Samples, density: Density | None) -> WithinFinding | None:
     """Return the finding on a change of the samples' scatter from dwell to dwell; None without a change.
 
-    At least three dwells are needed.
+    At least three dwells are needed. `density` is the noise density of the dwells, None if they are too
+    short.
     """
     if density is None or len(density.dwells) < LEAST_DWELLS:
         return None
@@ -131,7 +139,8 @@ def heterogeneous(finding: WithinFinding | None, samples: Samples) -> list[int]:
 def levels_of(samples: Samples, density: Density, axis: int) -> Levels:
     """Return the variance and level of each dwell on one axis.
 
-    The lowest frequencies, with drift and slow noise, are excluded.
+    The lowest frequencies, with drift and slow noise, are excluded. `density` is the noise density of the
+    dwells.
     """
     searched = density.searched
     band = density.power[:, searched, axis]
@@ -253,7 +262,8 @@ def _joined(
 
     `quiet` and `loud` (d,) are the dwells before and after the change. The value follows from the variance
     of the samples or, if white noise describes the change of the spectrum better than the spectrum of the
-    noise does, from the spectrum: behind a long filter the variance hardly changes.
+    noise does, from the spectrum: behind a long filter the variance hardly changes. `own` are the
+    variances and levels on this axis.
     """
     base = density.base[density.searched, axis]
     power = density.power[:, density.searched, axis] / base
@@ -281,7 +291,10 @@ def _joined(
 def _varying(
     samples: Samples, dwells: NDArray[np.intp], levels: list[Levels], axes: list[int], p_value: float
 ) -> WithinFinding:
-    """Return the finding for variances that differ between dwells, but not by a single change."""
+    """Return the finding for variances that differ between dwells, but not by a single change.
+
+    `levels` are the variances and levels of each of these `axes`.
+    """
     d = len(dwells)
     unusual = np.zeros(d, dtype=bool)
     places: list[Place] = []
@@ -350,6 +363,8 @@ def _start(
     Both come from the posterior over all places of the change.
 
     Squares of neighbouring samples are correlated, so the likelihood is scaled to the degrees of freedom.
+    `levels` are the variances and levels of each of these `axes`; `cut` is the first dwell after the
+    change, and `quiet` and `loud` (d,) are the dwells before and after it.
     """
     before, after = int(dwells[cut - 1]), int(dwells[cut])
     time = np.concatenate([samples.time_s[before], samples.time_s[after]])
