@@ -94,9 +94,8 @@ def count_decimals(u: float) -> int:
 def format_uncertain(value: float, expanded: float | None, unit: str = "", *, sign: bool = False) -> str:
     """Format value ± expanded uncertainty U with two digits of U, such as `1.08 ± 0.13 mg`.
 
-    With `sign`, a positive value has a plus sign.
-    Without an uncertainty (None, NaN) the text ends in `u unknown`; an
-    uncertainty of zero is not shown.
+    With `sign`, a positive value has a plus sign. If U is unknown (None, NaN), the text ends in
+    `u unknown`; if U is zero, it is not shown.
     """
     if expanded is None or not math.isfinite(expanded):
         return f"{with_unit(format_number(value, 4), unit)}, {UNKNOWN}"

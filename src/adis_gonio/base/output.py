@@ -66,9 +66,8 @@ def replacing(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path; its file replaces `path` if the block ends without an exception.
 
     After any exception (a full disk, Ctrl-C) the temporary file is removed and `path` is unchanged. The
-    temporary path has the ending of
-    `path`, because some writers choose a format by it. For a symbolic link the target is replaced; a
-    special file (`/dev/stdout`, a pipe) is written directly.
+    temporary path has the ending of `path`, because some writers choose a format by it. For a symbolic
+    link the target is replaced; a special file (`/dev/stdout`, a pipe) is written directly.
 
     Raises
     ------

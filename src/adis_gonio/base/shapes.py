@@ -2,7 +2,7 @@
 
 A shape is a function of one value that raises `ShapeError` if the value does not pass. The error's message
 begins with the path to the value within the file's content, such as
-`.positions[3].angle_deg is 'x': expected a number from -1e+06 to 1e+06`; the caller puts the name of the
+`.positions[3].angle_deg is 'x': expected a number from -1e+06 to 1e+06`. The caller puts the name of the
 file or the row before it.
 """
 

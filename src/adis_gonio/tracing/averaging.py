@@ -28,7 +28,7 @@ Member = tuple[float, NamelessTerm, Floats]
 
 @dataclass(frozen=True)
 class RidgeSolution:
-    """Fit of the base model, the named terms and one averaged alternative (a member): a ridge regression.
+    """Fit of one averaged alternative (a member) together with the base model and the named terms.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class RidgeSolution:
     visible: float
 
     def columns(self, there: Fit, width: int) -> Floats:
-        """Return the whitened columns (rows, p) of base model, named and own terms for the dwells of a fit.
+        """Return the whitened columns (rows, p) of base model, named terms and own terms for a fit.
 
         The first `width` columns of the fit's Jacobian belong to base model and named terms.
         """
@@ -99,7 +99,8 @@ class AveragedFit(Fit):
     mixed_covariance : (p, p) float
         Covariance of the base and named parameters over all members.
     mixed_used : float
-        Degrees of freedom used by base, named terms and members, averaged with the members' weights.
+        Degrees of freedom that the base model, the named terms and the members use, averaged with the
+        members' weights.
     solutions : tuple of (float, RidgeSolution)
         Fit of each averaged alternative (member), with its weight; the weights sum to 1.
     inflation : float

@@ -2,10 +2,9 @@
 
 Share of each finding
     The excess of a model is the amount by which its χ² exceeds its degrees of freedom or, if the noise is
-    unknown, the square of
-    its residual. The share of an added effect is the decrease of the excess when it is added, as a fraction
-    of the base model's excess. The shares of all effects add up to the total explained fraction, at most
-    100 %.
+    unknown, the square of its residual. The share of an added effect is the decrease of the excess when it
+    is added, as a fraction of the base model's excess. The shares of all effects add up to the total
+    explained fraction, at most 100 %.
 
 Uncertainty over all probable models
     The covariance of one model assumes that this model is right. In another model of equal probability an
@@ -55,7 +54,7 @@ from adis_gonio.tracing.trace_result import ErrorFigures, Finding, Rival, Unname
 def dof_of(selection: Selection) -> float:
     """Return the degrees of freedom of the noise estimate behind the uncertainties.
 
-    Infinite if the noise was stated instead of estimated.
+    They are infinite if the noise was stated instead of estimated.
     """
     data = selection.data
     dof = data.noise_dof if data.noise_known else np.inf
@@ -147,7 +146,7 @@ def scatter_finding(scatter: Scatter, explains: float) -> Finding:
 
 
 def _explained_chi2(selection: Selection, members: Sequence[int]) -> tuple[float, int]:
-    """Return the rise of χ² if the terms `members` are removed from the model, and their columns."""
+    """Return the rise of χ² if the terms `members` are removed from the model, and their column count."""
     best = selection.verdict.best
     with_all = float((span(selection.problem, best)[1] ** 2).sum())
     others = [k for k in best if k not in members]
@@ -161,9 +160,8 @@ def unnamed_of(
     """Return the unnamed part of the result: structure in the readings that no named effect explains.
 
     It consists of the model's unnamed terms or of the average that replaces them; None without both. Its
-    probability is the
-    probability of the least probable function, as in the credible sets, by the posterior of `judged` if
-    given. `averaged` is this average.
+    probability is the probability of the least probable function, as in the credible sets, by the
+    posterior of `judged` if given. `averaged` is this average.
     """
     from scipy.special import chdtrc
 
@@ -268,9 +266,9 @@ def zeros_of(selection: Selection, seen: Sequence[Finding] = ()) -> dict[str, Va
 
 
 def in_units_of_file(finding: Finding, unit: Unit) -> Finding:
-    """Return a bias finding with the unaccelerated reading in counts; leave other findings unchanged.
+    """Return a bias finding in counts: the reading of each axis without acceleration.
 
-    `unit` is the unit of the readings; if it is known, a bias is unchanged too.
+    Other findings are unchanged, and so is a bias if `unit`, the unit of the readings, is a known unit.
     """
     if unit.known or finding.effect != "bias":
         return finding
@@ -534,7 +532,7 @@ MOST_NAMED = 5
 
 
 def cycles_alike(selection: Selection) -> list[tuple[int, tuple[int, ...]]]:
-    """Return each periodic stage error's cycles per turn with other numbers that fit as well."""
+    """Return the cycles per turn of each periodic stage error, with other numbers that fit as well."""
     problem, best = selection.problem, selection.verdict.best
     angle = selection.data.conditions.angle_rad
     periodic = {
@@ -568,11 +566,10 @@ def detectable(
 ) -> dict[str, Detectable]:
     """Return the smallest amplitude of each effect that the search would find with 90 % probability.
 
-    `model` is the chosen model; `missing` has the reason of each effect that is not a candidate, and `part`
-    is the part of the sensor. A column c of an effect, projected off base and model, has a score z ~ N(|c|
-    a, 1) for an amplitude a. The effect is added
-    if z² > 2 × its price, hence a = (√(2 price) + 1.28)/|c|. The result is the worst of several axes and
-    the median of several shapes or dwells.
+    `model` is the chosen model; `missing` has the reason of each effect that is not a candidate, and
+    `part` is the part of the sensor. A column c of an effect, projected off base and model, has a score z
+    ~ N(|c| a, 1) for an amplitude a. The effect is added if z² > 2 × its price, hence a = (√(2 price) +
+    1.28)/|c|. The result is the worst of several axes and the median of several shapes or dwells.
     """
     problem = found.problem
     inside = {problem.terms[k].name for k in model}

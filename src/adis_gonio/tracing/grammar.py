@@ -105,7 +105,7 @@ def harmonics(orders: Sequence[int]) -> Shape:
 
 @dataclass(frozen=True)
 class _Made:
-    """An unnamed function as a candidate: its family, basis functions, and places where it may enter."""
+    """An unnamed function as a candidate: its family, basis functions, and places in the model."""
 
     family: str
     basis: Basis

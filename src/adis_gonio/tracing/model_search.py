@@ -166,7 +166,7 @@ class _Climb:
         self.top = 0.0
 
     def run(self) -> None:
-        """Extend the best single terms, then climb with the named terms alone, then with every term."""
+        """Extend the best single terms, then search with the named terms alone, then with every term."""
         ends: list[Model] = [()] if self.bias is None else [(), (self.bias,)]
         for model in ends:
             self.open(model, self.every)
@@ -323,9 +323,9 @@ class ModelPosterior:
 
 
 def posterior(found: Search) -> dict[Model, float]:
-    """Return the posterior probability of each model near the best, the most probable first.
+    """Return the posterior probability of each model with a score near the best, the most probable first.
 
-    Similar models are counted separately.
+    Models with equal predictions are counted separately.
     """
     near = found.near(limits.weighed)
     ranked = sorted(near, key=lambda m: -near[m])[: limits.compared]

@@ -42,8 +42,8 @@ LEAST_ROWS = 200
 AVERAGES = 100
 """Number of averages over equal intervals of the recording for which slow noise is modelled."""
 NOISE_RATIOS = (0.1, 1.0, 10.0, 1e2, 1e3, 1e4)
-"""Sizes of slow noise that are tried: its variance over the session in variances of an average.
-The variance of an average is the one from its fast noise."""
+"""Sizes of slow noise that are tried: ratios of two variances of an average of samples.
+The first variance is the one over the session by slow noise, the second the one by fast noise."""
 DEGREES = (1, 2, 3)
 ONE_WAY = 0.98
 """Rank correlation of temperature and time above which these count as one covariate."""
@@ -124,7 +124,7 @@ class _Noise:
     kind : str
         `white noise`, `a random walk` or `1/f noise`.
     readings : (R, n, axes) float
-        Whitened averages of the readings, projected off a constant as all other columns.
+        Whitened averages of the readings, with their mean removed, as from all columns.
     design : (R, n, P) float
         Whitened averages of the columns of all variants.
     steps : (R, n, n − 1) float

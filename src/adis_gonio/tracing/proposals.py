@@ -234,9 +234,8 @@ def _explanations(selection: Selection, terms: Sequence[Term]) -> tuple[float, l
     """Return a noise factor, and hypotheses that add one effect each to a model that is not adequate.
 
     The factor on the noise variance is 1 or, if larger, the smallest χ² per degree of freedom of any
-    hypothesis. If several names
-    are undecided, only these are compared. "No further effect" is not a hypothesis, because the model is
-    not adequate.
+    hypothesis. If several names are undecided, only these are compared. "No further effect" is not a
+    hypothesis, because the model is not adequate.
     """
     extended = _extended(selection, terms, 1.0, set())
     freedom = max(selection.fit.dof - 1, 1)

@@ -115,9 +115,8 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
 def _may_hold_bias(term: Term, *, biased: bool) -> bool:
     """Return True if a term may have absorbed a part of the bias.
 
-    This is possible for a function of the reading. In a model without a bias (`biased` is False) it is also
-    possible for an unnamed
-    function with an unknown value at the middle of the session.
+    This is possible for a function of the reading. In a model without a bias (`biased` is False) it is
+    also possible for an unnamed function with an unknown value at the middle of the session.
     """
     unnamed = not biased and term.name is None and not follows_clock(term)
     return not term.enters_angle and (term.covariates == ("reading",) or unnamed)

@@ -48,8 +48,8 @@ class ErrorFigures(JsonRecord):
         Angle computed from the reading minus declared angle, over the held-out dwells; None without
         declared angles or held-out dwells.
     chi2_per_dof : float or None
-        χ² of the residual against the measured noise, per degree of freedom.
-        None if the noise of a reading is unknown or no degree of freedom remains.
+        χ² of the residual against the measured noise, per degree of freedom. None if the noise of a
+        reading is unknown or no degree of freedom remains.
     heldout_by_axis : mapping of str to float or None
         Held-out error of each axis, for a single pose traced sample by sample and for gyros (no common
         attitude of their axes); None for other sessions.

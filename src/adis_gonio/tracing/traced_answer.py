@@ -166,7 +166,7 @@ def _beyond(likely: FitResult, trace: TraceResult) -> tuple[str, ...]:
 
 
 def _confirmed(recommended: Recommendation, trace: TraceResult) -> Recommendation:
-    """Return the recommendation of a method with a remark that the trace found no additional effect."""
+    """Return the recommendation of a method, with a remark that the trace found no additional effect."""
     if trace.stopped is not None and not trace.stopped.checked:
         return recommended
     said = {
@@ -192,7 +192,7 @@ def _reason(
 ) -> str | None:
     """Return the reason to recommend the traced model; None if it predicts worse or was not validated.
 
-    `found` and `scores` are the predictions and errors of all models, `best` is the best method.
+    `found` and `scores` are the predictions and errors of all models, `best` is the recommended method.
     """
     if trace.stopped is not None and not trace.stopped.checked:
         return None

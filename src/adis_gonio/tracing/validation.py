@@ -138,11 +138,11 @@ def predicted_dwells(
 ) -> dict[str, NDArray[np.bool_]]:
     """Return for each design of holding out dwells a mask (n,) of the dwells that count in the error.
 
-    `designs` has the masks of the folds by design, `model` the terms of the model. Under designs that leave
-    out whole ranges of angle or time, a dwell counts if the other dwells predict
-    it by the base model and the unnamed functions of the model. If a quarter of a turn is left out, the
-    rest does not determine a function with harmonics there; a jump seen only by its first dwell is not
-    determined without that dwell.
+    `designs` has the masks of the folds by design, `model` the terms of the model. Under designs that
+    leave out whole ranges of angle or time, a dwell counts if the other dwells predict it by the base
+    model and the unnamed functions of the model. If a quarter of a turn is left out, the rest does not
+    determine a function with harmonics there; a jump seen only by its first dwell is not determined
+    without that dwell.
     """
     nameless = [term for term in model if term.name is None]
     every = np.ones(len(data), dtype=bool)
@@ -613,9 +613,9 @@ def disagreement_p_value(fit: Fit, others: Readings, inflation: float = 1.0) -> 
     """Return the p-value of the residuals of held-out dwells under a fitted model.
 
     `others` are the held-out dwells, `inflation` is the factor on their noise variance. The predicted
-    reading has the covariance 1 + X C Xᵀ, from its noise and from the parameters (Cook and Weisberg,
-    Residuals and Influence in Regression, 1982, chapter 2). Noise that dwells share is treated as
-    independent noise of each dwell.
+    reading has the covariance 1 + X C Xᵀ, from its noise and from the parameters' covariance C (Cook and
+    Weisberg, Residuals and Influence in Regression, 1982, chapter 2). Noise that dwells share is treated
+    as independent noise of each dwell.
     """
     alone = replace(others, own_covariance=others.covariance, slow=None)
     there = fit.on(alone)

@@ -127,8 +127,7 @@ class StagePeriodic(StageEffect):
     Notes
     -----
     At N equally spaced angles n, N − n, N + n, … cycles a turn give equal columns: a session shows n up to
-    N/2, and a
-    number that is found may be any number that folds to it (`alike`).
+    N/2, and a number that is found may be any number that folds to it (`alike`).
     """
 
     cycles: int = 3
