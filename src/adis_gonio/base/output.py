@@ -131,5 +131,5 @@ def _unwritten(path: Path, error: OSError) -> OutputError:
 
 
 def _about(error: OSError, beside: Path, target: Path) -> bool:
-    """Return True if an error concerns the output file or its temporary file, False for another file."""
+    """Return True if an error concerns the output file `target` or its temporary file `beside`."""
     return error.filename is None or Path(os.fsdecode(error.filename)) in (beside, target)

@@ -41,7 +41,7 @@ class SamplesNoise:
     Attributes
     ----------
     smpl_prd, filter_m : int
-        Settings of rate and filter with which the chip's samples are correlated like the measured ones.
+        Settings of sample rate and filter that correlate the chip's samples as much as the measured ones.
     white_mg : (axes,) float
         Standard deviation of the white noise before the filter.
     floor_mg : (axes,) float
@@ -193,7 +193,7 @@ class AngleTerm(TermEffect):
 
 
 class LikeWorld(World):
-    """A simulated world that imitates a measured session: its model, its noise and its conditions.
+    """Simulation that imitates a measured session: its model, its noise and its conditions.
 
     Parameters
     ----------

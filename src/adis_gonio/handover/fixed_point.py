@@ -437,7 +437,8 @@ class FixedPoint:
     ) -> Whole:
         """Return the angle (n,) of gravity in µ°, from the first axis of a plane towards the second axis.
 
-        The arguments are integer readings in 1/256 step; `plane` has the indices of the two axes.
+        Readings, temperature and supply are integers in 1/256 step (by default 25 °C and 5 V); `plane` has
+        the indices of the two axes.
         """
         gravity = self.correct(scan, temperature, supply)
         return atan2_udeg(gravity[:, plane[1]], gravity[:, plane[0]])

@@ -77,7 +77,7 @@ class Search:
 
     @property
     def best(self) -> Model:
-        """The model with the highest score, as term numbers."""
+        """The model with the highest score, as a tuple of term numbers."""
         return max(self.scores, key=self.scores.__getitem__)
 
     def near(self, within: float) -> dict[Model, float]:

@@ -1,17 +1,19 @@
 """Scatter from dwell to dwell as a hypothesis: more noise than the samples within the dwells show.
 
 A loose seat of the part, an understated fixture uncertainty, or telegraph and heavy-tailed noise scatter
-the readings without following a covariate. A variance component competes with every function. Its size
-has the greatest restricted likelihood given the base model and the chosen terms, and the whole session is
-traced again with it. The account with the higher log evidence is used:
+the readings without following a covariate. Scatter is a variance component that competes with every
+function of a covariate. Its size has the greatest restricted likelihood given the base model and the chosen
+terms, and the whole session is traced again with it. Of two hypotheses, the one with the higher log
+evidence is used:
 
-* functions with the measured noise: L(0) of the best model minus the price of its terms, or of its names
-and
-  the best smooth function;
-* functions with the additional component: the same quantity at size s, minus the price of s.
+* functions of covariates with the measured noise: L of the best model minus the price of its terms, or of
+  its names and the best smooth function;
+* functions of covariates with additional scatter: L of the best model with the scatter, minus the price of
+  its terms and of the scatter.
 
 L is the log likelihood of the refitted model, restricted for its base parameters (Harville, J. Am. Stat.
-Assoc. 72, 1977). Noise that follows no covariate costs one parameter; functions that imitate it cost many.
+Assoc. 72, 1977); a price is the loss of log evidence by additional parameters. Noise that follows no
+covariate costs one parameter; functions that imitate it cost many.
 """
 
 from __future__ import annotations
@@ -174,9 +176,9 @@ def _fit_component(
 def _select_with(
     data: Readings, kind: Kind, size: float, terms: Sequence[Term], max_effects: int
 ) -> Selection:
-    """Select a model of the readings with a scatter component of this size added to their noise.
+    """Select a model of the readings with scatter of this kind and size added to their noise.
 
-    `kind` is the kind of scatter; `max_effects` is the largest number of terms of the model.
+    `terms` are the candidate terms; `max_effects` is the largest number of terms of the model.
     """
     few, rounds = limits.fold_explored, limits.fold_rounds
     found = select(_add_component(data, kind, size), terms, max_effects, explored=few, rounds=rounds)
@@ -206,10 +208,7 @@ def _fit_with(fit: Fit, data: Readings) -> Fit:
 
 
 def _measured_u(data: Readings, kind: Kind) -> float:
-    """Return the stated u of a reading; for scatter of the fixture the u of an angle in rad.
-
-    `kind` is the kind of scatter.
-    """
+    """Return the standard uncertainty of a reading; for scatter of the fixture, of an angle in rad."""
     reading = float(np.sqrt(np.median(data.variance_of_mean)))
     if kind == "reading_scatter":
         return reading

@@ -96,9 +96,9 @@ def evidence(
     candidates: Sequence[Process],
     inflation: float = 1.0,
 ) -> Floats:
-    """Return the log evidence of each process minus its price in nats, one value for each candidate.
+    """Return the log evidence of each process plus the log of its prior probability, in nats.
 
-    A process is a candidate for an unnamed function.
+    There is one value for each candidate: a process that may be an unnamed function.
 
     Parameters
     ----------

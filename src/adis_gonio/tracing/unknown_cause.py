@@ -21,8 +21,8 @@ from adis_gonio.tracing.model_search import Model, search, weigh
 from adis_gonio.tracing.selection import Selection
 
 LENGTH, WIDTH = 0.3, 0.65
-"""Correlation length of the process in units of a covariate's range, and its width for directions.
-The width is in units of the length of a unit vector along gravity."""
+"""Lengths of which the correlation of the process decays, for a covariate and for the direction of gravity.
+The first is in units of the covariate's range, the second is a distance between unit vectors."""
 SIZES = np.geomspace(0.5, 500.0, 31)
 """Standard deviations of the process that are tried, in standard uncertainties of a reading."""
 MOST_ROWS = 600
@@ -30,7 +30,7 @@ MOST_ROWS = 600
 
 
 def beside_unknown_cause(selection: Selection, max_terms: int) -> Selection:
-    """Return a selection with the posterior of its models when an unknown cause competes with them.
+    """Return a selection with the posterior of its models in competition with an unknown cause.
 
     The unknown cause is a Gaussian process in all covariates. The chosen model and its fit stay. A
     selection that is adequate, or with unknown noise, is returned unchanged. `max_terms` is the largest

@@ -145,7 +145,7 @@ def _kind(name: str) -> type[Effect]:
 def parse_effect(text: str, axes: Sequence[str] = ("x", "y")) -> tuple[Effect, Floats]:
     """Return an effect and its parameter values from the text of a command-line option.
 
-    Without values, as in `quadratic`,  all parameters have their typical size. `quadratic:k2_x=2.5` sets
+    Without values, as in `quadratic`, all parameters have their typical size. `quadratic:k2_x=2.5` sets
     the named parameters; other amplitudes are zero, shapes (such as time constants) stay typical. Choices
     belong to this list: `position_slip:dwell=3,slip=0.1`. A parameter of the z axis adds that axis.
 

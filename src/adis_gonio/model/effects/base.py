@@ -2,14 +2,14 @@
 
 An effect states its name, its parameters with units and bounds, the term that it adds to a reading and its
 derivative, the covariates that it needs, its cause in one sentence, and the measurement that separates it
-from its rivals. The simulated world and the fit run the same objects, both with rows of arrays: the world
-calls them for single samples, the fit for whole readings.
+from other effects. Simulation and fit use one object of the effect, both with rows of arrays: the
+simulation calls it for single samples, the fit for whole readings.
 
 Place of an effect in the model
-    `Enters.ATTITUDE`: it turns the sensor against the stage (an angle in the plane, added to the true
-    angle ψ = α − θ); `Enters.READING`: it adds to the reading of an axis, as a function of the ideal
+    `Enters.ATTITUDE`: the effect turns the sensor against the stage (an angle in the plane, added to the
+    true angle ψ = α − θ); `Enters.READING`: it adds to the reading of an axis, as a function of the ideal
     reading and of the conditions; `Enters.SAMPLES`: it changes the samples of a dwell (noise,
-    quantization, a tone, saturation). The world applies it sample by sample, and the trace finds it
+    quantization, a tone, saturation). The simulation applies it sample by sample, and the trace finds it
     within the dwells.
 
 Units
@@ -17,9 +17,9 @@ Units
     an effect of the gyros (`Effect.parts`); angles in radians, parameters in `Parameter.unit`.
 
 Families share their equations: linear in their parameters, or amplitudes of one common time course. An
-effect of a family gives its basis function once; value and derivative both follow from it. Sums are written
-out, because a matrix product may round differently for another number of rows, and the world must give the
-same samples however the times are grouped into calls.
+effect of a family gives its basis function once; value and derivative both follow from it. Sums are
+written out, because a matrix product may round differently for another number of rows, and a simulation
+must give the same samples however the times are grouped into calls.
 
 Another package adds an effect by an entry point of group `adis_gonio.effects`.
 """
@@ -44,8 +44,8 @@ from adis_gonio.base.errors import UsageError
 def _scan(factor: Floats, term: Floats) -> Floats:
     """Solve the recurrence x_k = factor_k · x_{k−1} + term_k with x_{−1} = 0; return all x_k, (m,).
 
-    By doubling (each pass joins the recurrences of twice as many steps): log₂ m passes over arrays, and no
-    growing exponentials, since factors are at most 1.
+    It works by doubling (each pass joins the recurrences of twice as many steps): log₂ m passes over
+    arrays, and no growing exponentials, since factors are at most 1.
     """
     factor, term = factor.copy(), term.copy()
     reach = 1
@@ -57,13 +57,13 @@ def _scan(factor: Floats, term: Floats) -> Floats:
 
 
 def lagged(record_s: Floats, record: Floats, time_s: Floats, tau_s: float) -> tuple[Floats, Floats]:
-    """Series y that follows x with a lag, τ dy/dt = x − y, and the derivative of y with respect to τ.
+    """Return the series y that follows x with a lag, τ dy/dt = x − y, and the derivative of y by τ.
 
     Parameters
     ----------
     record_s, record : (m,) float
-        Increasing times in s, and values x there; y starts at x of the first record. x is linear between
-        records and constant outside.
+        Increasing times in s, and values x at these times; y starts at x of the first record. x is linear
+        between records and constant outside.
     time_s : (n,) float
         Times of the result.
     tau_s : float
@@ -72,14 +72,14 @@ def lagged(record_s: Floats, record: Floats, time_s: Floats, tau_s: float) -> tu
     Returns
     -------
     y : (n,) float
-        In the unit of x.
+        Lagged values in the unit of x.
     by_tau : (n,) float
-        ∂y/∂τ, in that unit per second.
+        ∂y/∂τ in the unit of x per second.
 
     Raises
     ------
     UsageError
-        No record, times that do not increase, or τ ≤ 0.
+        The series x is empty, its times do not increase, or τ ≤ 0.
 
     Notes
     -----
@@ -134,7 +134,7 @@ _OF_CONDITION = {
 
 
 class Enters(StrEnum):
-    """Where an effect enters the model: the attitude of the sensor, its readings, or its samples."""
+    """The quantity that an effect changes: the sensor's attitude, its readings, or its samples."""
 
     ATTITUDE = "attitude"
     READING = "reading"
@@ -154,7 +154,7 @@ class Parameter:
     typical : float
         Magnitude that is typical on a bench, in `unit`; the value in a simulation if no other is given.
     shape : bool
-        False  for an amplitude: the effect is absent if it is zero. True for a time constant, a frequency
+        False for an amplitude: the effect is absent if it is zero. True for a time constant, a frequency
         or a limit, which has no meaning if the amplitude is zero.
     """
 
@@ -196,7 +196,7 @@ class Conditions:
     temperature_c, supply_v : (n,) float
         Temperature of the die in °C, and supply voltage in V.
     temperature_history : tuple of (m,) float, (m,) float
-        Times  (increasing, on the clock of `time_s`) and temperatures in °C of the whole session, for
+        Times (increasing, on the clock of `time_s`) and temperatures in °C of the whole session, for
         effects with memory.
     temperatures_c : (n, 3) float
         Temperatures in °C of the dies of the three gyros; `temperature_c` is their mean.
@@ -264,7 +264,7 @@ class Conditions:
     def late(self, history: str, axis: int | None, tau_s: float) -> tuple[Floats, Floats]:
         """Return a recorded quantity (n,) lagged with time constant τ, and its derivative by τ per s.
 
-        `history` is  the field with the quantity, such as `temperature_history`; `axis` is the column of a
+        `history` is the field with the quantity, such as `temperature_history`; `axis` is the column of a
         history that has one column for each axis, else None.
         """
         key = history, axis, tau_s
@@ -365,7 +365,7 @@ class Effect(ABC):
 
     @classmethod
     def of_part(cls, part: str) -> type[Effect] | None:
-        """Return the class of the effect for one part of the sensor; None if that part does not show it."""
+        """Return the class of the effect for one part of the sensor; None if this part does not show it."""
         return cls if part in cls.parts else None
 
     @property
@@ -406,7 +406,7 @@ class Effect(ABC):
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Return the derivative of `attitude_rad` or of `reading` with respect to the parameters.
 
-        It is computed  by central differences unless an effect overrides it, as every effect of this
+        It is computed by central differences unless an effect overrides it, as every effect of this
         package does.
 
         Returns
@@ -540,7 +540,7 @@ class LinearAxisEffect(LinearEffect):
 class CrossEffect(LinearEffect):
     """Base class of effects that add Σ_p value_ip · basis(a_i, a_p, conditions) to the reading of axis i.
 
-    p are the other axes.  In the plane (`axes` without z) each of x and y has the other as its partner;
+    p are the other axes. In the plane (`axes` without z) each of x and y has the other as its partner;
     with z each axis has two partners. Names of parameters end in both letters, `name_ip`.
     """
 

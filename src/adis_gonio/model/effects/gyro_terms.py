@@ -77,7 +77,7 @@ class GSensitivity(LinearAxisEffect):
     Attributes
     ----------
     force : int
-        0:  along all three axes; 1 to 3: along x, y or z alone. If the force along one axis follows the
+        0: along all three axes; 1 to 3: along x, y or z alone. If the force along one axis follows the
         order of the poses, the effect then has one column for each gyro like a drift, and the trace
         compares both on equal terms.
     """
@@ -278,7 +278,7 @@ class GyroDrift(LinearAxisEffect):
     Attributes
     ----------
     steps : int
-        0:  in proportion to time; 1: by an equal step from each dwell to the next, however long it takes,
+        0: in proportion to time; 1: by an equal step from each dwell to the next, however long it takes,
         as by handling.
     """
 

@@ -85,7 +85,7 @@ class Misalignment(CrossEffect):
 
     In the plane the four linear terms (two gains, two misalignments) are the base parameters K_x, K_y, α
     and Δφ; in space with free attitudes six of the nine linear terms are gains and skews, and the other
-    three are  a rotation, which gravity cannot show. A fit therefore finds this effect in the base
+    three are a rotation, which gravity cannot show. A fit therefore finds this effect in the base
     parameters.
     """
 

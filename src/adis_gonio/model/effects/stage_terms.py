@@ -167,7 +167,7 @@ class StagePeriodic(StageEffect):
 class Backlash(StageEffect):
     """The drive of the stage has play: the angle depends on the direction of approach.
 
-    The parameter  is the difference of the angles between both directions; half of it is added to either
+    The parameter is the difference of the angles between both directions; half of it is added to either
     side.
     """
 
@@ -220,7 +220,7 @@ class PositionSlip(StageEffect):
 class Hysteresis(LinearAxisEffect):
     """The bias depends on the direction of approach.
 
-    The parameter  is the difference of the biases between both directions; half of it is added to either
+    The parameter is the difference of the biases between both directions; half of it is added to either
     side.
     """
 

@@ -53,6 +53,7 @@ class _Candidate:
     Attributes
     ----------
     axis : int
+        Index of the axis.
     tau : float or None
         Time constant in s of an exponential; None for a line.
     by_move : bool

@@ -16,7 +16,7 @@ Saturation
     this many samples at the extreme rather than one value inside, if both were equally probable.
 Quantization
     A step that the noise does not dither: the error of the means by quantization,
-    q²/(2π²)·Σ exp(−4π²k²σ²/q²)/k², exceeds that by noise, in all dwells together. The p-value is the
+    q²/(2π²)·Σ exp(−4π²k²σ²/q²)/k², exceeds the error by noise, in all dwells together. The p-value is the
     probability that noise with equal errors scatters as little as the samples. If only every second, third,
     … code occurs, bits are lost. This is reported for any scatter, with the probability that this many
     differences share a divisor by chance.
@@ -186,6 +186,7 @@ def stuck(samples: Samples, scatter: Floats, reach: int) -> WithinFinding | None
     Parameters
     ----------
     samples : Samples
+        Samples of all dwells.
     scatter : (d, axes) float
         Standard deviation of single samples in each dwell.
     reach : int

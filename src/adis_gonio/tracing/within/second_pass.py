@@ -328,7 +328,8 @@ def _joining(quiet: Floats, away: float) -> float:
     """Return the variance in mg² of white noise that raises the level of half of the dwells by `away` nats.
 
     `quiet` (points,) is the spectral density without it. The level of a dwell is relative to the density
-    of all dwells, which the added noise changes too.
+    of all dwells, which the added noise changes too. It is infinite if no variance raises the level so
+    much.
     """
     middle = len(quiet) // 2, (len(quiet) - 1) // 2
 

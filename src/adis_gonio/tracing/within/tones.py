@@ -606,7 +606,7 @@ def _shape(pooled: Floats, frequency: Floats, responses: Sequence[Floats]) -> Fl
 def _falling(frequency: Floats, knee: float) -> Floats:
     """Return a density (k,) that falls with the square of the frequency above a corner frequency.
 
-    It is 1 at the lowest frequency. `knee` is this frequency; infinite for a constant density.
+    It is 1 at the lowest frequency; `knee` is the corner frequency.
     """
     if np.isinf(knee):
         return np.ones_like(frequency)
