@@ -43,7 +43,7 @@ def mean_direction(angle_rad: Floats) -> float:
 
 
 def log_sum_exp(values: Floats, axis: int | tuple[int, ...] | None = None) -> Floats:
-    """Logarithm of the sum of exponentials along `axis` (None: of all values), without overflow.
+    """Return the logarithm of the sum of exponentials along `axis` (None: of all values), without overflow.
 
     Unlike `scipy.special.logsumexp` it is for real finite numbers and −∞ only, and several times as fast.
     """
@@ -61,7 +61,7 @@ def central_differences(
     directions: Floats | None = None,
     subtract: Callable[[Floats, Floats], Floats] = np.subtract,
 ) -> Floats:
-    """Derivatives of a function f at x along k directions d: (f(x + h d) − f(x − h d)) / 2h.
+    """Return the derivatives of a function f at x along k directions d: (f(x + h d) − f(x − h d)) / 2h.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def central_differences(
     Returns
     -------
     (..., k) float
-        Shape of the function's result, then the directions.
+        Derivatives: first the dimensions of the function's result, then the directions.
     """
     rows = np.eye(len(at)) if directions is None else directions
     steps = np.broadcast_to(step, len(rows))
@@ -124,7 +124,7 @@ MAD_TO_SD = 1.482602218505602
 
 
 def robust_sd(values: Floats) -> float:
-    """Estimate the standard deviation of values from their median absolute deviation.
+    """Return an estimate of the standard deviation of values, from their median absolute deviation.
 
     Outliers hardly affect it. The factor is for a normal distribution.
     """

@@ -97,7 +97,7 @@ def current() -> Budget:
 
 
 def spent() -> bool:
-    """Return True if the current time limit is reached."""
+    """Return True if the current time limit is reached, or if a stage was already omitted."""
     budget = _current.get()
     return budget is not None and budget.over
 
@@ -108,7 +108,7 @@ def check() -> None:
     Raises
     ------
     OutOfTimeError
-        The limit is reached; `attempt` catches the exception.
+        The limit is reached, or a stage was already omitted; `attempt` catches the exception.
     """
     if spent():
         raise OutOfTimeError
@@ -135,6 +135,7 @@ def with_progress(items: Sequence[T], before: int = 0, total: int | None = None)
     Parameters
     ----------
     items : sequence
+        Items that are yielded.
     before : int
         Number of items of this stage that were completed before these.
     total : int, optional

@@ -87,7 +87,7 @@ class BusClosedError(BusError):
 
 
 class CapabilityError(BusError):
-    """The bus does not have the requested capability (`capability` of the bridge), such as a GPIO line."""
+    """The bus does not have the requested capability, such as a GPIO line."""
 
 
 class ChipError(AdisGonioError):

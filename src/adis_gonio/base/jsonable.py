@@ -52,7 +52,7 @@ KEYED_BY_NAME = {"keyed_by_name": True}
 
 
 def key(name: str) -> dict[str, str]:
-    """Metadata of a dataclass field that sets its key in the JSON document to `name`."""
+    """Return metadata of a dataclass field that sets its key in the JSON document to `name`."""
     return {"key": name}
 
 

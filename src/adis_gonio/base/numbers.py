@@ -206,6 +206,7 @@ class QuantityRow:
     Attributes
     ----------
     name, unit, value : str
+        Name of the quantity, its unit and its value.
     u : str
         Standard uncertainty, or `u unknown`.
     expanded : str

@@ -126,6 +126,7 @@ class Value:
     Attributes
     ----------
     value : float
+        The value in `unit`.
     u : float or None
         Standard uncertainty; None if not determined.
     unit : str

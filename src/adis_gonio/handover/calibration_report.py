@@ -719,6 +719,7 @@ def build_page(
     Parameters
     ----------
     session : Session
+        Session of the report.
     fits : sequence of FitResult
         One fit per method, the best last.
     traced : TraceResult or str

@@ -201,6 +201,7 @@ def merge_by_function(sets: Sequence[CredibleSet], likelier: Mapping[str, str]) 
     Parameters
     ----------
     sets : sequence of CredibleSet
+        Sets of all causes.
     likelier : mapping of str to str
         For each of these named causes, the unnamed function; causes that are not in it keep their sets.
     """

@@ -367,6 +367,7 @@ def project_off_base(base: Floats, columns: Floats, widths: NDArray[np.intp]) ->
     base : (rows, k) float
         Orthonormal basis of the base model's whitened columns.
     columns : (rows, P) float
+        Whitened columns of all terms.
     widths : (M,) int
         Number of columns of each term.
     """

@@ -89,7 +89,8 @@ class Finding(JsonRecord):
         Share of the base model's excess χ² (beyond its degrees of freedom) that the effect removes; 0 for
         an effect that was found only inside dwells.
     probability : float
-        Posterior probability that the effect is present; inside dwells, 1 minus the p-value.
+        Posterior probability that the effect is present; for an effect found only inside dwells, computed
+        from the p-value.
     equivalents : tuple of str
         Other models with equal predictions in this session, as texts.
     cause : str
@@ -134,7 +135,15 @@ class Unnamed(JsonRecord):
 
 
 class Step(JsonRecord):
-    """An effect added to the model, and the errors after adding it; one entry of `steps` in the JSON."""
+    """An effect added to the model; one entry of `steps` in the JSON.
+
+    Attributes
+    ----------
+    effect : str
+        Name of the effect, or description of an unnamed function.
+    error : ErrorFigures
+        Errors of the model after the effect was added.
+    """
 
     effect: str
     error: ErrorFigures = field(metadata=INLINE)
@@ -240,7 +249,15 @@ class Stopped(JsonRecord):
 
 
 class Rival(JsonRecord):
-    """Another probable model, its terms and its posterior probability; one entry of `rivals`."""
+    """Another probable model; one entry of `rivals` in the JSON.
+
+    Attributes
+    ----------
+    terms : tuple of str
+        Terms that the model adds to the base model.
+    probability : float
+        Posterior probability of the model.
+    """
 
     terms: tuple[str, ...]
     probability: float

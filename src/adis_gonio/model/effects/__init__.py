@@ -159,8 +159,9 @@ def parse_effect(text: str, axes: Sequence[str] = ("x", "y")) -> tuple[Effect, F
     Returns
     -------
     effect : Effect
+        The effect with its axes and choices.
     values : (p,) float
-        In the order of `effect.parameters`, in their units.
+        Values of `effect.parameters`, in their order and units.
 
     Raises
     ------

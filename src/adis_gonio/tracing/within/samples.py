@@ -31,7 +31,7 @@ class Samples:
     position : (d,) int
         Numbers of the dwells in the file.
     time_s : d arrays (n,)
-        Time of each sample in the session's time.
+        Time of each sample in s since the beginning of the session.
     values : d arrays (n, axes)
         Samples in mg.
     quantum : (axes,) float
@@ -211,9 +211,11 @@ class View:
     x, y : (n,) float
         Points of the measured curve.
     x_label, y_label, caption : str
+        Labels of the axes, and caption of the figure.
     model : (n,) float or None
         Fitted curve at the points; None without a fit.
     model_label : str
+        Name of the fitted curve.
     y_log : bool
         True for a logarithmic y axis.
     points : bool

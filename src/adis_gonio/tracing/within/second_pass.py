@@ -76,6 +76,7 @@ def with_second_pass(session: Session, data: Readings, result: TraceResult) -> T
     Parameters
     ----------
     session : Session
+        Session with the samples of the dwells.
     data : Readings
         Readings of this session.
     result : TraceResult
