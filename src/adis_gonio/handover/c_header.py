@@ -117,8 +117,8 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
 def _rates_content(calibration: Calibration, gyro: GyroCalibration, name: str) -> dict[str, Any]:
     """Return the values that the template `rates.h.jinja` needs for a calibration of gyros.
 
-    `FitError` if the calibration has no form for a firmware. `name` is the prefix of all names in the
-    header.
+    It raises `FitError` if the calibration has no form for a firmware. `name` is the prefix of all names
+    in the header.
     """
     polynomial = fixed_point.rate_polynomial_of(calibration, gyro)
     fixed = fixed_point.FixedRates(polynomial)

@@ -91,7 +91,7 @@ def summary_section(traced: TraceResult | str, fits: Sequence[FitResult]) -> Sec
 
 
 def answer_section(answer: Answer) -> Section:
-    """Return the section on the recommended answer: values with u, U and k, and why the method."""
+    """Return the section on the recommended answer: values with u, U, k, and the reason for its method."""
     table = Table(
         HEAD,
         [line.cells for line in answer.lines],

@@ -141,7 +141,7 @@ class Truth(JsonRecord):
 
     @property
     def values(self) -> dict[str, float]:
-        """The true values of the paper's quantities, by name.
+        """True values of the paper's quantities, by name.
 
         They are relative scale errors, offsets in g, the non-orthogonality in degrees, and ΔK.
         """
@@ -442,7 +442,7 @@ def table_of(results: Mapping[Axis, Sequence[Results]]) -> Comparison:
 def spread_of(results: Sequence[Results], method: str, key: str) -> MethodSpread:
     """Return the statistics of the quantity `key` by one method, over the sessions.
 
-    All fields are None if the method does not determine it.
+    All fields but `sessions` are None if the method does not determine the quantity.
     """
     values, uncertainties = [], []
     for one in results:
@@ -491,7 +491,8 @@ def printed_verdicts() -> dict[str, dict[str, Any]]:
 
 BIASES_MG = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 NOISES_MG = (0.05, 0.16, 0.5, 1.6)
-"""Standard uncertainties of a reading on the map of errors; 0.16 mg is a dwell of 1 s of the ADIS16354."""
+"""Biases of an axis, and standard uncertainties of a reading, on the map of errors, in mg.
+A dwell of 1 s of the ADIS16354 has 0.16 mg."""
 _MEAN_SQUARE_TANGENT = math.tan(math.radians(GREATEST_ALPHA_DEG)) / math.radians(GREATEST_ALPHA_DEG) - 1
 """Mean of tan²α over start angles α that are uniform within the range of the simulator."""
 
@@ -516,10 +517,10 @@ def propagated_errors(
 
 
 def crossing_deg(bias_mg: float, noise_mg: float) -> float:
-    """Return the standard deviation of a declared angle above which the paper's method is the better.
+    """Return the standard deviation of a declared angle above which the paper's method is better.
 
-    It is in degrees; better is the method with the smaller error of ΔK. `bias_mg` and `noise_mg` are the
-    standard deviations of a bias and of a reading.
+    It is in degrees; better is the method (the paper's or MMPM) with the smaller error of ΔK. `bias_mg` and
+    `noise_mg` are the standard deviations of a bias and of a reading.
     """
     two, nine = propagated_errors(0.0, bias_mg, noise_mg)["delta_k"]
     return math.degrees(math.sqrt((two**2 - nine**2) / (2 / 9 - 2 * _MEAN_SQUARE_TANGENT)))

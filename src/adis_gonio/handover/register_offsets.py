@@ -50,9 +50,9 @@ class OffsetWord(JsonRecord):
     ) -> OffsetWord:
         """Return the number for one offset register that removes a bias.
 
-        It is the k-th of the registers; `offsets` are their numbers during the session, None if unknown.
-        `lsb` is the step of the register in `unit`. `name` is the register, `bias` the bias or zero rate,
-        `unit` its unit.
+        The register belongs to axis number `k`; `offsets` are their numbers during the session, None if
+        unknown. `lsb` is the step of the register in `unit`. `name` is the register, `bias` the bias or
+        zero rate, `unit` its unit.
 
         Raises
         ------
