@@ -740,9 +740,7 @@ def _numeric(cell: str) -> bool:
 
 
 def _renamed(chosen: Mapping[str, CsvColumn]) -> list[str]:
-    """Return a remark on the columns with names other than the format's, in a list; empty if there are
-    none.
-    """
+    """Return a list with a remark on columns renamed from the file's names; empty if there are none."""
     own = [column for column in chosen.values() if column.text.strip().lower() != column.name]
     if not own:
         return []

@@ -467,10 +467,7 @@ def _turn_limits(read: Reading, extent: _Extent, limits: StillnessLimits) -> Flo
 
 
 def _outside(accel: Floats, extent: _Range, limits: StillnessLimits) -> tuple[Flags, Flags]:
-    """Return for each window (w,):
-
-    True if some axis moves, and True if some axis shows too little noise.
-    """
+    """Return two flags for each window (w,): some axis moves, and some axis shows too little noise."""
     windows = max(len(accel) - limits.window_samples + 1, 0)
     high, low = np.zeros((2, windows), dtype=np.bool_)
     for axis, deviation in enumerate(_deviations(accel, limits.window_samples, extent)):
@@ -617,7 +614,7 @@ class _Runs:
         return found
 
     def end(self) -> list[tuple[int, int]]:
-        """Return the run that is unfinished after the last piece, as a list of at most one (first, last)."""
+        """Return the run that is unfinished after the last piece, in a list that may be empty."""
         return [] if self.open is None else [(self.open, self._fed - 1)]
 
 
