@@ -357,9 +357,8 @@ class DwellRecorder(Recorder):
     ) -> Generator[Event, None, _Broken | None]:
         """Record a dwell; if an error ends it, archive the scans so far.
 
-        Returns None, or the reason if the dwell was interrupted.
-
-        `rested_mg` is the reading when this dwell first began, before a disturbance; None at the first try.
+        Returns None, or the reason if the dwell was interrupted. `rested_mg` is the reading when this dwell
+        first began, before a disturbance; None at the first try.
         """
         try:
             return (yield from self._record(recording, rested_mg))

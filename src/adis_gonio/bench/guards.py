@@ -1,10 +1,9 @@
 """Guards: checks for errors at the bench, such as a wrong position or a disturbed dwell.
 
 Each check of this module returns a `Guard` (a question with its numbers), or None if all is well. The
-limits follow from the sensor's
-noise, the sensor's data sheet and the fixture (`record.plans`), so that a good sensor is not questioned.
-`Judge` compares declared angles, gravity and the integral of the gyros by `adis_gonio.fitting.slips`,
-which is also used for recorded sessions.
+limits follow from the sensor's noise, the sensor's data sheet and the fixture (`record.plans`), so that a
+good sensor is not questioned. `Judge` compares declared angles, gravity and the integral of the gyros by
+`adis_gonio.fitting.slips`, which is also used for recorded sessions.
 """
 
 from __future__ import annotations
@@ -651,7 +650,7 @@ class Judge:
         return TurnMeasured(place, self._asked_deg(position), by_gyro, u_deg, gravity)
 
     def done(self, place: int, position: Position, scans: Block, *, doubted: bool) -> None:
-        """Take a complete dwell into account; of a doubted dwell only the reading is used.
+        """Take a complete dwell into account; a doubted dwell does not change the model of the sensor.
 
         `place` is the index of its position in the plan; `doubted` is True if a guard was overruled.
         """
@@ -662,9 +661,9 @@ class Judge:
         self.turning.rest(scans)
 
     def last_turn(self) -> tuple[int, GyroIntegral] | None:
-        """Return the turn before the newest dwell, and the place where it began.
+        """Return the place where the turn before the newest dwell began, and this turn by the gyros.
 
-        The place comes first. Returns None if the turn was not followed.
+        Returns None if the turn was not followed.
         """
         last = self._taken[-1] if self._taken else None
         return None if last is None or last.turn is None or last.since is None else (last.since, last.turn)

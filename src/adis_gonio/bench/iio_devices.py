@@ -337,7 +337,7 @@ class LocalDevice:
     # -- the buffer -------------------------------------------------------------------------------
 
     def open_buffer(self, channels: tuple[IioChannel, ...], samples: int) -> None:
-        """Start to buffer scans of these channels, `samples` scans at most.
+        """Start to buffer scans of these channels; the buffer has room for `samples` scans.
 
         Raises
         ------
@@ -582,7 +582,7 @@ class NetworkDevice:
     # -- the buffer -------------------------------------------------------------------------------
 
     def open_buffer(self, channels: tuple[IioChannel, ...], samples: int) -> None:
-        """Start to buffer scans of these channels, `samples` scans at most.
+        """Start to buffer scans of these channels; the buffer has room for `samples` scans.
 
         Raises
         ------

@@ -311,8 +311,8 @@ class SessionRunner(Operator):
             Source of further positions when the plan is done; None if there is none.
         metadata : str
             Texts to keep with the session: `title`, `note` and the names in
-            `adis_gonio.model.records.METADATA`; or
-            `created_utc`, the time of its begin in ISO 8601 (default: now).
+            `adis_gonio.model.records.METADATA`; or `created_utc`, the time of its begin in ISO 8601
+            (default: now).
 
         Raises
         ------

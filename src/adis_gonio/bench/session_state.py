@@ -172,10 +172,10 @@ class RunningFit:
         self._fitted = 0
 
     def result(self, plan: Plan, *, reverse: bool) -> Running | None:
-        """Fit the dwells so far; None if they do not allow a fit, or few were added since the last fit.
+        """Fit the dwells so far and return the event that shows the fit.
 
-        `reverse` is True in a reversed session, in which the stage counts angles the other way than the
-        plan.
+        Returns None if the dwells do not allow a fit, or few were added since the last fit. `reverse` is
+        True in a reversed session, in which the stage counts angles the other way than the plan.
         """
         from adis_gonio.fitting.estimation.readings import readings_of
         from adis_gonio.fitting.methods import fit_of
@@ -355,7 +355,10 @@ class Knowledge:
         self.fits_dwells = True
 
     def take_noise(self, noise: list[float]) -> NoiseMeasured:
-        """Set the limits of stillness by the noise at rest (mg), and prepare the check of positions."""
+        """Set the limits of stillness by the noise at rest (mg), and prepare the check of positions.
+
+        Returns the event that reports noise and limits.
+        """
         bench = self._bench
         quantum = bench.source.part.step_mg
         limits = limits_from_noise(np.array(noise), bench.window, quantum)
@@ -441,7 +444,10 @@ class Knowledge:
             self.judge.reverse()
 
     def running(self) -> Running | None:
-        """Fit the dwells so far; None if they do not allow a fit, or few were added since the last fit."""
+        """Fit the dwells so far and return the event that shows the fit.
+
+        Returns None if the dwells do not allow a fit, or few were added since the last fit.
+        """
         if not self.fits_dwells:
             return None
         return self._running.result(self._ledger.plan, reverse=self.reversed)

@@ -77,7 +77,10 @@ MOST_STEPS = 100_000_000
 LONGEST_ROW_BYTES = 4_000_000
 """Largest size of a table row in bytes: a block has some ten kilobytes, a plan of 3600 positions 500 kB."""
 MOST_TEXT = 4_000_000
-"""Largest number of characters in all rows of a query; parsed JSON takes 30 times its length in memory."""
+"""Largest number of characters in all rows of a query.
+
+Parsed JSON takes up to 30 times its length in memory.
+"""
 
 WAIT_S = 30.0
 """Time in s for which a reader waits for a commit, and a writer for readers."""
@@ -431,7 +434,7 @@ class ArchiveView(Closing):
         """Return the complete dwells in the order of recording, at most one for each place of the plan.
 
         Of a repeated dwell only the last counts. If the last dwell of a place was withdrawn, the place has
-        no dwell and is asked again.
+        no dwell, and the operator is asked for it again.
         """
         attempts = self.attempts()
         latest = {a.place: a.number for a in attempts if a.outcome == "complete"}

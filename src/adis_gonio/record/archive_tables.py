@@ -2,8 +2,7 @@
 
 A checksum detects damage, but not a forged value with a matching checksum. Therefore every value of a
 session file goes through `checked_row`. Kinds of records that `RECORDS` does not list are read by no
-program, and
-their values are not checked.
+program, and their values are not checked.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """Blocks of samples (words of the chip, or values of any other sensor) and the alarms in them.
 
 A session takes either kind of block: both have `time_s`, `lost`, `dropped`, `alarm` (None if the sensor
-reports
-no alarms), `registers` (names of the columns), `units`, `values()`, `accel_mg` and `first`, and this
-module's functions take both. The chip's kind is `ScanBlock`; a source that knows its values in units gives
-`ValueBlock`.
+reports no alarms), `registers` (names of the columns), `units`, `values()`, `accel_mg` and `first`, and
+this module's functions take both. The chip's kind is `ScanBlock`; a source that knows its values in units
+gives `ValueBlock`.
 
 The supply and over-range bits of STATUS clear when their condition ends (DS p. 20), so STATUS after a dwell
 does not show what happened within it. EA, bit 14 of every output word, does: it is set while any bit of

@@ -99,12 +99,12 @@ class Overrides:
     ----------
     gravity_mps2 : float or None
         Local gravity in m/s²; any value above zero (`adis_gonio.model.records.checked_gravity_mps2` checks
-        whether
-        it occurs on Earth).
+        whether it occurs on Earth).
     fixture_sigma_deg : float or None
         Standard uncertainty of a declared angle in degrees; `inf` if attitudes are free.
     reverse : bool
-        The stage turned the other way than declared: angles and directions of approach change their sign.
+        True if the stage turned the other way than declared: angles and directions of approach change their
+        sign.
     angles : tuple of AngleChange
         Corrections of angles that were mistyped or at which the sensor slipped; applied before `reverse`.
     accel_unit : str or None
@@ -115,8 +115,7 @@ class Overrides:
         Laboratory that calibrates the sensor, and its customer; free text.
     stage_curve : StageCurve or None
         Errors of the stage's angle according to its certificate. They correct the declared angles; the
-        remaining uncertainty
-        of a declared angle counts as not stated, unless `fixture_sigma_deg` is given.
+        remaining uncertainty of a declared angle counts as not stated, unless `fixture_sigma_deg` is given.
     columns : mapping of str to str
         Column of the format → column in the header of a CSV with other names.
 

@@ -21,9 +21,9 @@ Readings: the expected angle of gravity at a position, and its largest deviation
 
 The angle of a reading is φ = atan2(U_y, U_x) = α − θ + the effects of gains, misalignment and biases. These
 are unknown when a session begins, but the sensor's data sheet limits each of them. The unknowns are
-estimated by a
-linear Gaussian model, dwell by dwell. At the first positions the limits of the data sheet determine the
-allowed deviation; later the dwells have shown the gains and biases, and the fixture determines it.
+estimated by a linear Gaussian model, dwell by dwell. At the first positions the limits of the data sheet
+determine the allowed deviation; later the dwells have shown the gains and biases, and the fixture
+determines it.
 """
 
 from __future__ import annotations
@@ -78,11 +78,10 @@ class Position(JsonRecord):
         Additional wait at the position before the dwell, in s.
     temperature_c, supply_v : float or None
         Temperature of the sensor (°C) and supply (V) to set first; None leaves them unchanged. Fits use the
-        measured
-        values instead.
+        measured values instead.
     turned_deg : float or None
-        Turn of the sensor on the way here, by a mark or a stop, about the vertical, positive
-        counter-clockwise seen from above; None if the way does not matter.
+        Turn of the sensor about the vertical on the way to this position, exact by a mark or a stop;
+        positive counter-clockwise seen from above. None if the way does not matter.
     """
 
     angle_deg: float | None
@@ -169,7 +168,10 @@ def _position(entry: Mapping[str, Any]) -> Position:
 
 @dataclass(frozen=True)
 class _Kind:
-    """Numbers of positions that a built-in plan allows: the default, the least, and if only the default."""
+    """Numbers of positions that a built-in plan allows.
+
+    `default` is the usual number, `least` the smallest; `fixed` is True if only the default is allowed.
+    """
 
     default: int
     least: int
@@ -200,8 +202,7 @@ def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0)
         two- and the four-position plan.
     check : int
         Number of check positions (kept out of every fit) to insert between the others. They are spread over
-        the session: at its end a drift
-        would make them extrapolations.
+        the session: at its end a drift would make them extrapolations.
 
     Raises
     ------
@@ -317,10 +318,10 @@ def blindness(plan: Plan, bias_mg: float, gravity_mg: float = 1000.0) -> Blindne
 
     None for plans that separate the bias: with three or more different angles, or with free attitudes.
 
-    At two positions, the readings of X are a vector (U_x1, U_x2). A bias b_x turns it by b_x (cos α - sin
-    α)/G and lengthens it by b_x (cos α + sin α)/G; b_y turns and lengthens the vector of Y with the two
-    factors exchanged. For equal, independent biases of standard deviation b the squares add up to 2
-    whatever α is: u(Δφ) = √2 b/G rad and u(ΔK) = √2 b/G.
+    At two positions, the two readings of X are a vector (U_x1, U_x2). A bias b_x turns this vector by b_x
+    (cos α - sin α)/G and lengthens it by b_x (cos α + sin α)/G; b_y turns and lengthens the vector of Y
+    with the two factors exchanged. For equal, independent biases of standard deviation b the squares add up
+    to 2 whatever α is: u(Δφ) = √2 b/G rad and u(ΔK) = √2 b/G.
 
     Parameters
     ----------

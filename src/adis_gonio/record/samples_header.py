@@ -7,8 +7,7 @@ digits are the same in both encodings.
 The delimiter between cells is the one with which most names of the header are known. In a file separated by
 commas a fraction has a point, as the format requires. In other files the numbers have to prove the decimal
 mark (point or comma): `0,5` or `1234,5` can only have a decimal comma and `1.2345` only a decimal point,
-while `1,234` may
-have either. A file without proof is refused, and so is a file that proves both.
+while `1,234` may have either. A file without proof is refused, and so is a file that proves both.
 """
 
 from __future__ import annotations

@@ -2,9 +2,8 @@
 
 A chunk is converted in bulk. Only if that fails are its rows read one by one: comments, empty rows at the
 end and an incomplete last row are left out, and any other irregularity is an error that names the row.
-Columns
-with one value for each dwell are kept as runs of equal text, so that memory is used for little but the
-numbers.
+Columns with one value for each dwell are kept as runs of equal text, so that memory is used for little but
+the numbers.
 
 A file without the column `position` is one continuous recording: its dwells are found by stillness
 (`adis_gonio.record.segmentation`), and `Session.notes` describes them.

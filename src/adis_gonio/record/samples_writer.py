@@ -105,7 +105,7 @@ def _rows(names: list[str], columns: Mapping[str, NDArray[Any]]) -> Iterator[tup
 
 
 def _between(before: Dwell, turn: Turn, after: Dwell) -> Dwell:
-    """Return the samples of a turn that lie between two dwells in time, as an undeclared dwell."""
+    """Return the samples of a turn between two dwells in time, as a dwell without a declared angle."""
     inside = (turn.time_s > before.time_s[-1]) & (turn.time_s < after.time_s[0])
     series = {n: getattr(turn, n) for n in ("time_s", "accel", "gyro", "temperature_c", "supply_v")}
     cut: dict[str, Any] = {n: None if rows is None else rows[inside] for n, rows in series.items()}

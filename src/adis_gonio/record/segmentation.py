@@ -502,7 +502,7 @@ class _Cutter:
         self._latest: tuple[int, Floats] = (0, np.zeros(0))
 
     def take(self, start: int, piece: Piece) -> None:
-        """Process a block that begins at row `start`, 2 windows − 1 rows before the previous end."""
+        """Process a block that begins at row `start`; it repeats 2 windows − 1 rows of the block before."""
         window = self._sizes.window
         if len(piece) < window:
             return
@@ -588,7 +588,7 @@ class _Cutter:
 
 
 class _Runs:
-    """Finds runs of true flags that are fed in pieces; returns (first, last) of each finished run.
+    """Finds runs of true flags in a series fed in pieces; a run is (first, last) by number of the flag.
 
     Attributes
     ----------

@@ -178,7 +178,7 @@ def read_session(path: str | Path) -> Session:
         The file is missing, of another kind, damaged, truncated or newer than this program, or has no
         complete dwell.
     SessionError
-        It cannot be read here, or has no session yet.
+        The file cannot be read here, or has no session yet.
     """
     with ArchiveView(path) as view, view.snapshot():
         header, plan, stored = view.header(), view.plan(), view.dwells()

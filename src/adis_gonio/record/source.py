@@ -163,7 +163,7 @@ class KnownPart:
     Attributes
     ----------
     name : str
-        The archive's `variant`: a part of the family, or `generic`.
+        Variant of the sensor as the archive stores it: a chip of the family, or `generic`.
     initial_bias_mg : float
         Typical bias of an axis in mg.
     step_mg : float
@@ -257,10 +257,10 @@ class SampleSource(Closing):
 
     @abstractmethod
     def samples(self, settings: Settings, block_samples: int) -> SampleStream:
-        """Start a stream of blocks of `block_samples` samples from the configured sensor."""
+        """Start a stream of blocks of `block_samples` samples, after `configure` with these settings."""
 
     def status(self) -> chip_settings.Status | None:
-        """Read the errors and alarms that the sensor reports, and clear them; None if it reports none."""
+        """Read and clear the errors and alarms that the sensor reports; None if it cannot report any."""
         return None
 
     @abstractmethod

@@ -1,8 +1,8 @@
 """Stillness of a sensor: limits from its noise, and the live watch that applies them.
 
 The upper limit of the standard deviation within a window is four times the noise: rotation by hand exceeds
-it a hundredfold, the window's own scatter and a building's hum do not. The lower limit catches an axis
-that is stuck. If the noise is below half a step of the converter, a constant word is normal and there is no
+it a hundredfold, the window's own scatter and a building's hum do not. The lower limit catches an axis that
+is stuck. If the noise is below half a step of the converter, a constant word is normal and there is no
 lower limit. Windows of the live watch overlap by half, so that no short motion falls between two of them.
 """
 
@@ -65,7 +65,10 @@ def limits_from_noise(noise_sd: Floats, window_samples: int, quantum: Floats | f
 WINDOW_S = 0.25
 LEAST_WINDOW = 32
 SETTLINGS_PER_WINDOW = 8
-"""Length of a window in settling times of the filter, at least: so most samples in it are independent."""
+"""Least length of a window in settling times of the filter.
+
+In a shorter window neighbouring samples are correlated.
+"""
 
 SHIFT_MG = 5.0
 """Shift of the mean in mg since the beginning of a dwell that counts as motion (0.3° at the horizontal).

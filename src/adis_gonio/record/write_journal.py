@@ -44,8 +44,8 @@ class WriteStep(StrEnum):
     """Steps of a write operation, in their order; `DONE` and `SET_BACK` end the operation.
 
     Numbers that are in flash already are recorded as `SAVED` without `SAVING`. An autonull begins with
-    `SAVING`, since
-    the sensor saves it automatically, and the record of `SAVED` has the numbers that it found.
+    `SAVING`, since the sensor saves it automatically, and the record of `SAVED` has the numbers that it
+    found.
     """
 
     PLANNED = "planned"

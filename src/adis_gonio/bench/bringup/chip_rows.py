@@ -163,7 +163,7 @@ class RowFinding(JsonRecord):
     observations : int
         Number of observed events and figures.
     log10_odds : float
-        Decimal logarithm of the odds of the table's statement against its best rival.
+        Decimal logarithm of the odds of the table's statement against the most probable other alternative.
     log10_evidence : float
         Decimal logarithm of these odds by the recordings alone, without the table's prior probability.
     probabilities : dict of str to float

@@ -378,7 +378,7 @@ class Health(BringupStep):
 class WhichPart(BringupStep):
     """Identifies the sensor variant by |a|, the magnitude of the accelerations at rest.
 
-    It is the only property in LSB that differs between the variants.
+    No other property differs between the variants.
     """
 
     name = "variant"

@@ -90,11 +90,11 @@ class RegisterSpan:
     Attributes
     ----------
     begin_s : float
-        Time of the change at its beginning.
+        Time in s of the change at its beginning.
     image : dict of str to int
         Words of the control registers, by name, as far as they are known.
     changed_s : float
-        Time of the last change that affects readings, from which they settle.
+        Time in s of the last change that affects readings; from then on they settle.
     verified : set of str
         Names of the registers that were read since they changed.
     outputs : dict of str to list of (times, words)

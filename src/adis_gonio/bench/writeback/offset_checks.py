@@ -7,8 +7,7 @@ angle, of the drift between the recording and now, and of a different temperatur
 
 The autonull of the chip takes the present outputs of the gyros for zero rates, so that its offsets include
 the gyros' noise and the effect of force in this pose. The session predicts this sum with its uncertainty.
-If
-offsets and prediction differ by more than both uncertainties allow, one of them is wrong.
+If offsets and prediction differ by more than both uncertainties allow, one of them is wrong.
 """
 
 from __future__ import annotations
@@ -492,8 +491,7 @@ def compare_autonull(
         Numbers that the chip wrote to its registers.
     samples : float or None
         Number of samples that a precision autonull averages; None for the quick autonull, which takes one
-        filtered
-        sample.
+        filtered sample.
 
     Raises
     ------

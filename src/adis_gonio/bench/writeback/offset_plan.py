@@ -209,8 +209,7 @@ def plan_gyro_offsets(
     ------
     SessionError
         The session does not have the contents of the registers, or a zero rate is out of the range of its
-        register, which
-        means that the gyro is broken or was not at rest.
+        register, which means that the gyro is broken or was not at rest.
     """
     recorded = recorded_offsets(session, GYRO_OFF)
     held = recorded if now is None else now

@@ -251,8 +251,8 @@ class OffsetWriter:
         ------
         SessionError
             The session gives no bias; the registers have numbers that session and journal do not explain;
-            the sensor at rest does not
-            agree with the session; or there are doubts about the fit and the option `doubtful` is not set.
+            the sensor at rest does not agree with the session; or there are doubts about the fit and the
+            option `doubtful` is not set.
         ChipError
             The supply is out of range, or the flash is to be written and is worn out.
         FitError
