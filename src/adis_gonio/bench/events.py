@@ -1,4 +1,4 @@
-"""Events of a running session for its front end; see `runner`.
+"""Events that a running session yields to its front end, such as a question or the end of a dwell.
 
 A `place` is the index of a position in the plan, from 0; accelerations are in mg, x, y, z.
 """

@@ -281,7 +281,10 @@ def judge_shift(accel_mg: Floats, before_mg: Floats, limit_mg: Floats) -> Guard 
 
 
 def drift_guard(why: str, values: dict[str, float] | None = None) -> Guard:
-    """Return the question for a sensor that has moved since a dwell began; `why` describes the motion."""
+    """Return the question for a sensor that has moved since a dwell began.
+
+    `why` describes the motion; `values` has the numbers of the message by name, None without numbers.
+    """
     message = f"{why}: the part or the stage has moved on; clamp it and take the position again"
     return Guard("drift", message, values or {})
 

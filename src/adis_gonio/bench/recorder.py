@@ -145,6 +145,11 @@ class FollowedTurn(ABC):
 class Recorder(ABC):
     """Base of recorders, which record the positions of a plan into the archive.
 
+    Parameters
+    ----------
+    questions : Questions
+        Dialogue with the operator, with the parts of the session.
+
     Attributes
     ----------
     one_recording : bool
@@ -195,7 +200,11 @@ class Recorder(ABC):
         return BROKEN_STREAM
 
     def _write(self, turn: FollowedTurn, outcome: Outcome, reason: str, status: int | None = None) -> int:
-        """Write the scans of a turn that are not yet archived as an attempt; return its number."""
+        """Write the scans of a turn that are not yet archived as an attempt; return its number.
+
+        `outcome` and `reason` are stored with the attempt; `status` is the content of STATUS, None if it
+        was not read.
+        """
         now_s = self._bench.now_s
         blocks = [(turn.phase, block) for block in turn.blocks]
         number = self._ledger.archive.add_attempt(
@@ -258,6 +267,17 @@ class TurningStage(Protocol):
 
 class FreeTurn(FollowedTurn):
     """A turn by hand in the plane, followed by the angle of gravity.
+
+    Parameters
+    ----------
+    place : int
+        Index of the position in the plan.
+    turns : int
+        Number of requested full turns.
+    limit_s : float
+        Longest time of the recording, in s.
+    began : (str, float)
+        Beginning of the recording: UTC, and time on the bus's clock in s.
 
     Attributes
     ----------

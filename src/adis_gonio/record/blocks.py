@@ -5,9 +5,9 @@ reports no alarms), `registers` (names of the columns), `units`, `values()`, `ac
 this module's functions take both. The chip's kind is `ScanBlock`; a source that knows its values in units
 gives `ValueBlock`.
 
-The supply and over-range bits of STATUS clear when their condition ends (DS p. 20), so STATUS after a dwell
-does not show what happened within it. EA, bit 14 of every output word, does: it is set while any bit of
-STATUS is set. The archive keeps the words, so that old sessions are judged by the same rule.
+The supply and over-range bits of STATUS clear when their condition ends (data sheet, p. 20), so STATUS
+after a dwell does not show what happened within it. EA, bit 14 of every output word, does: it is set while
+any bit of STATUS is set. The archive keeps the words, so that old sessions are judged by the same rule.
 """
 
 from __future__ import annotations

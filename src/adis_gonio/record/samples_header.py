@@ -718,7 +718,7 @@ class _Assignment:
 
 
 def _likely_column(name: str, spare: Sequence[str]) -> str:
-    """Return the unknown column that the user may mean by `name`, for a hint; "…" if none is likely."""
+    """Return the column among the unknown ones (`spare`) that may be `name`; "…" if none is likely."""
     for cell in spare:
         text = split_unit(cell)[0].lower()
         if text.endswith(name[1]) if name in AXES else text.startswith(("t", "z")):

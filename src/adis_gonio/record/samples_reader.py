@@ -109,7 +109,10 @@ class SamplesTable:
 
 
 class _Reader:
-    """Collects the rows of a samples file in growing arrays."""
+    """Collects the rows of a samples file in growing arrays.
+
+    `head` has the columns of the file; `dialect` is its delimiter and decimal mark.
+    """
 
     def __init__(self, head: samples_header.Head, dialect: samples_header.Dialect) -> None:
         self.head, self.dialect = head, dialect

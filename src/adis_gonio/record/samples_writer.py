@@ -275,6 +275,15 @@ class SamplesRecorder:
     Accelerations are written in LSB of the sensor (of a generic sensor in mg), rates in °/s, temperatures
     in °C, the supply in V. Registers without a column in the format are left out.
 
+    Parameters
+    ----------
+    variant : str
+        Variant of the sensor, or `generic`.
+    gravity_mps2 : float
+        Local gravity in m/s², for the head of the file.
+    title : str
+        Title for the head of the file; empty for a general title.
+
     Attributes
     ----------
     path : Path

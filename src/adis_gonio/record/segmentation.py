@@ -1,12 +1,12 @@
 """Dwells of a continuous recording of any length: the stretches in which the sensor was still.
 
 A window of samples is still if the standard deviation of every axis lies between the limits of
-`adis_gonio.record.stillness`. The noise of an axis is the median deviation of its quiet windows, those with
-a deviation of less than twice the 5 % quantile.
+`adis_gonio.record.stillness`. The noise of an axis is the median of the standard deviations in its quiet
+windows, which are windows with less than twice the 5 % quantile of all windows.
 
 Gyros detect a slow turn that the accelerations do not show, but a sensor held by hand moves far above their
-noise without harm. Their limit is therefore ten times their median in windows in which the accelerations
-are still.
+noise without harm. The limit of a gyro's standard deviation is therefore ten times its median in windows in
+which the accelerations are still.
 
 Every run of still windows is trimmed at both ends, which the hand may disturb, and kept if it is long. A
 run is split at steps of its mean (a slip, or a slow turn).
@@ -478,6 +478,17 @@ def _outside(accel: Floats, extent: _Range, limits: StillnessLimits) -> tuple[Fl
 
 class _Cutter:
     """Finds runs of still windows in a last pass, trims them, and splits them at jumps of the mean.
+
+    Parameters
+    ----------
+    sizes : _Sizes
+        Length of a window, of the ends to trim, and of the shortest dwell, in samples.
+    limits : StillnessLimits
+        Limits of stillness of the accelerations.
+    extent : _Extent
+        Result of the first pass.
+    turn : (3,) float
+        Standard deviation of each gyro above which it turns; empty without gyros.
 
     Attributes
     ----------

@@ -124,7 +124,7 @@ class Look:
 
 
 class _Windows:
-    """Cuts samples that arrive in pieces into windows that overlap by half."""
+    """Cuts samples that arrive in pieces into windows of `length` samples that overlap by half."""
 
     def __init__(self, length: int) -> None:
         self._length = length

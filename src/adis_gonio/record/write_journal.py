@@ -176,7 +176,10 @@ def _remarks(known: Sequence[Operation], recorded: Numbers, what: str) -> tuple[
 
 
 def find_undoable(known: Sequence[Operation]) -> Operation | None:
-    """Return the write that `--undo` would revert: the last write not undone yet; None if there is none."""
+    """Return the operation that `--undo` would revert; None if there is none.
+
+    It is the last write or autonull among the operations `known` that is not undone yet.
+    """
     for operation in reversed(known):
         if operation.op != "undo" and operation.steps[-1] is not WriteStep.SET_BACK:
             return operation
@@ -312,7 +315,8 @@ def _in_flash(
 def _written_since(known: Sequence[Operation], endurance: int) -> str:
     """Return a clause for a message if another program has written the flash since the last save.
 
-    The clause is empty if ENDURANCE has the value that the last save left, and without a save.
+    `known` are the operations of the journal, `endurance` is the present content of ENDURANCE. The clause
+    is empty if ENDURANCE has the value that the last save left, and without a save.
     """
     saves = [one for one in known if one.saved]
     after = max(saves, key=lambda one: one.number).endurance_after if saves else None

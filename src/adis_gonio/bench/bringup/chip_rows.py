@@ -1,9 +1,9 @@
 """Hypotheses on rows of the register table, and the probabilities of the hypotheses after recordings.
 
-Each row of `ROWS` has the statement of the table and its rivals, of which the last is always "something
-else". An observation is either a label, the alternative that one event agrees with, or a `RowFigure`, which
-each alternative predicts as an interval. The prior probability of the table's statement follows from its
-confidence. Observations multiply:
+Each row of `ROWS` has alternatives: the statement of the table, other possible statements, and "something
+else". An observation is either a label (the alternative with which one event agrees) or a `RowFigure` (a
+number for which each alternative predicts an interval). The prior probability of the table's statement
+follows from its confidence. Observations multiply:
 
 * labels: each event has the label of the alternative, but one in 10 000 differs (a bit error). If
   something else is true, the events have unknown probabilities with a Dirichlet prior, so that a chip that

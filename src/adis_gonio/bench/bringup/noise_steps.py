@@ -56,8 +56,9 @@ def degrees_of_freedom(count: int, m: int, spacing: float = 1.0) -> float:
 def flicker(floor: Floats, frequency_hz: Floats, rate_hz: float) -> Floats:
     """Return the level (n, k) of flicker (1/f) noise in a periodogram of k axes at n frequencies.
 
-    `floor` (k,) is the floor of the Allan deviation of each axis, `rate_hz` the sample rate. The one-sided
-    density of flicker is floor² / (2 ln 2 f); white noise has 2 σ² / rate and the level σ² in each bin.
+    `floor` (k,) is the floor of the Allan deviation of each axis, `frequency_hz` has the frequencies (n,),
+    and `rate_hz` is the sample rate. The one-sided density of flicker is floor² / (2 ln 2 f); white noise
+    has 2 σ² / rate and the level σ² in each bin.
     """
     level: Floats = floor**2 / (2 * math.log(2) * frequency_hz[:, None]) * rate_hz / 2
     return level

@@ -432,7 +432,10 @@ class RecordedChip:
         self._new_span(time_s)
 
     def _conditions(self, row: Register, word: int, time_s: float) -> None:
-        """Note that an alarm begins, or that a write ends a condition that the flag EA has shown."""
+        """Note that an alarm begins, or that a write ends a condition that the flag EA has shown.
+
+        The write changed the content of register `row` to `word` at `time_s`.
+        """
         period_s = self.spans[-1].period_s
         # The condition acts with the next update.
         self._settled_s = time_s + (0.1 if math.isnan(period_s) else 3 * period_s)
@@ -484,7 +487,8 @@ class RecordedChip:
 def _is_ready(frames: Integers, words: Integers) -> bool | None:
     """Return True if a batch shows that the chip answers, False that it does not; None if neither.
 
-    SENS_AVG and SMPL_PRD are never zero, and different registers do not all have one content.
+    `words` are the replies to `frames`, −1 if not known. SENS_AVG and SMPL_PRD are never zero, and
+    different registers do not all have one content.
     """
     got = words[words >= 0]
     telling = [

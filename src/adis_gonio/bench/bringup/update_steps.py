@@ -283,7 +283,7 @@ class DataReady(BringupStep):
         bench.bus.exchange_array(write_frames(_MISC, word & _MISC.write_mask, byte_mask=0x00FF))
 
     def _count(self, bench: BringupBench, period_s: float) -> tuple[float, int]:
-        """Count edges for some time; return the expected number of updates and the number of edges."""
+        """Count edges for some time; return the updates expected by `period_s`, and the edges."""
         bench.bus.read_event_counter()
         begin_s = bench.bus.now_s()
         bench.bus.sleep_s(max(0.5, 20 * period_s))
@@ -406,9 +406,10 @@ def _jitter(time_s: Floats, period_s: float) -> tuple[float, float]:
 def _delay_us(edges: _Edges, period_s: float, bench: BringupBench) -> tuple[float, float]:
     """Return the earliest and latest time in µs from a data-ready edge to the sample update.
 
-    The times are negative if the update comes before the edge. A word is taken at the end of its frame, so
-    that the update lies between the ends of the read with ND and the read before it, which may be the last
-    read of the scan before.
+    `edges` are scans that start at this edge, `period_s` is the sample period. The times are negative if
+    the update comes before the edge. A word is taken at the end of its frame, so that the update lies
+    between the ends of the read with ND and the read before it, which may be the last read of the scan
+    before.
     """
     taken_us = 16e6 / bench.bus.timing.clock_hz
     if edges.usual > 0:
@@ -417,7 +418,11 @@ def _delay_us(edges: _Edges, period_s: float, bench: BringupBench) -> tuple[floa
 
 
 def _pulse(first: _Edges, second: _Edges, period_s: float, bench: BringupBench) -> Answer:
-    """Return the width of the data-ready pulse, by the delay of the update after each of its two edges."""
+    """Return the width of the data-ready pulse, by the delay of the update after each of its two edges.
+
+    `first` and `second` are scans that start at the first and at the second edge; `period_s` is the sample
+    period.
+    """
     one, two = (_delay_us(edges, period_s, bench) for edges in (first, second))
     low, high = one[0] - two[1], one[1] - two[0]
     if first.usual == second.usual:

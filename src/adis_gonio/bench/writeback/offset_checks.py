@@ -1,9 +1,9 @@
 """Verification of a write-back: dwells at rest are compared with the session and with the plan.
 
 A dwell is read by polling, with read frames only, so that no register except the offsets is ever written.
-At a declared angle the session's fit predicts both readings; without an angle, only the length of gravity.
-The comparison includes the uncertainties of the parameters (with their covariance), of the dwell, of the
-angle, of the drift between the recording and now, and of a different temperature.
+At a declared angle the session's fit predicts both readings; without an angle, only the magnitude of
+gravity. The comparison includes the uncertainties of the parameters (with their covariance), of the dwell,
+of the angle, of the drift between the recording and now, and of a different temperature.
 
 The autonull of the chip takes the present outputs of the gyros for zero rates, so that its offsets include
 the gyros' noise and the effect of force in this pose. The session predicts this sum with its uncertainty.
