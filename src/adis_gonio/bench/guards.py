@@ -226,8 +226,8 @@ def judge_pose(
 ) -> Guard | None:
     """Check that an attitude in space is new, and not upside down; return None if it is plausible.
 
-    `accel_mg` and `before_mg` are the readings (3,) now and at the pose before; `asked` and `before_asked`
-    are the requested directions. They are None if there is no such pose or direction.
+    `accel_mg` and `before_mg` are the readings (3,) now and at the pose before, `asked` and `before_asked`
+    the requested directions; None means that there is no pose before, or no requested direction.
 
     A sensor that was not moved is found first, since this would spoil the result. Such a sensor often also
     seems upside down, which would be allowed.

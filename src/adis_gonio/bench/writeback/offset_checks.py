@@ -105,7 +105,7 @@ def measure(sensor: Adis16354, dwell_s: float, patience_s: float, *, gyros: bool
     dwell_s : float
         Length of the dwell in s.
     patience_s : float
-        Time to wait for rest, in s, in addition to the time in which the noise is measured.
+        Time to wait for rest, in s; a bridge that needs longer to measure the noise gets more.
     gyros : bool
         True to read the gyros too.
 
