@@ -180,7 +180,10 @@ def _reason_to_end(
 
 
 def _open_names(result: TraceResult) -> str:
-    """Return pairs of an effect in the model and the likeliest effect that could replace it, as text."""
+    """Return the pairs of effects that the session cannot tell apart, as text; empty if there are none.
+
+    A pair is an effect in the model and the most probable known effect that could replace it.
+    """
     from adis_gonio.model.effects import catalogue
 
     known = catalogue().keys() - {step.effect for step in result.steps}

@@ -70,7 +70,7 @@ class Ledger:
         self._now = now
 
     def note(self, kind: str, value: Any) -> None:
-        """Write a record of a kind to the archive, unless its value is None."""
+        """Write a record of this kind to the archive, unless its value is None."""
         if value is not None:
             self.archive.add_record(kind, value, self._now())
 

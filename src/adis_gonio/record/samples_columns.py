@@ -210,7 +210,7 @@ def recognise_column(text: str) -> tuple[str, str, bool] | None:
 # -- keys -----------------------------------------------------------------------------------------
 
 _LARGEST = 1e6
-"""Largest gravity in m/s² and largest uncertainty in degrees or mg, as in a session file."""
+"""Largest gravity in m/s², and largest uncertainty in degrees or mg, that a key may state."""
 _LEAST_SIGMA_DEG = 1e-9
 
 

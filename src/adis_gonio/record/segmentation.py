@@ -513,7 +513,7 @@ class _Cutter:
         self._latest: tuple[int, Floats] = (0, np.zeros(0))
 
     def take(self, start: int, piece: Piece) -> None:
-        """Process a block that begins at row `start`; it repeats 2 windows − 1 rows of the block before."""
+        """Process a block that begins at row `start`; it repeats 2 · window − 1 rows of the last block."""
         window = self._sizes.window
         if len(piece) < window:
             return

@@ -397,7 +397,7 @@ class ChipSource(SampleSource):
                 return
 
     def _forget_old_mark(self) -> None:
-        """Clear the mark that a killed session left in the alarm level."""
+        """Set an alarm level to 0 if a killed session left the number `MARK` in it."""
         for name in ("ALM_MAG1", "ALM_MAG2"):
             if self.sensor.read(name) == MARK:
                 self.sensor.write(name, 0)

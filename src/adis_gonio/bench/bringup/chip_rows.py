@@ -264,11 +264,11 @@ def _upper_bits(chip: RecordedChip, _: Variant) -> Iterator[str]:
 
 
 def _contents(cause: str, changed: int = 0xFFFF, flash: bool | None = None) -> Observer:
-    """Return an observer of register contents after a cause (a write or a command).
+    """Return a function that judges the register contents of a recorded chip after a cause.
 
-    It labels each changed content as right, unchanged or something else. `changed` is a mask of bits of
-    which the cause must change one; `flash` chooses registers with a flash copy (True), volatile ones
-    (False) or all (None).
+    The cause is a write or a command. The function labels each changed content as right, unchanged or
+    something else. `changed` is a mask of bits of which the cause must change one; `flash` chooses
+    registers with a flash copy (True), volatile ones (False) or all (None).
     """
 
     def observe(chip: RecordedChip, _: Variant) -> Iterator[str]:
@@ -317,9 +317,10 @@ def _status_clears(chip: RecordedChip, _: Variant) -> Iterator[str]:
 
 
 def _ends(condition: str) -> Observer:
-    """Return an observer of a condition of STATUS that a write ended: its bit stays or falls.
+    """Return a function that reports if a bit of STATUS stays or falls when a write ends its condition.
 
-    It yields nothing if any read clears STATUS, which looks the same.
+    The function takes a recorded chip; `condition` is `alarm` or `over_range`. It yields nothing if any
+    read clears STATUS, which looks the same.
     """
 
     def observe(chip: RecordedChip, _: Variant) -> Iterator[str]:
@@ -386,10 +387,10 @@ def _mean_u(part: Variant, rest: RestStatistics, columns: slice) -> float:
 def _offset_steps(
     outputs: Sequence[str], offsets: Sequence[str], columns: slice, rivals: Mapping[str, float]
 ) -> Figures:
-    """Return an observer of the steps of outputs divided by the steps of their offset registers.
+    """Return a function that yields steps of outputs divided by steps of their offset registers.
 
-    `outputs` and `offsets` name the registers, `columns` chooses their axes, and `rivals` has the ratio
-    that each alternative predicts.
+    The function takes a recorded chip and its variant. `outputs` and `offsets` name the registers,
+    `columns` chooses their axes, and `rivals` has the ratio that each alternative predicts.
     """
 
     def observe(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
@@ -412,7 +413,10 @@ def _offset_steps(
 
 
 def _after_filter(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
-    """Yield the share of an offset's step in the first word, scaled: 1 after the filter, 0 before it."""
+    """Yield the share of an offset's step that the first word after the write shows.
+
+    The share is scaled: 1 if the offset acts after the filter, 0 if it acts before.
+    """
     ratio = float(np.median([figure.x for figure in _accel_steps(chip, part)] or [1.0]))
     level: dict[str, tuple[RegisterSpan, float]] = {}
     for span in chip.spans:
@@ -480,10 +484,10 @@ def _filter_gain(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
 
 
 def _noise(columns: slice) -> Observer:
-    """Return an observer of the logarithm of the noise before the filter, relative to the table's figure.
+    """Return a function that yields the logarithm of the noise before the filter, relative to the table.
 
-    The gain of the filter is the measured gain of the accelerometers, so that M = 0 must be recorded too.
-    `columns` chooses accelerometers or gyros.
+    The function takes a recorded chip and its variant. The gain of the filter is the measured gain of the
+    accelerometers, so that M = 0 must be recorded too. `columns` chooses accelerometers or gyros.
     """
 
     def observe(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
@@ -502,9 +506,10 @@ def _noise(columns: slice) -> Observer:
 
 
 def _self_test(columns: slice, part_of: Callable[[bool, bool, bool], str]) -> Observer:
-    """Return an observer of the answers of three axes to both signs of the manual self-test.
+    """Return a function that labels the answers of three axes to both signs of the manual self-test.
 
-    `columns` chooses the axes; `part_of` gives the label for: answers to +, answers to −, opposite ways.
+    The function takes a recorded chip and its variant. `columns` chooses the axes; `part_of` gives the
+    label for: answers to +, answers to −, opposite ways.
     """
 
     def observe(chip: RecordedChip, part: Variant) -> Iterator[str]:
@@ -544,7 +549,10 @@ def _edge(chip: RecordedChip, _: Variant) -> Iterator[str]:
 
 
 def _rounding(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
-    """Yield the rate after a precision autonull in LSB of the offsets, positive along the old bias."""
+    """Yield the remaining rate of each gyro after a precision autonull, in LSB of the offset registers.
+
+    It is positive in the direction of the bias before the autonull.
+    """
     steps = [figure.x for figure in _gyro_steps(chip, part)] or [1.0]
     if abs(float(np.median(steps)) - 1) > 0.1:
         return  # the unit of the residual is not known
@@ -567,9 +575,12 @@ def _rounding(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
 
 
 def _entry(text: str, observe: Observer, *alternatives: str, **figures: Any) -> ChipRow:
-    """Return a row; `text` names a question of the bring-up, or has name, question, source and confidence.
+    """Return a row of hypotheses on one question about the chip.
 
-    `figures` are attributes of the row for its figures: `wide`, `unit`, `logarithmic`.
+    `text` is the name of a question of the bring-up, or name, question, source and confidence separated by
+    ` | `. `observe` yields the observations of a recorded chip, and `alternatives` are the possible
+    statements, the statement of the table first. `figures` are attributes of the row for its figures:
+    `wide`, `unit`, `logarithmic`.
     """
     name, *own = text.split(" | ")
     asked = {question.name: question for question in QUESTIONS}

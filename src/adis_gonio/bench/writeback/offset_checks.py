@@ -345,7 +345,7 @@ class _FittedSensor:
         return self._propagated(left, self._fixture_u(angle_rad))
 
     def _base(self, values: Floats) -> Floats:
-        """Convert values of the known parameters to the parameters of the model, in natural units."""
+        """Convert values of the fitted parameters to the parameters of the model, in natural units."""
         held = dict(zip(self.known, values, strict=True))
         return np.array(
             [held[p.name] / p.per_natural if p.name in held else p.nominal for p in self.model.parameters]
@@ -354,7 +354,7 @@ class _FittedSensor:
     def _bias_mg(self, values: Floats) -> Floats:
         """Return the biases (axes,) in mg with the present numbers in the offset registers.
 
-        `values` are values of the known parameters.
+        `values` has a value for each fitted parameter of the model.
         """
         held = dict(zip(self.known, values, strict=True))
         found = [held.get(name, 0.0) for name in BIASES[: self.model.axes]]
@@ -363,7 +363,7 @@ class _FittedSensor:
     def _ideal_mg(self, values: Floats, angle_rad: float) -> Floats:
         """Return the readings (2,) in mg by gravity alone, without bias, at a declared angle.
 
-        `values` are values of the known parameters.
+        `values` has a value for each fitted parameter of the model.
         """
         ideal: Floats = self.model.ideal(self._base(values), np.zeros(1), np.array([-angle_rad]))[0]
         return ideal
