@@ -60,11 +60,11 @@ class Capability(StrEnum):
     """Optional function of a bus, in addition to `exchange`."""
 
     STREAM = "stream"
-    """Runs a list of read frames at each data-ready edge and delivers the replies in blocks."""
+    """The bus can run a list of read frames at each data-ready edge and deliver the replies in blocks."""
     HARD_RESET = "hard-reset"
-    """Can pull the chip's RST line."""
+    """The bus can pull the chip's RST line."""
     EVENT_COUNTER = "event-counter"
-    """Counts data-ready edges in hardware, so that lost samples can be proved."""
+    """The bus counts data-ready edges in hardware, so that lost samples can be proved."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ class SpiBus(Closing):
     url: str = ""
     capabilities: frozenset[Capability] = frozenset()
     edge_rises: bool = False
-    """True if the rising edge of data-ready starts a scan of a stream, False for the falling edge."""
+    """True if a rising edge of data-ready starts a scan of a stream; False if a falling edge does."""
     unbroken_frames: int | None = None
     """Largest number of frames that the bus runs without a pause; None if there is no limit."""
 
@@ -128,7 +128,7 @@ class SpiBus(Closing):
 
     @property
     def kind(self) -> str:
-        """Class of the bus, for a report."""
+        """Name of the class of this bus, for a report."""
         return type(self).__name__
 
     @property
@@ -161,7 +161,10 @@ class SpiBus(Closing):
         return [int(reply) for reply in self.exchange_array(_as_words(frames))]
 
     def exchange_array(self, frames: Words) -> Words:
-        """Send a batch of frames (n,) uint16 and return the replies (n,), faster than `exchange` does."""
+        """Send a batch of frames and return the replies; faster than `exchange`.
+
+        Both arrays are (n,) uint16. It raises the errors of `exchange`.
+        """
         if frames.dtype != np.uint16 or frames.ndim != 1:
             raise UsageError("frames must be a one-dimensional array of uint16")
         reserved = np.flatnonzero(frames & RESERVED_BIT)
@@ -217,7 +220,9 @@ class SpiBus(Closing):
     # -- optional capabilities --------------------------------------------------------------------
 
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
-        """Start a stream that runs the read frames once at each data-ready edge (`Capability.STREAM`).
+        """Start a stream that runs the read frames `frames` once at each data-ready edge.
+
+        It needs `Capability.STREAM`; a block of the stream holds about `block_scans` scans.
 
         Raises
         ------
@@ -239,7 +244,7 @@ class SpiBus(Closing):
             self._pull_reset()
 
     def read_event_counter(self) -> int:
-        """Number of data-ready edges since the last call (needs `Capability.EVENT_COUNTER`).
+        """Return the number of data-ready edges since the last call (needs `Capability.EVENT_COUNTER`).
 
         Some counters have 16 bits, so call it at least once a minute.
         """
@@ -248,10 +253,11 @@ class SpiBus(Closing):
             return self._count_edges()
 
     def count_events(self) -> tuple[int, float]:
-        """Data-ready edges since the last call, and the time of counting in s, to compute their rate.
+        """Return the number of data-ready edges since the last call, and the time of counting in s.
 
-        The time is on the clock of the bridge if it has one, else on the clock of the host, which does not
-        know the delay of the answer: use only differences.
+        Two calls give the rate of data-ready. The time is on the clock of the bridge if it has one, else on
+        the clock of the host, which includes the unknown delay of the answer: use only differences of
+        times.
         """
         return self.read_event_counter(), self.now_s()
 
@@ -278,7 +284,7 @@ class SpiBus(Closing):
         raise NotImplementedError
 
     def _count_edges(self) -> int:
-        """Number of data-ready edges since the last call; called with the lock held."""
+        """Return the number of data-ready edges since the last call; called with the lock held."""
         raise NotImplementedError
 
     def _require_open(self) -> None:

@@ -90,7 +90,7 @@ class ControlRequest(IntEnum):
 
 
 _OPEN_DRAIN = 1
-"""Electrical mode of a GPIO pin."""
+"""Value of a GPIO pin's mode byte for an open-drain output."""
 _THIS_ONE_ONLY = 2
 _WRITE_READ = 2
 _HEADER = struct.Struct("<HBBI")
@@ -99,24 +99,27 @@ _SELECTS = struct.Struct(">HH")
 
 
 def clock_code(clock_hz: float) -> int | None:
-    """Code of the fastest SPI clock that is not above `clock_hz`; None if all clocks are faster."""
+    """Return the code of the fastest SPI clock not above `clock_hz`; None if all are faster."""
     return next((code for code, clock in enumerate(CLOCKS_HZ) if clock <= clock_hz), None)
 
 
 def spi_word(code: int) -> int:
-    """SPI configuration byte of a channel with a clock code: mode 3, push-pull chip select."""
+    """Return the SPI configuration byte of a channel for a clock code: mode 3, push-pull chip select."""
     return 1 << CPHA_BIT | 1 << CPOL_BIT | 1 << PUSH_PULL_BIT | code
 
 
 def parse_spi_words(data: bytes) -> tuple[int, ...]:
-    """SPI configuration bytes of all channels, from the reply to `GET_SPI_WORD`."""
+    """Return the SPI configuration bytes of all channels, from the reply to `GET_SPI_WORD`."""
     if len(data) != CHANNELS:
         raise ProtocolError(f"CP2130: {len(data)} SPI words instead of {CHANNELS}")
     return tuple(data)
 
 
 def parse_selects(data: bytes) -> tuple[frozenset[int], frozenset[int]]:
-    """Channels with enabled chip select, and pins that carry one, from the reply to `GET_CHIP_SELECT`."""
+    """Return the channels with enabled chip select, and the pins that carry one.
+
+    `data` is the reply to `GET_CHIP_SELECT`.
+    """
     if len(data) != _SELECTS.size:
         raise ProtocolError(f"CP2130: chip selects of {len(data)} bytes instead of {_SELECTS.size}")
     channels, pins = _SELECTS.unpack(data)
@@ -127,19 +130,19 @@ def parse_selects(data: bytes) -> tuple[frozenset[int], frozenset[int]]:
 
 
 def frame_command(frame: int) -> bytes:
-    """Bulk command that sends a 16-bit frame and receives the reply at the same time."""
+    """Return the bulk command that sends a 16-bit frame and receives the reply at the same time."""
     return _HEADER.pack(0, _WRITE_READ, 0, FRAME_BYTES) + frame.to_bytes(FRAME_BYTES, "big")
 
 
 def parse_frame(data: bytes) -> int:
-    """16-bit word that the chip sent during a frame."""
+    """Return the 16-bit word that the chip sent during a frame, from the bulk reply of two bytes."""
     if len(data) != FRAME_BYTES:
         raise ProtocolError(f"CP2130: {len(data)} bytes came in for a frame of {FRAME_BYTES}")
     return int.from_bytes(data, "big")
 
 
 def parse_counter(data: bytes) -> tuple[int, int]:
-    """Mode and count of the event counter, from the reply to `GET_EVENT_COUNTER`.
+    """Return mode and count of the event counter, from the reply to `GET_EVENT_COUNTER`.
 
     The count has 16 bits and wraps.
     """
@@ -256,7 +259,7 @@ class Cp2130Bus(host.UsbBus):
         return parse_counter(self._in(ControlRequest.GET_EVENT_COUNTER, 3))
 
     def _count_edges(self) -> int:
-        """Number of data-ready edges since the last call or the last port reset."""
+        """Return the number of data-ready edges since the last call or the last port reset."""
         self._settle()
         _, count = self._counter()
         # The counter is never set back, so that a read that fails loses nothing.
@@ -287,7 +290,10 @@ class Cp2130Bus(host.UsbBus):
         return round(self._options.timeout_s * 1000)
 
     def _call(self, what: str, transfer: Callable[..., Any], *arguments: object) -> Any:
-        """Call a method of the device; convert its errors to errors of a bus."""
+        """Call a method of the USB device and convert its errors to errors of a bus.
+
+        `what` names the operation in the message.
+        """
         try:
             return transfer(*arguments)
         except self._usb_error as error:
@@ -354,7 +360,7 @@ def open_from_url(url: BusUrl, *, backend: Any = None, clock: host.Clock = host.
     Parameters
     ----------
     backend : usb.backend.IBackend
-        In place of libusb.
+        Backend of pyusb to use instead of libusb; None is libusb.
     clock : Clock
         The bus's clock.
 
@@ -417,7 +423,7 @@ def _load() -> Any:
 
 
 def _libusb() -> Any:
-    """Backend of pyusb: the libusb of package libusb-package, or else the libusb of the system."""
+    """Return a backend of pyusb: the libusb of package libusb-package, or else the libusb of the system."""
     try:
         import libusb_package
     except ImportError:
@@ -439,9 +445,10 @@ def _boards(usb: Any, backend: Any) -> list[Any]:
 
 
 def _endpoints(usb: Any, url: str, device: Any) -> tuple[int, int]:
-    """Addresses of the bulk endpoints to and from the board, from its USB descriptors.
+    """Return the addresses of the bulk endpoints to and from the board.
 
-    They are 0x01 and 0x82, or 0x02 and 0x81 if the board's OTP gives reading the higher priority.
+    They are read from the USB descriptors: 0x01 and 0x82, or 0x02 and 0x81 if the board's OTP gives reading
+    the higher priority.
     """
     interface = usb.util.find_descriptor(
         device.get_active_configuration(), bInterfaceNumber=_INTERFACE, bAlternateSetting=0
@@ -459,7 +466,7 @@ def _endpoints(usb: Any, url: str, device: Any) -> tuple[int, int]:
 
 
 def _serial(usb: Any, board: Any) -> str | None:
-    """Serial number of a board, which must be opened to read it; None without permission."""
+    """Return the serial number of a board, which must be opened to read it; None without permission."""
     try:
         return str(board.serial_number or "")
     except (usb.core.USBError, ValueError, NotImplementedError):

@@ -29,7 +29,7 @@ class ForwardingBus(SpiBus):
 
     @property
     def kind(self) -> str:
-        """Class of the inner bus."""
+        """Name of the class of the inner bus, for a report."""
         return self.inner.kind
 
     @property
@@ -56,7 +56,7 @@ class ForwardingBus(SpiBus):
         self.inner.sleep_s(seconds)
 
     def witness(self, name: str, observe: Callable[[], T]) -> T:
-        """Observe a value through the inner bus, which may record or replay it, and return the value."""
+        """Return `observe()`, a value named `name`, through the inner bus, which may record or replay it."""
         return self.inner.witness(name, observe)
 
     def hard_reset(self) -> None:
@@ -64,15 +64,18 @@ class ForwardingBus(SpiBus):
         self.inner.hard_reset()
 
     def read_event_counter(self) -> int:
-        """Data-ready edges that the inner bus has counted since the last call."""
+        """Return the number of data-ready edges that the inner bus counted since the last call."""
         return self.inner.read_event_counter()
 
     def count_events(self) -> tuple[int, float]:
-        """Data-ready edges since the last call, and the time in s, from the inner bus."""
+        """Return the data-ready edges since the last call and the time in s, from the inner bus."""
         return self.inner.count_events()
 
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
-        """Start a stream of the inner bus."""
+        """Start a stream of the read frames `frames` on the inner bus.
+
+        A block of the stream holds about `block_scans` scans.
+        """
         return self.inner.stream(frames, block_scans=block_scans)
 
     def _exchange(self, frames: Words) -> Words:

@@ -1,7 +1,7 @@
-"""The command line: thin commands over the packages below.
+"""The command line: thin commands over the other packages.
 
-Results go to standard output, everything else to standard error. Exit status: 0 done; 1 the job failed;
-2 wrong usage. Every failure is one line.
+Results go to standard output, everything else to standard error. Exit status: 0 done; 1 the job failed; 2
+wrong usage. Every failure is one line.
 """
 
 from __future__ import annotations
@@ -72,7 +72,10 @@ def app() -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; return the exit status."""
+    """Run the command line; return the exit status.
+
+    `arguments` are the words after the program's name; None takes the arguments of the process.
+    """
     words = sys.argv[1:] if arguments is None else arguments
     computing = words[:1] and words[0] in _COMPUTING
     try:
@@ -107,7 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _recording_hint(error: AdisGonioError) -> str:
-    """Advice to record the frames of the command, if the error came from a device; else empty."""
+    """Return advice to record the frames of the command, if the error came from a device; else empty."""
     if not isinstance(error, BusTimeoutError | ProtocolError | ChipError):
         return ""
     return " (to report it: repeat it with record:run.rec: before the URL and attach run.rec)"

@@ -25,7 +25,7 @@ Option = Callable[[F], F]
 FILE = click.Path(path_type=Path)
 POSITIVE = click.FloatRange(min=0, min_open=True)
 UNITS = f"[{'|'.join(ACCEL_UNITS)}]"
-"""Units of acceleration in the help of a command."""
+"""Text that lists the units of acceleration, for the help of a command."""
 _OVERRIDDEN = (
     *("gravity_mps2", "fixture_sigma_deg", "angles", "reverse", "accel_unit", "sensor", "columns"),
     *("laboratory", "customer"),
@@ -45,6 +45,8 @@ def command(
 
     Parameters
     ----------
+    name : str
+        Name of the command.
     first : str
         The flags that an operator needs first, separated by spaces; without any, the help lists all options
         in one section.
@@ -86,7 +88,9 @@ def parse_fixture(text: str) -> float:
 
 
 def parse_stage(text: str) -> float | StageCurve:
-    """Parse the uncertainty of a declared angle, or read the stage's certificate from `dcc:FILE`."""
+    """Parse the uncertainty in degrees of a declared angle, or read the stage's certificate from
+    `dcc:FILE`.
+    """
     if str(text).startswith("dcc:"):
         from adis_gonio.handover.certificate import read_stage_curve
 
@@ -103,7 +107,7 @@ def parse_unit(text: str) -> str:
 
 
 def _parse_columns(text: str) -> dict[str, str]:
-    """Parse `name=column,…`: map each column of the format to a column of the file."""
+    """Parse `name=column,…`: map each column of the samples format to a column of the user's file."""
     columns: dict[str, str] = {}
     for pair in text.split(","):
         mine, equals, theirs = (part.strip() for part in pair.partition("="))
@@ -121,7 +125,8 @@ _ANGLE = re.compile(r"(\d+)(?:-(\d+))?\s*(\+?=)\s*(\S+)")
 def _parse_angles(text: str) -> tuple[AngleChange, ...]:
     """Parse changes of declared angles from `position=degrees,…`.
 
-    `first-last+=degrees` adds to several positions; `first-last=reverse` turns them the other way.
+    `first-last+=degrees` adds to several positions; `first-last=reverse` states that the stage turned the
+    other way.
     """
     from adis_gonio.record.loading import REVERSE, AngleChange
 
@@ -150,12 +155,12 @@ def _number(text: str) -> float | None:
 
 
 def file(*names: str, help: str, **more: Any) -> Option[Any]:
-    """Return an option that names a file."""
+    """Return an option that names a file; `more` goes to `click.option`."""
     return click.option(*names, type=FILE, help=help, **{"metavar": "FILE", **more})
 
 
 def check_session_name(path: Path) -> None:
-    """Raise `UsageError` if the ending of a session file promises another format."""
+    """Raise `UsageError` if the ending of a session file is the ending of another format."""
     from adis_gonio.base.output import ends_in
 
     if ends_in(path, ".csv", ".gz", ".json", ".html", ".svg", ".xml", ".h", ".txt", ".parquet"):
