@@ -64,11 +64,11 @@ class ForwardingBus(SpiBus):
         self.inner.hard_reset()
 
     def read_event_counter(self) -> int:
-        """Return the number of data-ready edges that the inner bus counted since the last call."""
+        """Return the number of data-ready edges counted by the inner bus since the last call."""
         return self.inner.read_event_counter()
 
     def count_events(self) -> tuple[int, float]:
-        """Return the data-ready edges since the last call and the time in s, from the inner bus."""
+        """Return data-ready edges since the last call, and the time in s, from the inner bus."""
         return self.inner.count_events()
 
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:

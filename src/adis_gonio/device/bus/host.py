@@ -152,11 +152,11 @@ class UrlOptions:
         return int(text)
 
     def switch(self, name: str, *, default: bool = False) -> bool:
-        """Return the option `name`, which is written 0 or 1, as a bool; `default` if it is not given."""
+        """Return the option `name`, written 0 or 1, as a bool; `default` if it is not given."""
         return bool(self.number(name, int(default), 0, 1))
 
     def one_of(self, name: str, choices: Sequence[str]) -> str:
-        """Return the option `name`, one of the words in `choices`; the first if it is not given."""
+        """Return the option `name`, one of the words `choices`; the first if it is not given."""
         word = self.text(name, choices[0])
         if word not in choices:
             raise UsageError(f"'{self.url.text}': {name} is one of {', '.join(choices)}")

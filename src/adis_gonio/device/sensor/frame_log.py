@@ -201,9 +201,9 @@ class FrameLog:
 
 
 def _written_fields(row: registers.Register | None, high: bool, frame: int) -> str:
-    """Return the names of the commands or fields that a written byte sets, in brackets.
+    """Return the names of the commands or fields that a written byte sets.
 
-    The text is empty if it sets none.
+    The text has brackets around the names and is empty if the byte sets none.
     """
     if row is None or row.kind is not registers.Kind.FIELDS:
         return ""

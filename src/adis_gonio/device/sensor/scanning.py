@@ -86,7 +86,7 @@ _MOST_BEFORE = 30
 _ROW = BY_NAME["MSC_CTRL"]
 _POLARITY = _ROW.field("polarity").mask
 MASK = _ROW.field("data_ready").mask | _POLARITY | _ROW.field("line").mask
-"""Bits of MSC_CTRL that belong to data-ready: enable, polarity and line."""
+"""Bits of MSC_CTRL for the data-ready output: enable, polarity and line."""
 
 
 def edges_arrive(bus: SpiBus, period_s: float) -> bool:

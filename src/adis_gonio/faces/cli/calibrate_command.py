@@ -374,11 +374,10 @@ def _gravity_and_fixture(
     height: float,
     **_: Any,
 ) -> tuple[float, float | StageCurve | None]:
-    """Return local gravity in m/s², and the uncertainty of a stage angle in degrees or the stage's
-    certificate.
+    """Return local gravity in m/s², and the uncertainty of a stage angle.
 
-    The second value is None if it is not given. A simulated bench states both values if they are not given,
-    as the operator of a real bench knows them.
+    The uncertainty is in degrees, or the stage's certificate, or None if it is not given. A simulated bench
+    states both values if they are not given, as the operator of a real bench knows them.
     """
     from adis_gonio.model.records import normal_gravity_mps2
 

@@ -88,8 +88,9 @@ def parse_fixture(text: str) -> float:
 
 
 def parse_stage(text: str) -> float | StageCurve:
-    """Parse the uncertainty in degrees of a declared angle, or read the stage's certificate from
-    `dcc:FILE`.
+    """Parse the uncertainty in degrees of a declared angle, or read a certificate.
+
+    The text `dcc:FILE` reads the stage's certificate from a file.
     """
     if str(text).startswith("dcc:"):
         from adis_gonio.handover.certificate import read_stage_curve
@@ -185,9 +186,10 @@ def output(
     Parameters
     ----------
     paths : callable
-        Files that the command writes for the given value, if it is not just the given file.
+        Returns the files that the command writes for the given path; by default only that path.
     at_once : bool
-        With `--force`, remove an existing file before the command begins; otherwise it stays until the new
+        True: with `--force`, remove an existing file before the command begins; otherwise it stays until
+        the new
         one is complete.
     name : str
         Name of the command's argument.
@@ -220,12 +222,12 @@ def flag(*names: str, help: str) -> Option[Any]:
 
 
 def with_default(*names: str, default: Any, help: str, **more: Any) -> Option[Any]:
-    """Return an option that shows its default in the help."""
+    """Return an option that shows its default in the help; `more` goes to `click.option`."""
     return click.option(*names, default=default, show_default=True, help=help, **more)
 
 
 def dwell(default_s: float = 10.0) -> Option[Any]:
-    """Return the option `--dwell` for the length of a dwell."""
+    """Return the option `--dwell` for the length of a dwell in s, with this default."""
     help = "Length of a dwell."
     return with_default("--dwell", "dwell_s", type=float, default=default_s, metavar="SECONDS", help=help)
 
@@ -233,24 +235,30 @@ def dwell(default_s: float = 10.0) -> Option[Any]:
 def fixture(
     name: str = "fixture_deg", metavar: str = "DEGREES", help: str = "", **more: Any
 ) -> Option[Any]:
-    """Return the option `--fixture` for the uncertainty of a stage angle."""
+    """Return the option `--fixture` for the standard uncertainty of a stage angle in degrees.
+
+    `name` is the argument of the command; empty `help` takes the usual help text.
+    """
     help = help or "Standard uncertainty of a stage angle in degrees."
     return click.option("--fixture", name, metavar=metavar, help=help, **{"type": parse_fixture, **more})
 
 
 def gravity(help: str = "Local gravity in m/s² (default 9.80665).", **more: Any) -> Option[Any]:
-    """Return the option `--gravity` for local gravity."""
+    """Return the option `--gravity` for local gravity in m/s²."""
     return click.option("--gravity", "gravity_mps2", type=parse_gravity, metavar="M/S²", help=help, **more)
 
 
 def part(default: str = "accelerometer", help: str = "Part of the sensor to use.") -> Option[Any]:
-    """Return the option `--sensor-part`, which selects accelerometer or gyro."""
+    """Return the option `--sensor-part`, which selects accelerometer or gyro.
+
+    `default` is the preselected part.
+    """
     parts = click.Choice(sorted(("accelerometer", "gyro"), key=lambda part: part != default))
     return with_default("--sensor-part", "part", type=parts, default=default, help=help)
 
 
 def time_limit(help: str) -> Option[Any]:
-    """Return the option `--time-limit` in seconds."""
+    """Return the option `--time-limit` in seconds, with this help text."""
     return click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help=help)
 
 
@@ -346,7 +354,8 @@ def _parse_risk(text: str) -> float:
 def tolerance(help: str) -> Option[Any]:
     """Return a decorator with the options `--tolerance`, `--rule` and `--risk`.
 
-    The command gets them as one argument, `tolerance`, which is None without `--tolerance`.
+    `help` is the help text of `--tolerance`. The command gets the values as one argument, `tolerance`,
+    which is None without `--tolerance`.
     """
     options = (
         click.option("--tolerance", type=_parse_tolerance, metavar="ANGLE", help=help),
@@ -387,7 +396,7 @@ def tolerance(help: str) -> Option[Any]:
 
 
 def overrides(function: F) -> F:
-    """Decorate a command with the options that correct a file.
+    """Decorate a command with the options that correct the statements of a session file.
 
     The command gets their values as one argument, `overrides`.
     """
@@ -413,7 +422,10 @@ def overrides(function: F) -> F:
 
 
 def measuring_settings(*, rate_hz: float | None, **more: Any) -> Settings:
-    """Make the settings of a session; `rate_hz` is the value of `--rate`."""
+    """Make the settings of a session; `rate_hz` is the value of `--rate`, None for the fastest rate.
+
+    `more` are further fields of the settings.
+    """
     from adis_gonio.device.sensor.settings import smpl_prd_for
     from adis_gonio.record.source import Settings
 
@@ -421,7 +433,10 @@ def measuring_settings(*, rate_hz: float | None, **more: Any) -> Settings:
 
 
 def load(path: Path, overrides: Overrides) -> Session:
-    """Load a session from a file; progress is shown on standard error if it takes long."""
+    """Load a session from a file, with corrections of the file's statements by `overrides`.
+
+    Progress is shown on standard error if loading takes long.
+    """
     from adis_gonio.faces.cli.show import report_progress
     from adis_gonio.record.loading import load_session
 

@@ -1,10 +1,8 @@
 """Output of the commands: tables, messages, progress and interrupts.
 
-The program and its terminal: letters that a character set lacks, one-line messages, and Ctrl-C.
-
-Files are always UTF-8; the character sets here belong to standard output and standard error.
-
-Output that the commands share: JSON, tables, pages and progress.
+Part of it prepares the terminal: letters that a character set lacks, one-line messages, and Ctrl-C. Files
+are always UTF-8; the character sets here belong to standard output and standard error. Another part is
+shared by the commands: JSON, tables, pages and progress.
 """
 
 from __future__ import annotations
@@ -52,11 +50,11 @@ ASCII_FORMS = {
     "─": "-", "━": "-", "│": "|", "┘": "+", "└": "+", "╱": "/", "╸": "-", "╺": "-", "•": "*", "ß": "ss",
     "●": "o", "○": "o", "▶": ">", "◀": "<", "▲": "^", "▼": "v", "✓": "ok", "✗": "x",
 }  # fmt: skip
-"""ASCII text for letters that a character set may lack; none of it can end a JSON string."""
+"""ASCII text for each letter that a character set may lack; none of it can end a JSON string."""
 
 
 def ascii_form(letter: str) -> str:
-    """Return ASCII text in place of a letter: from the table, else its base letter, else `?`."""
+    """Return ASCII text that replaces a letter: from `ASCII_FORMS`, else its base letter, else `?`."""
     if letter in ASCII_FORMS:
         return ASCII_FORMS[letter]
     plain = unicodedata.normalize("NFKD", letter).encode("ascii", "ignore").decode("ascii")
@@ -64,13 +62,16 @@ def ascii_form(letter: str) -> str:
 
 
 LONGEST_MESSAGE = 600
-"""Characters of a message. The program's own messages are shorter; only text from a file can exceed it."""
+"""Largest number of characters of a message.
+
+The program's own messages are shorter; only text from a file can exceed it.
+"""
 
 
 def format_message(text: str) -> str:
     """Return a message as one printable line of about `LONGEST_MESSAGE` characters.
 
-    A longer message loses its middle, because the file is named at its beginning and the cure at its end.
+    A longer message loses its middle, because it names the file at its beginning and the remedy at its end.
     """
     line, half = one_line(text), LONGEST_MESSAGE // 2
     return line if len(line) <= LONGEST_MESSAGE else f"{line[:half]}…{line[-half:]}"
@@ -128,7 +129,7 @@ def _find_codec(name: str) -> codecs.CodecInfo | None:
 
 
 class Interrupt:
-    """Context in which Ctrl-C sets `asked` and interrupts the work only inside `waiting`.
+    """Context in which Ctrl-C sets `asked` to True and interrupts the work only inside `waiting`.
 
     A second Ctrl-C always interrupts. In a thread that gets no signals, nothing changes.
     """
@@ -181,11 +182,11 @@ class Interrupt:
 
 
 class RepeatedInterrupt:
-    """Context that raises Ctrl-C again every `AGAIN_S` until the block ends.
+    """Context that raises Ctrl-C again every `AGAIN_S` in s until the block ends.
 
     Python loses the exception of a signal handler if the caller cannot pass it on, for example the import
-    of a compiled module or a destructor; the work would then run to its end. Only for work without steps to
-    undo, because a second Ctrl-C would interrupt the undoing.
+    of a compiled module or a destructor; the work would then run to its end. Use it only for work without
+    steps to undo, because a second Ctrl-C would interrupt the undoing.
     """
 
     AGAIN_S = 0.5
@@ -229,7 +230,7 @@ class RepeatedInterrupt:
 
 
 WIDTH = 100
-"""Widest text in columns; longer lines are hard to read."""
+"""Largest width in columns of running text, since longer lines are hard to read."""
 
 
 def console(*, stderr: bool = False, most: int = 0) -> Console:
@@ -239,6 +240,8 @@ def console(*, stderr: bool = False, most: int = 0) -> Console:
 
     Parameters
     ----------
+    stderr : bool
+        True writes to standard error instead of standard output.
     most : int
         Largest width in columns; 0 for no limit.
     """
@@ -254,7 +257,7 @@ def console(*, stderr: bool = False, most: int = 0) -> Console:
 
 
 def print_indented(screen: Console, text: str, indent: int = 2, style: str = "") -> None:
-    """Print a text, wrapped to the screen, with all of its lines indented."""
+    """Print a text, wrapped to the screen, with all of its lines indented by `indent` columns."""
     from rich.padding import Padding
     from rich.text import Text
 
@@ -262,9 +265,10 @@ def print_indented(screen: Console, text: str, indent: int = 2, style: str = "")
 
 
 def say(text: str, *, err: bool = True, hang: int = 0) -> None:
-    """Print a line for people, on standard error by default; a terminal gets it folded to its width.
+    """Print a line for people, folded to the width of a terminal.
 
-    Lines after the first are indented by `hang`.
+    `err` prints it on standard error, otherwise on standard output. Lines after the first are indented by
+    `hang` columns.
     """
     screen = console(stderr=err, most=WIDTH)
     if screen.is_terminal and len(text) >= screen.width:
@@ -292,10 +296,14 @@ def table_of(
 
     Parameters
     ----------
+    head : sequence of str
+        Headings of the columns.
+    rows : iterable of sequence of str
+        Cells of each row.
     texts : container of int
         Indices of the columns of text, aligned left; the others hold numbers, aligned right.
     bold : container of str
-        First cells of the rows in bold.
+        First cells of those rows that are printed in bold.
     number, text : mapping, optional
         Further options of rich for the columns of numbers and of text.
     """
@@ -334,7 +342,10 @@ def print_table(
 
 
 def check_page(output: Path | None) -> None:
-    """Raise an error if an HTML page is wanted and its figures cannot be drawn."""
+    """Raise `NotInstalledError` if an HTML page is wanted and its figures cannot be drawn.
+
+    `output` is the file of the page; None means that no page is wanted.
+    """
     if output is not None:
         from adis_gonio.page.document import require_matplotlib
 
@@ -361,7 +372,7 @@ def json_text(document: Any, *, ascii_only: bool = False) -> str:
 
 
 def print_json(document: Any) -> None:
-    """Write a JSON document to standard output, in pure ASCII unless its encoding is a UTF."""
+    """Write a JSON document to standard output, in pure ASCII unless the output's encoding is a UTF."""
     unicode = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().startswith("utf")
     click.echo(json_text(document, ascii_only=not unicode))
 
@@ -380,7 +391,7 @@ class Work:
     what : str
         Description, such as `tracing 24 dwells of today.session`.
     changed : callable, optional
-        Called after each change.
+        Called after each change of the description.
     """
 
     def __init__(self, what: str, changed: Callable[[Work], None] | None = None) -> None:
@@ -420,8 +431,8 @@ class Work:
 def report_progress(what: str) -> Iterator[None]:
     """Context that reports the progress of the computation inside it on standard error.
 
-    A terminal gets one line that changes, a log gets lines at growing intervals; work of less than a second
-    leaves no line in a log.
+    `what` is the description of the computation. A terminal gets one line that changes, a log gets lines at
+    growing intervals; work of less than a second leaves no line in a log.
     """
     from adis_gonio.base.budget import Budget, within
 

@@ -82,18 +82,21 @@ class PinClock(Protocol):
     """Clock of a simulated device, advanced by the time that its work takes; see the module's text."""
 
     def now_s(self) -> float:
-        """Present time in s."""
+        """Return the present time in s."""
 
     def advance_to(self, time_s: float) -> None:
         """Advance the clock to the time in s at which a piece of work ends."""
 
 
 class ChipPins:
-    """The SPI and RST pins of a simulated chip, for models of bridges; wrong use gives wrong replies.
+    """The SPI and RST pins of a simulated chip, for models of bridges.
+
+    Wrong use of the pins, such as a wrong SPI mode, gives wrong replies.
 
     Parameters
     ----------
     chip : SimulatedChip
+        The chip.
     clock : PinClock
         Clock on which transfers take time.
     """
@@ -116,7 +119,9 @@ class ChipPins:
     ) -> bytes:
         """Clock bytes to the chip during one low phase of chip select; return as many bytes.
 
-        It starts now, or at `start_s` if the bridge times its frames itself.
+        The transfer starts now, or at `start_s` if the bridge times its frames itself. `mode` is the SPI
+        mode, `cs_hold_s` the time from the last clock to the rise of chip select; `selected` is False if
+        chip select stays high.
         """
         now = self.clock.now_s() if start_s is None else start_s
         start = max(now, self.free_s, self.chip.time_s)
