@@ -231,12 +231,11 @@ def reach_of(population: Population) -> dict[str, Reach]:
 
 
 def _smallest(block: Block, share: float, price: float) -> float | None:
-    """Return the smallest mean amplitude that 90 % of populations would show; None if none of them
-    suffices.
+    """Return the smallest mean amplitude that 90 % of populations would show.
 
     `block` has the sessions' information on the amplitude, `share` is the share of affected sessions. A
     population shows an amplitude if the log likelihood rises by more than `price`. The tried amplitudes are
-    `_SIZES`.
+    `_SIZES`; the result is None if none of them suffices.
     """
     low, high = 0, len(_SIZES)
     while low < high:  # bisection: power grows with the amplitude

@@ -316,7 +316,7 @@ class FleetResult:
 
     @cached_property
     def rows(self) -> list[dict[str, Any]]:
-        """Rows of the table of the fleet, one for each session, with the columns `session_table.COLUMNS`."""
+        """Rows of the table of the fleet, one per session, with the columns `session_table.COLUMNS`."""
         return [record.row() for record in self.fleet.records]
 
     @cached_property
@@ -381,7 +381,9 @@ class FleetResult:
 
 
 def check_outputs(paths: Sequence[Path], files: Sequence[str]) -> None:
-    """Check that the output files can be written, before the work begins; `files` are the session files.
+    """Check before the work begins that the output files can be written.
+
+    `files` are the session files.
 
     Raises
     ------

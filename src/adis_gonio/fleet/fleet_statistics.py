@@ -34,8 +34,7 @@ _LEAST_SHARE = 1e-6
 
 
 def unshared_u(u: Floats, curves: Iterable[str], influence: Iterable[Sequence[float]]) -> Floats:
-    """Return standard uncertainties (n,) of values, without the part that all sessions share by their
-    stage.
+    """Return standard uncertainties (n,) of values, without the part that all sessions share.
 
     They apply to differences between the sessions. `u` (n,) has the full standard uncertainties. A part is
     shared if all sessions have the certificate of one stage: `curves` (n,) are digests of the certificates,

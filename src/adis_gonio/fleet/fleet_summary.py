@@ -154,8 +154,9 @@ class Summary:
     Attributes
     ----------
     sessions : mapping of str to int
-        Number of sessions (`n`) and of those that are, or of groups: `ok`, `failed`, `traced`, `adequate`,
-        `doubted`, `units`, `stages`, `operators`.
+        Number of sessions: all (`n`), with a result (`ok`), `failed`, `traced`, with an `adequate` model,
+        `doubted`;
+        and number of sensors (`units`), `stages` and `operators`.
     failures : tuple of (str, str)
         Path of each failed session, and the reason.
     parameters : tuple of QuantitySummary

@@ -264,7 +264,10 @@ class SimStage:
             self._bus._set_now(self.begin_move(angle_deg, approach))
 
     def orient(self, vector: Sequence[float] | Floats) -> None:
-        """Turn the sensor until an ideal sensor reads along a vector (3,); level with Z up is (0, 0, -1)."""
+        """Turn the sensor until an ideal sensor reads along a vector (3,).
+
+        Level with Z up is (0, 0, -1).
+        """
         with self._bus._lock:
             self._bus._set_now(self.begin_orient(vector))
 
@@ -292,14 +295,15 @@ class SimStage:
     def begin_turn(self, angle_deg: float) -> float:
         """Begin to turn the sensor about the vertical; return the time in s at which the turn ends.
 
-        Positive angles are counter-clockwise. The clock does not advance, so the turn can be recorded.
+        Positive angles are counter-clockwise, seen from above. The clock does not advance, so the turn can
+        be recorded.
         """
         return self._begin(self._stage.turn_about, angle_deg)
 
     def turn_freely(self, turns: int = 1) -> float:
-        """Begin turns by hand and return the time in s at which they end, without advancing the clock.
+        """Begin turns by hand, `turns` in number; return the time in s at which they end.
 
-        `turns` is their number.
+        The clock does not advance.
         """
         return self._begin(self._stage.turn_freely, turns)
 

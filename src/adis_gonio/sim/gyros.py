@@ -305,8 +305,9 @@ class DrawnFault:
 
     @property
     def described(self) -> str:
-        """The distribution as text: law, mean and standard deviation or half width, such as "normal, 0, σ
-        0.05".
+        """The distribution as text, such as "normal, 0, σ 0.05".
+
+        It has the law, the mean, and the standard deviation or half width.
         """
         if self.law == "uniform":
             return f"uniform, {self.middle:g} ± {self.size:g}"

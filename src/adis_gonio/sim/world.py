@@ -147,7 +147,10 @@ class World:
         self._sensitivity = sensitivity(self._base())
 
     def _base(self) -> Floats:
-        """Return the gains and skews (6,) of the accelerometers, in the order of `FreeAttitude.parameters`."""
+        """Return the gains and skews (6,) of the accelerometers.
+
+        They are in the order of `FreeAttitude.parameters`.
+        """
         in_space = FreeAttitude(self.gravity_mg)
         return np.array([self._hidden[p.name] / p.per_natural for p in in_space.parameters])
 

@@ -56,7 +56,10 @@ class ForwardingBus(SpiBus):
         self.inner.sleep_s(seconds)
 
     def witness(self, name: str, observe: Callable[[], T]) -> T:
-        """Return `observe()`, a value named `name`, through the inner bus, which may record or replay it."""
+        """Return `observe()`, a value named `name`, through the inner bus.
+
+        The inner bus may record or replay the value.
+        """
         return self.inner.witness(name, observe)
 
     def hard_reset(self) -> None:
@@ -64,7 +67,7 @@ class ForwardingBus(SpiBus):
         self.inner.hard_reset()
 
     def read_event_counter(self) -> int:
-        """Return the number of data-ready edges counted by the inner bus since the last call."""
+        """Return the number of data-ready edges, counted by the inner bus, since the last call."""
         return self.inner.read_event_counter()
 
     def count_events(self) -> tuple[int, float]:

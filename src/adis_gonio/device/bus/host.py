@@ -31,7 +31,7 @@ def udev_rules() -> str:
 
 
 def udev_rule(words: str) -> str:
-    """Return the first udev rule that contains all the given words, such as `hidraw 04d8`.
+    """Return the first udev rule with all the given words, such as `hidraw 04d8`.
 
     Raises
     ------
@@ -125,7 +125,10 @@ class HostBus(SpiBus):
 
 
 class UrlOptions:
-    """The options of a bus URL, read with checks; an unknown option is an error that suggests a known one."""
+    """Options of a bus URL, read with checks.
+
+    An unknown option is an error that suggests a known one.
+    """
 
     def __init__(self, url: BusUrl, names: Sequence[str]) -> None:
         self.url = url
@@ -138,12 +141,12 @@ class UrlOptions:
         return self.url.options.get(name, default)
 
     def number(self, name: str, default: int, low: int, high: int) -> int:
-        """Return the option `name` as a whole number from `low` to `high`; `default` if the URL lacks it."""
+        """Return the option `name` as a whole number from `low` to `high`; `default` if not given."""
         found = self.number_or_none(name, low, high)
         return default if found is None else found
 
     def number_or_none(self, name: str, low: int, high: int) -> int | None:
-        """Return the option `name` as a whole number from `low` to `high`; None if it is not given."""
+        """Return the option `name` as a whole number from `low` to `high`; None if not given."""
         text = self.url.options.get(name)
         if text is None:
             return None
@@ -152,11 +155,11 @@ class UrlOptions:
         return int(text)
 
     def switch(self, name: str, *, default: bool = False) -> bool:
-        """Return the option `name`, written 0 or 1, as a bool; `default` if it is not given."""
+        """Return the option `name`, which is 0 or 1, as a bool; `default` if not given."""
         return bool(self.number(name, int(default), 0, 1))
 
     def one_of(self, name: str, choices: Sequence[str]) -> str:
-        """Return the option `name`, one of the words `choices`; the first if it is not given."""
+        """Return the option `name`, one of the words `choices`; the first word if not given."""
         word = self.text(name, choices[0])
         if word not in choices:
             raise UsageError(f"'{self.url.text}': {name} is one of {', '.join(choices)}")

@@ -117,7 +117,7 @@ class FrameLog:
             yield self._frame_row(call.number, time_s, frame, problem, word)
 
     def _captured(self, call: Call) -> Iterator[FrameRow]:
-        """Yield the row of the previous captured frame, which the reply of this captured frame completes."""
+        """Yield the row of the previous captured frame, which the reply of this frame completes."""
         assert call.frames is not None
         if self._before is not None:
             yield self._frame_row(*self._before, int(call.result[0]))
@@ -201,9 +201,9 @@ class FrameLog:
 
 
 def _written_fields(row: registers.Register | None, high: bool, frame: int) -> str:
-    """Return the names of the commands or fields that a written byte sets.
+    """Return the names of the commands or fields that a written byte sets, in brackets.
 
-    The text has brackets around the names and is empty if the byte sets none.
+    The text is empty if the byte sets none.
     """
     if row is None or row.kind is not registers.Kind.FIELDS:
         return ""

@@ -63,7 +63,10 @@ one is wrong.
 """
 
 _PERIODS = 2.5
-"""Shortest time for which `edges_arrive` counts edges, in sample periods, so that two edges fall into it."""
+"""Shortest time for which `edges_arrive` counts edges, in sample periods.
+
+Two edges fall into this time.
+"""
 _COUNT_S = 0.1
 """Shortest time in s for which `edges_arrive` counts edges."""
 _RATE_TOLERANCE = 0.25

@@ -605,7 +605,7 @@ class ScanBlock:
 
 
 def join(blocks: Sequence[ScanBlock]) -> ScanBlock:
-    """Join successive blocks of the same registers to one block; missed updates and omitted scans add up."""
+    """Join successive blocks of the same registers; missed updates and omitted scans add up."""
     first = blocks[0]
     missed = [block.missed for block in blocks if block.missed is not None]
     return replace(

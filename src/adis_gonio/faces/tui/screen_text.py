@@ -248,9 +248,9 @@ def progress(state: BenchState, width: int) -> str:
 
 
 def _bar(share: float, width: int) -> str:
-    """Return a bar of at most 20 characters for a share of 0 to 1; larger shares are drawn full.
+    """Return a bar of at most 20 characters for a share of 0 to 1.
 
-    A width of less than 4 characters gives an empty text.
+    Larger shares are drawn full. A width of less than 4 characters gives an empty text.
     """
     width = min(20, width)
     if width < 4:
@@ -282,7 +282,10 @@ def _whole_turn(turn: events.TurnDone | None) -> str:
 
 
 def _running(running: events.Running | None) -> str:
-    """Return the text of the parameters from the dwells so far; None gives a note that there are none yet."""
+    """Return the text of the parameters from the dwells so far.
+
+    None gives a note that there are no parameters yet.
+    """
     if running is None:
         return "– (after the second position)"
     dwells = counted(running.dwells, "dwell")
