@@ -90,7 +90,10 @@ class ControlChart(JsonRecord):
 
 
 def control_chart(value: Floats, u: Floats) -> ControlChart:
-    """Make the Shewhart and CUSUM charts of values (n,) with standard uncertainties (n,), in time order."""
+    """Make the Shewhart and CUSUM charts of the values of a quantity in successive sessions.
+
+    `value` (n,) and `u` (n,) are the values and their standard uncertainties, in order of time.
+    """
     between = between_neighbours(value, u)
     variance = u**2 + between**2
     weight = 1 / variance

@@ -309,7 +309,7 @@ ENDINGS = (".parquet", ".json", ".html")
 
 @dataclass(frozen=True)
 class FleetResult:
-    """Records of a fleet with their summary; equal for any number and order of workers."""
+    """Records of a fleet with their summary, which do not depend on number and order of the workers."""
 
     fleet: Fleet
     options: Options

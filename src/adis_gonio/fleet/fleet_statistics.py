@@ -113,7 +113,7 @@ class Beyond(JsonRecord):
 
     @property
     def birge_ratio(self) -> float:
-        """Birge ratio: observed scatter over the scatter that the stated uncertainties explain."""
+        """Birge ratio: observed scatter divided by the scatter that the stated uncertainties explain."""
         return math.sqrt(self.q / self.dof)
 
 
@@ -291,7 +291,7 @@ class FamilyOfTests:
 
 
 def outlying(comparisons: Sequence[FamilyOfTests]) -> tuple[int, list[Test]]:
-    """Count all tests, and list the tests that are significant, the smallest p-value first.
+    """Count all tests, and list the significant tests, the smallest p-value first.
 
     The probability that any of all tests is significant by chance is at most `OUTLYING`.
     """

@@ -51,7 +51,7 @@ from adis_gonio.fleet.session_table import Row, Table, table_of
 FORMAT = "adis-gonio fleet summary 1"
 KINDS = ("unit", "stage", "operator")
 GROUPS = {"unit": "serial", "stage": "stage", "operator": "operator"}
-"""Column of the table that names the groups, by kind of group."""
+"""Name of the table's column that names the groups, by kind of group."""
 _ALIKE = 0.9
 """Share of common sessions from which on the fleet cannot distinguish two groups."""
 _RMS = "angle"
@@ -196,7 +196,7 @@ class Summary:
 
 
 def summarise(rows: Sequence[Row] | Any) -> Summary:
-    """Summarise the sessions of a table, in any order of its rows.
+    """Summarise the fleet whose sessions are the rows of a table, in any order.
 
     The table is a list of rows or a pyarrow table, with the columns `session_table.COLUMNS`.
     """

@@ -47,7 +47,10 @@ SHARES = (0.03, 0.1, 0.2, 0.35, 0.6, 1.0)
 A cause in fewer than 3 % of the sessions is not common.
 """
 SPREADS = (0.35, 0.7, 1.4, 2.8, 5.6, 11.0)
-"""Spreads τ to try for amplitudes that scatter about zero, in typical standard uncertainties."""
+"""Standard deviations τ to try for amplitudes that scatter about zero.
+
+They are in typical standard uncertainties.
+"""
 MEANS = (0.35, 0.7, 1.4, 2.8, 5.6, 11.0)
 """Lengths of the mean μ to try for amplitudes of one sign, in typical standard uncertainties.
 

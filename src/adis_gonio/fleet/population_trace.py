@@ -182,7 +182,7 @@ class PopulationResult(JsonRecord):
 
 
 GROUPINGS = ("stage", "operator", "serial", "sensor")
-"""Groupings in which a cause may be common to a group of sessions."""
+"""Groupings of the sessions; a cause may be common to all sessions with one value of a grouping."""
 MOST_PARTS = 4
 """Largest number of causes that are searched for in a population."""
 FOREMOST = 0.02

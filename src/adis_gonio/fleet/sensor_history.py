@@ -244,7 +244,7 @@ _ROWS = 9
 
 
 def format_expanded(value: Value) -> str:
-    """Format a value with its expanded uncertainty, `value ± U`, without the unit."""
+    """Format a value with its expanded uncertainty U (95 %), `value ± U`, without the unit."""
     return format_uncertain(value.value, value.U)
 
 
@@ -304,7 +304,7 @@ def _date(record: SessionRecord) -> str:
 
 
 def headline(history: History) -> str:
-    """Summarise a history in one line: its sessions, drifting quantities, and signals of control charts."""
+    """Return one line on a history: number of sessions, drifting quantities, signals of control charts."""
     moving = [NAMES.get(name, name) for name, track in history.tracks.items() if track.drifts]
     signals = [
         NAMES.get(name, name)

@@ -47,7 +47,7 @@ A course with a time constant between two of them loses less than 1 % of its sum
 MOST_CYCLES = 12
 """Largest number of cycles per turn for which a session gives evidence on a periodic error of the stage."""
 HARMONICS = (2, 3, 4, 5, 6)
-"""Harmonics of the direction of gravity in the sensor that describe an unnamed error."""
+"""Harmonics of the angle of gravity in the sensor's X-Y plane that describe an unnamed error."""
 COURSES = 4
 """Number of cosines over the length of a session that describe an unnamed course in time."""
 

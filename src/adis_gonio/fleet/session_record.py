@@ -63,7 +63,7 @@ class FoundEffect(JsonRecord):
 
 
 _APART = ("values", "evidence", "stage_influence")
-"""Fields of a record that are no columns of its row."""
+"""Names of the fields of a record that are no columns of its row in the table."""
 
 
 class SessionRecord(JsonRecord):

@@ -81,8 +81,8 @@ _USED = (*_FACTS_USED, *(f"{name}{part}" for name in QUANTITIES for part in ("",
 def table_of(rows: Sequence[Row] | Any) -> Table:
     """Convert rows, or a pyarrow table such as `read_parquet` gives, to arrays by column.
 
-    `effect_row` (m,) and `effect_name` (m,) replace `effects`: each effect found, with the number of its
-    row. Rows are sorted by path.
+    In place of the column `effects`, `effect_row` (m,) and `effect_name` (m,) have the row number and the
+    name of each effect found. Rows are sorted by path.
     """
     if isinstance(rows, Sequence):
         columns = {name: [row.get(name) for row in rows] for name in _USED}

@@ -31,7 +31,7 @@ from adis_gonio.fleet.session_record import Job, Options, SessionRecord, once
 from adis_gonio.record.provenance import digest_of_file
 
 NAME = "adis-gonio.index"
-"""File name of the store in the first folder."""
+"""File name that the store has in the first folder."""
 APPLICATION_ID = 0x41444749
 """Number in the file's header that identifies a store: the letters `ADGI`."""
 VERSION = 2
@@ -90,7 +90,7 @@ class Store:
 
     @classmethod
     def of(cls, places: Sequence[str | Path], path: str | Path | None = None) -> Store:
-        """Open the store at `path` or, without a path, in the first folder.
+        """Open the store at `path` or, if it is None, in the first folder of `places`.
 
         Raises
         ------

@@ -171,7 +171,10 @@ def _answer(pipe: Connection, compute: Callable[..., SessionRecord]) -> None:
 CONNECT_S = 10.0
 """Time limit in s for the answer of a scheduler."""
 ALONE_S = 60.0
-"""Time in s for which a cluster may be without a worker before the run ends, since new workers may start."""
+"""Time in s for which a cluster may be without a worker before the run ends.
+
+New workers may start during this time.
+"""
 _ASK_VERSION = "__import__('adis_gonio').__version__"
 """Python expression that workers evaluate to give their version of adis-gonio.
 

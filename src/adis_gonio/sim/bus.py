@@ -284,12 +284,15 @@ class SimStage:
     def begin_move(self, angle_deg: float, approach: int = 0) -> float:
         """Begin `move_to` and return the time in s at which it ends, without advancing the clock.
 
-        Samples can therefore be recorded during the move.
+        Samples can therefore be recorded during the move. The arguments are those of `move_to`.
         """
         return self._begin(self._stage.move_to, angle_deg, approach)
 
     def begin_orient(self, vector: Sequence[float] | Floats) -> float:
-        """Begin `orient` and return the time in s at which it ends, without advancing the clock."""
+        """Begin `orient` and return the time in s at which it ends, without advancing the clock.
+
+        `vector` (3,) is the reading of an ideal sensor at the end.
+        """
         return self._begin(self._stage.orient, np.asarray(vector, np.float64))
 
     def begin_turn(self, angle_deg: float) -> float:

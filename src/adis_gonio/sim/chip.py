@@ -148,7 +148,10 @@ SELF_TEST_BITS = {
 
 
 class State(Enum):
-    """Activity of the chip, which decides how it answers a frame; `DEAD` follows a broken timing rule."""
+    """Activity of the chip, which determines its answer to a frame.
+
+    In the state `DEAD`, which follows a violated timing rule, it answers nothing.
+    """
 
     RUNNING = auto()
     STARTING = auto()
@@ -268,7 +271,7 @@ class SimulatedChip:
 
     @property
     def aux_dac_v(self) -> float:
-        """Voltage in V of the auxiliary analog output."""
+        """Voltage in V that the auxiliary analog output (AUX_DAC) gives."""
         return self._dac * 2.5 / 4095
 
     @property
@@ -288,7 +291,10 @@ class SimulatedChip:
 
     @property
     def pending_reply(self) -> int:
-        """Word that the chip would send in the next valid frame; models of a bridge need it early."""
+        """Word that the chip would send in the next valid frame.
+
+        Models of a bridge need it before the frame.
+        """
         if self._state in (State.STARTING, State.RESTORING, State.ASLEEP, State.DEAD):
             return self.floating_word
         return self._reply

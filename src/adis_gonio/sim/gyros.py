@@ -121,7 +121,7 @@ class GyroTriad:
 
     @property
     def electronics(self) -> Electronics:
-        """Electronics of the chip with these gyros: ranges, saturation, compensation and autonull times."""
+        """Electronics of a chip with these gyros: range gains, saturation, compensations, autonull times."""
         given = self._settings
         return Electronics(
             range_gain={150: given.gyro_range_gain_150, 75: given.gyro_range_gain_75},

@@ -43,14 +43,17 @@ _LINES = 12
 
 @dataclass(frozen=True)
 class Sines:
-    """Random motion as a sum of sines with random frequency and phase; its rms is 1."""
+    """Random motion as a sum of sines with random frequencies and phases; its rms is 1.
+
+    `omega` (k,) is in rad/s, `phase` (k,) in rad.
+    """
 
     omega: Floats
     phase: Floats
 
     @classmethod
     def drawn(cls, rng: np.random.Generator, band_hz: tuple[float, float]) -> Sines:
-        """Draw sines with random phases and with frequencies in a band, in Hz."""
+        """Draw sines with random phases, and with random frequencies between two limits in Hz."""
         omega = 2 * np.pi * rng.uniform(*band_hz, _LINES)
         return cls(omega, rng.uniform(0, 2 * np.pi, _LINES))
 

@@ -23,7 +23,7 @@ from adis_gonio.device.sensor.registers import (
 )
 
 TOLERANCE_S = 1e-9
-"""Tolerance in s for a stall or period that is too short; covers the rounding of times in float64."""
+"""Tolerance in s when a stall or period is compared with its limit; it covers the rounding of float64."""
 
 START_UP_S = 0.150
 """Duration in s of start-up (B) and of a reset, which the data sheet does not give (D)."""

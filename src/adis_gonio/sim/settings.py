@@ -30,8 +30,9 @@ def _not_negative(default: float | None) -> Any:
 def _by_axis(cls: type[T]) -> type[T]:
     """Make a frozen dataclass, with a placeholder setting expanded to three, six or nine settings.
 
-    A name with `each` has one value for each axis, with `other` one for each axis and another one, with
-    `pair` one for any two axes; the metadata `own` is the default of a pair of one axis with itself.
+    A name with `each` becomes three settings, one for each axis; with `other` six, for each axis and
+    another axis; with `pair` nine, for any two axes; the metadata `own` is the default of a pair of one
+    axis with itself.
     """
     kinds: dict[str, Any] = {}
     for name, kind in cls.__annotations__.items():

@@ -92,7 +92,10 @@ class LogicCapture:
 
 
 def _read_header(path: Path, file: TextIO) -> tuple[float, Mapping[str, str]]:
-    """Read a VCD header; return the time unit in s, and the signal of each identifier code."""
+    """Read a VCD header; return the time unit in s, and the name of the signal by identifier code.
+
+    `path` is the name of the file, for messages.
+    """
     text = ""
     for line in file:
         text += line

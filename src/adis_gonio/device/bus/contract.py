@@ -69,7 +69,7 @@ class Capability(StrEnum):
 
 @dataclass(frozen=True)
 class SpiTiming:
-    """SPI timing of a bus: maximum clock, minimum stall between frames, minimum period of frames."""
+    """SPI timing of a bus: maximum clock in Hz, minimum stall between frames and minimum period in µs."""
 
     clock_hz: float
     stall_us: float
@@ -92,11 +92,12 @@ class FrameBlock:
     Attributes
     ----------
     words : (n, k) uint16
-        Reply that belongs to each of the k frames of the list, for n scans (pipelining undone).
+        Reply to each of the k frames of the stream's list, for n scans; the pipelining is undone.
     time_s : (n,) float
         Time of each scan's trigger on the bus's clock.
     lost : int
-        Triggers between the previous block and the end of this one that gave no scan.
+        Number of triggers between the end of the previous block and the end of this block that gave no
+        scan.
     """
 
     words: Words
@@ -178,7 +179,10 @@ class SpiBus(Closing):
             return self._checked(self._exchange(frames), frames.size)
 
     def _checked(self, replies: Words, count: int) -> Words:
-        """Return the replies as uint16; raise `ProtocolError` unless they are `count` 16-bit words."""
+        """Return the replies of `_exchange` as uint16, after a check of their number and range.
+
+        Raises `ProtocolError` unless they are `count` 16-bit words.
+        """
         if isinstance(replies, np.ndarray) and replies.dtype == np.uint16 and replies.shape == (count,):
             return replies
         try:
@@ -203,7 +207,7 @@ class SpiBus(Closing):
     # -- time -----------------------------------------------------------------------------------
 
     def now_s(self) -> float:
-        """Present time in s on the monotonic clock of this bus, which may be virtual."""
+        """Return the present time in s on the monotonic clock of this bus, which may be virtual."""
         return time.monotonic()
 
     def sleep_s(self, seconds: float) -> None:
@@ -213,7 +217,7 @@ class SpiBus(Closing):
     def witness(self, name: str, observe: Callable[[], T]) -> T:
         """Return `observe()`, a JSON value from outside the bus, such as an answer of the operator.
 
-        A recording bus keeps the value, and a replay returns the kept value instead.
+        A recording bus records the value under `name`, and a replay returns the recorded value instead.
         """
         return observe()
 

@@ -56,25 +56,36 @@ CHANNELS = 11
 FRAME_BYTES = 2
 
 CLOCKS_HZ = (12e6, 6e6, 3e6, 1.5e6, 750e3, 375e3, 187.5e3, 93.75e3)
-"""SPI clocks by their code."""
+"""SPI clocks of the CP2130 in Hz; the index of a clock is its code."""
 
 CS_LOW_FOR_A_WHOLE_COMMAND = True
-"""[M] Chip select stays low for one bulk command, and the chip's own "CS toggle" works per byte: so a
-frame is one WriteRead of two bytes with the toggle off. If a scope shows CS rising between the two bytes,
-change the delay mask in `Cp2130Bus._set_up`."""
+"""Chip select stays low for one bulk command; not verified on a board.
+
+The chip's own "CS toggle" works per byte: so a frame is one WriteRead of two bytes with the toggle off. If
+a scope shows CS rising between the two bytes, change the delay mask in `Cp2130Bus._set_up`.
+"""
 
 CPHA_BIT, CPOL_BIT, PUSH_PULL_BIT = 5, 4, 3
-"""[M] Bits of the SPI word; bits 2:0 are the clock code."""
+"""Positions of three bits in the SPI configuration byte; not verified on a board.
+
+Bits 2:0 of the byte are the clock code.
+"""
 
 EVENT_PIN = 4
-"""GPIO.4, the only pin that can count."""
+"""GPIO.4, the only pin that can count edges."""
 COUNTER_MODES = (4, 5, 6, 7)
-"""[M] Modes of the event counter that count: edges rising and falling, pulses negative and positive.
-The function of the pin is programmed at the factory or once by its owner (OTP), never by this package."""
+"""Modes of the event counter that count, not verified on a board.
+
+They count edges rising and falling, pulses negative and positive. The function of the pin is programmed at
+the factory or once by its owner (OTP), never by this package.
+"""
 
 PIN_BITS = (3, 4, 5, 6, 7, 8, 10, 11, 12, 13, 14)
-"""[M] Bits of GPIO.0 to GPIO.10 in a word of pins. The answer about chip selects has a word of channels,
-which count from bit 0, and a word of pins: the pins that are an active chip select."""
+"""Bits of GPIO.0 to GPIO.10 in a word of pins; not verified on a board.
+
+The answer about chip selects has a word of channels, which count from bit 0, and a word of pins: the pins
+that are an active chip select.
+"""
 
 
 class ControlRequest(IntEnum):
@@ -168,9 +179,9 @@ class Cp2130Bus(host.UsbBus):
     usb_error : type
         Class of the errors of `device`.
     claim : callable
-        Claims the interface again after a port reset.
+        Called to claim the interface again after a port reset.
     endpoints : tuple of int
-        Bulk endpoints out and in.
+        Addresses of the bulk endpoints out and in.
     options : UsbOptions
         The SPI channel has the number of the pin `cs`. RST is driven open-drain. The event counter is
         GPIO.4, which must be configured in the board's OTP.
@@ -223,7 +234,10 @@ class Cp2130Bus(host.UsbBus):
         return SpiTiming(CLOCKS_HZ[code], timing.stall_us, timing.period_us)
 
     def _set_up(self, code: int) -> None:
-        """Set the SPI channel to mode 3 at a clock, without delays, and enable its chip select alone."""
+        """Set the SPI channel to mode 3 without delays, and enable its chip select alone.
+
+        `code` is the code of the SPI clock.
+        """
         word, channel = spi_word(code), self._options.cs
         self._out(ControlRequest.SET_SPI_WORD, bytes((channel, word)))
         self._out(ControlRequest.SET_SPI_DELAY, bytes((channel, *[0] * 7)))

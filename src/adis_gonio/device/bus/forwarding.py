@@ -48,7 +48,7 @@ class ForwardingBus(SpiBus):
         return bool(getattr(self.inner, "virtual_time", False))
 
     def now_s(self) -> float:
-        """Time in s on the clock of the inner bus."""
+        """Return the time in s on the clock of the inner bus."""
         return self.inner.now_s()
 
     def sleep_s(self, seconds: float) -> None:

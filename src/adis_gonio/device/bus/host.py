@@ -22,7 +22,10 @@ T = TypeVar("T")
 Listing = Callable[[Sequence[T]], list[Device]]
 
 RULES_FILE = "70-adis-gonio.rules"
-"""Name of the rules, here and in /etc/udev/rules.d; below 73, where uaccess tags are acted upon."""
+"""Name of the udev rules file, in this package and in /etc/udev/rules.d.
+
+The number is below 73, at which uaccess tags are applied.
+"""
 
 
 def udev_rules() -> str:
@@ -55,7 +58,7 @@ class Clock:
     """The monotonic clock of this computer; tests give a bus a virtual one."""
 
     def now_s(self) -> float:
-        """Present monotonic time in s."""
+        """Return the present monotonic time in s."""
         return time.monotonic()
 
     def sleep_s(self, seconds: float) -> None:
@@ -108,7 +111,7 @@ class HostBus(SpiBus):
         self._resources = contextlib.ExitStack()
 
     def now_s(self) -> float:
-        """Present time in s on the monotonic clock of this bus."""
+        """Return the present time in s on the monotonic clock of this bus."""
         return self._clock.now_s()
 
     def sleep_s(self, seconds: float) -> None:

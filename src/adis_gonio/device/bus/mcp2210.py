@@ -84,20 +84,25 @@ SLOWEST_HZ = 1_500
 FRAME_BYTES = 2
 
 STARTS_WITHOUT_DATA = True
-"""[M] The answer that accepts a transfer carries no data, even if the bytes were already clocked; the next
-answer has the data. From the maker's example; a board that differs causes the error "data before the
-transfer has started"."""
+"""The answer that accepts a transfer carries no data; not verified on a board.
+
+The data come with the next answer, even if the bytes were already clocked. This follows from the maker's
+example; a board that differs causes the error "data before the transfer has started".
+"""
 
 EVENT_PIN = 6
-"""GP6, the only pin that can count."""
+"""GP6, the only pin that can count events."""
 COUNT_RISING_EDGES = 0b010
 """[M] Value of bits 3:1 of the chip settings that makes GP6 count rising edges."""
 EVENT_MODE_MASK = 0b1110
 
 
 ECHO = 2
-"""[M] Byte of the answer to an EEPROM read that repeats the address. It is the only part of a harmless
-request that this chip repeats, so it marks a place in the order of answers."""
+"""Index of the byte in the answer to an EEPROM read that repeats the address; not verified on a board.
+
+It is the only part of a harmless request that this chip repeats, so it marks a place in the order of
+answers.
+"""
 
 
 class Command(IntEnum):
@@ -140,7 +145,7 @@ class Engine(IntEnum):
 
 
 class Designation(IntEnum):
-    """Function that is assigned to a pin."""
+    """Function of a pin of the MCP2210: GPIO, chip select, or the dedicated function."""
 
     GPIO = 0
     CS = 1
@@ -212,7 +217,7 @@ def is_mark(answer: bytes, number: int) -> bool:
 
 
 class ChipSettings(NamedTuple):
-    """Settings of the nine pins in RAM (commands 0x20, 0x21): functions, outputs, directions, flags."""
+    """Settings of the nine pins in RAM (commands 0x20, 0x21): functions, levels, directions, flags."""
 
     designations: bytes
     outputs: int
@@ -233,7 +238,10 @@ class ChipSettings(NamedTuple):
 
 
 class SpiSettings(NamedTuple):
-    """SPI settings in RAM (commands 0x40, 0x41); the three delays have steps of 100 µs."""
+    """SPI settings in RAM (commands 0x40, 0x41): bit rate, chip-select levels, delays, length, mode.
+
+    The three delays have steps of 100 µs.
+    """
 
     bit_rate_hz: int
     idle_cs: int
@@ -624,7 +632,10 @@ def find_devices(*, hid: Any = None) -> list[Device]:
 
 
 def _load(backend: str) -> Any:
-    """Import the hidapi module for a backend; on Linux the package has two, for hidraw and libusb."""
+    """Import the hidapi module for a backend, `hidraw` or `libusb`.
+
+    On Linux the package has one module for each. Raises `NotInstalledError` without hidapi.
+    """
     names = ["hidraw", "hid"] if sys.platform == "linux" and backend == "hidraw" else ["hid"]
     for name in names:
         with contextlib.suppress(ImportError):

@@ -68,7 +68,7 @@ def open_bus(url: str) -> SpiBus:
     Parameters
     ----------
     url : str
-        For instance `sim:?seed=1`. `bus_schemes()` lists the schemes that are installed.
+        URL of the bus, for instance `sim:?seed=1`. `bus_schemes()` lists the schemes that are installed.
 
     Raises
     ------
@@ -118,8 +118,8 @@ class Device(JsonRecord):
 def find_devices() -> list[Device]:
     """List the devices of all installed buses (entry points of group `adis_gonio.devices`).
 
-    A bus without its library is listed with the extra that it needs, and a finder that fails with the name
-    of its function, so that a mistake in one package does not hide the devices of the others.
+    A bus without its library is listed with the extra that it needs, and a failed finder function with its
+    name, so that a mistake in one package does not hide the devices of the others.
     """
     devices: list[Device] = []
     for point in sorted(entry_points(group=DEVICE_GROUP), key=lambda point: point.name):

@@ -58,7 +58,7 @@ T = TypeVar("T")
 
 
 class RecordKind(IntEnum):
-    """Kinds of records."""
+    """Kinds of records in a file of recorded bus calls."""
 
     HEADER = 1
     """JSON object with url, timing, capabilities, edge_rises and unbroken_frames of the recorded bus."""
@@ -235,17 +235,17 @@ class RecordingBus(ForwardingBus):
         return value
 
     def now_s(self) -> float:
-        """Time in s on the clock of the inner bus."""
+        """Return the time in s on the clock of the inner bus, and record it."""
         now = self.inner.now_s()
         self.writer.add(RecordKind.CLOCK, _CLOCK.pack(now))
         return now
 
     def sleep_s(self, seconds: float) -> None:
-        """Wait for some seconds on the clock of the inner bus."""
+        """Wait for some seconds on the clock of the inner bus; record the call."""
         self._record("sleep_s", lambda: self.inner.sleep_s(seconds), arguments=[float(seconds)])
 
     def hard_reset(self) -> None:
-        """Reset the chip by the RST line of the inner bus."""
+        """Reset the chip by the RST line of the inner bus; record the call."""
         self._record("hard_reset", self.inner.hard_reset)
 
     def read_event_counter(self) -> int:
@@ -314,7 +314,10 @@ class RecordingBus(ForwardingBus):
 
 
 _HELPERS = ("stage", "world")
-"""Attributes of a bus that a session calls: a stage that moves by program, and a simulated world."""
+"""Names of the attributes of a bus that a session calls.
+
+They are a stage that moves by program, and a simulated world.
+"""
 
 
 def _describe(helper: object) -> dict[str, Any] | None:
@@ -483,7 +486,8 @@ class ReplayBus(SpiBus):
     path : str or Path
         The recording.
     strict : bool
-        Raise `ProtocolError` at the first call that differs from the recording. Otherwise the next recorded
+        True raises `ProtocolError` at the first call that differs from the recording. False: the next
+        recorded
         call with the same name and frames answers, and the calls before it are skipped.
 
     Raises
@@ -491,7 +495,7 @@ class ReplayBus(SpiBus):
     DataError
         The file cannot be read or is no recording.
     ProtocolError
-        In a call: no further record answers it. An error that was recorded is raised again.
+        A call has no further record that answers it. An error that was recorded is raised again.
     """
 
     replayed = True
@@ -528,7 +532,7 @@ class ReplayBus(SpiBus):
         return self._now_s
 
     def sleep_s(self, seconds: float) -> None:
-        """Return at once."""
+        """Return at once, without waiting."""
         self.witness("sleep_s", lambda: None)
 
     def witness(self, name: str, observe: Callable[[], T]) -> T:

@@ -102,7 +102,7 @@ class _LineAttribute(ctypes.Structure):
 
 
 class LineRequest(ctypes.Structure):
-    """Linux struct gpio_v2_line_request, with the fields of its configuration included."""
+    """Linux struct gpio_v2_line_request, a request for GPIO lines, with its configuration included."""
 
     _fields_ = (
         ("offsets", ctypes.c_uint32 * 64),
@@ -119,19 +119,19 @@ class LineRequest(ctypes.Structure):
 
 
 class LineValues(ctypes.Structure):
-    """Linux struct gpio_v2_line_values."""
+    """Linux struct gpio_v2_line_values, levels of GPIO lines."""
 
     _fields_ = (("bits", ctypes.c_uint64), ("mask", ctypes.c_uint64))
 
 
 class ChipInfo(ctypes.Structure):
-    """Linux struct gpiochip_info."""
+    """Linux struct gpiochip_info, name and number of lines of a GPIO chip."""
 
     _fields_ = (("name", ctypes.c_char * 32), ("label", ctypes.c_char * 32), ("lines", ctypes.c_uint32))
 
 
 class LineInfo(ctypes.Structure):
-    """Linux struct gpio_v2_line_info."""
+    """Linux struct gpio_v2_line_info, name and use of a GPIO line."""
 
     _fields_ = (
         ("name", ctypes.c_char * 32),

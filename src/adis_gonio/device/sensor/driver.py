@@ -290,9 +290,9 @@ class Adis16354(Closing):
         Raises
         ------
         SilentChipError
-            SENS_AVG reads zeros or ones.
+            SENS_AVG reads zeros or ones, so the data line is stuck.
         VerifyError
-            The readings differ each time.
+            No two successive readings agree.
         """
         rows = [BY_NAME["SENS_AVG"], *registers(names), BY_NAME["SENS_AVG"]]
         before: list[int] = []
@@ -592,12 +592,12 @@ class Adis16354(Closing):
         return self.offsets()
 
     def save_to_flash(self, *, force: bool = False) -> int:
-        """Save all registers that have a flash copy; return the count of flash updates afterwards.
+        """Save the registers that have a flash copy to flash; return the count of flash updates afterwards.
 
         Raises
         ------
         ChipError
-            The flash is worn (10 000 writes) and `force` is not set; nothing was written.
+            The flash is worn (10 000 writes) and `force` is False; nothing was written.
         VerifyError
             The endurance counter did not go up by one.
         StatusError
@@ -656,7 +656,8 @@ class Adis16354(Closing):
         Raises
         ------
         UsageError
-            Unknown alarm or source; a threshold outside the source's range; or a threshold for a change of
+            The alarm or its source is unknown; a threshold is outside the source's range; or a threshold
+            for a change is
             less than half an LSB a sample.
         """
         if number not in (1, 2):

@@ -27,7 +27,7 @@ FASTEST_FAST_HZ, FASTEST_NORMAL_HZ = 2e6, 300e3
 """Highest SPI clock in Hz in fast mode and in normal mode (DS, A)."""
 
 TOLERANCE = 0.01
-"""Relative error that a measured time may have, because a logic analyser samples in steps."""
+"""Relative tolerance of a measured time or clock, because a logic analyser samples in steps."""
 
 
 class FrameRow(JsonRecord):

@@ -60,7 +60,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True)
 class Field:
-    """A bit field of a control register: name, highest and lowest bit, meaning."""
+    """A bit field of a control register: name, numbers of its highest and lowest bit, meaning."""
 
     name: str
     high: int
@@ -86,7 +86,7 @@ class Field:
 
 @dataclass(frozen=True)
 class Register:
-    """A register of the chip: address, data format, access and meaning.
+    """A register of the chip: address, data format, access, meaning, and the source of these facts.
 
     Attributes
     ----------
@@ -245,9 +245,12 @@ COMMAND    3E u16 w  fields       009F 0000 0000 A commands, each starts by writ
     1     restore            factory restore: zero the six offsets
     0     autonull           null the gyros
 """
-"""A line for each register: name, byte address (hexadecimal), width of its number (`s` signed, `u` not),
-access, kind, writable bits, bits with a flash copy, default (all hexadecimal), confidence, and meaning.
-Indented lines are its bit fields: bits, name, meaning."""
+"""Text with a line for each register.
+
+A line has name, byte address (hexadecimal), width of its number (`s` signed, `u` not), access, kind,
+writable bits, bits with a flash copy, default (all hexadecimal), confidence, and meaning. Indented lines
+are its bit fields: bits, name, meaning.
+"""
 _OUTPUTS = (Kind.SUPPLY, Kind.GYRO, Kind.ACCEL, Kind.TEMPERATURE, Kind.AUX_ADC)
 
 
@@ -337,12 +340,17 @@ Never use ones: 0xFFFF looks like a write to COMMAND.
 """
 
 FAST = SpiTiming(clock_hz=1_000_000, stall_us=9.0, period_us=40.0)
-"""Fast mode, SMPL_PRD <= 0x09: up to 2 MHz, frame period at least 40 µs, stall at least 9 µs (DS, A)."""
+"""SPI timing in fast mode, SMPL_PRD <= 0x09 (DS, A).
+
+The chip allows up to 2 MHz, with a frame period of at least 40 µs and a stall of at least 9 µs.
+"""
 
 NORMAL = SpiTiming(clock_hz=250_000, stall_us=75.0, period_us=160.0)
-"""Normal mode, SMPL_PRD >= 0x0A: up to 300 kHz, period at least 160 µs, stall at least 75 µs (DS, A).
+"""SPI timing in normal mode, SMPL_PRD >= 0x0A (DS, A).
 
-It also keeps the limits of fast mode, so it is safe if the mode is unknown."""
+The chip allows up to 300 kHz, with a frame period of at least 160 µs and a stall of at least 75 µs. This
+timing also keeps the limits of fast mode, so it is safe if the mode is unknown.
+"""
 
 FAST_UP_TO = 0x09
 """Largest SMPL_PRD, time-base bit included, at which the chip runs in fast mode (DS, A)."""
@@ -464,7 +472,7 @@ class Performance:
 
 @dataclass(frozen=True)
 class Variant:
-    """A sensor type of the family, with its scales and typical errors."""
+    """A sensor type of the family, with its scales, their source and confidence, and its typical errors."""
 
     name: str
     accel_mg_per_lsb: float

@@ -333,7 +333,7 @@ class ScanStream(Closing):
         Raises
         ------
         BusError, VerifyError
-            The bus failed, so that data-ready may still be enabled.
+            The bus failed or a register reads back another value, so that data-ready may still be enabled.
         """
         if not self._closed:
             self._closed = True

@@ -192,7 +192,7 @@ class Configuration:
 
     @classmethod
     def from_words(cls, smpl_prd: int, sens_avg: int, msc_ctrl: int) -> Configuration:
-        """Decode the configuration from the contents of the three registers."""
+        """Decode the configuration from the contents of SMPL_PRD, SENS_AVG and MSC_CTRL."""
         sens, misc = BY_NAME["SENS_AVG"], BY_NAME["MSC_CTRL"]
         return cls(
             smpl_prd & 0xFF,
@@ -271,18 +271,18 @@ class Offsets(JsonRecord):
 
 @dataclass(frozen=True)
 class Status:
-    """Content of STATUS at the time of reading, which cleared it."""
+    """Content of STATUS at the time of reading, which cleared the register."""
 
     word: int
 
     @property
     def flags(self) -> Mapping[str, bool]:
-        """All bits of STATUS by their names in the register table."""
+        """True or False for each bit of STATUS, by its name in the register table."""
         return {field.name: bool(field.of(self.word)) for field in BY_NAME["STATUS"].fields}
 
     @property
     def messages(self) -> tuple[str, ...]:
-        """Faults and alarms that are set, one line of text each."""
+        """Meanings of the errors and alarms that are set in STATUS, one line of text each."""
         return tuple(field.meaning for field in BY_NAME["STATUS"].fields if field.of(self.word))
 
     def __str__(self) -> str:
@@ -539,7 +539,7 @@ class ScanBlock:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Unit of the values in each column."""
+        """Unit of the values in each column, such as mg."""
         return scales(self.table, variant(self.variant), self.gyro_range_dps)[2]
 
     def column(self, name: str) -> Floats:
@@ -571,12 +571,12 @@ class ScanBlock:
 
     @property
     def accel_mg(self) -> Floats:
-        """Acceleration (n, 3) in mg (thousandths of 9.80665 m/s²)."""
+        """Acceleration (n, 3) along X, Y and Z in mg (thousandths of 9.80665 m/s²), as read."""
         return self.select(ACCEL_OUT).values()
 
     @property
     def gyro_dps(self) -> Floats:
-        """Rates of turn (n, 3) in °/s."""
+        """Rate of turn (n, 3) about X, Y and Z in °/s."""
         return self.select(GYRO_OUT).values()
 
     @property

@@ -58,7 +58,10 @@ GROUPS = {
 COMMANDS = {name: home for group in GROUPS.values() for name, home in group.items()}
 
 _COMPUTING = frozenset({"fit", "trace", "report", "export", "paper", "plan", "fleet", "allan"})
-"""Commands that only compute: Ctrl-C can end them anywhere, because they have nothing to undo."""
+"""Names of the commands that only compute.
+
+Ctrl-C can end them anywhere, because they have nothing to undo.
+"""
 
 
 @click.group(cls=LazyGroup, groups=GROUPS, context_settings={"help_option_names": ["-h", "--help"]})

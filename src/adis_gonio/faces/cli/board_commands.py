@@ -268,7 +268,7 @@ def _ask_to_write(writer: OffsetWriter, plan: WritePlan) -> str:
 
 
 def at_a_terminal() -> bool:
-    """True if standard input is a terminal, so that somebody can answer questions."""
+    """Return True if standard input is a terminal, so that an operator can answer questions."""
     return sys.stdin.isatty()
 
 

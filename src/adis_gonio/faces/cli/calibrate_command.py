@@ -316,7 +316,11 @@ def _runner(
     turns: int | None,
     **options: Any,
 ) -> SessionRunner:
-    """Make the runner of a new or resumed session from the options of the command."""
+    """Make the runner of a new or resumed session from the options of the command.
+
+    `plan_name` is None for the default plan; `advisor` is None without a trace; `options` are the further
+    options.
+    """
     from adis_gonio.bench.gyro_turns import ALL_THERMOMETERS
     from adis_gonio.bench.runner import SessionRunner
     from adis_gonio.device.sensor.driver import DEFAULT_SCAN

@@ -425,7 +425,7 @@ def _show_angles(angles: Iterator[LiveAngle], line: _AngleLine, last_s: float) -
 
 
 class _AngleLine:
-    """Printer of angles: on a terminal one line that changes in place, else one line for each angle."""
+    """Printer of live angles: on a terminal one line that changes in place, else a line for each angle."""
 
     def __init__(self, *, as_json: bool) -> None:
         self._as_json = as_json

@@ -100,7 +100,7 @@ def parse_stage(text: str) -> float | StageCurve:
 
 
 def parse_unit(text: str) -> str:
-    """Parse one of `ACCEL_UNITS`; `m/s²` and `m/s^2` also mean `mps2`."""
+    """Parse a unit of acceleration, one of `ACCEL_UNITS`; `m/s²` and `m/s^2` also mean `mps2`."""
     name = {"m/s²": "mps2", "m/s^2": "mps2"}.get(str(text).strip().lower(), str(text))
     if name not in ACCEL_UNITS:
         raise click.BadParameter(f"'{text}' is no unit: give {', '.join(ACCEL_UNITS)}")

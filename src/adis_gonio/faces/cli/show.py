@@ -76,7 +76,7 @@ def say(text: str, *, err: bool = True, hang: int = 0) -> None:
 
 
 LEAST_TEXT = 16
-"""Smallest width of a folded column of text."""
+"""Smallest width in columns of a folded column of text."""
 
 
 def table_of(
@@ -121,6 +121,10 @@ def print_table(
 
     Parameters
     ----------
+    head : sequence of str
+        Headings of the columns.
+    rows : sequence of sequence of str
+        Cells of each row.
     texts : container of int
         Indices of the columns of text, which may be folded; the others hold numbers.
     """
@@ -163,7 +167,10 @@ def report_written(path: Path | str, content: str = "") -> None:
 
 
 def json_text(document: Any, *, ascii_only: bool = False) -> str:
-    """Format a document as JSON; numbers that are not finite become null."""
+    """Return a document as JSON text; numbers that are not finite become null.
+
+    `ascii_only` writes other letters as escape sequences.
+    """
     return json.dumps(finite(document), ensure_ascii=ascii_only, indent=2, allow_nan=False)
 
 
@@ -174,7 +181,10 @@ def print_json(document: Any) -> None:
 
 
 def report_times_s() -> Iterator[float]:
-    """Times in s since the beginning at which progress is logged, at growing intervals."""
+    """Yield the times in s since the begin of the work at which progress is logged.
+
+    The intervals grow.
+    """
     yield from (1.0, 10.0, 30.0, 60.0, 120.0)
     yield from (300.0 * k for k in count(1))
 

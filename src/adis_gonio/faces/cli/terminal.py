@@ -62,9 +62,10 @@ def format_message(text: str) -> str:
 
 
 def replace_missing_letters() -> None:
-    """Make standard output and standard error write ASCII forms of letters that their character set lacks.
+    """Make standard output and standard error replace letters that their character set lacks.
 
-    A stream without `reconfigure`, such as a test's replacement, stays as it is.
+    The replacements are ASCII forms, see `ascii_form`. A stream without `reconfigure`, such as a test's
+    replacement, stays as it is.
     """
     codecs.register_error(_ERRORS, _replace_letters)
     codecs.register(_find_codec)
@@ -134,7 +135,7 @@ class Interrupt:
 
     @contextmanager
     def waiting(self) -> Iterator[None]:
-        """Context in which Ctrl-C may interrupt a step; the step must leave no partial result behind.
+        """Context in which Ctrl-C may interrupt a step; the step must leave no partial result.
 
         Raises
         ------

@@ -487,7 +487,7 @@ class Channel:
 DEVICE_ATTRIBUTES = ("sampling_frequency", "sampling_frequency_available", "current_timestamp_clock")
 DEBUG_ATTRIBUTES = ("clients", "scans_lost_by_sensor", "scans_lost_by_clients")
 WRITABLE = ("calibbias", "filter_low_pass_3db_frequency", "sampling_frequency")
-"""Attributes that a client may write if writes are allowed."""
+"""Names of the attributes that a client may write if writes are allowed."""
 
 
 class ServedDevice:

@@ -143,7 +143,7 @@ class ReadAttribute(Request):
 
 @dataclass(frozen=True)
 class WriteAttribute(Request):
-    """Request to write an attribute."""
+    """Request to write `value` as the attribute `name` of the target."""
 
     target: Target
     name: str
@@ -209,7 +209,7 @@ class Malformed(Request):
 
 
 class Parser:
-    """Converts received bytes to requests; never raises, and keeps at most one line or one value."""
+    """Converts received bytes to requests; it never raises, and keeps at most one line or one value."""
 
     def __init__(self) -> None:
         self._held = bytearray()

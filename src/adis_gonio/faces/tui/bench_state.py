@@ -224,7 +224,7 @@ class BenchState:
         self.messages = [*self.messages, Message(text, level)][-MOST_MESSAGES:]
 
     def take(self, event: events.Event) -> None:
-        """Update the state and the messages by the next event."""
+        """Update the state and the messages by an event of the runner."""
         self._take(event)
         # The first lines of a session are in the title and at the side.
         if not isinstance(event, events.Started | events.Configured):
@@ -233,7 +233,7 @@ class BenchState:
 
     @singledispatchmethod
     def _take(self, event: events.Event) -> None:
-        """Update the state; events without a method below change nothing."""
+        """Update the state by an event; an event without a method of its own changes nothing."""
 
     @_take.register
     def _(self, event: events.Started) -> None:

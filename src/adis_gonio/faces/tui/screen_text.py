@@ -52,7 +52,7 @@ _DIGITS = {
     "–": ("    ", "    ", "████", "    ", "    "),
     " ": ("  ", "  ", "  ", "  ", "  "),
 }
-"""Each character of a number as five rows of blocks."""
+"""Digits and signs of a number, each as five rows of block characters."""
 
 
 def large_angle(value_deg: float | None, scale: int = 1) -> list[str]:
@@ -61,7 +61,7 @@ def large_angle(value_deg: float | None, scale: int = 1) -> list[str]:
     Parameters
     ----------
     scale : int
-        2 doubles width and height.
+        Factor on width and height; 2 doubles both.
     """
     text = DASH if value_deg is None else f"{signed(value_deg, 2)}°"
     rows = []

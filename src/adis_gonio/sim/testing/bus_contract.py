@@ -76,7 +76,10 @@ class WatchedChip(SimulatedChip):
         return reply
 
     def frames_at(self, words: Words, starts_s: Floats, *, clock_hz: float) -> Words:
-        """Take frames at increasing times one by one, so that each is recorded; return the replies."""
+        """Take frames at increasing times (n,) in s one by one; return the replies.
+
+        Each frame is recorded in `seen`. `clock_hz` is the SPI clock.
+        """
         return np.array(
             [
                 self.frame(int(word), start_s=float(start), clock_hz=clock_hz)
@@ -114,8 +117,8 @@ class Rig:
 class BusContract(ABC):
     """Tests of the bus contract; a subclass has a name that begins with `Test` and implements `make`.
 
-    Tests of a capability that the bus lacks, and of a clock limit that the rig does not name, pass without
-    a check; another test proves that a missing capability is refused by name.
+    Tests of a capability that the bus lacks pass without a check, and so does the test of a clock limit if
+    the rig has none; another test proves that a missing capability is refused by name.
     """
 
     @abstractmethod
@@ -424,7 +427,7 @@ def random_batches(rng: np.random.Generator, count: int) -> list[list[int]]:
 def assert_timing(frames: list[WireFrame], timing: SpiTiming, clock_from: int = 0) -> None:
     """Assert that each frame keeps the stall and period of `timing` after the frame before it.
 
-    The clock is checked from frame `clock_from` on.
+    The SPI clock is checked from frame `clock_from` on.
     """
     assert len(frames) > 1
     assert all(frame.clock_hz <= timing.clock_hz for frame in frames[clock_from:])

@@ -277,7 +277,7 @@ class SimulatedBoard(Closing):
 
 
 class BoardStage:
-    """The simulated stage of a board; each call waits in real time until its move has ended."""
+    """The simulated stage of a board; each method waits in real time until its move has ended."""
 
     def __init__(self, board: SimulatedBoard) -> None:
         self._board = board

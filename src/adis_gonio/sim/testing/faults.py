@@ -238,7 +238,10 @@ class FaultyBus(ForwardingBus):
     # -- faulty calls --------------------------------------------------------------------------------
 
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
-        """Start a stream of the inner bus, with faults in the words of its scans."""
+        """Start a stream of the read frames `frames` on the inner bus, with faults in its scans.
+
+        A block of the stream holds about `block_scans` scans.
+        """
         return _FaultyFrames(self, super().stream(frames, block_scans=block_scans))
 
     def _exchange(self, frames: Words) -> Words:
@@ -278,7 +281,7 @@ class FaultyBus(ForwardingBus):
         return words ^ (turned @ (1 << np.arange(FRAME_BITS))).astype(np.uint16)
 
     def _struck(self, kind: str, count: int) -> NDArray[np.bool_]:
-        """Draw which of `count` items a fault of this kind affects, as a mask (count,).
+        """Draw the items, out of `count`, that a fault of this kind affects; return a mask (count,).
 
         The affected items are counted in `seen`.
         """

@@ -60,7 +60,7 @@ def unstuff(data: bytes) -> bytes | None:
 
 
 class _RefusalError(Exception):
-    """A request is refused, with this code and detail."""
+    """Raised if a request is refused, with the code and the detail of the refusal."""
 
     def __init__(self, code: int, detail: int = 0) -> None:
         super().__init__()
@@ -229,7 +229,7 @@ class SimulatedFirmware:
     # -- requests ---------------------------------------------------------------------------------------
 
     def _execute(self, kind: int, request_id: int, body: bytes) -> bytes:
-        """Execute a request; return the body of its reply."""
+        """Execute a request of type `kind`; return the body of its reply."""
         if kind == 4:
             return self._begin_stream(request_id, body)
         requests = (
@@ -376,7 +376,10 @@ class _Stream:
         return None if first is None else first + (self.decimation - 1) * chip.update_period_s
 
     def scan(self, trigger_s: float) -> None:
-        """Make the scan of a trigger: send the read frames and an idle frame; count missed triggers."""
+        """Make the scan of a trigger at `trigger_s`, and count the triggers that are missed during it.
+
+        The scan sends the read frames and an idle frame.
+        """
         firmware = self.firmware
         if trigger_s < self._blocked_s:
             self._lose(1)

@@ -19,7 +19,7 @@ class VirtualClock:
         self._now_s = now_s
 
     def now_s(self) -> float:
-        """Present time in s."""
+        """Return the present time in s of the virtual clock."""
         return self._now_s
 
     def sleep_s(self, seconds: float) -> None:
@@ -39,11 +39,11 @@ class DeviceClock:
         self._zero_s = time.monotonic()
 
     def now_s(self) -> float:
-        """Time in s since the clock was created."""
+        """Return the time in s since the clock was created."""
         return time.monotonic() - self._zero_s
 
     def sleep_s(self, seconds: float) -> None:
-        """Wait in real time."""
+        """Wait for `seconds` in real time."""
         time.sleep(max(0.0, seconds))
 
     def advance_to(self, time_s: float) -> None:
@@ -54,8 +54,8 @@ class DeviceClock:
 class WorkClock(DeviceClock):
     """Real-time clock of a device model that computes each answer with the time at which it is ready.
 
-    Work advances it at once, ahead of the wall clock; the sender of an answer waits for its time. A model
-    that slept for every frame would be late by as many wake-ups of a busy machine.
+    Work advances this clock at once, ahead of the wall clock; the sender of an answer waits for its time. A
+    model that slept for every frame would be late by as many wake-ups of a busy machine.
     """
 
     def __init__(self) -> None:
@@ -79,7 +79,7 @@ RIGHT_MODE = 3
 
 
 class PinClock(Protocol):
-    """Clock of a simulated device, advanced by the time that its work takes; see the module's text."""
+    """Clock of a simulated device, advanced by the time that its work takes (see the module's text)."""
 
     def now_s(self) -> float:
         """Return the present time in s."""

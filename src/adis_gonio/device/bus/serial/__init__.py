@@ -37,7 +37,10 @@ SLICE_S = 0.05
 WRITE_S = 1.0
 BUFFER = 65536
 PRODUCT = "adis-gonio"
-"""Beginning of the product name of a firmware that is a USB device, with any VID:PID."""
+"""Beginning of the product name by which a board with this firmware is recognised.
+
+The firmware is then a USB device, with any VID:PID.
+"""
 
 
 def load() -> Any:
@@ -89,7 +92,7 @@ class SerialPort:
             raise gone(self._url) from error
 
     def _rest(self) -> bytes:
-        """Return the further bytes that a socket has ready, without waiting."""
+        """Return the further bytes that a socket has ready, without waiting for more."""
         self._port.timeout = 0
         try:
             rest: bytes = self._port.read(BUFFER)

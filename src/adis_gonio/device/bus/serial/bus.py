@@ -93,7 +93,7 @@ class RefusedError(Exception):
     code : int
         Reason of the refusal, one of `wire.Refusal`.
     once : bool
-        The request was sent only once, so no earlier copy can have been executed.
+        True if the request was sent only once, so no earlier copy can have been executed.
     """
 
     def __init__(self, request: str, error: wire.Error, *, once: bool) -> None:
@@ -108,7 +108,7 @@ class RefusedError(Exception):
 
 @dataclass
 class LinkCounts:
-    """Numbers of requests, repeated requests and late replies on a serial link."""
+    """Numbers of requests, of repeated requests and of late replies on a serial link."""
 
     requests: int = 0
     retries: int = 0
@@ -413,7 +413,7 @@ _PACKETS_MISSED = 4
 The count of data-ready edges gives the number of due packets.
 """
 _AROUND = wire.HEADER_SIZE + wire.CRC_SIZE + 2
-"""Bytes on the line in addition to the body of a packet: header, CRC, COBS, delimiter."""
+"""Number of bytes on the line in addition to the body of a packet: header, CRC, COBS, delimiter."""
 
 
 @dataclass(eq=False)

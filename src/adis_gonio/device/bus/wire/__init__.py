@@ -36,7 +36,7 @@ class Packet:
 
 @dataclass
 class ReceiverCounts:
-    """Numbers of valid packets and of discarded packets by reason."""
+    """Number of valid packets, and numbers of discarded packets by reason."""
 
     packets: int = 0
     crc_errors: int = 0
