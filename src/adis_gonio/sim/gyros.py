@@ -121,7 +121,7 @@ class GyroTriad:
 
     @property
     def electronics(self) -> Electronics:
-        """Electronics of a chip with these gyros: range gains, saturation, compensations, autonull times."""
+        """Electronics of a chip with these gyros: range gains, saturation, compensations, autonulls."""
         given = self._settings
         return Electronics(
             range_gain={150: given.gyro_range_gain_150, 75: given.gyro_range_gain_75},

@@ -59,14 +59,14 @@ CLOCKS_HZ = (12e6, 6e6, 3e6, 1.5e6, 750e3, 375e3, 187.5e3, 93.75e3)
 """SPI clocks of the CP2130 in Hz; the index of a clock is its code."""
 
 CS_LOW_FOR_A_WHOLE_COMMAND = True
-"""Chip select stays low for one bulk command; not verified on a board.
+"""Chip select stays low for one bulk command; not confirmed by a document.
 
 The chip's own "CS toggle" works per byte: so a frame is one WriteRead of two bytes with the toggle off. If
 a scope shows CS rising between the two bytes, change the delay mask in `Cp2130Bus._set_up`.
 """
 
 CPHA_BIT, CPOL_BIT, PUSH_PULL_BIT = 5, 4, 3
-"""Positions of three bits in the SPI configuration byte; not verified on a board.
+"""Positions of three bits in the SPI configuration byte; not confirmed by a document.
 
 Bits 2:0 of the byte are the clock code.
 """
@@ -74,14 +74,14 @@ Bits 2:0 of the byte are the clock code.
 EVENT_PIN = 4
 """GPIO.4, the only pin that can count edges."""
 COUNTER_MODES = (4, 5, 6, 7)
-"""Modes of the event counter that count, not verified on a board.
+"""Modes of the event counter that count; not confirmed by a document.
 
 They count edges rising and falling, pulses negative and positive. The function of the pin is programmed at
 the factory or once by its owner (OTP), never by this package.
 """
 
 PIN_BITS = (3, 4, 5, 6, 7, 8, 10, 11, 12, 13, 14)
-"""Bits of GPIO.0 to GPIO.10 in a word of pins; not verified on a board.
+"""Bits of GPIO.0 to GPIO.10 in a word of pins; not confirmed by a document.
 
 The answer about chip selects has a word of channels, which count from bit 0, and a word of pins: the pins
 that are an active chip select.

@@ -84,7 +84,7 @@ SLOWEST_HZ = 1_500
 FRAME_BYTES = 2
 
 STARTS_WITHOUT_DATA = True
-"""The answer that accepts a transfer carries no data; not verified on a board.
+"""The answer that accepts a transfer carries no data; not confirmed by a document.
 
 The data come with the next answer, even if the bytes were already clocked. This follows from the maker's
 example; a board that differs causes the error "data before the transfer has started".
@@ -93,12 +93,15 @@ example; a board that differs causes the error "data before the transfer has sta
 EVENT_PIN = 6
 """GP6, the only pin that can count events."""
 COUNT_RISING_EDGES = 0b010
-"""[M] Value of bits 3:1 of the chip settings that makes GP6 count rising edges."""
+"""Value of bits 3:1 of the chip settings that makes GP6 count rising edges.
+
+It is not confirmed by a document.
+"""
 EVENT_MODE_MASK = 0b1110
 
 
 ECHO = 2
-"""Index of the byte in the answer to an EEPROM read that repeats the address; not verified on a board.
+"""Index of the byte in the answer to an EEPROM read that repeats the address; not confirmed by a document.
 
 It is the only part of a harmless request that this chip repeats, so it marks a place in the order of
 answers.

@@ -201,9 +201,10 @@ class Kernel:
 
 
 CS_HIGH_US = 10.0
-"""[M] CS-high time in µs between two transfers with cs_change, the default of the kernel's SPI core.
+"""CS-high time in µs between two transfers with cs_change; not confirmed by a document.
 
-It is the default of `_spi_transfer_cs_change_delay`; a controller driver with its own loop may differ.
+It is the default of the kernel's SPI core (`_spi_transfer_cs_change_delay`); a controller driver with its
+own loop may differ.
 """
 
 SLOWEST_HZ = 10_000
