@@ -51,7 +51,10 @@ DRAW = BenchKey("d", "draw", "draw how to hold the part, and the positive direct
 HELP = BenchKey("?", "help", "show this list")
 MOVE = BenchKey("m", "move", "turn the simulated part by some degrees, such as m -30")
 BUMP = BenchKey("b", "bump", "bump the simulated part")
-"""Key that bumps a simulated part that only the operator's keys move (`sim:?hands=free`)."""
+"""Key that bumps the simulated part with `sim:?hands=free`.
+
+The keys `MOVE` and `BUMP` act only on this part, which nothing but the operator's keys moves.
+"""
 
 Question = events.PositionAsked | events.GuardRaised | events.RepetitionOffered | events.ExtensionOffered
 

@@ -60,8 +60,7 @@ def curve_of(
     ----------
     difference, u : mapping of str to float
         Difference of each of `PARAMETERS`, later minus earlier calibration, and its standard uncertainty; 0
-        for a
-        missing parameter. Covariances are neglected.
+        for a missing parameter. Covariances are neglected.
     gravity_mps2 : float
         Local gravity.
     dof : float
@@ -124,8 +123,7 @@ class Stair(JsonRecord):
         Date of the calibration.
     elapsed_days, error_deg, interval_days : float
         Time since the previous calibration, largest error of an angle by the previous calibration, and the
-        next
-        interval.
+        next interval.
     response : str
         `longer`, `kept`, `shorter` or `early` (too early to lengthen the interval).
     verdict : {"pass", "fail", "undecided"}
@@ -201,8 +199,8 @@ def step(
     `interval_days` is the present interval, `elapsed_days` the time since the previous calibration, `error`
     the error that the previous calibration had. An error that does not conform to the tolerance shortens
     the interval (or the elapsed time if that is shorter). An error that conforms to the share `WITHIN` of
-    the tolerance lengthens the interval, if the share `ROUTINE` of it has passed. Otherwise the interval is
-    kept. `Stair` explains response and verdict.
+    the tolerance lengthens the interval, if the share `ROUTINE` of the interval has passed. Otherwise the
+    interval is kept. `Stair` explains response and verdict.
     """
     verdict, _ = limits.tolerance.verdict(error)
     if verdict == "fail":

@@ -152,9 +152,10 @@ def _uncertainty(population: Population, others: Sequence[ChosenCause], part: Ch
 
 
 def _curvature(value, at: Floats, step: float = 0.05) -> Floats:  # type: ignore[no-untyped-def]
-    """Return minus the second derivatives (p, p) of a function at a point (p,), by central differences.
+    """Return minus the second derivatives (p, p) of a function at a point (p,).
 
-    `step` is the distance of the differences.
+    `value` is the function, `at` the point. The derivatives are central differences over the distance
+    `step`.
     """
     count = len(at)
     moves = step * np.eye(count)
@@ -184,8 +185,7 @@ class Reach(JsonRecord):
     ----------
     amplitude : mapping of str to float
         Smallest amplitude found with 90 % probability, by the share of affected sessions (`0.1`, `0.3`,
-        `1`);
-        None if no amplitude that was tried suffices.
+        `1`); None if no amplitude that was tried suffices.
     unit, parameter : str
         Unit of the amplitude, and name of the parameter that it is.
     """

@@ -26,7 +26,7 @@ from adis_gonio.base.uncertainty import Value
 CUSUM_K = 0.5
 """Slack k of the CUSUM in standard deviations: half of the shift that it detects best.
 
-(Montgomery, chapter 9.)
+The choice follows Montgomery, chapter 9.
 """
 CUSUM_H = 5.0
 """Limit h of the CUSUM in standard deviations, which gives one false alarm in 465 sessions."""

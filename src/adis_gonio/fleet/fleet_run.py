@@ -259,8 +259,7 @@ class FleetProgress:
     ----------
     total, done, failed, again : int
         Number of sessions to compute in this run, of sessions computed so far, of failures among them, and
-        of
-        sessions with a record from an earlier run.
+        of sessions with a record from an earlier run.
     """
 
     def __init__(self, total: int, again: int, clock: Callable[[], float] = time.monotonic) -> None:

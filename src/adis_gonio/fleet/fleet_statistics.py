@@ -93,8 +93,7 @@ class Beyond(JsonRecord):
         Median standard uncertainty of the values.
     q, dof, p_value : float
         Cochran's Q about the weighted mean, its degrees of freedom, and the probability of at least this Q
-        if u
-        explains the scatter.
+        if u explains the scatter.
     tau : float
         Additional standard deviation between the true values of the sessions (Paule and Mandel).
     tau_95 : tuple of float
@@ -186,8 +185,7 @@ class Repeats(JsonRecord):
         Number of sensors with two sessions or more, and number of their sessions.
     ratio : float
         Scatter of a sensor's sessions divided by the scatter that their standard uncertainties u explain; 1
-        if u is
-        right.
+        if u is right.
     p_value : float
         Probability of at least this scatter if u explains it.
     """
@@ -254,12 +252,10 @@ class Test:
         Robust z of the group, or the normal deviate with the probability of its difference.
     p_value : float
         Probability of at least this difference by chance: two-sided for parameters, one-sided (as many or
-        more)
-        for effects.
+        more) for effects.
     value, others : float
         Median of the parameter in the group and in the others; for an effect the share of sessions or
-        sensors that
-        show it.
+        sensors that show it.
     n : int
         Number of sessions of the unit, or of units of the stage or operator.
     """
@@ -311,8 +307,7 @@ def by_unit(quantity: str, values: Floats, u: Floats, unit: Codes) -> FamilyOfTe
         Name of the quantity.
     values, u, unit : (n,)
         Value of the quantity, its standard uncertainty, and the sensor of each session. `unit` is the
-        number of the sensor; a session with a negative number
-        (unknown) counts as a separate sensor.
+        number of the sensor; a session with a negative number (unknown) counts as a separate sensor.
     """
     good = np.isfinite(values)
     codes = _own(unit)[good]

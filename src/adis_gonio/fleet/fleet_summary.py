@@ -122,12 +122,10 @@ class Outlying(JsonRecord):
         Parameter with its unit, or `effect NAME`.
     z, p_value, adjusted_p : float
         Difference from the others as robust z or normal deviate, its p-value, and the p-value times the
-        number of
-        tests.
+        number of tests.
     value, others : float
         Median of the parameter in the group and in the others; for an effect the share of sessions or
-        sensors that
-        show it.
+        sensors that show it.
     n : int
         Number of sessions of the unit, or of units of the stage or operator.
     same_sessions_as : tuple of str
@@ -155,8 +153,7 @@ class Summary:
     ----------
     sessions : mapping of str to int
         Number of sessions: all (`n`), with a result (`ok`), `failed`, `traced`, with an `adequate` model,
-        `doubted`;
-        and number of sensors (`units`), `stages` and `operators`.
+        `doubted`; and number of sensors (`units`), `stages` and `operators`.
     failures : tuple of (str, str)
         Path of each failed session, and the reason.
     parameters : tuple of QuantitySummary

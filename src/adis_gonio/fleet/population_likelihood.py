@@ -132,8 +132,8 @@ class Grid:
         Mean amplitudes of each distribution.
     spread, share, log_prior : (h,) float
         Standard deviation of the amplitudes, share of affected sessions, and log of the prior. Each
-        distribution is
-        used twice, with half of its prior: for amplitudes in their unit, and for relative amplitudes.
+        distribution is used twice, with half of its prior: for amplitudes in their unit, and for relative
+        amplitudes.
     """
 
     mean: Floats
@@ -239,11 +239,10 @@ class Units:
         Factor by which each session's noise variance is enlarged.
     typical : (m,) float
         Typical standard uncertainty of each amplitude in its unit: the median over the sessions that
-        determine it,
-        times `Column.weight`.
+        determine it, times `Column.weight`.
     z : (n, m) float
-        Score of each session and column over its standard uncertainty, with the enlarged noise; zero if a
-        session does not determine a column.
+        Score of each session and column divided by its standard deviation, with the enlarged noise; zero if
+        a session does not determine a column.
     length : (n, m) float
         1/u of each amplitude, with u in units of `typical`; zero if a session does not determine it.
     directions : (n, k, m) float32

@@ -197,8 +197,7 @@ class Scores:
     ----------
     log_evidence : (k, g) float
         Log evidence for the model with the candidate in the group, against the present model, averaged over
-        the
-        grid of distributions.
+        the grid of distributions.
     trained, foreseen : (k, g, folds) float
         Log evidence without the sessions of a fold, and the log score of these sessions, predicted from the
         others.

@@ -52,8 +52,7 @@ class Track(JsonRecord):
         Value of the quantity in each session, with uncertainty.
     drift : Drift or None
         Straight line over time; None with fewer than three sessions, and for the error of the angle, which
-        has no
-        sign.
+        has no sign.
     chart : ControlChart or None
         Control charts; None with fewer than two sessions.
     drifts : bool

@@ -370,8 +370,8 @@ def evidence_of(session: Session, result: TraceResult | None = None) -> SessionE
         The session.
     result : TraceResult, optional
         Trace of the session; None without a trace. Dwells that the trace found slipped or outlying are
-        excluded,
-        the scatter that it found is added to the noise, and the effects found are evidence at their size.
+        excluded, the scatter that it found is added to the noise, and the effects found are evidence at
+        their size.
 
     Raises
     ------

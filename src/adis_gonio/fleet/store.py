@@ -65,9 +65,8 @@ class Store:
         File of the store, created if it does not exist; `IN_MEMORY` keeps the store in memory.
     strict : bool
         True makes the store the journal of a fleet: only results with equal options and version are used
-        again, and
-        a damaged or unwritable file is an error. False: a damaged file is renamed and replaced, and
-        on a full disk the store continues in memory.
+        again, and a damaged or unwritable file is an error. False: a damaged file is renamed and replaced,
+        and on a full disk the store continues in memory.
 
     Attributes
     ----------
@@ -193,8 +192,8 @@ class Store:
     ) -> sqlite3.Connection:
         """Continue with a store in memory that has the records of the file; new records are not saved.
 
-        `verb` tells in the message what failed (`opened`, `written`), `error` is the failure, `known` the
-        open connection to the file, None if it could not be opened.
+        `verb` names the failed action in the message (`opened`, `written`), `error` is the failure, `known`
+        the open connection to the file, None if it could not be opened.
 
         Raises
         ------

@@ -321,7 +321,7 @@ def open_from_url(url: BusUrl) -> SimBus:
 
     Options of the URL are `seed`, `variant`, `stream` (0 or 1), `realtime` (0 or 1), `effects` (of the
     catalogue, such as `quadratic:k2_x=2.5;cubic`), `flash` (a file that stores the sensor's flash between
-    two openings), `gyros` (`realistic` draws their faults from the seed, but keeps values given by name),
+    two openings), `gyros` (`realistic` draws their errors from the seed, but keeps values given by name),
     and every name of `WorldSettings`.
 
     Raises

@@ -150,7 +150,7 @@ SELF_TEST_BITS = {
 class State(Enum):
     """Activity of the chip, which determines its answer to a frame.
 
-    In the state `DEAD`, which follows a violated timing rule, it answers nothing.
+    A violated timing rule leads to the state `DEAD`, in which the chip answers nothing.
     """
 
     RUNNING = auto()
@@ -192,12 +192,10 @@ class SimulatedChip:
         Edge of the data-ready pulse at which the outputs change: the pulse begins then, or ends (C).
     status_falls : bool
         True clears the supply and over-range bits of STATUS when their condition ends; False keeps them
-        until a
-        read, like the other bits.
+        until a read, like the other bits.
     electronics : Electronics
         Effect of the chip on its gyros and accelerometers; None takes the electronics of the surroundings
-        if
-        they have some (a `World` does), else ideal electronics.
+        if they have some (a `World` does), else ideal electronics.
 
     Attributes
     ----------

@@ -155,7 +155,10 @@ ACCEL_COLUMNS = slice(4, 7)
 SUPPLY_LIMITS_V = (4.75, 5.25)
 SELF_TEST_ACCEL_MG = 250.0
 SELF_TEST_GYRO_DPS = 50.0
-"""Change of a gyro output in °/s under the stimulus of the manual self-test (D)."""
+"""Change of a gyro output in °/s under the stimulus of the manual self-test (D).
+
+`SELF_TEST_ACCEL_MG` is the change of an accelerometer output in mg (D).
+"""
 
 FRACTION_BITS = 10
 _ONE = 1 << FRACTION_BITS
@@ -184,13 +187,19 @@ class AlarmSetting:
 
     Attributes
     ----------
+    bit : int
+        STATUS bit of the alarm.
     column : int
         Column of `OUTPUTS` that the alarm watches.
+    greater : bool
+        True alarms above the threshold, False below it.
     threshold : int
         Limit in the number format of the watched register; with `samples`, the limit of its change per
         sample.
     samples : int
         Number of updates over which the mean change per sample is computed; 0 compares the value.
+    filtered : bool
+        True compares filtered data.
     """
 
     bit: int

@@ -155,7 +155,10 @@ class World:
         return np.array([self._hidden[p.name] / p.per_natural for p in in_space.parameters])
 
     def _by_axis(self, name: str, drawn: Floats) -> Floats:
-        """Return the values (3,) of a setting for x, y and z: the given value, or else the drawn value."""
+        """Return the values (3,) of a setting for x, y and z: the given value, or else the drawn value.
+
+        `name` is the name of the setting with {} for the axis; `drawn` has the drawn values (3,).
+        """
         given = (getattr(self.settings, name.format(axis)) for axis in AXES)
         return np.array([value_or(value, float(own)) for value, own in zip(given, drawn, strict=True)])
 
@@ -185,8 +188,8 @@ class World:
         ----------
         time_s : (n,) float or None
             Times in s over which temperature and supply are averaged for the biases and gains; the biases
-            include
-            the mean flicker and random walk at these times. None: 25 °C and 5 V, without flicker and walk.
+            include the mean flicker and random walk at these times. None: 25 °C and 5 V, without flicker
+            and walk.
         """
         result = dict(self._hidden)
         warm, wander = 0.0, np.zeros(6)

@@ -110,7 +110,7 @@ _SELECTS = struct.Struct(">HH")
 
 
 def clock_code(clock_hz: float) -> int | None:
-    """Return the code of the fastest SPI clock not above `clock_hz`; None if all are faster."""
+    """Return the code of the fastest SPI clock not above `clock_hz`; None if all clocks are faster."""
     return next((code for code, clock in enumerate(CLOCKS_HZ) if clock <= clock_hz), None)
 
 

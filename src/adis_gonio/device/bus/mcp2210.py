@@ -401,8 +401,7 @@ class Mcp2210Bus(UsbBus):
     device : hid.device or TimedWrites
         The open device; the bus closes it.
     options : UsbOptions
-        Pins and time-out.
-        RST is driven low or left floating; GP6 counts events.
+        Pins and time-out. RST is driven low or left floating; GP6 counts events.
 
     Raises
     ------

@@ -471,7 +471,7 @@ def _call(number: int, kind: int, content: bytes) -> Call:
 
 
 def _rebuild(name: str, message: str) -> AdisGonioError:
-    """Make an error of the class called `name`; of `BusError` if this version does not know the class."""
+    """Make an error of the class called `name`, or a `BusError` if this version does not know the class."""
     kind = getattr(errors, name, None)
     if isinstance(kind, type) and issubclass(kind, AdisGonioError):
         return kind(message)
@@ -487,8 +487,7 @@ class ReplayBus(SpiBus):
         The recording.
     strict : bool
         True raises `ProtocolError` at the first call that differs from the recording. False: the next
-        recorded
-        call with the same name and frames answers, and the calls before it are skipped.
+        recorded call with the same name and frames answers, and the calls before it are skipped.
 
     Raises
     ------

@@ -133,12 +133,12 @@ def open_sensor(url: str, *, variant: str = "adis16354", check: bool = True) -> 
     Parameters
     ----------
     url : str
-        Such as `sim:?seed=1` (see `open_bus`).
+        URL of the bus, such as `sim:?seed=1` (see `open_bus`).
     variant : str
-        `adis16354`, `adis16350` or `adis16355`.
+        Sensor type: `adis16354`, `adis16350` or `adis16355`.
     check : bool
-        Check on opening that the chip answers and that the acceleration at rest is 1 g for this variant. No
-        other check exists, because the chip has no identification register.
+        True checks on opening that the chip answers and that the acceleration at rest is 1 g for this
+        variant. No other check exists, because the chip has no identification register.
 
     Raises
     ------
@@ -165,7 +165,7 @@ class Adis16354(Closing):
     variant : str or Variant
         Sensor type, see `registers.VARIANTS`.
     check : bool
-        Check on opening that the chip answers and measures 1 g at rest for this variant.
+        True checks on opening that the chip answers and measures 1 g at rest for this variant.
     update_edge : {"first", "last"}
         End of the data-ready pulse at which new data are ready (see `scanning.UPDATE_EDGE`).
     """
@@ -399,12 +399,11 @@ class Adis16354(Closing):
         block_scans : int
             Number of scans in a block.
         leave_registers : bool
-            Write nothing: use data-ready only if it is already enabled.
+            True writes no register: data-ready is used only if it is already enabled.
         data_ready : bool or None
             True uses data-ready as the chip has it, without a check for edges (a `DataReadyLoan` has
-            checked);
-            False polls; neither writes a register. None checks for edges and uses data-ready if they
-            arrive.
+            checked); False polls; neither writes a register. None checks for edges and uses data-ready if
+            they arrive.
 
         Raises
         ------
@@ -657,8 +656,7 @@ class Adis16354(Closing):
         ------
         UsageError
             The alarm or its source is unknown; a threshold is outside the source's range; or a threshold
-            for a change is
-            less than half an LSB a sample.
+            for a change is less than half an LSB a sample.
         """
         if number not in (1, 2):
             raise UsageError(f"alarm {number} does not exist: 1 or 2")

@@ -45,8 +45,7 @@ class FrameRow(JsonRecord):
         Register that the frame addresses; `+1` marks its high byte; empty for another call.
     frame, word : int or None
         The frame, and the word that answers it, which the chip shifts out during the next frame; None for
-        another
-        call or an unknown word.
+        another call or an unknown word.
     value : str
         Decoded word, or a description of the call.
     problem : str
@@ -71,7 +70,7 @@ class FrameLog:
     part : Variant
         Variant that decodes the words.
     scans : bool
-        Make a row for each word of a stream; otherwise a row for each block.
+        True makes a row for each word of a stream, False for each block of a stream.
     """
 
     def __init__(self, part: registers.Variant, *, scans: bool = False) -> None:

@@ -420,8 +420,7 @@ class Performance:
     ----------
     noise_mg, bias_instability_mg, initial_bias_mg : float
         Noise of an unfiltered accelerometer sample (rms), floor of the Allan deviation, and standard
-        deviation
-        of the bias between sensors, in mg.
+        deviation of the bias between sensors, in mg.
     noise_density_pole_hz : float
         Pole of the analog front end in Hz.
     scale_error_typical : float

@@ -263,7 +263,10 @@ An update and the silence after it take three passes.
 
 JUDGED_SCANS = 32
 FRESH_SHARE = 0.75
-"""Smallest share of the latest scans that must have new data."""
+"""Smallest share of the latest scans that must have new data.
+
+`JUDGED_SCANS` is the number of these scans.
+"""
 
 COUNTER_SLACK = 2.0
 """Tolerance between counted edges and scans, in updates.

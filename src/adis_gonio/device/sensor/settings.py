@@ -107,7 +107,10 @@ def rounding_spectrum(m: int, sigma: float, frequency: Floats) -> Floats:
 
 FAST_BASE_S = 0.61035e-3
 SLOW_BASE_S = 18.921e-3
-"""Slow time base of SMPL_PRD in s, used if bit 7 is set (DS, A)."""
+"""Slow time base of SMPL_PRD in s, used if bit 7 is set (DS, A).
+
+`FAST_BASE_S` is the fast time base in s, used otherwise.
+"""
 
 ANALOG_POLE_HZ = 350.0
 """Frequency in Hz at which the analog front end of the sensor has -3 dB (DS, A)."""
@@ -324,7 +327,8 @@ class ManualSelfTest:
     gyro_positive_dps, gyro_negative_dps : tuple of 3 float
         Change of the mean gyro outputs (x, y, z) under the positive and the negative stimulus.
     accel_noise_mg, gyro_noise_dps : tuple of 3 float
-        Standard deviation of a sample at rest; a change of the mean by four of them is an answer.
+        Standard deviation of a sample at rest; a change of the mean by four standard deviations is an
+        answer.
     """
 
     accel_positive_mg: tuple[float, float, float]
@@ -395,8 +399,7 @@ class Alarm:
         True alarms above the threshold, False below.
     rate_samples : int
         0 compares the value; 1 to 255 is the number of samples over which its mean change a sample is
-        compared
-        (DS p. 20, B).
+        compared (DS p. 20, B).
     filtered : bool
         True compares filtered data; ALM_CTRL[4], shared by both alarms.
     """
@@ -499,15 +502,14 @@ class ScanBlock:
     time_s : (n,) float
         Time of each scan on the bus's clock, in s.
     lost : int
-        Missed updates of the chip from the end of the previous block to the end of this one.
+        Number of missed updates of the chip from the end of the previous block to the end of this one.
     variant, gyro_range_dps
         Name of the variant and gyro range in °/s that decode the words; the range is None if unknown.
     missed : (n,) int or None
         Number of missed updates just before each scan; None if unknown.
     dropped : int
         Number of omitted scans, in which a word lacked ND, so that the edge that started the scan was not
-        an
-        update.
+        an update.
     """
 
     registers: tuple[str, ...]

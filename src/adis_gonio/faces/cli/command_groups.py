@@ -68,8 +68,7 @@ class SectionedCommand(click.Command):
     ----------
     sections : mapping of str to str
         For each heading of the help the flags of its section, separated by spaces. An option in two
-        sections is listed in
-        the first. The options in no section come last.
+        sections is listed in the first. The options in no section come last.
     """
 
     def __init__(self, *args: Any, sections: Mapping[str, str], **more: Any) -> None:

@@ -149,7 +149,7 @@ def print_answer(
     shown : collection of str
         Warnings that were printed already.
     everything : bool
-        Show all methods in full.
+        True shows all methods in full.
     """
     screen = show.console(most=show.WIDTH)
     for line in answer.doubt_lines(screen.width):
@@ -186,7 +186,7 @@ def _parameter_table(answer: Answer, truth: Mapping[str, float] | None) -> Table
 def _print_scores(screen: Console, answer: Answer, *, everything: bool) -> None:
     """Show the scores of the methods; with `everything`, show each method in full.
 
-    A score is the error on dwells left out of the fit.
+    A score is the error on the dwells of the session; each dwell is left out of the fit that predicts it.
     """
     from adis_gonio.fitting.answer import method_tables
 

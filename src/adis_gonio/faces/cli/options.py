@@ -188,9 +188,8 @@ def output(
     paths : callable
         Returns the files that the command writes for the given path; by default only that path.
     at_once : bool
-        True: with `--force`, remove an existing file before the command begins; otherwise it stays until
-        the new
-        one is complete.
+        True: `--force` removes an existing file before the command begins. False: the file stays until the
+        new file is complete.
     name : str
         Name of the command's argument.
     """

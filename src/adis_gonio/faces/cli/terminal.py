@@ -167,7 +167,7 @@ class Interrupt:
 
 
 class RepeatedInterrupt:
-    """Context that raises Ctrl-C again every `AGAIN_S` in s until the block ends.
+    """Context that raises Ctrl-C again every `AGAIN_S` seconds until the block ends.
 
     Python loses the exception of a signal handler if the caller cannot pass it on, for example the import
     of a compiled module or a destructor; the work would then run to its end. Use it only for work without

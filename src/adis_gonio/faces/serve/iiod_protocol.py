@@ -300,7 +300,10 @@ _ALONE: dict[str, Callable[[], Request]] = {
 }
 _OF_DEVICE: dict[str, Callable[[str], Request]] = {"CLOSE": Close, "GETTRIG": GetTrigger}
 _OF_SIZE: dict[str, Callable[[str, int], Request]] = {"READBUF": ReadBuffer, "WRITEBUF": WriteBuffer}
-"""Request classes with a device and a number of bytes, by their verb."""
+"""Request classes with a device and a number of bytes, by their verb.
+
+Other tables have the requests without arguments and those with a device alone.
+"""
 
 
 def _parse(verb: str, words: list[str]) -> Request:

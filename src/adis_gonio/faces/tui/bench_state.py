@@ -89,8 +89,7 @@ class BenchState:
         during a dwell and before the first.
     spread_mg, limit_mg : float or None
         Spread of the readings and the limit below which the part is still, for the axis with the largest
-        ratio of
-        both; None if unknown.
+        ratio of both; None if unknown.
     waits_for : str
         Event for which the session waits, as text.
     turn : TurnMeasured or None

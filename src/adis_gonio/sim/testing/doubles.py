@@ -104,7 +104,7 @@ def open_simulated(
     url : str
         URL of the simulator, which also gives the variant; see `simulated_bus`.
     check : bool
-        Check on opening that the chip answers and reads 1 g at rest.
+        True checks on opening that the chip answers and reads 1 g at rest.
     bus_faults : BusFaults
         Faults of the frames; they begin after opening, so that opening never fails.
 
@@ -328,14 +328,12 @@ def open_board(
     ----------
     url : str
         URL of the simulator, such as `sim:?seed=3&delta_k=0.01&move_speed_dps=360`; the same URL gives
-        `open_simulated` a sensor
-        with the same hidden parameters.
+        `open_simulated` a sensor with the same hidden parameters.
     transport : {"pty", "tcp"}
         Kind of port; None takes a pseudo-terminal if the system has them, else TCP.
     line_faults : Faults
         Faults of the serial line (None: no faults), see `SimulatedBoard`; each board draws from its own
-        copy,
-        because a mark may apply to many tests.
+        copy, because a mark may apply to many tests.
     boot_s : float
         Silence in s at the beginning, like that of a board that boots.
 

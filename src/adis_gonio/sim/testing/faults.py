@@ -164,8 +164,8 @@ class BusFaults:
         Probability that a bit of a reply is flipped, as by noise on the data line; SPI cannot detect it.
     lost_frames : float
         Probability that a frame does not reach the chip, as with a loose chip select: its reply is
-        `idle_word`, and the next reply is the reply of the frame before it. A stream omits the scan and
-        counts it as lost.
+        `idle_word`, and the next frame gets the reply that this frame would have got. A stream omits the
+        scan and counts it as lost.
     stuck_words : float
         Probability that a reply is repeated in place of the next `stuck_frames` replies.
     stuck_frames : int

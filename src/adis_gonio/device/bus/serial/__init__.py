@@ -160,7 +160,7 @@ def names_itself(port: Any) -> bool:
 
 
 def devices(ports: Sequence[Any]) -> list[Device]:
-    """Convert ports of pyserial to devices, without opening them.
+    """Convert ports of pyserial to devices for a list, without opening them.
 
     Opening a port would reset many boards.
     """

@@ -47,13 +47,13 @@ two of them make it leave. They need a gap between them, since a run of zeros ke
 """
 ZEROS_EVERY_S = 0.02
 ZEROS_FIRST_S = 0.24
-"""Wait in s before the first zeros; a boot loader listens 70 ms after the reset, 90 ms at most.
+"""Time in s for which zeros are sent before the first hello after opening.
 
-(Start-up 65 ms, confidence B.)
+A boot loader listens 70 ms after the reset, 90 ms at most; its start-up takes 65 ms (confidence B).
 """
 ZEROS_AGAIN_S = 0.06
 LEAVE_S = 0.16
-"""Silence in s after the zeros.
+"""Silence in s after the last zero.
 
 A boot loader needs 16 ms to leave (its watchdog), and a start-up follows.
 """
@@ -195,6 +195,10 @@ class SerialLink:
 
         Parameters
         ----------
+        body : Body
+            Content of the request.
+        reply : type
+            Class of the expected reply.
         runs_s : float
             Time in s that the firmware needs to execute the request.
 
@@ -429,7 +433,7 @@ class SerialStream(FrameStream):
     width : int
         Number of frames in the list that each scan runs.
     packet_scans : int
-        Scans in a full packet.
+        Number of scans in a full packet.
     block_scans : int
         Minimum number of scans in a block.
     clock : ClockMap
