@@ -284,7 +284,7 @@ class SimStage:
     def begin_move(self, angle_deg: float, approach: int = 0) -> float:
         """Begin `move_to` and return the time in s at which it ends, without advancing the clock.
 
-        Samples can therefore be recorded during the move. The arguments are those of `move_to`.
+        Samples can therefore be recorded during the move. It takes the arguments of `move_to`.
         """
         return self._begin(self._stage.move_to, angle_deg, approach)
 

@@ -491,7 +491,7 @@ class Stage:
 def _motion(leg: _Leg, time_s: Floats, *course: Floats) -> Motion:
     """Make the `Motion` of the sensor during and after a move, from its course and the facts of the move.
 
-    `course` holds the leading fields of `Motion` at the times (n,) in s.
+    `course` has the leading fields of `Motion` at the times (n,) in s.
     """
     facts = (np.full(len(time_s), float(fact)) for fact in (leg.previous_rad, leg.order, leg.approach))
     since = time_s - leg.end_s if np.isfinite(leg.end_s) else time_s

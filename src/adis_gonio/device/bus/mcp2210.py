@@ -163,7 +163,7 @@ _WORD = struct.Struct("<H")
 def request(command: Command, body: bytes = b"") -> bytes:
     """Return the HID report of 64 bytes that carries a command to the device, without a report id.
 
-    `body` holds the bytes after the command byte; zeros fill the rest.
+    `body` has the bytes after the command byte; zeros fill the rest.
     """
     return (bytes([command]) + body).ljust(REPORT, b"\0")
 

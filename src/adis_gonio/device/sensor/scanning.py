@@ -122,7 +122,7 @@ def edges_arrive(bus: SpiBus, period_s: float) -> bool:
 def edge_at_update(bus: SpiBus, table: Sequence[Register], period_s: float) -> bool:
     """Return True if no update of the sensor happens during scans that start at the data-ready edge.
 
-    `table` holds the registers of a scan, `period_s` is the sample period. Takes 0.1 s or 4 updates,
+    `table` has the registers of a scan, `period_s` is the sample period. Takes 0.1 s or 4 updates,
     whichever is longer.
     """
     least, most = _TRIAL_SCANS

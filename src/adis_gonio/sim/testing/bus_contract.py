@@ -69,7 +69,7 @@ class WatchedChip(SimulatedChip):
     ) -> int:
         """Take a frame, record it in `seen`, and return the word that the chip shifts out.
 
-        The arguments are those of `SimulatedChip.frame`.
+        It takes the arguments of `SimulatedChip.frame`.
         """
         reply = super().frame(word, start_s=start_s, clock_hz=clock_hz, bits=bits, cs_hold_s=cs_hold_s)
         self.seen.append(WireFrame(word, start_s, clock_hz, reply, cs_hold_s))

@@ -197,7 +197,7 @@ class SimulatedBoard(Closing):
 
     @property
     def url(self) -> str:
-        """Bus URL of the board for this package, as in `open_sensor(board.url)`."""
+        """Bus URL of the board, for functions of this package such as `open_sensor`."""
         return f"serial:{self.path}"
 
     @property

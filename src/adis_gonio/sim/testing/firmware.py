@@ -342,7 +342,7 @@ class SimulatedFirmware:
 class _Stream:
     """A running stream of scans; `scan` makes a scan when the firmware has passed its trigger.
 
-    The fields are those of the stream request; `begun_s` is the time of its start in s.
+    The fields have the content of the stream request; `begun_s` is the time of its start in s.
     """
 
     firmware: SimulatedFirmware
