@@ -199,7 +199,10 @@ def turn_text(turn: events.TurnMeasured | None) -> str:
 
 
 def running_values(running: events.Running) -> list[str]:
-    """Return texts of ΔK and Δφ from the dwells so far, each ± U (95 %); empty if none is known."""
+    """Return texts of ΔK and Δφ from the dwells so far, each ± U (95 %); empty if none is known.
+
+    `running` is the event with the parameters so far.
+    """
     known: Mapping[str, Any] = running.parameters
     return [
         f"{NAMES[name]} {format_uncertain(known[name]['value'], known[name]['U'], known[name]['unit'])}"

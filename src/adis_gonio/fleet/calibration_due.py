@@ -41,7 +41,7 @@ def slopes_deg(gravity_mps2: float = STANDARD_GRAVITY_MPS2) -> Floats:
     """Return the error of the angle per unit of each calibration parameter, (m, 4).
 
     The errors are in degrees at m angles over a full turn. The parameters are `PARAMETERS`: ΔK (1), Δφ (°),
-    biases of X and Y (mg).
+    biases of X and Y (mg). `gravity_mps2` is the local gravity.
     """
     psi = np.radians(_TURN)
     gravity_mg = 1000.0 * gravity_mps2 / STANDARD_GRAVITY_MPS2
@@ -200,7 +200,7 @@ def step(
     the error that the previous calibration had. An error that does not conform to the tolerance shortens
     the interval (or the elapsed time if that is shorter). An error that conforms to the share `WITHIN` of
     the tolerance lengthens the interval, if the share `ROUTINE` of the interval has passed. Otherwise the
-    interval is kept. `Stair` explains response and verdict.
+    interval is kept. `Stair` explains response and verdict. `limits` has the tolerance and the factors.
     """
     verdict, _ = limits.tolerance.verdict(error)
     if verdict == "fail":
@@ -216,7 +216,8 @@ def step(
 def staircase_of(history: History, limits: Rules) -> list[Stair]:
     """List the changes of the calibration interval so far, one for each session from the second on.
 
-    A session that shares no parameter with the last used session gives none.
+    A session that shares no parameter with the last used session gives none. `limits` has the tolerance and
+    the factors.
     """
     days, sessions = history.days, history.sessions
     interval, stairs = limits.first_days, []

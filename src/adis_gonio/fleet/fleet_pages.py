@@ -207,7 +207,8 @@ def _group_plot(one: Outlying, summary: Summary) -> Figure | None:
 def _files(title: str, head: str, rows: Sequence[tuple[str, str]], *, folded: bool = False) -> Section:
     """Make a section with a table of files and a text for each file.
 
-    `head` is the heading of the texts; `folded` hides the section until it is opened.
+    `head` is the heading of the texts; `folded` hides the section until it is opened. `title` is the
+    heading of the section.
     """
     more = len(rows) - _MOST_ROWS
     table = Table(["file", head], rows[:_MOST_ROWS], caption=f"{more} more." if more > 0 else "")

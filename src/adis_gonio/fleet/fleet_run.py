@@ -190,7 +190,8 @@ def run_fleet(
 ) -> Fleet:
     """Compute the record of every session that has no record in the store yet; return all records.
 
-    `tell` is called with the progress after each session.
+    `tell` is called with the progress after each session. `found` has the sessions, `options` the
+    computations to make.
 
     Raises
     ------
@@ -274,7 +275,10 @@ class FleetProgress:
         self.failed += record.status != "ok"
 
     def __str__(self) -> str:
-        """Progress as text, such as `120 of 1000, 4.1 a second, 3 min 35 s left, 2 failed`."""
+        """Return the progress as text.
+
+        An example is `120 of 1000, 4.1 a second, 3 min 35 s left, 2 failed`.
+        """
         elapsed = self._clock() - self._begun
         parts = [f"{self.done} of {counted(self.total, 'session')}"]
         if self.done and elapsed > 0:

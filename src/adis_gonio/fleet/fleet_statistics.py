@@ -289,7 +289,8 @@ class FamilyOfTests:
 def outlying(comparisons: Sequence[FamilyOfTests]) -> tuple[int, list[Test]]:
     """Count all tests, and list the significant tests, the smallest p-value first.
 
-    The probability that any of all tests is significant by chance is at most `OUTLYING`.
+    The probability that any of all tests is significant by chance is at most `OUTLYING`. Each entry of
+    `comparisons` has the tests of one kind of group for one quantity.
     """
     total = sum(one.count for one in comparisons)
     passed = [test for one in comparisons if one.count for test in one.find(OUTLYING / total)]
@@ -448,7 +449,8 @@ def _stepwise(
     """Test each group against the rest, remove the most outlying group, and repeat without it.
 
     `values` (n,) are compared by their group `code` (n,). `score` returns z and p-value of each group,
-    `middle` the figure of a group that is reported.
+    `middle` the figure of a group that is reported. `kind` and `quantity` name the kind of group and the
+    compared quantity.
     """
 
     def find(level: float) -> list[Test]:

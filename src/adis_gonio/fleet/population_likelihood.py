@@ -95,6 +95,7 @@ def log_factor(block: Block, mean: Floats, spread: float | Floats) -> Floats:
     """Return the log Bayes factor (n,) of each session, affected against unaffected, without a limit.
 
     `mean` (d,) and `spread` are the mean and the standard deviation of the amplitudes of affected sessions.
+    `block` has score and information of the sessions on the amplitudes.
     """
     return log_factors(block, mean[None], spread)[:, 0]
 
@@ -103,7 +104,8 @@ def log_factors(block: Block, means: Floats, spread: float | Floats) -> Floats:
     """Return log Bayes factors (n, h) of n sessions, affected against unaffected.
 
     They are given for h mean amplitudes `means` (h, d) of affected sessions. The spread of the amplitudes
-    may be one number, or one per amplitude (d,).
+    may be one number, or one per amplitude (d,). `block` has score and information of the sessions on the
+    amplitudes.
     """
     score, information = block.score, block.information
     shifted = score[:, None, :] - means @ information  # s − Gμ, (n, h, d)
@@ -190,7 +192,8 @@ def gains(block: Block, grid: Grid, most: float = MOST) -> Floats:
     """Return the log likelihood ratio (n, h) of each session at each distribution of the grid.
 
     It is ln(1 − w + w B) with the share w of affected sessions and the Bayes factor B of the session,
-    affected against unaffected. ln B is limited to `most`.
+    affected against unaffected. ln B is limited to `most`. `block` has score and information of the
+    sessions on the amplitudes.
     """
     h = len(grid.share) // len(SHARES)
     factors = np.empty((len(block.score), h))

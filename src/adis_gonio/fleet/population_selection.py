@@ -72,7 +72,8 @@ def candidates_of(columns: Sequence[Column]) -> list[Candidate]:
     """List every cause on each axis and on all axes together, with its prior probability.
 
     The priors are equal to those in the trace of one session. The share of a name is divided evenly among
-    its variants, or in proportion to 1/n among the numbers n of cycles per turn.
+    its variants, or in proportion to 1/n among the numbers n of cycles per turn. `columns` are the
+    amplitudes on which sessions give evidence.
     """
     by_kind: dict[tuple[str, bool], list[int]] = defaultdict(list)
     for k, column in enumerate(columns):
@@ -291,7 +292,8 @@ class Population:
 
         The amplitudes of these causes are averaged out. `own` has the score and information without other
         causes, and `log_prior` (n,) is the log prior of the combination. Returned with the block is the log
-        probability (n,) of the combination, not normalised.
+        probability (n,) of the combination, not normalised. `relative` is true for amplitudes in each
+        session's standard uncertainty.
         """
         if not chosen:
             return log_prior, own

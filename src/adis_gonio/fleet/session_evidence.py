@@ -461,7 +461,8 @@ def _scatter(fit: Fit, rest: Floats, base: Floats) -> tuple[ResidualChi2, ...]:
     """Return χ² of the residual along the turn and across it, each with its degrees of freedom.
 
     `rest` is the whitened residual, `base` the whitened columns of base model, bias and effects of single
-    dwells, which reduce the degrees of freedom. A session with free attitudes has one entry.
+    dwells, which reduce the degrees of freedom. A session with free attitudes has one entry. `fit` is the
+    fit of the session.
     """
     data = fit.data
     rows = rest.reshape(len(data), -1)

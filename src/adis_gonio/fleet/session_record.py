@@ -215,7 +215,10 @@ def _unstated(record: SessionRecord) -> tuple[int, str]:
 
 
 def value_from(entry: Mapping[str, Any]) -> Value:
-    """Make a `Value` (with its uncertainty) from its JSON form."""
+    """Make a `Value` (with its uncertainty) from its JSON form.
+
+    The form is a mapping with `value`, `u`, `unit`, `dof` and `k`; a value of None becomes NaN.
+    """
     value, dof = entry["value"], entry["dof"]
     return Value(
         math.nan if value is None else value,
@@ -261,7 +264,8 @@ class Job:
 def lost(path: str, reason: str) -> SessionRecord:
     """Make the record of a session that could not be computed.
 
-    It has no digest, so that the next run tries the session again.
+    It has no digest, so that the next run tries the session again. `reason` is the reason, which the record
+    states after the path.
     """
     return SessionRecord(path, status="failed", reason=f"{path}: {reason}")
 

@@ -446,7 +446,8 @@ class SimulatedChip:
     def _fast(self, words: Words, starts: Floats, clock_hz: float, out: Words) -> int:
         """Answer as many leading reads as possible as one array, into `out`; return their number.
 
-        `words` and `starts` are the frames and their start times in s, both (n,).
+        `words` and `starts` are the frames and their start times in s, both (n,). `clock_hz` is the SPI
+        clock.
         """
         first = float(starts[0])
         if first < max(self._last_start, self._time_s - TOLERANCE_S):

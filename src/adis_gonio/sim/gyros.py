@@ -135,7 +135,8 @@ class GyroTriad:
     def read(self, felt: Felt) -> Floats:
         """Return the gyro readings (n, 3) in °/s.
 
-        Flicker, white noise and the effect of the supply are not included.
+        Flicker, white noise and the effect of the supply are not included. `felt` has the quantities that
+        act on the gyros.
         """
         gyro = self._turning(felt) + self._bias
         for k, own in enumerate(np.diagonal(self.per_g)):
@@ -164,7 +165,7 @@ class GyroTriad:
         """Return the gyro readings (n, 3) in °/s from the rate of turn alone.
 
         They include scale factors, directions, asymmetry, and the temperature coefficients of the scale
-        factors.
+        factors. `felt` has the quantities that act on the gyros.
         """
         if np.array_equal(self.sensitivity, np.eye(3)):
             rate = felt.rate_dps

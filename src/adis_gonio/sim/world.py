@@ -341,14 +341,17 @@ class World:
         return [(effect, values) for effect, values in self.effects if effect.parts[0] == part]
 
     def _rate_dps(self, motion: Motion) -> Floats:
-        """Return the true rate of turn (n, 3) in °/s, with the vertical part of the earth's rotation."""
+        """Return the true rate of turn (n, 3) in °/s, with the vertical part of the earth's rotation.
+
+        `motion` is the motion of the sensor at these times.
+        """
         up_dps = self.settings.earth_rate_up_dps
         return motion.rate_dps - up_dps * motion.direction if up_dps else motion.rate_dps
 
     def _moving_mg(self, motion: Motion) -> Floats | None:
         """Return the readings (n, 3) in mg that shaking and moving add to those of gravity.
 
-        None if all are zero.
+        None if all are zero. `motion` is the motion of the sensor at n times.
         """
         moving = motion.shaking_mg if motion.shaking_mg.any() else None
         if self._lever_m.any():
@@ -360,6 +363,7 @@ class World:
         """Return the readings (n, 3) in mg that the positions of the accelerometers cause in a turn.
 
         Each reading is minus the acceleration of the accelerometer along its axis: ω × (ω × r) + dω/dt × r.
+        `motion` is the motion of the sensor at the times (n,) in s.
         """
         rate = np.radians(motion.rate_dps)
         # Angular acceleration by central differences of the rate.
@@ -377,7 +381,7 @@ class World:
     def _by_lever_mg(self, motion: Motion) -> Floats:
         """Return the readings (n, 3) in mg of a sensor that is off the stage's axis, without gravity.
 
-        They are zero unless the stage turns.
+        They are zero unless the stage turns. `motion` is the motion of the sensor at n times.
         """
         spin, lever = np.radians(motion.rate_dps[:, 2]), self._lever_m
         x = lever[0] * spin**2 + lever[1] * motion.spin_rad_s2
@@ -417,7 +421,10 @@ class World:
         return self._flicker.at(time_s)
 
     def _vibration_mg(self, order: Floats) -> Floats:
-        """Return the rms vibration (n,) of the table in mg during the dwells with these numbers."""
+        """Return the rms vibration (n,) of the table in mg during the dwells with these numbers.
+
+        `order` (n,) has the numbers.
+        """
         if not self._table_mg:
             return np.zeros(len(order))
         missing = int(order.max()) + 1 - len(self._levels_mg)

@@ -280,7 +280,10 @@ class SpiBus(Closing):
         """Release the device; `close` calls this at most once."""
 
     def _start_stream(self, frames: Sequence[int], block_scans: int) -> FrameStream:
-        """Start a stream of valid read frames and return it; called with the lock held."""
+        """Start a stream of valid read frames and return it; called with the lock held.
+
+        A block of the stream has about `block_scans` scans.
+        """
         raise NotImplementedError
 
     def _pull_reset(self) -> None:

@@ -306,7 +306,7 @@ class Cp2130Bus(host.UsbBus):
     def _call(self, what: str, transfer: Callable[..., Any], *arguments: object) -> Any:
         """Call a method of the USB device and convert its errors to errors of a bus.
 
-        `what` names the operation in the message.
+        `what` names the operation in the message. `transfer` is the method, with its arguments.
         """
         try:
             return transfer(*arguments)
@@ -422,7 +422,10 @@ def open_from_url(url: BusUrl, *, backend: Any = None, clock: host.Clock = host.
 
 
 def find_devices(*, backend: Any = None) -> list[Device]:
-    """List the connected CP2130 boards with the URL of each."""
+    """List the connected CP2130 boards with the URL of each.
+
+    `backend` is a backend of pyusb to use instead of libusb; None is libusb.
+    """
     usb = _load()
     return _devices(usb, _boards(usb, backend))
 

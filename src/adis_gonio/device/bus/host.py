@@ -119,7 +119,10 @@ class HostBus(SpiBus):
         self._clock.sleep_s(seconds)
 
     def take_over(self, opened: contextlib.ExitStack) -> Self:
-        """Add resources to release when the bus is closed; return the bus."""
+        """Add resources to release when the bus is closed; return the bus.
+
+        `opened` is the stack of these resources.
+        """
         self._resources = opened.pop_all()
         return self
 

@@ -202,7 +202,10 @@ def data_of(answer: bytes, command: Command) -> bytes:
 
 
 def word_of(answer: bytes, command: Command) -> int:
-    """Return the content of an answer with one 16-bit word: a count of events, or one bit for each pin."""
+    """Return the content of an answer with one 16-bit word: a count of events, or one bit for each pin.
+
+    `command` is the command that is answered.
+    """
     return int(_WORD.unpack_from(data_of(answer, command))[0])
 
 
@@ -629,7 +632,10 @@ def open_from_url(url: BusUrl, *, hid: Any = None, clock: Clock = WALL) -> Mcp22
 
 
 def find_devices(*, hid: Any = None) -> list[Device]:
-    """List the connected MCP2210 boards with the URL of each."""
+    """List the connected MCP2210 boards with the URL of each.
+
+    `hid` is a module to use instead of hidapi; None is hidapi.
+    """
     return _devices(_boards(hid or _load(_BACKENDS[0])))
 
 

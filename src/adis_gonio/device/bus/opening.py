@@ -145,7 +145,10 @@ def _found(point: EntryPoint) -> list[Device]:
 
 
 def _blamed(point: EntryPoint, error: Exception) -> str:
-    """Return one line that names the failed finder function, its package and its error."""
+    """Return one line that names the failed finder function, its package and its error.
+
+    `point` is the entry point of the function.
+    """
     package = f" of package '{point.dist.name}'" if point.dist is not None else ""
     what = " ".join(str(error).split())
     return f"{point.value}{package} failed: {type(error).__name__}{': ' if what else ''}{what}"

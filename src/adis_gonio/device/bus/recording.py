@@ -127,7 +127,10 @@ class _Writer:
         self._write(MAGIC)
 
     def add(self, kind: RecordKind, *content: bytes) -> None:
-        """Append one record; do nothing after a failure or after `close`."""
+        """Append one record; do nothing after a failure or after `close`.
+
+        `kind` is its kind, and `content` the parts of its content, in order.
+        """
         body = b"".join(content)
         record = _HEAD.pack(kind, len(body)) + body
         with self._lock:
@@ -137,7 +140,8 @@ class _Writer:
     def call(self, name: str, begin_s: float, end_s: float, **facts: Any) -> None:
         """Append a record of kind `CALL`.
 
-        `facts` are further entries of its JSON object, such as the result.
+        `facts` are further entries of its JSON object, such as the result. `begin_s` and `end_s` are the
+        times of the call and of its return.
         """
         self.add(RecordKind.CALL, _to_json({"call": name, "begin": begin_s, "end": end_s} | facts))
 

@@ -425,7 +425,10 @@ def open_from_url(
 
 
 def find_devices(*, folder: str = "/dev") -> list[Device]:
-    """List the SPI device files (spidev) of this computer."""
+    """List the SPI device files (spidev) of this computer.
+
+    `folder` is the folder of the device files.
+    """
     devices = []
     for path in sorted(Path(folder).glob("spidev*")):
         denied = (

@@ -116,7 +116,10 @@ class FrameLog:
             yield self._frame_row(call.number, time_s, frame, problem, word)
 
     def _captured(self, call: Call) -> Iterator[FrameRow]:
-        """Yield the row of the previous captured frame, which the reply of this frame completes."""
+        """Yield the row of the previous captured frame, which the reply of this frame completes.
+
+        `call` is the captured frame.
+        """
         assert call.frames is not None
         if self._before is not None:
             yield self._frame_row(*self._before, int(call.result[0]))
@@ -202,7 +205,8 @@ class FrameLog:
 def _written_fields(row: registers.Register | None, high: bool, frame: int) -> str:
     """Return the names of the commands or fields that a written byte sets, in brackets.
 
-    The text is empty if the byte sets none.
+    The text is empty if the byte sets none. `row` is the register (None if unknown), `high` is True for its
+    high byte, `frame` the frame that writes it.
     """
     if row is None or row.kind is not registers.Kind.FIELDS:
         return ""

@@ -205,7 +205,8 @@ class DataReadyLoan:
     def _find_edge(self, table: Sequence[Register], period_s: float) -> None:
         """Select the end of the pulse at which updates happen: the declared end, or else the other.
 
-        Raises `ChipError` if updates happen at neither end. Does nothing if the bus cannot stream.
+        Raises `ChipError` if updates happen at neither end. Does nothing if the bus cannot stream. `table`
+        has the registers of a scan, `period_s` is the sample period.
         """
         if Capability.STREAM not in self._sensor.bus.capabilities:
             return  # nothing starts at an edge

@@ -470,6 +470,8 @@ def scales(
 ) -> tuple[Floats, Floats, tuple[str, ...]]:
     """Return for each of k registers: value of an LSB (k,), value at number zero (k,), and unit.
 
+    `part` is the sensor type, `gyro_range_dps` the range of the gyros, None if unknown.
+
     Raises
     ------
     ChipError

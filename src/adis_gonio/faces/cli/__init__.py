@@ -125,7 +125,7 @@ def _fail(message: str, status: int) -> int:
 
 
 def run() -> None:
-    """Entry point of the `adis-gonio` program."""
+    """Run the `adis-gonio` program and end the process with its exit status."""
     replace_missing_letters()
     status = 130
     # The exit status is decided here: a late Ctrl-C must not turn it into a death by signal.

@@ -186,7 +186,8 @@ def _run(
 ) -> bool:
     """Run the session on the screen or by plain prompts; return True if it is complete.
 
-    `options` are further options of the command.
+    `options` are further options of the command. `resume` is True for the session of an earlier run;
+    `advisor` is None without a trace.
     """
     from adis_gonio.faces.cli.line_prompts import PlainBench, choose_face
     from adis_gonio.faces.free_hands import FREE_RATE_HZ, free_hands
@@ -217,7 +218,8 @@ def _run(
 def _show_result(session: Session, advisor: TraceAdvisor | None, *, complete: bool, as_json: bool) -> None:
     """Show the fit of a session, the scale factors of its gyros, and its trace if requested.
 
-    The trace is requested if `advisor` is not None.
+    The trace is requested if `advisor` is not None. `complete` is True if all positions were measured;
+    `as_json` prints a JSON document instead of text.
     """
     from adis_gonio.faces.cli.fit_commands import print_answer, print_gains
     from adis_gonio.faces.cli.trace_commands import print_loop, print_trace

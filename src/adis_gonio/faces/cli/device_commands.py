@@ -285,6 +285,7 @@ def _show_registers(
     """Show registers with their physical values; None means that a register was not read.
 
     `wanted` has the offsets of a calibration by register name; `fields` also shows the bit fields.
+    `as_json` prints a JSON document instead of a table.
     """
     if as_json:
         documents = []

@@ -226,7 +226,7 @@ def show_gyro_fit(
     """Fit the gyros of a session and show the result.
 
     `method` is None for the only method; `calibration` is the file of the accelerometers' calibration, None
-    for none.
+    for none. `as_json` prints a JSON document instead of text.
     """
     from adis_gonio.faces.api import fit
 

@@ -238,7 +238,10 @@ class PlainBench:
         print(f"{text}: ", end="", file=sys.stderr, flush=True)  # noqa: T201
 
     def _listen(self, *, wait: bool) -> None:
-        """Read a line and use it as the answer to the open question; do nothing if there is no line."""
+        """Read a line and use it as the answer to the open question; do nothing if there is no line.
+
+        `wait` is True to wait for a line.
+        """
         question, self._asking = self._question, wait
         if question is None:
             return

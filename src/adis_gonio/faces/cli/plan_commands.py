@@ -338,7 +338,10 @@ def simulate_command(*, output: Path, date: datetime | None, **options: Any) -> 
 
 
 def _simulate_twin(path: Path, output: Path, seed: int) -> None:
-    """Simulate the digital twin of a session and write it as a samples CSV."""
+    """Simulate the digital twin of a session and write it as a samples CSV.
+
+    `seed` is the seed of the random numbers.
+    """
     from adis_gonio.base.budget import current
     from adis_gonio.handover.digital_twin import simulate_like
     from adis_gonio.record.loading import explain_refusal, load_session

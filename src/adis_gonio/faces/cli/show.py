@@ -227,7 +227,7 @@ class Work:
         return time.monotonic() - self._begun
 
     def __str__(self) -> str:
-        """Description of the work, its stage and the finished share, without the time."""
+        """Return the description of the work, its stage and the finished share, without the time."""
         share = "" if self._share is None else f"{100 * self._share:.0f} %"
         stage = ", ".join(part for part in (self._stage, share) if part)
         return f"{self.what}: {stage}" if stage else self.what

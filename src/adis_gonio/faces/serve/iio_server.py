@@ -57,7 +57,10 @@ class AttributePort:
     debug: Callable[[], Mapping[str, int]]
 
     def names(self, target: Target) -> tuple[str, ...]:
-        """Return the names of the attributes of a device or channel; `Refused` if it does not exist."""
+        """Return the names of the attributes of a device or channel; `Refused` if it does not exist.
+
+        `target` is the device or channel.
+        """
         if not self.device.knows(target.device):
             raise Refused(Errno.ENODEV, f"no device {target.device}")
         match target.kind:

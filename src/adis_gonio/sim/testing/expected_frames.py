@@ -53,7 +53,7 @@ class ExpectedFrames(SpiBus):
         self._script.append(_Expected(frame, reply, _place_of_caller()))
 
     def now_s(self) -> float:
-        """Virtual time in s."""
+        """Return the virtual time in s."""
         return self._time_s
 
     def sleep_s(self, seconds: float) -> None:

@@ -164,7 +164,10 @@ class SimulatedFirmware:
     # -- packets ----------------------------------------------------------------------------------------
 
     def send(self, kind: int, request_id: int, body: bytes) -> None:
-        """Queue a packet to the host: its type, the id of the request, and its body."""
+        """Queue a packet to the host: its type, the id of the request, and its body.
+
+        `kind` is the number of the type.
+        """
         self._put(self._packed(kind, request_id, body))
 
     @staticmethod
@@ -406,7 +409,10 @@ class _Stream:
         self.firmware.all_lost += count
 
     def flush(self, now_s: float) -> None:
-        """Send the scans collected so far to the host as a packet."""
+        """Send the scans collected so far to the host as a packet.
+
+        `now_s` is the time in s at which the packet is ready to be sent.
+        """
         if not self._times:
             return
         firmware = self.firmware

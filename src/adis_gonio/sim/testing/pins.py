@@ -67,7 +67,10 @@ class WorkClock(DeviceClock):
         return super().now_s()
 
     def now_s(self) -> float:
-        """Time in s of the simulated device: real time, or the end of its work if that is later."""
+        """Return the time in s of the simulated device.
+
+        It is real time, or the end of the device's work if that is later.
+        """
         return max(self.wall_s(), self._done_s)
 
     def advance_to(self, time_s: float) -> None:
@@ -144,5 +147,5 @@ class ChipPins:
         self.chip.hard_reset(max(self.clock.now_s(), self.chip.time_s))
 
     def data_ready_edges(self) -> int:
-        """Number of data-ready pulses of the chip since power-on."""
+        """Return the number of data-ready pulses of the chip since power-on."""
         return self.chip.data_ready_edges(max(self.clock.now_s(), self.chip.time_s))
