@@ -229,8 +229,8 @@ def base_of(selection: Selection) -> dict[str, Value]:
     return out
 
 
-def zeros_of(selection: Selection, seen: Sequence[Finding] = ()) -> dict[str, Value]:
-    """Return the readings of unaccelerated axes in counts, as far as no finding in `seen` states them.
+def zeros_of(selection: Selection) -> dict[str, Value]:
+    """Return the reading of each axis without acceleration, for readings in counts.
 
     The result is empty if the unit of the readings is known. An axis without a bias in the model is at the
     approximate zero that was used to convert the readings to mg. Its bias is fitted together with the other
@@ -260,9 +260,7 @@ def zeros_of(selection: Selection, seen: Sequence[Finding] = ()) -> dict[str, Va
         for place, parameter in enumerate(term.effect.parameters, start):
             u = float(np.sqrt(fit.covariance[place, place] * selection.inflation))
             stated[parameter.name] = Value(float(fit.values.parameters[place]), u, "mg", dof_of(selection))
-    zeros = in_units_of_file(Finding("bias", axes, stated, 1.0, 0.0, 1.0), data.unit).parameters
-    known = {name for finding in seen if finding.effect == "bias" for name in finding.parameters}
-    return {name: value for name, value in zeros.items() if name not in known}
+    return in_units_of_file(Finding("bias", axes, stated, 1.0, 0.0, 1.0), data.unit).parameters
 
 
 def in_units_of_file(finding: Finding, unit: Unit) -> Finding:
