@@ -26,6 +26,13 @@ KEPT = {
             Step("calibrate afresh"),
         ),
     ),
+    "the live angle is refused while the manual self-test is on": Story(
+        seed=2,
+        motor=True,
+        plan="two-position",
+        positions=2,
+        steps=(Step("calibrate"), Step("self-test on"), Step("angle")),
+    ),
 }
 """Shrunk stories that failed once, by what they show."""
 

@@ -267,13 +267,14 @@ def open_live(
     Raises
     ------
     UsageError, CannotOpenError, BusError, ChipError
-        As `open_source` and the sensor's stream.
+        As `open_source` and the sensor's stream; the manual self-test is on.
     """
     with ExitStack() as stack:
         source = stack.enter_context(open_source(url, variant=variant, check=check))
         offsets_lsb: tuple[int, ...] | None = None
         gyro_offsets_lsb: tuple[int, ...] | None = None
         if isinstance(source, ChipSource):
+            source.refuse_self_test()
             offsets_lsb = tuple(source.sensor.read(name) for name in ACCEL_OFF)
             gyro_offsets_lsb = tuple(source.sensor.read(name) for name in GYRO_OFF)
             settings = source.sensor.configuration()
