@@ -17,7 +17,7 @@ FORGERIES = {f"forged {name}": make for name, (family, _, make) in KINDS.items()
 
 
 def forge(path: Path, kind: str, draw: int) -> str:
-    """Change a session file in place, by a key of `FORGERIES`; return what was changed."""
+    """Change a session file in place, by a key of `FORGERIES`; return a description of the change."""
     with tempfile.TemporaryDirectory(dir=path.parent.parent) as folder:
         target = Path(folder) / path.name
         what = FORGERIES[kind](SoundFiles([path], [], [], []), target, random.Random(draw))

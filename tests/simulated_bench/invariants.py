@@ -162,7 +162,12 @@ def every_failure_is_one_line(case: Case) -> str:
 
 
 def every_wait_ends(case: Case) -> str:
-    """No command waits for ever, and a careful operator is not asked for ever."""
+    """No command waits for ever, and a careful operator is not asked for ever.
+
+    A forged session may ask for a dwell of a year, which Ctrl-C ends.
+    """
+    if case.record.forged and case.ended.how == "overtime":
+        return ""
     return f"{case.ended.how}: {case.ended.last_line}" if case.ended.how in ("overtime", "dead end") else ""
 
 

@@ -85,7 +85,7 @@ STORIES = {
     "doubts unsaid": ("status 0 means a right answer", story(STOPPED, CALIBRATE)),
     "no guards": (
         "status 0 means a right answer",
-        story(CALIBRATE, motor=False, only="forget"),
+        story(CALIBRATE, motor=False, only="forget", plan="two-position", positions=2),
     ),
     "records replaced": ("nothing recorded is lost", story(KILLED, CALIBRATE)),
     "endless wait": (
