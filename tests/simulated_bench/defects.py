@@ -96,7 +96,10 @@ _ADD = archive.Archive.add_attempt
 
 
 def _forgetful_recording(self: Any, recording: Any, rested_mg: Any) -> Any:
-    return (yield from self._record(recording, rested_mg))
+    broken = yield from self._record(recording, rested_mg)
+    if broken is None:
+        self._check_sensor(recording)
+    return broken
 
 
 def _always_explained(self: Any, now: Any) -> None:

@@ -26,6 +26,11 @@ KEPT = {
             Step("calibrate afresh"),
         ),
     ),
+    "a dwell is kept if the bus fails at the check of the sensor after it": Story(
+        seed=2,
+        motor=True,
+        steps=(Step("calibrate", line=(LineFault("short", 6.0, 2.0),)),),
+    ),
     "the live angle is refused while the manual self-test is on": Story(
         seed=2,
         motor=True,

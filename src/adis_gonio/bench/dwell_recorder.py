@@ -62,6 +62,8 @@ class Recording:
         Scans of the turn before the attempt, which are kept with it.
     rested_mg : (3,) float or None
         Reading of the sensor when the dwell began.
+    status, settings_lost : Status or None, str
+        STATUS after the dwell, and the message of `SessionBench.settings_lost`.
     """
 
     place: int
@@ -77,6 +79,8 @@ class Recording:
     timed_out: bool = False
     why_moving: str = "no data"
     rested_mg: Floats | None = None
+    status: Status | None = None
+    settings_lost: str = ""
     _blocks: list[Block] = field(default_factory=list)
     # Number of samples up to the end of each block, and of scans lost up to there.
     _ends: list[int] = field(default_factory=lambda: [0])
@@ -339,12 +343,22 @@ class DwellRecorder(Recorder):
     def _record_or_keep(
         self, recording: Recording, rested_mg: Floats | None
     ) -> Generator[Event, None, _Broken | None]:
-        """Record a dwell; if an error ends it, the scans so far are archived."""
+        """Record a dwell and check the sensor; if an error ends it, the scans so far are archived."""
         try:
-            return (yield from self._record(recording, rested_mg))
+            broken = yield from self._record(recording, rested_mg)
+            if broken is None:
+                self._check_sensor(recording)
         except BaseException as error:
             self._interrupted(recording, why_broken_off(error))
             raise
+        return broken
+
+    def _check_sensor(self, recording: Recording) -> None:
+        """End the stream after a dwell, and read STATUS and the settings of the sensor."""
+        self._bench.close_stream()
+        self._ledger.scanning(self._bench.scanning)
+        recording.status = self._bench.source.status()
+        recording.settings_lost = self._bench.settings_lost()
 
     def _record(
         self, recording: Recording, rested_mg: Floats | None
@@ -426,14 +440,11 @@ class DwellRecorder(Recorder):
 
     def _complete(self, recording: Recording) -> Iterator[Event]:
         bench, ledger = self._bench, self._ledger
-        bench.close_stream()
-        ledger.scanning(bench.scanning)
-        status = bench.source.status()
-        lost = bench.settings_lost()
         bench.checkpoint()
-        if lost:
-            yield self._interrupted(recording, lost)
-            raise SessionError(f"{recording.position}: {lost}")
+        if recording.settings_lost:
+            yield self._interrupted(recording, recording.settings_lost)
+            raise SessionError(f"{recording.position}: {recording.settings_lost}")
+        status = recording.status
         attempt = recording.attempt("complete", bench.now_s, status=None if status is None else status.word)
         number = ledger.archive.add_attempt(attempt)
         place, scans = recording.place, recording.scans()
