@@ -226,7 +226,7 @@ class LiveSource:
     noise_mg: float
     step_mg: float
     part: str
-    offsets_lsb: tuple[int, ...] | None
+    offsets_lsb: tuple[int, ...] | None = None
     gyro_offsets_lsb: tuple[int, ...] | None = None
 
 
@@ -271,12 +271,10 @@ def open_live(
     """
     with ExitStack() as stack:
         source = stack.enter_context(open_source(url, variant=variant, check=check))
-        offsets_lsb: tuple[int, ...] | None = None
-        gyro_offsets_lsb: tuple[int, ...] | None = None
+        offsets: tuple[tuple[int, ...], ...] = ()
         if isinstance(source, ChipSource):
             source.refuse_self_test()
-            offsets_lsb = tuple(source.sensor.read(name) for name in ACCEL_OFF)
-            gyro_offsets_lsb = tuple(source.sensor.read(name) for name in GYRO_OFF)
+            offsets = tuple(tuple(source.sensor.read(name) for name in of) for of in (ACCEL_OFF, GYRO_OFF))
             settings = source.sensor.configuration()
             measuring: Measuring = settings
             count = _block_samples(measuring)
@@ -290,9 +288,7 @@ def open_live(
         stack.enter_context(stream)
         noise_mg = source.expected_noise_mg(measuring)
         part = source.part
-        yield LiveSource(
-            measuring, stream, noise_mg, part.step_mg, part.name, offsets_lsb, gyro_offsets_lsb
-        )
+        yield LiveSource(measuring, stream, noise_mg, part.step_mg, part.name, *offsets)
 
 
 Opener = Callable[[], AbstractContextManager[LiveSource]]
