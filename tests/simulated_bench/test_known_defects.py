@@ -25,16 +25,11 @@ def story(*steps: Step, motor: bool = True, only: str = "none", **bench) -> Stor
     return Story(2, steps, motor=motor, only=only, **bench)
 
 
+RESTARTED = story(Step("calibrate", line=(LineFault("restart", 5.0),)), streams=False)
+
 STORIES = {
-    "restart": (
-        "dwells are measured alike",
-        story(CALIBRATE, Step("write"), Step("calibrate afresh", line=(LineFault("restart", 6.0),)),
-              streams=False),
-    ),
-    "no mark": (
-        "dwells are measured alike",
-        story(Step("calibrate", line=(LineFault("restart", 5.0),)), streams=False),
-    ),
+    "restart": ("dwells are measured alike", RESTARTED),
+    "no mark": ("dwells are measured alike", RESTARTED),
     "mark left": ("registers are as before or as planned", story(KILLED, CALIBRATE)),
     "loan kept": ("registers are as before or as planned", story(CALIBRATE)),
     "self-test": ("dwells are measured alike", story(Step("self-test on", draw=1), CALIBRATE)),
