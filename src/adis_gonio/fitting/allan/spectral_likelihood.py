@@ -2,18 +2,12 @@
 
 Noise processes of IEEE Std 952-1997, Annex C, in a sampled and filtered record; its Allan deviation.
 
-Coefficients are squared standard deviations, so every density is linear in them. T is the sampling
-period. The Allan variance at τ and the two-sided density at f of each process, per squared coefficient,
-are:
+Coefficients are squared standard deviations, so every density is linear in them. T is the sampling period.
+The Allan variance at τ and the two-sided density at f of each process, for a squared coefficient of 1, are:
 
-==============  ==================  ======================
-process         Allan variance      density
-==============  ==================  ======================
-quantization Q  3/τ²                T (2πf)²
-white N         1/τ                 1
-flicker F       1                   1/(4 ln 2 · f)
-walk K          τ/3                 1/(2πf)²
-==============  ==================  ======================
+============== ================== ====================== process Allan variance density ==============
+================== ====================== quantization Q 3/τ² T (2πf)² white N 1/τ 1 flicker F 1 1/(4 ln 2 ·
+f) walk K τ/3 1/(2πf)² ============== ================== ======================
 
 F is the floor of the Allan deviation, 0.664 times the standard's B. The likelihood works in the basis of
 the DCT-II without its first vector. In this basis white noise and a random walk of any mean are exactly
@@ -27,8 +21,8 @@ overlapping differences, and the degrees of freedom are 2 (σ²)²/Var σ̂².
 Restricted maximum likelihood of the noise processes on the spectrum of a record at rest.
 
 Sinusoids (a vibrating table, hum) are subtracted from the record first, and the ordinates around them are
-left out. The spectrum consists of DCT-II ordinates: the lowest ones individually, the higher ones as
-means of narrow bins.
+left out. The spectrum consists of DCT-II ordinates: the lowest ones individually, the higher ones as means
+of narrow bins.
 
 Ordinates are independent and normal with variances linear in the squared coefficients θ ≥ 0. The mean and
 the linear slope of each record are no noise. The likelihood therefore describes the part of the data
@@ -57,16 +51,19 @@ Kind = Literal["quantization", "white", "flicker", "walk"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
 FLOOR_OF_B = math.sqrt(2 * math.log(2) / math.pi)
-"""Floor of the Allan deviation over the standard's coefficient of bias instability."""
+"""Ratio of the smallest Allan deviation under flicker noise to the standard's coefficient B of bias
+instability.
+"""
 _FLICKER_ALLAN = 4 * math.log(2)
 """Allan variance of noise with the two-sided density h/f, in units of h."""
 _TABLE = 256
 
 
 def variances(filter_m: int, n: int, k: Floats, period_s: float) -> Floats:
-    """Variances (len(k), 4) of the DCT-II coefficients k of n samples, for each noise process in `KINDS`.
+    """Return the variances (len(k), 4) of DCT-II coefficients, for each noise process in `KINDS`.
 
-    Each column is for a process with a squared coefficient of 1.
+    They are the coefficients with indices `k` of `n` samples behind the filter M = `filter_m`. Each column
+    is for a process with a squared coefficient of 1.
     """
     angle = np.pi * k / n
     frequency = k / (2 * n)
@@ -80,10 +77,11 @@ def variances(filter_m: int, n: int, k: Floats, period_s: float) -> Floats:
 
 
 def ordinate_variances(autocovariance: Floats, n: int, k: Floats) -> Floats:
-    """Variances (len(k),) of DCT-II coefficients k of n samples of a process with a short autocovariance.
+    """Return the variances (len(k),) of DCT-II coefficients of a process with a short autocovariance.
 
-    They are exact and include the ends of the record: with a = πk/n, Σ_t φ_k(t) φ_k(t+l) = ((n − l) cos(la)
-    − sin(la)/sin(a))/n.
+    They are the coefficients with indices `k` of `n` samples; `autocovariance` is by lag. The variances are
+    exact and include the ends of the record: with a = πk/n, Σ_t φ_k(t) φ_k(t+l) = ((n − l) cos(la) −
+    sin(la)/sin(a))/n.
     """
     angle = np.pi * k / n
     total = np.full(len(k), autocovariance[0])
@@ -95,7 +93,7 @@ def ordinate_variances(autocovariance: Floats, n: int, k: Floats) -> Floats:
 
 
 def line(n: int, k: Floats) -> Floats:
-    """DCT-II coefficients, at the indices k, of the straight line 0, 1, … n − 1.
+    """Return the DCT-II coefficients, at the indices k, of the straight line 0, 1, … n − 1.
 
     Coefficients with an even index are zero.
     """
@@ -105,9 +103,10 @@ def line(n: int, k: Floats) -> Floats:
 
 
 def variograms(filter_m: int, lags: int, period_s: float) -> Floats:
-    """Half the mean squared difference (lags, 4) of two samples, for each noise process in `KINDS`.
+    """Return half the mean squared difference (lags, 4) of two samples, for each process in `KINDS`.
 
-    The rows are for the lags 0, 1, … in samples. Each column is for a squared coefficient of 1.
+    The rows are for the distances 0, 1, … `lags` − 1 in samples, behind the filter M = `filter_m`. Each
+    column is for a squared coefficient of 1.
     """
     own = _autocovariance(filter_weights(filter_m))
     reach = len(own) - 1
@@ -135,7 +134,7 @@ def _padded(values: Floats, size: int) -> Floats:
 
 
 def _cin(x: NDArray[np.floating[Any]]) -> Floats:
-    """Cosine integral Cin(x): the integral of (1 − cos t)/t from 0 to x."""
+    """Return the cosine integral Cin(x): the integral of (1 − cos t)/t from 0 to x."""
     inside = np.maximum(x, 1e-9)
     value = np.log(inside) + np.euler_gamma - special.sici(inside)[1]
     return np.where(x > 0, value, 0.0)
@@ -143,7 +142,7 @@ def _cin(x: NDArray[np.floating[Any]]) -> Floats:
 
 @lru_cache(maxsize=1)
 def _edge_table() -> Floats:
-    """Variances of the DCT-II coefficients 1 … `_TABLE` of flicker noise, each multiplied by its frequency.
+    """Return the variances of the DCT-II coefficients 1 … `_TABLE` of flicker noise times frequency.
 
     They include the effect of the ends of a record, and come from the variogram 2h Cin(πl) of noise with
     density h/|f| below half the sampling rate. The record is so long that its length has no effect.
@@ -168,8 +167,9 @@ def _edge(k: Floats) -> Floats:
 LEAST_DIFFERENCES = 8
 """Smallest number of differences of means from which an Allan deviation is computed."""
 _EXACT = 512
-"""Largest averaging time in samples with the filter in the computation; longer ones use a coarser
-lattice."""
+"""Largest averaging time, in samples, at which the expected Allan variance is computed sample by sample
+with the filter; for longer times it is computed from means of several samples.
+"""
 _LATTICE = 32
 
 
@@ -181,10 +181,10 @@ class AllanCurve(JsonRecord):
     tau_s : (t,) float
         Averaging times.
     deviation, low, high, dof : (t,) float
-        Overlapping estimate, pooled over the records, its 95 % interval (χ²) and its effective degrees of
-        freedom.
+        Overlapping estimate of the Allan deviation, pooled over the records, its 95 % interval (χ²) and its
+        effective degrees of freedom.
     model : (t,) float
-        Expected deviation by the fitted noise.
+        Expected Allan deviation by the fitted noise.
     """
 
     tau_s: Floats
@@ -196,17 +196,20 @@ class AllanCurve(JsonRecord):
 
 
 def octaves(longest: int) -> list[int]:
-    """Averaging times of the Allan variance, in samples: 1, 2, 4, … as far as `longest` samples allow."""
+    """Return averaging times of the Allan variance, in samples: 1, 2, 4, … .
+
+    The largest leaves enough differences in a record of `longest` samples.
+    """
     return [1 << j for j in range(longest.bit_length()) if 2 * (1 << j) + LEAST_DIFFERENCES <= longest]
 
 
 def overlapping(samples: Sequence[Floats]) -> tuple[list[int], Floats]:
-    """Overlapping Allan deviation of the samples, pooled over records.
+    """Compute the overlapping Allan deviation of samples, pooled over records.
 
     Parameters
     ----------
     samples : sequence of (n, axes) float
-        Records of one rate.
+        Records with one sample rate.
 
     Returns
     -------
@@ -233,13 +236,14 @@ def overlapping(samples: Sequence[Floats]) -> tuple[list[int], Floats]:
 def curve(
     records: Sequence[Floats], squares: Floats, filter_m: int, period_s: float, rounding: Floats
 ) -> AllanCurve:
-    """Allan deviation of an axis from its records, and the deviation that the fitted noise predicts.
+    """Compute the Allan deviation of an axis from its records, and the one that its noise predicts.
 
     Parameters
     ----------
     records : sequence of (n,) float
+        Samples of each record.
     squares : (4,) float
-        Squared coefficients of the fitted processes.
+        Squared coefficients of the fitted noise processes, in the order of `KINDS`.
     rounding : (lags,) float
         Autocovariance of the converter's rounding, in the squared unit of the samples.
     """
@@ -254,9 +258,10 @@ def curve(
 def _expected(
     m: int, lengths: Sequence[int], squares: Floats, filter_m: int, period_s: float, rounding: Floats
 ) -> tuple[float, float]:
-    """Expected Allan variance at m samples for a noise model, and the dof of its estimate.
+    """Return the expected Allan variance at m samples under a noise model, and the dof of its estimate.
 
-    The estimate pools records of these `lengths`; `squares` are the squared coefficients of the model.
+    The estimate pools records of these `lengths`; `squares` are the squared coefficients of the model,
+    `rounding` the autocovariance, by lag, of the converter's rounding.
     """
     coarse = 1 if m <= _EXACT else m // _LATTICE
     step = m // coarse
@@ -286,9 +291,10 @@ def _expected(
 def _variogram(
     squares: Floats, filter_m: int, lags: int, period_s: float, coarse: int, rounding: Floats
 ) -> Floats:
-    """Half the mean squared difference of two means of `coarse` samples, by their distance.
+    """Return half the mean squared difference of two means of `coarse` samples, by their distance.
 
-    The distances are 0, 1, … `lags` − 1 such means. `squares` are the squared coefficients of the model.
+    The distances are 0, 1, … `lags` − 1 such means. `squares` are the squared coefficients of the model,
+    `rounding` the autocovariance, by lag, of the converter's rounding.
     """
     if coarse == 1:
         own = variograms(filter_m, lags, period_s) @ squares
@@ -301,11 +307,11 @@ def _variogram(
 
 MOST = 12
 _LOWEST = 24
-"""Fewest cycles per record of a sinusoid that can be separated from slow noise."""
+"""Fewest cycles per record at which a sinusoid can be separated from slow noise."""
 _WIDTH = 48
 """Number of ordinates on each side from which the noise power at an ordinate is estimated."""
 _LEAKS = 4
-"""Ordinates on either side into which a sinusoid leaks behind Hann's window."""
+"""Number of ordinates on either side of a sinusoid into which its power leaks (Hann's window)."""
 
 
 class SpectralLine(JsonRecord):
@@ -314,9 +320,9 @@ class SpectralLine(JsonRecord):
     Attributes
     ----------
     frequency_hz : float
-        Frequency after sampling: a vibration above half of the rate appears as its alias.
+        Frequency after sampling: a vibration above half the sample rate appears as its alias.
     amplitude : float
-        In the unit of the samples, behind the sensor's filter.
+        Amplitude in the unit of the samples, behind the sensor's filter.
     """
 
     frequency_hz: float
@@ -331,7 +337,7 @@ def subtract_sinusoids(
     Parameters
     ----------
     record : (n,) float
-        Without its linear slope.
+        Samples without their linear slope.
     highest : float
         Highest frequency of a sinusoid in cycles per sample.
     """
@@ -353,9 +359,10 @@ def subtract_sinusoids(
 
 
 def _peak(record: Floats, highest: float, taken: NDArray[np.bool_]) -> tuple[float, float] | None:
-    """Find the strongest sinusoid of a record: its frequency in cycles per record, and power over noise.
+    """Return the frequency of a record's strongest sinusoid in cycles per record, and its power.
 
-    Returns None if no sinusoid exceeds the noise clearly.
+    The power is relative to the noise around it. Frequencies up to `highest` (cycles per sample) count that
+    are not in `taken`. The result is None if no sinusoid exceeds the noise clearly.
     """
     n = len(record)
     last = int(highest * n)
@@ -378,9 +385,9 @@ def _peak(record: Floats, highest: float, taken: NDArray[np.bool_]) -> tuple[flo
 
 
 def _level(power: Floats) -> Floats:
-    """Mean power of the noise around each ordinate of a spectrum.
+    """Return the mean power of the noise around each ordinate of a spectrum.
 
-    It is the higher one of the levels by the medians on both sides.
+    It is the higher one of two estimates by the median, one from each side of the ordinate.
     """
     step = _WIDTH // 4
     # Medians over four cells of `step` ordinates; the median of exponential noise is ln 2 times its mean.
@@ -406,9 +413,11 @@ def _subtract_sinusoid(record: Floats, place: float) -> tuple[Floats, float]:
 SINGLES = 64
 """Number of the lowest ordinates that have a bin each."""
 _RELATIVE, _ABSOLUTE = 1 / 32, 1 / 1024
-"""Widest bin: relative to its frequency, and in cycles per sample."""
+"""Limits of the width of a bin: relative to its frequency, and in cycles per sample; the smaller one
+counts.
+"""
 _POINTS = 16
-"""Largest number of ordinates of a bin at which the noise densities are computed."""
+"""Largest number of ordinates of a bin at which the densities of the noise processes are computed."""
 
 
 @dataclass(frozen=True)
@@ -420,13 +429,14 @@ class Ordinates:
     frequency : (b,) float
         Highest frequency of each bin in cycles per sample.
     weight : (b,) float
-        Number of ordinates.
+        Number of ordinates in each bin.
     power : (b,) float
-        Mean of their squares.
+        Mean of the squares of these ordinates.
     shapes : (b, 4) float
-        Mean variance per squared coefficient of each of `spectral_likelihood.KINDS`.
+        Mean variance that each noise process in `KINDS` gives the ordinates of a bin, at a squared
+        coefficient of 1.
     rounding : (b,) float
-        Mean variance of the converter's rounding.
+        Mean variance of the ordinates from the converter's rounding.
     lines : tuple of (first, ordinate, line)
         For each record: the bin of its first single ordinate, the (s,) single ordinates, and the ordinates
         of a line of slope 1 per sample.
@@ -445,7 +455,7 @@ class Ordinates:
         return {name: value for name, value in vars(self).items() if name != "lines"}
 
     def below(self, frequency: float) -> Ordinates:
-        """Copy without the bins above a frequency, in cycles per sample.
+        """Return a copy without the bins above a frequency, in cycles per sample.
 
         The ordinates of the straight line are cut likewise; the lowest bins suffice to fit it.
         """
@@ -467,10 +477,11 @@ def ordinates(
     Parameters
     ----------
     record : (n,) float
+        Samples without their linear slope.
     rounding : (lags,) float
-        Autocovariance of the converter's rounding.
+        Autocovariance, by lag, of the converter's rounding.
     masked : (l,) int
-        Ordinates to leave out.
+        Indices of ordinates to leave out, such as those of sinusoids.
     """
     n = len(record)
     lines = np.asarray(fft.dct(record, type=2, norm="ortho"), np.float64)[1:]
@@ -512,12 +523,13 @@ class _Grid:
     starts : (b,) int
         First ordinate of each bin.
     highest : (b,) float
-        Highest frequency in cycles per sample.
+        Highest frequency of each bin in cycles per sample.
     points : (p,) float
         Ordinates at which densities are computed, `_POINTS` per bin at most.
     first, count : (b,) int
-        First point and number of points of a bin.
+        Index among `points` of the first point of a bin, and number of its points.
     shapes : (b, 4) float
+        Mean variance of each noise process in a bin, at a squared coefficient of 1.
     """
 
     starts: NDArray[np.intp]
@@ -528,7 +540,7 @@ class _Grid:
     shapes: Floats
 
     def mean(self, values: Floats) -> Floats:
-        """Mean (b,) in each bin of the values (p,) at its points."""
+        """Return the mean (b,) in each bin of the values (p,) at its points."""
         return np.asarray(np.add.reduceat(values, self.first) / self.count, np.float64)
 
 
@@ -548,7 +560,7 @@ def _grid(n: int, filter_m: int, period_s: float) -> _Grid:
 
 @lru_cache(maxsize=8)
 def _rounded(rounding: bytes, n: int, filter_m: int, period_s: float) -> Floats:
-    """Mean variance (b,) in each frequency bin that the converter's rounding causes.
+    """Return the mean variance (b,) in each frequency bin that the converter's rounding causes.
 
     `rounding` are the bytes of the autocovariance of the rounding errors.
     """
@@ -557,9 +569,10 @@ def _rounded(rounding: bytes, n: int, filter_m: int, period_s: float) -> Floats:
 
 
 def _bins(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Divide the ordinates 1 … n − 1 into bins: the first of each, and the ordinate after its last.
+    """Divide the ordinates 1 … n − 1 into bins.
 
-    Low ordinates have a bin each; at higher frequencies the bins are wider.
+    Return the first ordinate of each bin, and the ordinate after its last. Low ordinates have a bin each;
+    at higher frequencies the bins are wider.
     """
     edges = list(range(1, min(SINGLES, n - 1) + 1))
     at = edges[-1] + 1
@@ -582,15 +595,15 @@ class Profile:
     Attributes
     ----------
     value : float
-        Maximum of the likelihood.
+        Coefficient at the maximum of the likelihood.
     u : float
-        By the Fisher information; nan at zero.
+        Standard uncertainty by the Fisher information; NaN if the value is zero.
     low, high : float
         Profile-likelihood interval of 95 %; `low` is 0 if the coefficient may be absent.
     p_value : float
-        Probability of such data if the coefficient is absent.
+        Probability of data that favour the noise process at least as much, if it is absent.
     detectable : float
-        Coefficient that this record shows with 90 % power.
+        Coefficient that such a record shows to be present with a probability of 90 %.
     """
 
     value: float
@@ -607,7 +620,9 @@ class Profile:
 
     @property
     def dof(self) -> float:
-        """Degrees of freedom at which a standard deviation would have this relative uncertainty."""
+        """Degrees of freedom of a standard deviation with the relative uncertainty u/value; NaN without
+        u.
+        """
         return self.value**2 / (2 * self.u**2) if self.u > 0 else math.nan
 
 
@@ -617,9 +632,9 @@ class Likelihood:
     Parameters
     ----------
     data : Ordinates
-        The weight of an empty bin is 0.
+        Spectrum of the records; the weight of an empty bin is 0.
     without : collection of int
-        Indices of coefficients that the model lacks.
+        Indices of noise processes in `KINDS` that the model lacks.
     """
 
     def __init__(self, data: Ordinates, without: Collection[int] = ()) -> None:
@@ -645,11 +660,11 @@ class Likelihood:
         self._d = np.concatenate([d for _, _, d in data.lines])
 
     def expected(self, theta: Floats) -> Floats:
-        """Expected variance (k,) in each distinct frequency bin for the squared coefficients θ."""
+        """Return the expected variance (k,) in each distinct frequency bin, for squared coefficients θ."""
         return np.asarray(np.maximum(self._shapes @ theta + self._rounding, self._least), np.float64)
 
     def _lines(self, v: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Terms and sums for the weighted fit of a straight line to each of r records with ordinates.
+        """Return terms and sums for the weighted fit of a straight line to each of r records.
 
         The bins have the variances v. The results are the terms (s,) of a = Σ d²/v and of b = Σ c d/v over
         the single ordinates of all records, then a (r,) and b (r,); c are the ordinates of a record, and d
@@ -660,7 +675,7 @@ class Likelihood:
         return square, product, np.where(a > 0, a, np.inf), b
 
     def deviance(self, theta: Floats) -> float:
-        """Deviance, −2 log likelihood up to a constant, of the squared coefficients θ."""
+        """Return the deviance, −2 log likelihood up to a constant, of the squared coefficients θ."""
         v = self.expected(theta)
         total = float(self._weight @ (np.log(v) + self._power / v))
         _, _, a, b = self._lines(v)
@@ -668,7 +683,10 @@ class Likelihood:
         return total + float((np.log(a[seen]) - b[seen] ** 2 / a[seen]).sum())
 
     def slope_and_information(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Gradient (4,) of the deviance by the squared coefficients θ, and Fisher information (4, 4)."""
+        """Return the gradient (4,) of the deviance by the squared coefficients θ, and their information.
+
+        The Fisher information is a matrix (4, 4).
+        """
         v = self.expected(theta)
         relative = self._shapes / v[:, None]
         slope = relative.T @ (self._weight * (1 - self._power / v))
@@ -683,12 +701,14 @@ class Likelihood:
         return slope, information / 2
 
     def maximum(self, start: Floats, fixed: dict[int, float] | None = None) -> tuple[Floats, float]:
-        """θ (4,) ≥ 0 of the largest likelihood and its deviance, by projected Fisher scoring.
+        """Return the θ (4,) ≥ 0 of the largest likelihood and its deviance, by projected Fisher scoring.
 
         Parameters
         ----------
-        fixed : dict
-            Values of fixed coefficients, by index.
+        start : (4,) float
+            Squared coefficients at which the search starts.
+        fixed : dict, optional
+            Values of fixed squared coefficients, by index; None if all are free.
         """
         held = fixed or {}
         theta = np.where(self._has, np.maximum(start, 0.0), 0.0)
@@ -734,7 +754,7 @@ class Likelihood:
         return min((self.maximum(start) for start in starts), key=lambda found: found[1])
 
     def u_squared(self, theta: Floats, index: int) -> float:
-        """Standard uncertainty of the squared coefficient θ[index], by the Fisher information.
+        """Return the standard uncertainty of the squared coefficient θ[index], by the Fisher information.
 
         Other coefficients count as free if they are above zero.
         """
@@ -745,14 +765,17 @@ class Likelihood:
         return float(scale[index] * math.sqrt(max(inverse[index, index], 0.0)))
 
     def slopes(self, theta: Floats) -> list[tuple[float, float]]:
-        """Slope per sample of the straight line fitted to each record, and its standard uncertainty."""
+        """Return the slope per sample of the straight line fitted to each record, with its u.
+
+        The standard uncertainty u is inf for a record without a line.
+        """
         _, _, a, b = self._lines(self.expected(theta))
         slope, u = np.zeros(len(self._has_line)), np.full(len(self._has_line), np.inf)
         slope[self._has_line], u[self._has_line] = b / a, np.where(np.isfinite(a), 1 / np.sqrt(a), np.inf)
         return list(zip(slope.tolist(), u.tolist(), strict=True))
 
     def adequacy(self, theta: Floats) -> float:
-        """p-value of the spectrum under the model θ: small if these noise processes do not explain it.
+        """Return the p-value of the spectrum under the model θ: small if θ does not explain the spectrum.
 
         The test compares the mean power in groups of neighbouring ordinates with the model.
         """
@@ -777,9 +800,10 @@ class Likelihood:
 
 
 def profile(likelihood: Likelihood, theta: Floats, least: float, index: int) -> Profile:
-    """Estimate of one coefficient with its interval, by the likelihood maximized over the others.
+    """Estimate one coefficient with its interval, by the likelihood maximized over the others.
 
-    `theta` is the maximum of the likelihood over all squared coefficients, and `least` its deviance.
+    `theta` is the maximum of the likelihood over all squared coefficients, and `least` its deviance;
+    `index` is the coefficient's index.
     """
     absent, deviance = likelihood.maximum(theta.copy(), {index: 0.0})
     ratio = max(deviance - least, 0.0)
@@ -825,7 +849,7 @@ def _root_below(beyond: Callable[[float], float], top: float) -> float:
 
 
 def _detectable(likelihood: Likelihood, absent: Floats, index: int) -> float:
-    """Smallest coefficient that nine of ten records like this one would detect.
+    """Return the smallest coefficient that nine of ten records like this one would show to be present.
 
     `absent` (4,) is the best model without this process.
     """
