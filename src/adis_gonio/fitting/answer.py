@@ -76,8 +76,7 @@ class Answer:
 
     @cached_property
     def values(self) -> dict[str, Value]:
-        """Main results by name: `delta_k`, `delta_phi` and `angle`; in space scale factors, skews and
-        biases.
+        """Main results by name: `delta_k`, `delta_phi`, `angle`; in space scale factors, skews and biases.
 
         `angle` is the error of the calibrated angle. A result that the session does not determine is
         absent.
@@ -115,9 +114,7 @@ class Answer:
 
     @cached_property
     def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
-        """Uncertainty budget of each main result of a planar session, by the result's name; empty in
-        space.
-        """
+        """Uncertainty budget of each main result of a planar session, by name; empty in space."""
         return self.result.budget
 
     @property
@@ -133,7 +130,7 @@ class Answer:
 
     @property
     def why(self) -> str:
-        """Reason for the recommended method, in one sentence."""
+        """Reason for the recommended method, as one sentence."""
         text = self.recommended.why
         if self.shows_another_method:
             return f"Why {self.recommended.method}: {text}."
@@ -226,10 +223,10 @@ class Answer:
         return self.result.method
 
     def score_rows(self) -> tuple[list[str], Rows]:
-        """Return the head and the rows of the table of scores: the errors of each method on the same
-        dwells.
+        """Return the head and the rows of the table of scores: the errors of each method.
 
-        The shown method comes first; columns without a number are omitted.
+        All methods are scored on the same dwells. The shown method comes first; columns without a number
+        are omitted.
         """
         order = sorted(self.scores, key=lambda name: name != self.scored_as)
         columns = {

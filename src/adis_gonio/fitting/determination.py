@@ -29,15 +29,13 @@ uncertainty is meaningful, and a bias within 100 mg or a gain within 10 % is kno
 ANYWHERE_RAD = math.pi / math.sqrt(3)
 """Largest standard uncertainty (rad) of the start angle that counts as determined: the standard deviation
 of an angle that may be anywhere on a turn. Turning the whole part in its fixture changes no reading, so the
-declared zero of the stage alone determines the start angle.
-"""
+declared zero of the stage alone determines the start angle."""
 _SPREAD = 0.5
 """Prior standard deviation (natural units) of a bias during the search for undetermined directions: with it
 a flat valley of χ² has a minimum, where the undetermined directions can be found."""
 _PARTICIPATES = 1e-4
 """Share of a parameter's squared direction that lies in the undetermined space, above which the parameter
-counts as undetermined.
-"""
+counts as undetermined."""
 _ITERATIONS = 200
 _CONVERGED = 1e-12
 """Decrease of χ² in a step below which a fit has converged: a step of 1e-6 standard uncertainties."""

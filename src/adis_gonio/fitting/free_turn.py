@@ -55,18 +55,15 @@ HOP_S = 0.25
 """Time in s between the centres of neighbouring windows; each window has twice this length."""
 MOST_WINDOWS = 480
 """Largest number of windows: a longer recording has longer windows, which bounds the cost of an
-estimate.
-"""
+estimate."""
 LONG_RUN = 4 / 3
 """Factor by which the overlap of windows increases the variance of slow parameters: the spectral density at
-frequency zero of the windows' means, divided by their variance, 1 + 2/6.
-"""
+frequency zero of the windows' means, divided by their variance, 1 + 2/6."""
 LEAST_FILLED = 0.5
 """Smallest share of its expected samples with which a window is used."""
 GAP_PERIODS = 5.0
 """Length of a gap between samples, in sample periods, above which the gyro's integral over it does not
-count.
-"""
+count."""
 
 
 @dataclass(frozen=True)
@@ -168,37 +165,31 @@ NAMES = (
     "gyro_gain_z", "gyro_bias_z", "g_sensitivity_zx", "g_sensitivity_zy", "gyro_latency",
 )  # fmt: skip
 """Parameters common to all windows. Their units are 1, 1, rad, mg, mg, mm, mm, 1, rad/s, rad/s, rad/s,
-s.
-"""
+s."""
 
 LEVER_MM = 100.0
 """Prior standard deviation of each component of the distance between the sensor and the axis of the turn,
-in mm (D).
-"""
+in mm (D)."""
 GYRO_GAIN = 0.05
 """Prior standard deviation of the gyro's scale factor; the prior mean is 1 (D)."""
 G_SENSITIVITY_DPS = 0.2
 """Prior standard deviation of the gyro's sensitivity to acceleration, in °/s/g (the data sheet of the
-sibling ADIS16350 states 0.05, B).
-"""
+sibling ADIS16350 states 0.05, B)."""
 LATENCY_S = 2e-3
 """Prior standard deviation of the gyro's delay against the accelerometers, in s (D)."""
 GYRO_INSTABILITY_DPS = 0.015
 """Smallest Allan deviation of the gyro over all averaging times, in °/s, for the prior of its drift (as in
-the simulator, D).
-"""
+the simulator, D)."""
 DRIFT_HZ = 0.5
 """Highest frequency in Hz of the functions that describe a drift; faster drifts count as noise of a
-window.
-"""
+window."""
 MOST_DRIFTS = 80
 GYRO_DRIFTS = 12
 STRETCH_S = 3.0
 """Length of the stretches, in s, within which the accelerometers' noise counts as constant."""
 STATED_DOF = 8.0
 """Degrees of freedom given to a variance that is not estimated from enough data: the stated variance of a
-drift, or the variance of the whole recording as prior of a stretch.
-"""
+drift, or the variance of the whole recording as prior of a stretch."""
 _MG_PER_MM = 1.0 / STANDARD_GRAVITY_MPS2
 """Acceleration in mg at a distance of 1 mm from the axis for a squared rate of 1 (rad/s)²."""
 _GAP_RATE = 0.5
@@ -207,8 +198,7 @@ _MOST_ROUNDS = 40
 _DONE = 1e-3
 _SETTLED = 0.1
 """Largest change of a parameter by the last iteration, in standard uncertainties, at which the result is
-valid.
-"""
+valid."""
 
 
 @dataclass(frozen=True)
@@ -588,14 +578,12 @@ LEAST_S = 10.0
 """Shortest recording in s: a shorter one contains no slow turn."""
 FASTEST_DPS = 90.0
 """Largest rate in °/s: above it a window covers more than an eighth of a turn, and a lever arm of 0.1 m
-adds 25 mg.
-"""
+adds 25 mg."""
 LEAST_TURN_DEG = 180.0
 """Smallest range of angles in degrees: in less than half a turn a bias and a gain are nearly equivalent."""
 WOBBLE_DEG = 0.5
 """Largest tilt (rms, degrees) of the axis X–Y plane out of the plane of the turn: it shortens gravity's
-part in that plane by 0.04 mg, the resolution of a session.
-"""
+part in that plane by 0.04 mg, the resolution of a session."""
 LEANING_DEG = 10.0
 MOST_LOST = 0.2
 """Largest allowed share of the recording without samples."""

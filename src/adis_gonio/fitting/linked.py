@@ -38,13 +38,11 @@ MOST_LEFT_OUT = 0.25
 """Largest share of links that may be removed; if more disagree, the gyros as a whole are wrong."""
 FAR_RAD, FAR_SHARE = math.radians(10.0), 0.1
 """Limits of the angle between gravity and its prediction by the gyros: in rad, and as a share of the turn's
-angle. A link above both is wrong for any parameters: a bias of 50 mg turns gravity by only 3°.
-"""
+angle. A link above both is wrong for any parameters: a bias of 50 mg turns gravity by only 3°."""
 _PASSES = 4
 _SETTLED = 0.05
 """Change of the gyros' parameters between two fits, in standard uncertainties of the prior, below which
-they have converged.
-"""
+they have converged."""
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,7 @@ from adis_gonio.fitting.methods import METHOD_TABLE, applicable_to, default_meth
 
 BEYOND = 3.0
 """Threshold on the difference of two methods' mean squared errors over the same dwells, in standard errors
-of this difference. Above it one method predicts better.
-"""
+of this difference. Above it one method predicts better."""
 ALIKE = 0.01
 """Relative difference below which two uncertainties count as equal."""
 
@@ -210,8 +209,7 @@ def _why(
 
 MOST_FOLDS = 40
 """Largest number of folds in the comparison: up to this many dwells are left out one by one, more dwells in
-groups.
-"""
+groups."""
 
 
 @dataclass(frozen=True)

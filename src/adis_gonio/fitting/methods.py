@@ -55,8 +55,7 @@ if TYPE_CHECKING:
 
 ALPHA, SCALE_X, SCALE_Y, DELTA_PHI, BIAS_X, BIAS_Y = range(6)
 """Indices of the parameters in the order of `determination.names_of`, in natural units: a bias in local
-gravity.
-"""
+gravity."""
 
 TOLERANCE_DEG = 0.5
 """Declared angles this near to 0, 90, 180 or 270° (modulo 360°) count as that position."""
@@ -69,13 +68,11 @@ LEAST_MMPM = 9
 
 _FAR_FROM_POLE = 0.5
 """Value of |cos(2α + Δφ)| above which the pole of equation 12 at 45° is not the reason why method `paper`
-fails.
-"""
+fails."""
 _NEAR_POLE = 0.2
 _LEAST_READING = 1e-6
 """Size of the readings U_x1 and U_y2, as a fraction of local gravity, below which equations 5 and 12 count
-as a division by zero.
-"""
+as a division by zero."""
 
 
 @dataclass(frozen=True)
@@ -518,8 +515,7 @@ def _finish(
 
 FREE_TURN = "free-turn"
 """Name of the method for a continuous recording (`adis_gonio.fitting.free_turn`), which has no
-positions.
-"""
+positions."""
 
 _TWO_REVERSED = (0, 270)
 """Declared angles in degrees of the two positions if the stage turned the other way than declared."""

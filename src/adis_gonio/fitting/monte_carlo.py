@@ -26,8 +26,7 @@ from adis_gonio.fitting.uncertainty import MODEL, TEMPERATURE, Source, repeatabi
 
 WITHIN = 0.01
 """Relative difference between a Monte Carlo and a linear standard uncertainty below which they count as
-equal.
-"""
+equal."""
 
 
 @dataclass(frozen=True)

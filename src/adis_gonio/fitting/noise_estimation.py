@@ -31,8 +31,7 @@ from adis_gonio.fitting.estimation.readings import Readings
 _EXCESS = 1e-3
 _LEAST_SCALE = 1e-5
 """Least standard deviation (mg) of a reading that is estimated: a smaller residual shows only rounding
-errors.
-"""
+errors."""
 _LARGEST_SCALE = 1e4
 _LARGEST_SIGMA_RAD = 0.2
 

@@ -52,8 +52,7 @@ distribution."""
 _POOLED, _RESIDUAL, _FIXTURE, _UNSTATED, _EACH = 0, 3, 4, 5, 6
 """Numbers of the estimates that variances come from: samples of all dwells together (+ axis), the residual,
 the scatter of the angles, the scatter of readings without a stated noise, the samples of one dwell (+ 3 n +
-axis).
-"""
+axis)."""
 
 
 @dataclass(frozen=True)
@@ -607,8 +606,7 @@ def _model(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats, 
 
 ROUNDING = 1e-10
 """Contribution of a source to the standard uncertainty of a quantity, relative to this uncertainty, below
-which the contribution is a rounding error and counts as zero.
-"""
+which the contribution is a rounding error and counts as zero."""
 
 
 class BudgetRow(JsonRecord):
@@ -682,8 +680,7 @@ def budget_of(sources: Sources, gradient: Floats, reading: Floats | None = None)
 
 _DESCRIBED = 1e-6
 """Residual of a column after a fit by the columns of the parameters, relative to the column, below which
-the parameters describe it completely.
-"""
+the parameters describe it completely."""
 _LARGEST_FACTOR = 1e4
 
 

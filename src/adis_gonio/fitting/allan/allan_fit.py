@@ -51,8 +51,7 @@ _SHORT = 4
 """Largest ratio of the length of the longest record to the length of a record that is used."""
 _FAST = 100_000
 """Number of samples from which a record is cut to a length with a fast transform (less than 2 % is
-lost).
-"""
+lost)."""
 
 
 @dataclass(frozen=True)
@@ -228,8 +227,7 @@ _FINE = 0.5
 """Ratio of the noise to the step of the converter above which rounding acts as additive noise."""
 _BANDS = ((0.04, 0.3), (0.3, 1.0))
 """Bands in which the noise of records is compared, as shares of the highest fitted frequency; the slow
-noise is below them.
-"""
+noise is below them."""
 _LOUDER = 1.1
 _TRIAL = 1 << 16
 """Largest number of samples used to find a filter setting that the file does not state."""

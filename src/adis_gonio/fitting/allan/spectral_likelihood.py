@@ -52,8 +52,7 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 FLOOR_OF_B = math.sqrt(2 * math.log(2) / math.pi)
 """Ratio of the smallest Allan deviation under flicker noise to the standard's coefficient B of bias
-instability.
-"""
+instability."""
 _FLICKER_ALLAN = 4 * math.log(2)
 """Allan variance of noise with the two-sided density h/f, in units of h."""
 _TABLE = 256
@@ -168,8 +167,7 @@ LEAST_DIFFERENCES = 8
 """Smallest number of differences of means from which an Allan deviation is computed."""
 _EXACT = 512
 """Largest averaging time, in samples, at which the expected Allan variance is computed sample by sample
-with the filter; for longer times it is computed from means of several samples.
-"""
+with the filter; for longer times it is computed from means of several samples."""
 _LATTICE = 32
 
 
@@ -414,8 +412,7 @@ SINGLES = 64
 """Number of the lowest ordinates that have a bin each."""
 _RELATIVE, _ABSOLUTE = 1 / 32, 1 / 1024
 """Limits of the width of a bin: relative to its frequency, and in cycles per sample; the smaller one
-counts.
-"""
+counts."""
 _POINTS = 16
 """Largest number of ordinates of a bin at which the densities of the noise processes are computed."""
 
@@ -620,9 +617,7 @@ class Profile:
 
     @property
     def dof(self) -> float:
-        """Degrees of freedom of a standard deviation with the relative uncertainty u/value; NaN without
-        u.
-        """
+        """Degrees of freedom of a standard deviation with the relative uncertainty u/value; NaN if none."""
         return self.value**2 / (2 * self.u**2) if self.u > 0 else math.nan
 
 

@@ -39,8 +39,7 @@ from adis_gonio.model.records import MG_PER_G
 NAMELESS_SPREAD = 0.1
 """Prior standard deviation of an amplitude of an unnamed term, as a share of `Measurement.full` (100 mg;
 100 mrad for an angle). Without it a difference of covariates that are collinear, such as time and the
-previous position, would cancel against a gain of twenty.
-"""
+previous position, would cancel against a gain of twenty."""
 _DAMPING = (1.0, 0.5, 0.2, 0.05, 0.01)
 _RUN_AWAY = 1e100
 """Largest derivative of whitened readings that a fit accepts; above this it would overflow when squared."""
@@ -131,8 +130,7 @@ class Fit:
 
     @cached_property
     def ideal(self) -> Floats:
-        """Readings (n, axes) by the base model alone at the fitted attitudes, without biases and other
-        terms.
+        """Readings (n, axes) by the base model at the fitted attitudes, without biases and other terms.
 
         They include the scale factors and misalignments.
         """
@@ -169,9 +167,7 @@ class Fit:
 
     @cached_property
     def gravity(self) -> Floats:
-        """Gravity (n, axes), as a fraction of local gravity, that the calibrated sensor shows in each
-        dwell.
-        """
+        """Gravity (n, axes) that the calibrated sensor shows in each dwell, as a share of local gravity."""
         added = np.zeros(self.data.mean.shape)
         for index, term in enumerate(self.terms):
             if not term.enters_angle:
@@ -241,11 +237,10 @@ class Fit:
 
     @cached_property
     def _shared(self) -> tuple[Floats, Floats] | None:
-        """Factors of the symmetric inverse root of 1 + A Aᵀ, the covariance with shared noise; None
-        without.
+        """Factors of the symmetric inverse root of 1 + A Aᵀ, the covariance with shared noise.
 
         The first factor is A (rows, k), the shared modes. The second is V g(λ) Vᵀ (k, k) with Aᵀ A = V λ
-        Vᵀ.
+        Vᵀ. None without shared noise.
         """
         if self.data.model.freedom == 0 and self.data.links is None:
             return self.data.once(
@@ -294,10 +289,9 @@ class Fit:
         return found if links is None else found + links.by_reading(slope[of_dwells:])
 
     def by_rotation(self, slope: Floats) -> Floats:
-        """Return the derivative (m, 3, d) of d weighted sums of whitened rows by each link's rotation, per
-        rad.
+        """Return the derivative (m, 3, d) of d weighted sums of whitened rows by each link's rotation.
 
-        The weights are the columns of `slope` (rows, d).
+        It is per rad. The weights are the columns of `slope` (rows, d).
         """
         links = self.link_rows
         assert links is not None
@@ -420,9 +414,7 @@ class Fit:
 
     @cached_property
     def _half(self) -> Floats:
-        """Root (p + q, k) of the covariance of all parameters: root times its transpose is the
-        covariance.
-        """
+        """Root (p + q, k) of the covariance of all parameters: root times its transpose gives it."""
         # Scale columns to unit length first: parameters have different units.
         scaled = self._with_prior(self.jacobian)
         size = np.linalg.norm(scaled, axis=0)
@@ -439,9 +431,7 @@ class Fit:
 
     @cached_property
     def used(self) -> float:
-        """Effective number of fitted parameters; a parameter with an informative prior counts less than
-        1.
-        """
+        """Effective number of fitted parameters; one with an informative prior counts less than 1."""
         used = float(((self.jacobian @ self._half) ** 2).sum())
         if all(term.prior_sd is None for term in self.terms):
             used = float(round(used))  # the base's prior is wide: a parameter counts fully or not at all
@@ -584,9 +574,7 @@ class Fit:
         return fit
 
     def _tried(self, step: Floats) -> Fit:
-        """Return the fit after a step of its parameters; unchanged if the new values are not finite or
-        overflow.
-        """
+        """Return the fit after a step of its parameters; unchanged if the new values overflow."""
         try:
             with np.errstate(over="ignore", invalid="ignore"):
                 trial = self._stepped(step).settled()
@@ -625,9 +613,7 @@ class Fit:
     # -- dwells that were not fitted ------------------------------------------------------------------
 
     def on(self, data: Readings) -> Fit:
-        """Return a copy with these parameters for other dwells; only the attitudes of these dwells are
-        fitted.
-        """
+        """Return a copy with these parameters for other dwells, of which only the attitudes are fitted."""
         return self._placed_on(data).settled(4)
 
     def _placed_on(self, data: Readings) -> Fit:

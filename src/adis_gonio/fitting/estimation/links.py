@@ -91,9 +91,7 @@ class Links:
         return replace(self, offset_rad=self.offset_rad + by_rad)
 
     def drawn(self, rng: np.random.Generator) -> Links:
-        """Return a copy with a random draw of the rotation errors ε added to their mean, for
-        simulations.
-        """
+        """Return a copy with random rotation errors ε added to their mean, for simulations."""
         own = self._own.lower_times(rng.standard_normal(3 * len(self))).reshape(-1, 3)
         return self.moved(own + self.modes_rad @ rng.standard_normal(self.modes_rad.shape[2]))
 

@@ -53,21 +53,17 @@ from adis_gonio.model.records import ACCEL_UNITS, MG_PER_MPS2, Dwell, Session
 
 MOST_SHARED = 2000
 """Largest number of dwells for which the 1/f noise that dwells share is modelled. For more dwells its
-covariance matrix is too large, and shared noise is small in the mean of so many readings.
-"""
+covariance matrix is too large, and shared noise is small in the mean of so many readings."""
 HISTORY_POINTS = 2000
 LEAST_TURNING, LEAST_AREA = 4, 0.5
 """Least number of positions, and least area of the ellipse of readings (1 for a good sensor), at which the
-sense of rotation is certain.
-"""
+sense of rotation is certain."""
 TURNING_U, TURNING_BIAS = 0.03, 0.1
 """Standard deviations in g of a reading about its first harmonic, and of a bias, in the test of the sense
-of rotation.
-"""
+of rotation."""
 OFF_UNIT = 2.0
 """Factor by which the length of readings at rest may differ from 1 g. Beyond it the unit is wrong, because
-no gain of a sensor is so far from 1.
-"""
+no gain of a sensor is so far from 1."""
 UNEQUAL = 0.5
 """Relative distance of a reading's length from the median length that no bias explains."""
 
@@ -310,8 +306,7 @@ class Readings(ComputedOnce):
 
     @cached_property
     def training(self) -> Readings:
-        """Readings of the dwells that may be fitted (no `check` dwells), with one mask of fitted
-        parameters.
+        """Readings of the dwells that may be fitted (no `check` dwells), for all fits of the session.
 
         If too few of these dwells have a known noise for a test of a model, the noise of every dwell counts
         as unknown: one noise for all is estimated from the residual.

@@ -40,8 +40,7 @@ _LIVELY = 0.6
 _MOST_GRAVITY = 1.1
 """Largest length, in units of local gravity, of a dwell mean at which a limit of the range can be the
 reason for constant samples: the true reading is longer than the mean. The tenth above 1 allows for gains
-and biases.
-"""
+and biases."""
 
 
 def refuse_dead_data(session: Session, limits: Sequence[Limit], mg_per_unit: float | None) -> None:
@@ -176,18 +175,15 @@ def dwells_reading_alike(dwells: Sequence[Dwell]) -> list[int]:
 
 _PILE, _STEEP = 20, 5
 """Least number of samples at an extreme value, and least ratio of this number to the number at the value
-next to it, that show a limit of the range.
-"""
+next to it, that show a limit of the range."""
 _LEAST_VALUES = 20
 """Least number of different values of an axis for evidence of a limit: a coarse converter gives few."""
 _LIVELY = 0.6
 """Standard deviation of the noise, in steps of the converter, below which samples pile up at any value (0.5
-at an edge between codes).
-"""
+at an edge between codes)."""
 _HARMLESS = 0.1
 """Largest change of a mean by samples cut at a limit, in standard uncertainties of the mean, at which the
-mean still counts as the reading.
-"""
+mean still counts as the reading."""
 
 
 @dataclass(frozen=True)

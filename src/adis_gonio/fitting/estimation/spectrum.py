@@ -43,15 +43,13 @@ _CELLS = 32
 _LOWEST = 3
 _ALONE = 64
 """Number of the lowest ordinates (values of a periodogram) that are not joined into bins, because some are
-used one by one.
-"""
+used one by one."""
 _AT_ONCE = 1 << 17
 """Number of samples for which spectra are computed in one call, to limit the memory."""
 _LEAST_WEIGHT = 6.0
 _GAINS = (1.323, 2.773)
 """Gains in likelihood by one and by two further terms above which the terms are needed: 75 % quantiles of
-χ². The low quantiles prefer the narrower band in doubt.
-"""
+χ². The low quantiles prefer the narrower band in doubt."""
 _CHOICE_COST = 0.5
 """Share of the degrees of freedom that remains after the data have chosen band and order (0.45 to 0.7 in
 simulations with the chip's filter)."""
@@ -60,12 +58,10 @@ _FLICKER_POWER = (-1.5, -0.6)
 _CLEARLY = 2.0
 """Gain in −2 log likelihood above which 1/f noise counts as the better description of the lowest ordinates.
 In simulations with 32 ordinates 1/f noise gains 3 or more; the chip's filter loses, or has a power of −2 in
-dwells shorter than its window.
-"""
+dwells shorter than its window."""
 _NOT_QUITE = 0.05
 """Largest gain of likelihood by further terms, as a share of the gain by h/f, at which h/f still describes
-the noise: real noise is not 1/f at all frequencies.
-"""
+the noise: real noise is not 1/f at all frequencies."""
 _LEAST_CYCLES = 3.5
 """Least number of cycles in a dwell at the frequency at which the density is 1/e of its value at zero. In
 simulations with the chip's filter 3 cycles give two thirds of the true variance, and 6 give all of it."""
@@ -144,9 +140,7 @@ class _Foot:
 
     @property
     def corner(self) -> float:
-        """Frequency at which the density falls to 1/e of its value at zero; the end of the band if it does
-        not.
-        """
+        """Frequency at which the density falls to 1/e of its value at zero, at most the end of the band."""
         x = np.linspace(0.0, 1.0, 65)
         fallen = np.flatnonzero(self.log_shape(x) < -1)
         return self.band * (float(x[fallen[0]]) if fallen.size else 1.0)
@@ -583,8 +577,7 @@ def _flicker(
 
 MOST_MODES = 128
 """Largest number of modes that describe noise shared by dwells. For 1000 dwells the other modes, faster
-than about 16 dwells, are treated as independent noise of each dwell.
-"""
+than about 16 dwells, are treated as independent noise of each dwell."""
 
 
 def covariance_of_means(begin_s: Floats, end_s: Floats) -> Floats:

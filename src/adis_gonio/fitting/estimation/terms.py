@@ -216,8 +216,7 @@ class NamedTerm(Term):
 
 ROUNDING = 1e-9
 """Largest size of a basis function over the dwells at which it is a rounding error and counts as zero;
-other functions reach about 1.
-"""
+other functions reach about 1."""
 
 
 @dataclass(frozen=True)
@@ -375,7 +374,5 @@ class NamelessTerm(Term):
         return np.asarray(self.columns(ideal, conditions) @ values)
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Return the derivative by the values: the columns, because the term is linear in its
-        amplitudes.
-        """
+        """Return the derivative by the values: the columns, since the term is linear in them."""
         return self.columns(ideal, conditions)
