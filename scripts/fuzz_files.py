@@ -42,7 +42,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from adis_gonio.faces.cli import COMMANDS as HOMES, main as adis_gonio
-from adis_gonio.faces.cli.show import replace_missing_letters
+from adis_gonio.faces.cli.terminal import replace_missing_letters
 from record.strange_files import KINDS, SoundFiles
 
 OUTCOMES = ("OK", "TOLD", "NOISY", "TRACEBACK", "HUNG", "BIG")

@@ -96,7 +96,7 @@ def test_another_package_adds_an_effect_and_nothing_else_changes(install):
         ("bias = lobed_stage:Impostor", "taken"),
         ("silent = lobed_stage:Silent", "'silent' of lobed_stage:Silent declares neither covariates nor"),
         ("remembering = lobed_stage:Remembering", "neither covariates nor needs that name one"),
-        ("other = lobed_stage:ThirdHarmonic", "calls itself"),
+        ("other = lobed_stage:ThirdHarmonic", "another name"),
         ("third_harmonic = lobed_stage:not_an_effect", "no subclass"),
         ("third_harmonic = lobed_stage:Missing", "cannot be loaded"),
         ("third_harmonic = no_such_module_here:Missing", "cannot be loaded"),

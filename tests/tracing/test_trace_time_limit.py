@@ -93,7 +93,7 @@ def test_without_a_limit_nothing_is_stopped_and_a_limit_that_is_not_reached_chan
     free = trace(turn())
     assert free.stopped is None
     assert free.as_dict()["stopped"] is None
-    assert {finding.effect for finding in free.found} == {"bias", "quadratic"}
+    assert {step.effect for step in free.steps} == {"bias", "quadratic"}
     assert whole.result.as_dict() == free.as_dict()
 
 

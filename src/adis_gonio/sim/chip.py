@@ -371,7 +371,9 @@ class SimulatedChip:
             The frame lies before the last one.
         """
         if start_s < self._last_start or start_s < self._time_s - TOLERANCE_S:
-            raise UsageError(f"frame at {start_s} s: the chip is already simulated until {self._time_s} s")
+            raise UsageError(
+                f"frame at {start_s:.9g} s: the chip is already simulated until {self._time_s:.9g} s"
+            )
         self._advance(start_s)
         rise = start_s + bits / clock_hz + cs_hold_s
         stall, period = start_s - self._last_rise, start_s - self._last_start

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import pytest
 
 from adis_gonio.faces.cli import COMMANDS, main
-from adis_gonio.faces.cli.show import ASCII_FORMS, ascii_form
+from adis_gonio.faces.cli.terminal import ASCII_FORMS, ascii_form
 
 SETS = {
     "cp1252": {"PYTHONIOENCODING": "cp1252"},

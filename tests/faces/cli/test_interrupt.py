@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from adis_gonio.faces.cli.show import Interrupt
+from adis_gonio.faces.cli.terminal import Interrupt
 from programs import running
 
 

@@ -16,7 +16,7 @@ from rich.console import Console
 
 from adis_gonio.base.budget import Budget, current, with_progress, within
 from adis_gonio.faces.cli import main, show
-from adis_gonio.faces.cli.show import RepeatedInterrupt
+from adis_gonio.faces.cli.terminal import RepeatedInterrupt
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
 from adis_gonio.tracing.trace import trace

@@ -5,7 +5,8 @@ import io
 import pytest
 from rich.console import Console
 
-from adis_gonio.faces.cli.show import ascii_form, print_table
+from adis_gonio.faces.cli.show import print_table
+from adis_gonio.faces.cli.terminal import ascii_form
 from adis_gonio.fleet import sensor_history as words
 from adis_gonio.fleet.sensor_history import history_of
 from fleet.made_up import made_up

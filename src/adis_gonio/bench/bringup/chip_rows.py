@@ -22,6 +22,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -84,12 +85,18 @@ class ChipRow:
         Labels or keys of the figures; the first one is the statement of the table.
     wide : (float, float)
         Range of a figure if something else is true.
+    unit : str
+        Unit of the figures.
+    logarithmic : bool
+        True if the figures are natural logarithms.
     """
 
     question: Question
     observe: Observer
     alternatives: tuple[str, ...]
     wide: tuple[float, float] = (-10.0, 10.0)
+    unit: str = ""
+    logarithmic: bool = False
 
     def judge(self, observed: Sequence[Observation]) -> RowFinding:
         """Compute the probabilities of the alternatives after some observations."""
@@ -103,7 +110,7 @@ class ChipRow:
             likelihood = likelihood + _of_figures(names, figures, self.wide)
         logs = np.log(priors) + likelihood
         # Odds of the table against the best rival, and normalised probabilities.
-        odds = float(logs[0] - logs[1:].max()) / math.log(10)
+        odds, alone = (float(each[0] - each[1:].max()) / math.log(10) for each in (logs, likelihood))
         weights = np.exp(logs - logs.max())
         chances = dict(zip(names, (weights / weights.sum()).tolist(), strict=True))
         outcome, table = Outcome.OPEN, chances[names[0]]
@@ -116,8 +123,17 @@ class ChipRow:
         return RowFinding(
             self.question.name, self.question.text, names[0], self.question.source,
             self.question.confidence, outcome, max(chances, key=lambda name: chances[name]),
-            len(observed), odds, chances, _described(labels, figures),
+            len(observed), odds, alone, chances, self._described(labels, figures),
         )  # fmt: skip
+
+    def _described(self, labels: Counter[str], figures: Sequence[RowFigure]) -> str:
+        parts = [f"{label}: {count}" for label, count in labels.most_common(3)]
+        if figures:
+            x = [math.exp(figure.x) if self.logarithmic else figure.x for figure in figures]
+            few = ", ".join(f"{one:.3g}" for one in x)
+            few = few if len(x) < 5 else f"{len(x)} figures {min(x):.3g} … {max(x):.3g}"
+            parts.append(f"{few} {self.unit}".rstrip())
+        return "; ".join(parts)
 
 
 class RowFinding(JsonRecord):
@@ -131,6 +147,8 @@ class RowFinding(JsonRecord):
         Number of events and figures.
     log10_odds : float
         Decimal logarithm of the odds of the table's statement against its best rival.
+    log10_evidence : float
+        The same by the recordings alone, without the confidence of the table.
     probabilities : dict of str to float
     seen : str
         Summary of the observations.
@@ -145,6 +163,7 @@ class RowFinding(JsonRecord):
     best: str
     observations: int
     log10_odds: float
+    log10_evidence: float
     probabilities: dict[str, float]
     seen: str
 
@@ -187,15 +206,6 @@ def _density(figure: RowFigure, name: str) -> float:
         return math.exp(-0.5 * float(z.mean()) ** 2) / figure.u / math.sqrt(2 * math.pi)
     below, above = (0.5 * math.erfc(-one / math.sqrt(2)) for one in z.tolist())
     return (below - above) / (high - low)
-
-
-def _described(labels: Counter[str], figures: Sequence[RowFigure]) -> str:
-    parts = [f"{label}: {count}" for label, count in labels.most_common(3)]
-    if figures:
-        x = [figure.x for figure in figures]
-        few = ", ".join(f"{one:.3g}" for one in x)
-        parts.append(few if len(x) < 5 else f"{len(x)} figures {min(x):.3g} … {max(x):.3g}")
-    return "; ".join(parts)
 
 
 # -- observers --------------------------------------------------------------------------------------------
@@ -512,14 +522,15 @@ def _rounding(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
 # -- table ------------------------------------------------------------------------------------------------
 
 
-def _entry(
-    text: str, observe: Observer, *alternatives: str, wide: tuple[float, float] = (-10.0, 10.0)
-) -> ChipRow:
-    """Make a row; `text` names a question of the bring-up, or has name, question, source and confidence."""
+def _entry(text: str, observe: Observer, *alternatives: str, **figures: Any) -> ChipRow:
+    """Make a row; `text` names a question of the bring-up, or has name, question, source and confidence.
+
+    `figures` are attributes of the row for its figures: `wide`, `unit`, `logarithmic`.
+    """
     name, *own = text.split(" | ")
     asked = {question.name: question for question in QUESTIONS}
     question = Question(name, own[0], alternatives[0], own[1], own[2], "") if own else asked[name]
-    return ChipRow(question, observe, alternatives, wide)
+    return ChipRow(question, observe, alternatives, **figures)
 
 
 _ACCELS, _GYROS = slice(0, 3), slice(3, 6)
@@ -568,10 +579,13 @@ ROWS: tuple[ChipRow, ...] = (
     _entry("autonull_rounding | Does an autonull round or truncate? | estimate | D", _rounding,
            "rounded", "truncated to its LSB", "truncated to the output's LSB", wide=(-50.0, 50.0)),
     _entry("sample_period", _periods,
-           "base × (N + 1)", "base × N", "bit 7 has no effect", wide=(-10.0, 5.0)),
-    _entry("filter_gain", _filter_gain, *_GAINS, wide=(-7.0, 2.0)),
-    _entry("accel_noise", _noise(_ACCELS), "as the table", wide=(-3.0, 3.0)),
-    _entry("gyro_noise", _noise(_GYROS), "as the table", wide=(-3.0, 3.0)),
+           "base × (N + 1)", "base × N", "bit 7 has no effect",
+           wide=(-10.0, 5.0), unit="s", logarithmic=True),
+    _entry("filter_gain", _filter_gain, *_GAINS, wide=(-7.0, 2.0), logarithmic=True),
+    _entry("accel_noise", _noise(_ACCELS), "as the table",
+           wide=(-3.0, 3.0), unit="times the table", logarithmic=True),
+    _entry("gyro_noise", _noise(_GYROS), "as the table",
+           wide=(-3.0, 3.0), unit="times the table", logarithmic=True),
     _entry("self_test_gyro", _self_test(_GYROS, _of_gyro), "to both", "the same way", "to the positive"),
     _entry("self_test_accel", _self_test(_ACCELS, _of_accel), "to the positive", "to both"),
     _entry("data_ready_edge", _edge, "the first", "the second"),
@@ -603,15 +617,15 @@ def judge_recordings(paths: Iterable[str | Path], part: Variant) -> tuple[RowFin
 
 def findings_text(findings: Sequence[RowFinding]) -> str:
     """Table of findings in 80 columns, contradicted rows first, with the observations below each row."""
-    lines = [f"{'row':19}{'the table says':17}{'the recording says':19}{'odds':>8}  verdict"]
+    lines = [f"{'row':20}{'the table says':18}{'recorded':18}{'evidence':>8}  verdict"]
     order = [Outcome.CONTRADICTS, Outcome.OPEN, Outcome.CONFIRMS]
     for one in sorted((f for f in findings if f.observations), key=lambda f: order.index(f.outcome)):
-        odds = "1:" if one.log10_odds < 0 else ""
-        size = abs(one.log10_odds)
-        odds += f"{10**size:.0f}" if size < 4 else f"1e{min(size, 99):.0f}"
-        odds += "" if one.log10_odds < 0 else ":1"
-        lines.append(f"{one.name:19}{one.table[:16]:17}{one.best[:18]:19}{odds:>8}  {one.outcome}")
+        size = abs(one.log10_evidence)
+        odds = f"{10**size:.0f}" if size < 4 else f"1e{min(size, 99):.0f}"
+        odds = f"{odds}:1" if one.log10_evidence >= 0 else f"1:{odds}"
+        lines.append(f"{one.name:20}{one.table[:17]:18}{one.best[:17]:18}{odds:>8}  {one.outcome}")
         lines.append(f"  {one.question} {one.seen}"[:80])
+    lines += ["", "evidence: odds of the table against its best rival, by the recordings alone"]
     idle = ", ".join(one.name for one in findings if not one.observations)
     return "\n".join(
         [*lines, *textwrap.wrap(f"not exercised: {idle or 'none'}", 80, subsequent_indent="  ")]

@@ -19,7 +19,7 @@ import click
 from adis_gonio.base import __version__
 from adis_gonio.base.errors import AdisGonioError, BusTimeoutError, ChipError, ProtocolError
 from adis_gonio.faces.cli.command_groups import Home, LazyGroup
-from adis_gonio.faces.cli.show import RepeatedInterrupt, format_message, replace_missing_letters
+from adis_gonio.faces.cli.terminal import RepeatedInterrupt, format_message, replace_missing_letters
 
 # A command's module is imported when the command is called, so that `adis-gonio --help` answers at once.
 GROUPS = {

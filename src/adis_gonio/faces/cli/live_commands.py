@@ -23,7 +23,8 @@ from adis_gonio.base.uncertainty import NORMAL_95
 from adis_gonio.device.sensor import DEFAULT_SCAN, open_sensor
 from adis_gonio.device.sensor.registers import registers
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import Interrupt, say
+from adis_gonio.faces.cli.show import say
+from adis_gonio.faces.cli.terminal import Interrupt
 from adis_gonio.live.live_angle import LiveAngle, LiveBlocks, LiveSource, live_angles, open_live
 from adis_gonio.live.smoothed_meter import LAG_S
 from adis_gonio.record.blocks import Block, count_alarms

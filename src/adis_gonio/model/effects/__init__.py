@@ -70,8 +70,9 @@ def catalogue(part: str | None = None) -> dict[str, type[Effect]]:
             raise UsageError(f"effect '{point.name}' of {point.value} cannot be loaded: {error}") from error
         if not (isinstance(kind, type) and issubclass(kind, Effect)):
             raise UsageError(f"effect '{point.name}': {point.value} is no subclass of Effect")
-        if getattr(kind, "name", None) != point.name:
-            raise UsageError(f"effect '{point.name}': {point.value} has another name")
+        own = getattr(kind, "name", None)
+        if own != point.name:
+            raise UsageError(f"effect '{point.name}': {point.value} has another name, {own!r}")
         if not hasattr(kind, "covariates"):
             raise UsageError(
                 f"effect '{point.name}' of {point.value} declares neither covariates nor needs that "

@@ -1,0 +1,210 @@
+"""The program and its terminal: letters that a character set lacks, one-line messages, and Ctrl-C.
+
+Files are always UTF-8; the character sets here belong to standard output and standard error. The module
+imports neither numpy nor rich, so that `adis-gonio --help` answers at once.
+"""
+
+from __future__ import annotations
+
+import _thread
+import codecs
+import signal
+import sys
+import threading
+import unicodedata
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType, TracebackType
+from typing import TypeVar
+
+from adis_gonio.base.errors import one_line
+
+T = TypeVar("T")
+
+_ERRORS = "adis-gonio-readable"
+_ASCII = "adis-gonio-ascii"
+
+ASCII_FORMS = {
+    "Δ": "d", "∂": "d", "δ": "delta", "φ": "phi", "Φ": "Phi", "α": "alpha", "β": "beta", "ε": "eps",
+    "θ": "theta", "λ": "lambda", "µ": "u", "μ": "u", "ν": "nu", "π": "pi", "ρ": "rho", "σ": "sigma",
+    "Σ": "sum", "τ": "tau", "χ": "chi", "ψ": "psi", "ω": "omega", "Ω": "Ohm",
+    "°": "deg", "±": "+-", "∓": "-+", "−": "-", "–": "-", "—": "-", "×": "x", "·": "*", "√": "sqrt",
+    "∞": "inf", "≈": "~", "≤": "<=", "≥": ">=", "≠": "!=", "→": "->", "←": "<-", "…": "...", "′": "'",
+    "“": "'", "”": "'", "„": "'", "‘": "'", "’": "'", "½": "1/2", "²": "^2", "³": "^3", "ᵀ": "^T",
+    "─": "-", "━": "-", "│": "|", "┘": "+", "└": "+", "╱": "/", "╸": "-", "╺": "-", "•": "*", "ß": "ss",
+    "●": "o", "○": "o", "▶": ">", "◀": "<", "▲": "^", "▼": "v", "✓": "ok", "✗": "x",
+}  # fmt: skip
+"""ASCII text for letters that a character set may lack; none of it can end a JSON string."""
+
+
+def ascii_form(letter: str) -> str:
+    """Return ASCII text in place of a letter: from the table, else its base letter, else `?`."""
+    if letter in ASCII_FORMS:
+        return ASCII_FORMS[letter]
+    plain = unicodedata.normalize("NFKD", letter).encode("ascii", "ignore").decode("ascii")
+    return plain or ("" if unicodedata.combining(letter) else "?")
+
+
+LONGEST_MESSAGE = 600
+"""Characters of a message. The program's own messages are shorter; only text from a file can exceed it."""
+
+
+def format_message(text: str) -> str:
+    """Return a message as one printable line of about `LONGEST_MESSAGE` characters.
+
+    A longer message loses its middle, because the file is named at its beginning and the cure at its end.
+    """
+    line, half = one_line(text), LONGEST_MESSAGE // 2
+    return line if len(line) <= LONGEST_MESSAGE else f"{line[:half]}…{line[-half:]}"
+
+
+def replace_missing_letters() -> None:
+    """Make standard output and standard error write ASCII forms of letters that their character set lacks.
+
+    A stream without `reconfigure`, such as a test's replacement, stays as it is.
+    """
+    codecs.register_error(_ERRORS, _replace_letters)
+    codecs.register(_find_codec)
+    for stream in (sys.stdout, sys.stderr):
+        encoding = getattr(stream, "encoding", None)
+        if encoding is None or not hasattr(stream, "reconfigure"):
+            continue
+        # click treats plain ASCII as a misconfigured machine and switches to UTF-8, but not under this
+        # name.
+        if codecs.lookup(encoding).name == "ascii":
+            stream.reconfigure(encoding=_ASCII)
+        stream.reconfigure(errors=_ERRORS)
+
+
+def _replace_letters(error: UnicodeError) -> tuple[str | bytes, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    letters = error.object[error.start : error.end]
+    if all(0xDC80 <= ord(letter) <= 0xDCFF for letter in letters):
+        # Bytes of a file name that could not be decoded are written back unchanged.
+        return bytes(ord(letter) - 0xDC00 for letter in letters), error.end
+    return "".join(ascii_form(letter) for letter in letters), error.end
+
+
+class _Encoder(codecs.IncrementalEncoder):
+    """Encoder for the codec `_ASCII`, which is plain ASCII with a name that click does not know.
+
+    For output in the codec `ascii`, click would switch to UTF-8.
+    """
+
+    def encode(self, text: str, final: bool = False) -> bytes:
+        return text.encode("ascii", self.errors)
+
+
+def _find_codec(name: str) -> codecs.CodecInfo | None:
+    if name.replace("_", "-") != _ASCII:
+        return None
+    ascii_ = codecs.lookup("ascii")
+    return codecs.CodecInfo(
+        ascii_.encode,
+        ascii_.decode,
+        incrementalencoder=_Encoder,
+        incrementaldecoder=ascii_.incrementaldecoder,
+        name=_ASCII,
+    )
+
+
+class Interrupt:
+    """Context in which Ctrl-C sets `asked` and interrupts the work only inside `waiting`.
+
+    A second Ctrl-C always interrupts. In a thread that gets no signals, nothing changes.
+    """
+
+    def __init__(self) -> None:
+        self.asked = False
+        self._waiting = False
+        self._main = threading.current_thread() is threading.main_thread()
+
+    def __enter__(self) -> Interrupt:
+        if self._main:
+            self._before = signal.signal(signal.SIGINT, self._note)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._main:
+            signal.signal(signal.SIGINT, self._before)
+
+    @contextmanager
+    def waiting(self) -> Iterator[None]:
+        """Context in which Ctrl-C may interrupt a step; the step must leave no partial result behind.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            Ctrl-C came before or during the step.
+        """
+        self._waiting = True
+        try:
+            if self.asked:
+                raise KeyboardInterrupt
+            yield
+        finally:
+            self._waiting = False
+
+    def steps(self, items: Iterator[T]) -> Iterator[T]:
+        """Yield items until there are no more, or until Ctrl-C, which sets `asked`."""
+        while True:
+            try:
+                with self.waiting():
+                    item = next(items)
+            except (StopIteration, KeyboardInterrupt):
+                return
+            yield item
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        again, self.asked = self.asked, True
+        if again or self._waiting:
+            raise KeyboardInterrupt
+
+
+class RepeatedInterrupt:
+    """Context that raises Ctrl-C again every `AGAIN_S` until the block ends.
+
+    Python loses the exception of a signal handler if the caller cannot pass it on, for example the import
+    of a compiled module or a destructor; the work would then run to its end. Only for work without steps to
+    undo, because a second Ctrl-C would interrupt the undoing.
+    """
+
+    AGAIN_S = 0.5
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._inside = False
+        self._timer: threading.Timer | None = None
+
+    def __enter__(self) -> RepeatedInterrupt:
+        if threading.current_thread() is threading.main_thread():
+            self._before = signal.getsignal(signal.SIGINT)
+            if self._before is signal.default_int_handler:
+                self._inside = True
+                signal.signal(signal.SIGINT, self._raise)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        entered, self._inside = self._inside, False
+        with self._lock:
+            pass  # wait until a running `_again` has ended; later calls find `_inside` false
+        if entered:
+            signal.signal(signal.SIGINT, self._before)
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def _raise(self, number: int, frame: FrameType | None) -> None:
+        if not self._inside:
+            return
+        self._timer = threading.Timer(self.AGAIN_S, self._again)
+        self._timer.daemon = True
+        self._timer.start()
+        raise KeyboardInterrupt
+
+    def _again(self) -> None:
+        with self._lock:
+            if self._inside:
+                _thread.interrupt_main()
