@@ -115,8 +115,7 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
     assumed: tuple[str, ...] = ()
     of_session: ClassVar[Callable[[str | Path], Any] | None] = None
     """Function that loads a calibration file or fits a session; set by
-    `adis_gonio.tracing.trace_calibrations`. Until then it is None, and `load` reads only calibration files.
-    """
+    `adis_gonio.tracing.trace_calibrations`. None before that: `load` then reads only calibration files."""
 
     def __getitem__(self, name: str) -> Coefficient:
         """Return the parameter of this name; `KeyError` if there is none."""
@@ -151,7 +150,7 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
         Raises
         ------
         DataError
-            The file is neither of these, is damaged, or has a newer version.
+            The file is neither a calibration nor a session, is damaged, or has a newer version.
         FitError
             The file has no calibration of these sensors (accelerometers or gyros), or the session does not
             determine it.
@@ -247,6 +246,8 @@ def _directions(covariance: Floats) -> Floats:
 def checked_numbers(name: str, given: ArrayLike, *, plural: bool = False) -> Floats:
     """Convert the argument `given`, called `name` in messages, to an array of numbers.
 
+    `plural` is True if the name is a plural.
+
     Raises
     ------
     UsageError
@@ -260,7 +261,7 @@ def checked_numbers(name: str, given: ArrayLike, *, plural: bool = False) -> Flo
 
 
 def finite_numbers(name: str, given: ArrayLike) -> Floats:
-    """Convert an argument to an array of finite numbers.
+    """Convert the argument `given`, called `name` in messages, to an array of finite numbers.
 
     Raises
     ------
@@ -526,8 +527,8 @@ class Calibration(Coefficients, eq=False, kw_only=True):
     ) -> Floats:
         """Return the readings (n, axes) in `unit` that the sensor gives for gravity (n, axes).
 
-        This is the inverse of `apply`; gravity is in units of local gravity. Temperature and supply are the
-        session's means by default.
+        This is the inverse of `apply`; gravity is in units of local gravity. The default of `temperature_c`
+        and `supply_v` is the mean of the session.
         """
         gravity = np.asarray(gravity, dtype=float)
         base, bias = self.natural(self.values)
@@ -586,13 +587,15 @@ class Calibration(Coefficients, eq=False, kw_only=True):
     ) -> AngleReading:
         """Compute the angle θ = α − ψ of the stage from readings, with u.
 
-        It is positive in the direction of the session's declared angles. The arguments are those of
-        `angle`.
+        It is positive in the direction of the session's declared angles. `accel` are the readings in
+        `unit`, (n, axes) or (axes,), and `reading_u` is their standard uncertainty; without it u is the
+        uncertainty by the calibration alone. The default of `temperature_c` and `supply_v` is the mean of
+        the session.
 
         Raises
         ------
         UsageError
-            The errors of `angle`, or the calibration has no start angle.
+            Wrong shape, another unit, NaN or infinity; the calibration has no start angle.
         """
         if "alpha" not in self:
             raise UsageError("this calibration has no start angle alpha: only .angle() can be given")

@@ -119,6 +119,8 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         ----------
         estimates : mapping of str to objects with `value`, `u`, `unit` (and `dof`)
             Estimated parameters by name. Other names than parameters of a gyro are ignored.
+        method : str
+            Name of the method that determined the parameters.
         covariance : (names, (p, p) float), optional
             Names of parameters, and their covariance in this order; it may contain other parameters. By
             default it is diagonal, from u.
@@ -262,9 +264,11 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         *,
         supply_v: ArrayLike | None = None,
     ) -> Rates:
-        """Convert readings to true rates of turn with their standard uncertainties.
+        """Convert readings of the gyros to true rates of turn with their standard uncertainties.
 
-        The arguments are those of `correct`. The uncertainty comes from the parameters of the calibration.
+        The uncertainty comes from the parameters of the calibration. `rate_dps` are the readings, `force_g`
+        the readings of the accelerometers (required if a g-sensitivity is known). The default of
+        `temperature_c` and `supply_v` is the mean of the session.
         """
         return self._rates(_corrected, rate_dps, (force_g, temperature_c, supply_v))
 
@@ -276,9 +280,10 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         *,
         supply_v: ArrayLike | None = None,
     ) -> Rates:
-        """Return the readings that the gyros give at a true rate, with their u: the inverse of `correct`.
+        """Return the readings that the gyros give at a true rate `rate_dps`, with their u.
 
-        The arguments are those of `correct`, except that `rate_dps` is the true rate.
+        This is the inverse of `correct`. `force_g` are the readings of the accelerometers (required if a
+        g-sensitivity is known). The default of `temperature_c` and `supply_v` is the mean of the session.
         """
         return self._rates(_read, rate_dps, (force_g, temperature_c, supply_v))
 

@@ -300,7 +300,7 @@ _METHOD_WIDTH = 24
 def parameter_row(name: str, value: Value) -> list[str]:
     """Return the cells of a table row for one parameter: name, unit, value, u, U, k, ν.
 
-    The degrees of freedom ν are those of u.
+    ν are the degrees of freedom of u.
     """
     return [*QuantityRow.of(name, value).cells, format_dof(value.dof) if value.u is not None else "–"]
 

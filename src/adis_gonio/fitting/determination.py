@@ -132,7 +132,7 @@ def determine(data: Readings, held: Sequence[int] = ()) -> Determination:
 
     Directions with too little information (`limits`) are eigenvectors of the information matrix in natural
     units. While such directions exist, the affected parameters that a session may lack (biases in the
-    plane, skews in space) are held at their nominal values. The remaining directions are `null`.
+    plane, skews in space) are fixed at their nominal values. The remaining directions are `null`.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def _start(data: Readings) -> Fit:
 def _directions(fit: Fit, free: NDArray[np.bool_], null: Floats) -> Floats:
     """Return the directions (p, k) in which the parameters may change, in units of the fit.
 
-    They exclude fixed and undetermined parameters.
+    They exclude parameters that are not `free`, and the undetermined directions `null` (p, j).
     """
     return np.asarray(natural_units(fit.data)[:, None] * _complement(free, null))
 

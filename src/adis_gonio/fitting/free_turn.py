@@ -173,8 +173,8 @@ in mm (D)."""
 GYRO_GAIN = 0.05
 """Prior standard deviation of the gyro's scale factor; the prior mean is 1 (D)."""
 G_SENSITIVITY_DPS = 0.2
-"""Prior standard deviation of the gyro's sensitivity to acceleration, in °/s/g (the data sheet of the
-sibling ADIS16350 states 0.05, B)."""
+"""Prior standard deviation of the gyro's sensitivity to acceleration, in °/s/g (the ADIS16350 data sheet
+states 0.05, B)."""
 LATENCY_S = 2e-3
 """Prior standard deviation of the gyro's delay against the accelerometers, in s (D)."""
 GYRO_INSTABILITY_DPS = 0.015
@@ -382,8 +382,9 @@ class LeastSquaresProblem:
 def drift_functions(time_s: Floats, length_s: float, floor: float, most: int) -> tuple[Floats, Floats]:
     """Return functions of time (n, k) that describe a drift, and the prior variance (k,) of each.
 
-    At most `most` functions are used for a recording of `length_s`. The drift is 1/f noise with the Allan
-    deviation `floor`; 0 gives no function. Each function has the mean zero.
+    `time_s` (n,) are the times since the begin. At most `most` functions are used for a recording of
+    `length_s`. The drift is 1/f noise with the Allan deviation `floor`; 0 gives no function. Each function
+    has the mean zero.
 
     They are principal components of the noise. Each is a sum of cosines with a whole number of half cycles
     in the recording. A density h/f has, up to a constant, the covariance −h ln|t − s|; `_of_cosines` has
@@ -454,7 +455,7 @@ def _first(problem: LeastSquaresProblem) -> Variances:
 def _system(
     problem: LeastSquaresProblem, values: Floats, variances: Variances
 ) -> tuple[Floats, Floats, tuple[Floats, ...]]:
-    """Return the normal equations of one iteration, and the information by cause.
+    """Return the normal equations of one iteration at `values`, and the information by cause.
 
     They are the information matrix and the right side. The causes are the accelerometers, the gyro
     (matrices), and the priors (the diagonal).
@@ -641,7 +642,7 @@ def require_axis(series: TurnRecording, windows: Windows) -> None:
 def sweeps_of(psi_rad: Floats) -> Sweeps:
     """Return the number of full turns and the range of angles of a recording.
 
-    `psi_rad` (m,) is the unwrapped angle ψ at each window. Turning back counts like turning on.
+    `psi_rad` (m,) is the unwrapped angle ψ at each window. A turn back counts as a turn.
     """
     found = Sweeps()
     for angle_deg in np.degrees(psi_rad - psi_rad[0]).tolist():
@@ -661,6 +662,8 @@ def require_turn(psi_rad: Floats) -> None:
 
 def require_plane(series: TurnRecording, windows: Windows, psi_rad: Floats, gravity_mg: float) -> list[str]:
     """Check that the turn stayed in one vertical plane; return a warning if there is no Z accelerometer.
+
+    `psi_rad` (m,) is the angle at each window; `gravity_mg` is local gravity.
 
     Raises
     ------
@@ -697,7 +700,8 @@ def remarks(
 ) -> list[str]:
     """Return remarks for the user on a valid turn, such as missing rests or samples; often none.
 
-    `u_phi_deg` is the standard uncertainty of Δφ; `wanted` is the number of full turns in the plan.
+    `psi_rad` (m,) is the unwrapped angle at each window, `u_phi_deg` is the standard uncertainty of Δφ;
+    `wanted` is the number of full turns in the plan.
     """
     notes = []
     sweeps = sweeps_of(psi_rad)

@@ -239,7 +239,10 @@ _FAR = "the gyros turn gravity to a wrong direction"
 
 
 def _ends(links: Links, position: NDArray[np.intp], link: int) -> tuple[int, int]:
-    """Return the numbers of the two dwells that a link connects."""
+    """Return the numbers of the two dwells that a link connects.
+
+    `link` is the index of the link, `position` (n,) are the numbers of the dwells.
+    """
     return int(position[links.before[link]]), int(position[links.after[link]])
 
 

@@ -59,6 +59,7 @@ class MethodComparison:
     scores : mapping of str to Score
         Errors of each method on the dwells that all methods predict.
     recommended : Recommendation
+        The recommended method, and the reason.
     """
 
     results: tuple[FitResult, ...]

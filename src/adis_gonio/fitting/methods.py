@@ -154,7 +154,7 @@ def refit_four(readings: Readings, made: Origin) -> Fit:
 def refit_two(method: str, readings: Readings, made: Origin) -> Fit:
     """Repeat the fit of `paper` or `two-position` on other readings, at the first two positions 90° apart.
 
-    `made` is not used.
+    `method` is the name of the method; `made`, the earlier result, is not used.
 
     Raises
     ------
@@ -314,7 +314,10 @@ def turn_parameters(harmonics: Floats) -> Floats:
 
 
 def _grouped(readings: Readings, method: str, angles_deg: tuple[int, ...]) -> tuple[Readings, Floats]:
-    """Select the dwells at the given angles, and return weights (angles, n) for the mean at each angle."""
+    """Select the dwells at the given angles, and return weights (angles, n) for the mean at each angle.
+
+    `method` is the name of the method in messages. Fails with `FitError` if an angle has no dwell.
+    """
     groups = rows_at(readings, angles_deg)
     missing = [str(a) for a, rows in zip(angles_deg, groups, strict=True) if not len(rows)]
     if missing:
@@ -518,7 +521,7 @@ FREE_TURN = "free-turn"
 positions."""
 
 _TWO_REVERSED = (0, 270)
-"""Declared angles in degrees of the two positions if the stage turned the other way than declared."""
+"""Declared angles in degrees of the two positions if the stage turned opposite to the declared sense."""
 
 
 @solvable
@@ -730,9 +733,9 @@ class Method:
     fit : callable
         Fits `Readings` and returns a `FitResult`; raises `FitError` or `SingularError`.
     refit : callable
-        Repeats a fit on `Readings` of all or some of the dwells, given the `Origin` of an earlier result.
-        It returns a `Fit` with the noise of these readings; raises `FitError`. Used to leave dwells out in
-        the comparison of methods, and for Monte Carlo trials.
+        Repeats a fit on `Readings` of all or some of the dwells, which have the noise of an earlier result,
+        given the `Origin` of this result. It returns a `Fit`; raises `FitError`. Used to leave dwells out
+        in the comparison of methods, and for Monte Carlo trials.
     suits : callable
         Returns True if the session has the positions that the method needs.
     """

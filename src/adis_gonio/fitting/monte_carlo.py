@@ -36,6 +36,7 @@ class Propagated:
     Attributes
     ----------
     name, unit : str
+        Name and unit of the parameter.
     linear : Estimate
         The fitted parameter with its uncertainty by linear propagation.
     u : float

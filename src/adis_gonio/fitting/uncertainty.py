@@ -70,6 +70,7 @@ class Source:
     u : float or None
         Standard uncertainty of the source itself, in `unit`, rms over dwells and axes; None if unknown.
     unit : str
+        Unit of `u`.
     moves : (p, k) float
         Change of the parameters, in natural units, by one standard uncertainty of each of the k independent
         components of the source.
@@ -172,7 +173,7 @@ NOTHING_UNSEEN = Unseen()
 
 @dataclass(frozen=True)
 class Sources:
-    """All sources that contribute to the uncertainty of a fit."""
+    """All sources that contribute to the uncertainty of a fit, in `each`."""
 
     each: tuple[Source, ...]
 
@@ -189,26 +190,34 @@ class Sources:
     def parts(self, gradient: Floats, reading: Floats | None = None) -> list[tuple[int, float, float]]:
         """Return the contributions of all sources to the variance of a quantity.
 
-        The arguments and each contribution are those of `Source.parts`.
+        The quantity is the root mean square of m values, with the derivatives `gradient` (m, p) by the
+        parameters and `reading` (m, axes) by one further reading. Each contribution is (number of the
+        estimate, degrees of freedom, variance).
         """
         return [part for source in self._counted for part in source.parts(gradient, reading)]
 
     def by_place(self, gradient: Floats, reading: Floats) -> Floats:
-        """Return the total variance (m,) of each of m quantities; `Source.by_place` has the arguments."""
+        """Return the total variance (m,) of each of m quantities, such as m angles.
+
+        `gradient` (m, p) and `reading` (m, axes) are their derivatives by the parameters and by a further
+        reading.
+        """
         return np.asarray(sum(source.by_place(gradient, reading) for source in self._counted))
 
     def roots(self, gradient: Floats, reading: Floats) -> Floats:
         """Return the change (m, k) of m quantities by one standard uncertainty of each of k components.
 
-        The components of all sources are independent. The noise of a further reading itself is not
-        included. `Source.by_place` has the arguments.
+        The components of all sources are independent. `gradient` (m, p) and `reading` (m, axes) are the
+        derivatives of the quantities by the parameters and by a further reading, whose own noise is not
+        included.
         """
         return np.concatenate([source._moved(gradient, reading) for source in self._counted], axis=1)
 
     def uncertainty(self, gradient: Floats, reading: Floats | None = None) -> tuple[float, float]:
         """Return the standard uncertainty of a quantity and its effective degrees of freedom.
 
-        `Source.parts` has the arguments.
+        The quantity is the root mean square of m values, with the derivatives `gradient` (m, p) by the
+        parameters and `reading` (m, axes) by one further reading.
         """
         parts = self.parts(gradient, reading)
         return math.sqrt(sum(part[2] for part in parts)), dof_of(parts)
@@ -505,7 +514,8 @@ def _quantization(data: Readings, response: Floats) -> Source:
 def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
     """Return the source of uncertainty for the unknown change of each bias with temperature.
 
-    Its size is limited by the data sheet and by the residual.
+    `response` (p, n, axes) is the derivative of the parameters by each reading. The size of the change is
+    limited by the data sheet and by the residual.
     """
     axes = data.axes
     figure = VARIANTS[data.sensor].performance.bias_tempco_mg_per_c if data.sensor in VARIANTS else 0.0
@@ -544,7 +554,8 @@ def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
 def _model(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats, unseen: Unseen) -> Source:
     """Return the source of uncertainty for an incomplete model.
 
-    It covers a residual beyond the noise, and biases and skews that had to be taken as zero.
+    `response` (p, n, axes) is the derivative of the parameters by each reading. The source covers a
+    residual beyond the noise, and biases and skews that had to be taken as zero.
     """
     axes = data.axes
     extra = _each(response, np.tile(noise.extra_mg * np.eye(axes), (len(data), 1, 1)))
@@ -627,6 +638,8 @@ class BudgetRow(JsonRecord):
         Standard uncertainty of the quantity from this source, in the unit of the quantity.
     dof : float
         Effective degrees of freedom of the contribution; inf if unlimited.
+    note : str
+        Remark on the source; empty without one.
     share : float
         Share of the source in the variance of the quantity; the shares of a budget add up to 1.
     """
@@ -763,7 +776,7 @@ def _factor(strength: Floats, power: Floats) -> float:
 
 
 PLACES = 72
-"""Number of angles of a turn over which the uncertainty of a shown angle is averaged."""
+"""Number of angles of a turn over which the uncertainty of the calibrated angle is averaged."""
 
 
 @dataclass(frozen=True)
@@ -787,7 +800,8 @@ class ShownAngle:
         """Return the derivatives at angles around the turn, by base parameters and biases of a fit.
 
         Angle ψ = atan2(v, u) with u = (U_x − b_x)/(G K_x), v = ((U_y − b_y)/(G K_y) − u sin Δφ)/cos Δφ; the
-        shown angle is α − ψ. Without declared angles there is no α, and the angle is between gravity and X.
+        calibrated angle is α − ψ. Without declared angles there is no α, and the angle is between gravity
+        and X.
         """
         gradient = gradient_of_base(fit.values.base, zero=bool(fit.data.visible[0]))
         return cls(gradient, -np.degrees(_by_reading(fit, _around())))
@@ -803,7 +817,7 @@ class ShownAngle:
     def variances(self, covariance: Floats, reading_mg2: Floats) -> Floats:
         """Return the variance (m,) of the calibrated angle in degrees² at each of the m angles.
 
-        The arguments are the covariances of the parameters, (p, p), and of a reading, (2, 2).
+        `covariance` (p, p) is of the parameters, and `reading_mg2` (2, 2) of a reading.
         """
         # gᵀ C g at each place, for the parameters and for the reading.
         by_parameters = np.einsum("mp,pq,mq->m", self.gradient, covariance, self.gradient)
@@ -821,7 +835,8 @@ def gradient_of_base(base: Floats, *, zero: bool) -> Floats:
     base : (4,) float
         Base parameters of the plane: α, K_x, K_y, Δφ.
     zero : bool
-        True if angles are declared, so that α is part of the shown angle; otherwise its derivative is 0.
+        True if angles are declared, so that α is part of the calibrated angle; otherwise its derivative is
+        0.
     """
     _, k_x, k_y, skew = base
     psi = _around()

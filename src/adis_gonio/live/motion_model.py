@@ -60,7 +60,7 @@ TURN_ON_DPS = 0.2
 GAIN_U = 0.01
 """Standard uncertainty of the relative gain of an uncalibrated gyro (D: no data sheet states it)."""
 G_DPS_PER_G = 0.05
-"""Standard uncertainty, in °/s/g, of the gyro's sensitivity to acceleration (data sheet, B)."""
+"""Standard uncertainty, in °/s/g, of the gyro's sensitivity to acceleration (ADIS16350 data sheet, B)."""
 WALK_DPS_PER_RT_S = 0.003
 """Random walk of a gyro's zero rate, in °/s/√s (D): it gives a minimum of the Allan deviation of 0.015 °/s
 within half a minute."""
@@ -70,7 +70,11 @@ class GyroCorrection(Protocol):
     """Interface of an object that corrects gyro readings, such as `calibrate.GyroCalibration`."""
 
     def correct(self, rate_dps: Floats, force_g: Floats, temperature_c: Floats | None) -> Floats:
-        """Return the rates (n, 3) in °/s with the calibrated errors removed."""
+        """Return the rates (n, 3) in °/s with the calibrated errors removed.
+
+        `rate_dps` (n, 3) are the readings of the gyros, `force_g` (n, 3) of the accelerometers.
+        `temperature_c` is None if not measured.
+        """
 
 
 @dataclass(frozen=True)
@@ -112,7 +116,10 @@ class GyroKnowledge:
         )
 
     def corrected(self, rate_dps: Floats, accel_mg: Floats, temperature_c: float | None) -> Floats:
-        """Return a rate (3,) in °/s with the calibrated errors removed, if there is a calibration."""
+        """Return the rate (3,) in °/s with the calibrated errors removed, if there is a calibration.
+
+        `rate_dps` (3,) and `accel_mg` (3,) are the readings; `temperature_c` is None if not measured.
+        """
         if self.calibration is None:
             return rate_dps
         warm = None if temperature_c is None else np.array([temperature_c])
@@ -319,7 +326,10 @@ class Stepper:
         return saturated
 
     def _follow(self, rate_dps: float, length_s: float) -> None:
-        """Update the estimate of how fast the rate varies (as a random walk) over the last second."""
+        """Update the estimate of how fast the rate varies (as a random walk) over the last second.
+
+        `rate_dps` is the mean rate of a time step, `length_s` the time since the step before.
+        """
         if self._rate_before is not None and length_s > 0:
             share = min(1.0, length_s)
             # Exponential mean of squared changes over one second.
@@ -406,8 +416,9 @@ def disturbance_of(level: Floats, at: int, sensor_mg2: float) -> Disturbance:
 def coloured(white_mg2: float, variance_mg2: float, first: float, second: float) -> Disturbance:
     """Return a disturbance with white noise and an autoregressive process of second order.
 
-    `variance_mg2` is the variance of the process, `first` and `second` are its autocorrelations at lags
-    of one and two steps. They are limited to values at which the process is stationary.
+    `white_mg2` is the variance of the white noise, `variance_mg2` the variance of the process; `first` and
+    `second` are the autocorrelations of the process at lags of one and two steps. They are limited to
+    values at which the process is stationary.
     """
     r1 = min(max(first, -STATIONARY), STATIONARY)
     r2 = min(max(second, 2 * r1**2 - STATIONARY), STATIONARY)
@@ -588,7 +599,7 @@ LEVER_MM = 50.0
 """Standard deviation, in mm, of each component of the sensor's distance from the stage's axis (D)."""
 BEND = 0.012
 """Standard deviation of the relative error in the slope of the angle by gravity against the true angle, for
-uncalibrated accelerometers: bias 10 mg, gains ±2 %, Δφ ±0.25° (data sheet, B and D)."""
+uncalibrated accelerometers: bias 10 mg, gains ±2 %, Δφ ±0.25° (ADIS16350 data sheet, B and D)."""
 OPEN_DEG = 90.0
 """Standard deviation, in degrees, of an angle about which nothing is known."""
 LEAST_MG = 50.0

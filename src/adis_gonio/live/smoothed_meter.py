@@ -469,8 +469,10 @@ def smooth(
 ) -> SmoothedTurn:
     """Return the smoothed angles of a whole recording of n times, readings (mg) and rates (°/s).
 
-    The shapes are (n,), (n, 3) and (n, 3); the other arguments are those of `AngleSmoother`. The
-    disturbance of a step is estimated over the second before it and the half second after it.
+    The shapes are (n,), (n, 3) and (n, 3); `gyros` has the uncertainties of the gyros (by default
+    uncalibrated), `corrected` corrects readings of the accelerometers, and `bend` is the standard deviation
+    of the relative slope error of the angle by gravity. The disturbance of a step is estimated over the
+    second before it and the half second after it.
     """
     smoother = AngleSmoother(sensing, gyros, lag_s=0.5, corrected=corrected, bend=bend, keeps=True)
     smoother.feed(time_s, accel_mg, gyro_dps)
@@ -487,7 +489,7 @@ def smooth(
 
 GENERIC_WALK_DEG = 0.021
 """Standard deviation, in degrees, of the angle by integrated noise after one second, for gyros of unknown
-noise; typical of the sensor family (data sheet, B)."""
+noise (ADIS16350 data sheet, B)."""
 LENGTH_K = 3.0
 """Error of the length of gravity, in standard uncertainties, above which a calibration is rejected."""
 LENGTH_FLOOR = 1e-3
@@ -495,7 +497,7 @@ LENGTH_FLOOR = 1e-3
 gravity differs from place to place, and biases change with temperature."""
 Z_ERROR = 0.05
 """Relative error of the reading of Z that is allowed if a calibration in the plane does not determine Z
-(data sheet, B and D)."""
+(ADIS16350 data sheet, B and D)."""
 _BEND_PER_U = 2.0
 """Ratio of the largest slope of an angle error with two cycles per turn to its amplitude."""
 
@@ -602,7 +604,7 @@ class SmoothedMeter:
         self._smoother.restart()
 
     def take_rest(self, mean_mg: Floats, temperature_c: float | None) -> None:
-        """Check the calibration at rest: compare the length of a reading (3,) in mg with local gravity.
+        """Check the calibration at rest: compare the length of the reading `mean_mg` with local gravity.
 
         If the length contradicts the calibration, the error is added to the uncertainty of later angles,
         with a note.
@@ -660,8 +662,12 @@ def corrected_angle(
 
     Parameters
     ----------
+    mean_mg : (3,) float
+        The reading.
+    temperature_c : float or None
+        Its temperature; None for the mean of the session.
     u_mg : (3,) float, optional
-        Standard uncertainty of the reading; without it u is that of the calibration alone.
+        Standard uncertainty of the reading; without it u is the uncertainty by the calibration alone.
     """
     reading_u = None if u_mg is None else [float(u) for u in u_mg[: calibration.axes]]
     try:

@@ -145,7 +145,7 @@ class Criterion:
         return np.asarray(apart.min(axis=1) + _MEAN_WEIGHT * apart.mean(axis=1))
 
     def _angle_variance(self, covariance: Floats) -> Floats:
-        """Return the largest variance (k,) of the shown angle over the turn, in degrees².
+        """Return the largest variance (k,) of the calibrated angle over the turn, in degrees².
 
         The variance at a place with gradient g is gᵀ V g, with the covariance V of the base parameters.
         """
@@ -270,7 +270,7 @@ class Candidates:
         return np.asarray(rest + innovation.transpose(0, 2, 1) @ np.linalg.solve(given, innovation))
 
     def plan(self, name: str, choice: Choice) -> Plan:
-        """Return a choice of candidate positions (one index for each dwell) as a named plan.
+        """Return a plan of this name from a choice of candidate positions (one index for each dwell).
 
         If no effect depends on the side of approach, all positions are approached from below: an unexpected
         backlash of the stage then changes only the start angle.
@@ -296,6 +296,8 @@ def _side(approach: float) -> Approach:
 
 def candidates(bench: Bench, dwells: int, beware: Sequence[str], grid_deg: float) -> Candidates:
     """Return the candidate positions of a search: on a grid of angles and at even spacing.
+
+    The grid has steps of `grid_deg`; the plan has `dwells` positions.
 
     If an effect in `beware` depends on the side of approach, each angle is a candidate from both sides.
 
@@ -496,8 +498,8 @@ class Gain(JsonRecord):
         The other plan's `figure` divided by the figure of the best plan (for `tell-apart` the inverse);
         above 1 if the best plan is better.
     u : dict of str to float
-        Standard uncertainty of each parameter and of the angle after the other plan, divided by that after
-        the best plan.
+        Ratio of standard uncertainties, after the other plan to after the best plan, for each parameter and
+        the angle.
     """
 
     over: str = field(metadata=HIDDEN)
@@ -705,7 +707,8 @@ def fewest_positions(
     The search begins with the smallest sufficient number of interleaved positions, and reduces the number
     as long as a session with the best plan would show that the angle conforms.
 
-    The other arguments are those of `best_plan`.
+    `best` is the criterion, `beware` has effects that the session may have, `grid_deg` is the step of the
+    searched angles, and `seed` determines the search.
 
     Raises
     ------

@@ -500,7 +500,7 @@ def predict_sight(readings: Readings) -> Sight:
     The detectable amplitude is the one that a trace would find in 90 of 100 sessions, in addition to the
     start angle, gains, Δφ and biases. Two effects are not distinguished if one of them, at its detectable
     amplitude, differs by less than `LEAST_SEPARATION` standard uncertainties from the other's best
-    imitation; `advice` uses the same limit for a measurement that is worth while.
+    imitation; the advice of a trace uses this limit for a measurement that is worth while.
 
     Parameters
     ----------

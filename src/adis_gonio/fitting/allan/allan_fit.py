@@ -163,6 +163,8 @@ def _records(
 ) -> tuple[list[Floats], list[int], int]:
     """Split the samples of dwells at gaps into records without gaps.
 
+    A gap is 2.5 sample periods `period_s` or longer; `where` names the session in messages.
+
     Returns the records, the number of the dwell of each, and the number of samples lost in the gaps.
     """
     records, positions, lost = [], [], 0
@@ -180,7 +182,10 @@ def _records(
 
 
 def _unit(session: Session, part: Part, where: str) -> tuple[str, float]:
-    """Return the unit of the result (dps, mg or counts), and the factor from the file's samples to it."""
+    """Return the unit of the result (dps, mg or counts), and the factor from the file's samples to it.
+
+    `where` names the session in messages.
+    """
     unit = session.gyro_unit if part == "gyro" else session.accel_unit
     if unit == "counts":
         return "counts", 1.0
@@ -194,7 +199,8 @@ def _unit(session: Session, part: Part, where: str) -> tuple[str, float]:
 def _period(dwells: list[Dwell], where: str) -> float:
     """Return the mean time in s between the samples of the longest dwell, without its gaps.
 
-    The mean is over all its samples, because clocks with a coarse resolution repeat times.
+    `where` names the session in messages. The mean is over all its samples, because clocks with a coarse
+    resolution repeat times.
     """
     longest = max(dwells, key=len)
     if len(longest) < 2:
@@ -430,8 +436,8 @@ def _axis(rests: Rests, axis: int, m: int) -> AxisNoise:
 def _quiet(parts: Sequence[Ordinates], highest: float) -> list[int]:
     """Return the indices of records with about as little noise as the quietest; vibration disturbs others.
 
-    Starting with the quietest, each record counts that is not louder than the earlier ones together in
-    either of two bands.
+    `highest` is the highest fitted frequency in cycles per sample. Starting with the quietest, each record
+    counts that is not louder than the earlier ones together in either of two bands.
     """
     bands = [(low * highest, high * highest) for low, high in _BANDS]
     level = np.empty((len(parts), len(bands)))
@@ -483,7 +489,8 @@ def _slow(fitted: _Fitted) -> float:
 def _ramp(fitted: _Fitted, slopes: list[float], period_s: float, unit: str) -> Value:
     """Return the drift of an axis, in `unit` per second, with u: the mean slope of all records.
 
-    `slopes` are the slopes of straight lines through the records, per sample; the mean is weighted.
+    `period_s` is the time between samples, `slopes` are the slopes of straight lines through the records,
+    per sample; the mean is weighted.
     """
     rest = fitted.likelihood.slopes(fitted.theta)
     # Weighted mean of the slopes, each corrected by the slope of the likelihood.

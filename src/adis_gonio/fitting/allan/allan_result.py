@@ -128,7 +128,8 @@ class NoiseParameter:
 def parameters(part: Part, unit: str, profiles: dict[Kind, Profile]) -> tuple[NoiseParameter, ...]:
     """Return the noise processes of one axis, with names and units for an accelerometer or a gyro.
 
-    `profiles` has the likelihood of each fitted process.
+    `unit` is the unit of the samples (`dps`, `mg` or `counts`); `profiles` has the likelihood of each
+    fitted process.
     """
     named = zip(KINDS, _NAMES[part], _UNITS[unit], strict=True)
     return tuple(
@@ -152,7 +153,8 @@ class AxisNoise:
     ramp : Value
         Drift per second: weighted mean of the slopes of straight lines through the records.
     slow_p_value : float
-        p-value of the hypothesis that there is neither flicker noise nor random walk.
+        p-value of the hypothesis that the axis has no flicker noise and no random walk; small if slow noise
+        is present.
     adequacy : float
         p-value of the spectrum under the fitted noise; small if this noise does not explain the spectrum.
     band_hz : (float, float)

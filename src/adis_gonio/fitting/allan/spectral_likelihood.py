@@ -61,8 +61,8 @@ _TABLE = 256
 def variances(filter_m: int, n: int, k: Floats, period_s: float) -> Floats:
     """Return the variances (len(k), 4) of DCT-II coefficients, for each noise process in `KINDS`.
 
-    They are the coefficients with indices `k` of `n` samples behind the filter M = `filter_m`. Each column
-    is for a process with a squared coefficient of 1.
+    They are the coefficients with indices `k` of `n` samples behind the filter M = `filter_m`, `period_s`
+    apart. Each column is for a process with a squared coefficient of 1.
     """
     angle = np.pi * k / n
     frequency = k / (2 * n)
@@ -104,8 +104,8 @@ def line(n: int, k: Floats) -> Floats:
 def variograms(filter_m: int, lags: int, period_s: float) -> Floats:
     """Return half the mean squared difference (lags, 4) of two samples, for each process in `KINDS`.
 
-    The rows are for the distances 0, 1, … `lags` − 1 in samples, behind the filter M = `filter_m`. Each
-    column is for a squared coefficient of 1.
+    The rows are for the distances 0, 1, … `lags` − 1 in samples, behind the filter M = `filter_m`;
+    `period_s` is the time between samples. Each column is for a squared coefficient of 1.
     """
     own = _autocovariance(filter_weights(filter_m))
     reach = len(own) - 1
@@ -214,6 +214,7 @@ def overlapping(samples: Sequence[Floats]) -> tuple[list[int], Floats]:
     m : list of int
         Averaging times in samples, at octaves.
     deviation : (len(m), axes) float
+        Allan deviation at these times, in the unit of the samples.
     """
     times = octaves(max(len(part) for part in samples))
     totals = np.zeros((len(times), samples[0].shape[1]))
@@ -242,6 +243,10 @@ def curve(
         Samples of each record.
     squares : (4,) float
         Squared coefficients of the fitted noise processes, in the order of `KINDS`.
+    filter_m : int
+        Parameter M of the filter that the samples have passed.
+    period_s : float
+        Time between samples.
     rounding : (lags,) float
         Autocovariance of the converter's rounding, in the squared unit of the samples.
     """
@@ -258,8 +263,9 @@ def _expected(
 ) -> tuple[float, float]:
     """Return the expected Allan variance at m samples under a noise model, and the dof of its estimate.
 
-    The estimate pools records of these `lengths`; `squares` are the squared coefficients of the model,
-    `rounding` the autocovariance, by lag, of the converter's rounding.
+    The estimate pools records of these `lengths`, with samples `period_s` apart behind the filter M =
+    `filter_m`; `squares` are the squared coefficients of the model, `rounding` the autocovariance, by lag,
+    of the converter's rounding.
     """
     coarse = 1 if m <= _EXACT else m // _LATTICE
     step = m // coarse
@@ -291,8 +297,9 @@ def _variogram(
 ) -> Floats:
     """Return half the mean squared difference of two means of `coarse` samples, by their distance.
 
-    The distances are 0, 1, … `lags` − 1 such means. `squares` are the squared coefficients of the model,
-    `rounding` the autocovariance, by lag, of the converter's rounding.
+    The distances are 0, 1, … `lags` − 1 such means of samples `period_s` apart behind the filter M =
+    `filter_m`. `squares` are the squared coefficients of the model, `rounding` the autocovariance, by lag,
+    of the converter's rounding.
     """
     if coarse == 1:
         own = variograms(filter_m, lags, period_s) @ squares
@@ -336,6 +343,8 @@ def subtract_sinusoids(
     ----------
     record : (n,) float
         Samples without their linear slope.
+    period_s : float
+        Time between samples.
     highest : float
         Highest frequency of a sinusoid in cycles per sample.
     """
@@ -475,10 +484,14 @@ def ordinates(
     ----------
     record : (n,) float
         Samples without their linear slope.
+    filter_m : int
+        Parameter M of the filter that the samples have passed.
+    period_s : float
+        Time between samples.
     rounding : (lags,) float
         Autocovariance, by lag, of the converter's rounding.
     masked : (l,) int
-        Indices of ordinates to leave out, such as those of sinusoids.
+        Indices of ordinates to leave out, such as the ordinates near a sinusoid.
     """
     n = len(record)
     lines = np.asarray(fft.dct(record, type=2, norm="ortho"), np.float64)[1:]
@@ -559,7 +572,8 @@ def _grid(n: int, filter_m: int, period_s: float) -> _Grid:
 def _rounded(rounding: bytes, n: int, filter_m: int, period_s: float) -> Floats:
     """Return the mean variance (b,) in each frequency bin that the converter's rounding causes.
 
-    `rounding` are the bytes of the autocovariance of the rounding errors.
+    The record has `n` samples `period_s` apart behind the filter M = `filter_m`. `rounding` are the bytes
+    of the autocovariance of the rounding errors.
     """
     grid = _grid(n, filter_m, period_s)
     return grid.mean(ordinate_variances(np.frombuffer(rounding), n, grid.points))
@@ -600,7 +614,7 @@ class Profile:
     p_value : float
         Probability of data that favour the noise process at least as much, if it is absent.
     detectable : float
-        Coefficient that such a record shows to be present with a probability of 90 %.
+        Coefficient that a record like this one shows to be present with a probability of 90 %.
     """
 
     value: float
@@ -612,12 +626,15 @@ class Profile:
 
     @property
     def present(self) -> bool:
-        """True if the data rule out that this noise process is absent."""
+        """True if the p-value of the hypothesis that this noise process is absent is small."""
         return self.p_value < SLOW_NOISE
 
     @property
     def dof(self) -> float:
-        """Degrees of freedom of a standard deviation with the relative uncertainty u/value; NaN if none."""
+        """Degrees of freedom of a standard deviation with the relative uncertainty u/value.
+
+        NaN if u is NaN.
+        """
         return self.value**2 / (2 * self.u**2) if self.u > 0 else math.nan
 
 
@@ -846,7 +863,7 @@ def _root_below(beyond: Callable[[float], float], top: float) -> float:
 def _detectable(likelihood: Likelihood, absent: Floats, index: int) -> float:
     """Return the smallest coefficient that nine of ten records like this one would show to be present.
 
-    `absent` (4,) is the best model without this process.
+    `index` is the index of the noise process, `absent` (4,) the best model without it.
     """
     at = absent.copy()
     without = likelihood.u_squared(at, index)

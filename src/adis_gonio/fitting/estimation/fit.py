@@ -98,7 +98,10 @@ class Fit:
 
     @classmethod
     def begin(cls, data: Readings, *, with_prior: bool = True) -> Fit:
-        """Return the base model at starting values, not yet fitted to the readings."""
+        """Return the base model at starting values, not yet fitted to the readings.
+
+        `with_prior` adds the prior that keeps parameters near values that sensors have.
+        """
         base, attitude = data.model.begin(
             data.mean, data.turn_rad, np.isfinite(data.angle_rad), data.conditions
         )
@@ -574,7 +577,7 @@ class Fit:
         return fit
 
     def _tried(self, step: Floats) -> Fit:
-        """Return the fit after a step of its parameters; unchanged if the new values overflow."""
+        """Return the fit after a step of its parameters; unchanged if the model fails at the new values."""
         try:
             with np.errstate(over="ignore", invalid="ignore"):
                 trial = self._stepped(step).settled()
@@ -674,8 +677,8 @@ def _fixed_factors(data: Readings) -> tuple[Floats, Floats] | None:
 def adequacy(chi2: float, dof: float, noise_dof: float) -> float:
     """Return the p-value of χ² for a model fitted with measured noise: small if the model is inadequate.
 
-    `dof` are the degrees of freedom of χ², `noise_dof` those of the measured noise (inf if it is known
-    exactly).
+    `chi2` and `dof` are χ² and its degrees of freedom; `noise_dof` are the degrees of freedom of the
+    measured noise (inf if it is known exactly).
     """
     from scipy.special import chdtrc, fdtrc
 
@@ -707,9 +710,9 @@ def predictable_dwells(rest: Floats, left: Floats, most: float) -> NDArray[np.bo
     """Return a mask (n,) of dwells that a fit to other dwells predicts with sufficient certainty.
 
     The variance of the prediction must be at most `most` times the variance of the noise. `left` (n, r, p)
-    are the whitened rows of these dwells, and `rest` (m, p) those of the fit. With whitened columns X, the
-    prediction of held-out rows has the covariance 1 + X_b (X₋bᵀ X₋b)⁻¹ X_bᵀ in units of the noise (Cook and
-    Weisberg, Residuals and Influence in Regression, 1982).
+    are the whitened rows of these dwells, and `rest` (m, p) the whitened rows of the fit. With whitened
+    columns X, the prediction of held-out rows has the covariance 1 + X_b (X₋bᵀ X₋b)⁻¹ X_bᵀ in units of the
+    noise (Cook and Weisberg, Residuals and Influence in Regression, 1982).
     """
     if not len(rest):
         return np.zeros(len(left), dtype=bool)

@@ -359,8 +359,8 @@ def from_means(
 ) -> Readings:
     """Make readings from mean values (n, axes) in mg and their covariance (n, axes, axes) in mg².
 
-    `fixture_rad` is the standard uncertainty of a declared angle; `others` are further attributes of
-    `Readings`.
+    `gravity_mg` is local gravity, `fixture_rad` the standard uncertainty of a declared angle; `others` are
+    further attributes of `Readings`.
     """
     n, axes = mean.shape
     angle = conditions.angle_rad
@@ -475,8 +475,8 @@ def readings_of(session: Session) -> Readings:
     Raises
     ------
     DataError
-        All-zero or stuck data, no usable dwell, readings that are not finite or nowhere near 1 g, angles
-        that turn the other way.
+        All-zero or stuck data, no usable dwell, readings that are not finite or far from 1 g, or declared
+        angles of the opposite sense of rotation.
     """
     return session.once(_checked_readings)
 
@@ -577,7 +577,10 @@ def reduced(session: Session) -> Readings:
 
 
 def _without_noise(session: Session, dwells: list[Dwell], axes: int) -> bool:
-    """Return True if an axis has equal samples within each dwell: the file seems to repeat averages."""
+    """Return True if an axis has equal samples within each dwell: the file seems to repeat averages.
+
+    `axes` is the number of examined axes.
+    """
     if session.accel_unit == "lsb":  # a converter's step may hide the noise
         return False
     ranges = [np.ptp(dwell.accel[:, :axes], axis=0) > 0 for dwell in dwells]
@@ -585,9 +588,9 @@ def _without_noise(session: Session, dwells: list[Dwell], axes: int) -> bool:
 
 
 def _usable(session: Session, axes: int) -> tuple[list[Dwell], screening.Converter, list[str]]:
-    """Select the usable dwells; also return the converter's steps and limits, and notes for the user.
+    """Return the usable dwells, the converter's steps and limits, and notes for the user.
 
-    The notes are on dwells at a limit of the range.
+    The notes are on dwells at a limit of the range; `axes` is the number of axes in use.
     """
     source = session.source or "session"
     dwells = [dwell for dwell in session.dwells if len(dwell)]
@@ -643,7 +646,10 @@ def flicker_parts(begin_s: Floats, end_s: Floats, flicker: Floats) -> tuple[Floa
 
     Returns
     -------
-    (m, axes) float in mg², and (m, axes, k) float in mg or None; see `_of_flicker`.
+    (m, axes) float in mg²
+        Variance of each mean alone.
+    (m, axes, k) float in mg, or None
+        Contribution of each of k independent modes to the means; None if they share no noise.
     """
     m, axes = len(begin_s), len(flicker)
     if not _keeps_modes(m, flicker):
@@ -660,7 +666,8 @@ def flicker_parts(begin_s: Floats, end_s: Floats, flicker: Floats) -> tuple[Floa
 def _unit_of_counts(mean: Floats, gravity_mg: float) -> Unit:
     """Return the zero and the counts per mg of each axis, from readings in several positions.
 
-    All readings have the length of gravity, so they are on an ellipse or ellipsoid.
+    `mean` (n, axes) are the readings in counts. All have the length of gravity `gravity_mg`, so they are on
+    an ellipse or ellipsoid.
     """
     if float(np.ptp(mean, axis=0).max()) <= 0:
         raise FitError(
@@ -724,8 +731,8 @@ def _history(dwells: list[Dwell], start: float) -> tuple[Floats, Floats] | None:
 def _loads(dwells: list[Dwell], mean: Floats, start: float) -> tuple[Floats, Floats] | None:
     """Return times and readings in mg at the beginning and end of each dwell: the load over time.
 
-    The load is taken as linear during moves; `start` is the time in s of the first sample. None if the
-    times do not increase.
+    `mean` (n, axes) are the mean readings. The load is taken as linear during moves; `start` is the time in
+    s of the first sample. None if the times do not increase.
     """
     ends = np.array([dwell.time_s[[0, -1]] for dwell in dwells]) - start
     # A dwell of one sample has one time, others have a begin and an end.
@@ -757,7 +764,8 @@ def quantization_variance(rows: Sequence[Floats], mg: Floats, quantum: Floats) -
 def quantized_means(variance_mg2: Floats, quantum_mg: Floats) -> Floats:
     """Return the variance (dwells, axes) in mg² that steps (axes,) of the converter add to means.
 
-    `variance_mg2` (dwells, axes) is the variance of the samples, including their rounding.
+    `quantum_mg` are the steps, `variance_mg2` (dwells, axes) is the variance of the samples, including
+    their rounding.
     """
     step = np.where(quantum_mg > 0, quantum_mg, 1.0)
     # Noise before the converter, in steps: subtract the variance of rounding.

@@ -49,6 +49,7 @@ def refuse_dead_data(session: Session, limits: Sequence[Limit], mg_per_unit: flo
     Parameters
     ----------
     session : Session
+        Session whose dwells are examined.
     limits : sequence of Limit
         Limits of the range that the samples show.
     mg_per_unit : float or None
@@ -83,7 +84,10 @@ def refuse_dead_data(session: Session, limits: Sequence[Limit], mg_per_unit: flo
 
 
 def limit_notes(limits: Sequence[Limit], unit: str) -> list[str]:
-    """Return sentences for the user, one for each limit of the range, with the dwells that it excludes."""
+    """Return sentences for the user, one for each limit of the range, with the dwells that it excludes.
+
+    `unit` is the unit of the samples.
+    """
     lines = []
     for limit in limits:
         where = f"the extreme value {limit.value:g} {unit} ({name_positions(limit.positions)})"

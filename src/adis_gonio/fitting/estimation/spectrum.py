@@ -273,7 +273,8 @@ def _whittle_with_flicker(
 ) -> tuple[Floats, Floats, float]:
     """Fit the density exp(polynomial) + h/x, with 1/f noise h/x.
 
-    Return the coefficients of the polynomial, their covariance and −2 log likelihood (Whittle). h is fitted
+    Return the coefficients of the polynomial, their covariance and −2 log likelihood (Whittle). The
+    polynomial combines the columns of `design`; `mean` are mean ordinates with their `weight`. h is fitted
     but not returned; its uncertainty is included in the covariance. `inverse_x` is the mean of 1/x for each
     ordinate.
     """
@@ -390,7 +391,9 @@ def _choose_foot(groups: list[_Ordinates]) -> _Foot:
 def _polynomial_foot(band: float, x: Floats, weight: Floats, mean: Floats) -> _Foot | None:
     """Fit the log density in a band by a polynomial of the lowest sufficient order.
 
-    An order is sufficient if one or two further terms do not improve the fit clearly; None if no order is.
+    `mean` are mean ordinates at the frequencies `x` (relative to the end of the `band`), with their
+    `weight`. An order is sufficient if one or two further terms do not improve the fit clearly; None if no
+    order is.
     """
     fits: list[tuple[Floats, Floats, float]] = []
     for order in range(min(3, len(x))):
@@ -425,7 +428,8 @@ def _beside_flicker(
 ) -> tuple[Floats, Floats] | None:
     """Fit a polynomial plus 1/f noise; return the polynomial's coefficients and covariance.
 
-    None if one or two further terms of the polynomial explain the density as well as 1/f noise.
+    `mean` are mean ordinates at the relative frequencies `x`, with their `weight`; `inverse_x` is the mean
+    of 1/x. None if one or two further terms of the polynomial explain the density as well as 1/f noise.
     """
     for order in range(min(3, len(x) - 2)):
         one, two = (_whittle(_basis(x, order + k), weight, mean)[2] for k in (1, 2))
@@ -545,7 +549,11 @@ def _reciprocal(level: Floats) -> Floats:
 def _flicker(
     groups: list[_Ordinates], density: Floats, foot: _Foot, dof: float, n: Floats
 ) -> tuple[Floats, Floats]:
-    """Return the Allan variance (axes,) of 1/f noise by the lowest ordinates, and its 95 % upper limit."""
+    """Return the Allan variance (axes,) of 1/f noise by the lowest ordinates, and its 95 % upper limit.
+
+    The 1/f noise is the excess of these ordinates over the `density` (d, axes, axes) at zero times its
+    fitted shape, `foot`. `dof` are the degrees of freedom of the density, `n` (d,) the numbers of samples.
+    """
     from scipy.special import fdtri
 
     axes = density.shape[1]
@@ -619,7 +627,8 @@ _SHORTEST_S = 1e-9
 def _in_order(begin_s: Floats, end_s: Floats) -> tuple[Floats, Floats]:
     """Return begin and end of the dwells of a session, corrected if the given times are impossible.
 
-    Dwells without length or with overlaps are taken as consecutive.
+    `begin_s` and `end_s` are the given times. Dwells without length or with overlaps are taken as
+    consecutive.
     """
     length = end_s - begin_s
     # Shorter dwells are not plausible, and their squares would underflow.

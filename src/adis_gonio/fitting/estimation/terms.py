@@ -74,7 +74,8 @@ class Term(ABC):
     def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
         """Return the derivative of the readings or the angle by the amplitudes, at amplitude zero.
 
-        The shape is (n, axes, d) in the readings' unit, or (n, d) in rad for an angle.
+        `ideal` (n, axes) are the readings by the base model. The shape is (n, axes, d) in the readings'
+        unit, or (n, d) in rad for an angle.
         """
 
     @abstractmethod
@@ -83,11 +84,17 @@ class Term(ABC):
 
     @abstractmethod
     def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Return the contribution to the readings (n, axes) in their unit, or to the angle (n,) in rad."""
+        """Return the contribution to the readings (n, axes) in their unit, or to the angle (n,) in rad.
+
+        `values` (p,) are all parameters of the term, `ideal` (n, axes) the readings by the base model.
+        """
 
     @abstractmethod
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Return the derivative of `added` by the p values: (n, axes, p), or (n, p) for an angle."""
+        """Return the derivative of the contribution by the p values: (n, axes, p), or (n, p) for an angle.
+
+        `ideal` (n, axes) are the readings by the base model.
+        """
 
     def amplitude_index(self, values: Floats) -> list[int]:
         """Return the indices of the amplitudes among the values (p,), without shape parameters."""
@@ -126,7 +133,10 @@ class NamedTerm(Term):
 
     @classmethod
     def offset(cls, axes: Sequence[str], spread: float | None = None) -> NamedTerm:
-        """Make the term of a constant offset of each of these axes."""
+        """Make the term of a constant offset of each of these axes.
+
+        `spread` is the prior standard deviation of each offset; None without a prior.
+        """
         constant = constant_effect(axes)
         return cls(constant.name, (), 0.0, constant, spread=spread)
 
@@ -221,7 +231,9 @@ other functions reach about 1."""
 
 @dataclass(frozen=True)
 class Basis:
-    """Basis functions of an unnamed term: of the conditions, or of the stimulus of each axis.
+    """Basis functions of an unnamed term: of the conditions, or of each axis's stimulus.
+
+    The stimulus of an axis is the quantity that its gain multiplies, such as acceleration.
 
     Attributes
     ----------
@@ -298,6 +310,8 @@ class NamelessTerm(Term):
     shrinkage : float or None
         Prior standard deviation of each amplitude, if the functions are features of a Gaussian process;
         otherwise None.
+    tangent_rad : float
+        Change of the angle in rad per unit of amplitude of a basis function, for a term of the angle.
     stimulus : callable
         From ideal readings and conditions to the quantity (n, axes) that gains multiply.
     """

@@ -198,6 +198,8 @@ class GyroFit(ParameterTable):
     inflation : mapping of str to float
         Factor on the noise variance of each gyro, by its axis, that explains its residual; 1 if the
         residual agrees with the measured noise.
+    reference_temperature_c : float or None
+        Mean temperature of the fitted dwells; None if not recorded.
     scores : mapping of str to GyroScore
         Prediction errors of the models `zero rate`, `gyro` and `gyro` with a drift, on the same dwells,
         left out one by one.
@@ -397,6 +399,8 @@ class _Model:
 
     Attributes
     ----------
+    data, terms : Readings, tuple of NamedTerm
+        Readings to fit, and effects in addition to the zero rates.
     names : tuple of str
         Names of the base parameters, then of the parameters of the terms.
     free : (p,) bool
@@ -445,7 +449,7 @@ class _Model:
 
     @property
     def lost(self) -> list[str]:
-        """Names, as in a result, of the parameters that the readings do not determine."""
+        """Names of the parameters that the readings do not determine, as a result reports them."""
         return [_stated_name(name) for name, free in zip(self.names, self.free, strict=True) if not free]
 
     def _determined(self, inflation: Mapping[str, float]) -> NDArray[np.bool_]:
@@ -504,8 +508,8 @@ def _covariance(fit: Fit, free: NDArray[np.bool_]) -> Floats:
 def _inflation(model: _Model) -> dict[str, tuple[float, float]]:
     """Return the factor on the noise variance of each gyro that explains its residual, with its dof.
 
-    The factor is 1 if the residual agrees with the measured noise. The degrees of freedom are those of the
-    factor.
+    The factor is 1 if the residual agrees with the measured noise. The second number are the factor's
+    degrees of freedom.
     """
     data, fit = model.data, model.fit
     out = {}

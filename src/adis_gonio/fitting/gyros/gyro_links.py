@@ -38,12 +38,13 @@ if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 
 SHEET_GAIN = 0.02
-"""Largest relative error of a gyro's scale factor (data sheet: sensitivity ±2 %)."""
+"""Largest relative error of a gyro's scale factor (ADIS16350 data sheet: sensitivity ±2 %)."""
 SHEET_FRAME_DEG = 0.5
-"""Largest angle between a triad and the package, for gyros and accelerometers (data sheet)."""
+"""Largest angle in degrees between a triad and the package, for gyros and accelerometers (ADIS16350 data
+sheet)."""
 SHEET_ASYMMETRY = 0.002
-"""Largest relative change of a gyro's gain with the sign of the rate (data sheet: nonlinearity ±0.2 % of
-full scale)."""
+"""Largest relative change of a gyro's gain with the sign of the rate (ADIS16350 data sheet: nonlinearity
+±0.2 % of full scale)."""
 UNKNOWN_GAIN, UNKNOWN_MISALIGNMENT_DEG, UNKNOWN_G_DPS = 0.05, 2.0, 0.1
 """Standard uncertainties of gain, misalignment and g-sensitivity (°/s/g) of gyros without a data sheet:
 estimates (D)."""

@@ -320,7 +320,7 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
 
 
 def _consecutive(turns: Sequence[Turn]) -> dict[int, int]:
-    """Return the number of whole turns in a row of which each turn is one, by the dwell in which it ends.
+    """Return, by the dwell in which a turn ends, the number of whole turns in the row it belongs to.
 
     Whole turns in a row have no other move between them and share the error of the direction of their axis.
     """
@@ -427,7 +427,8 @@ def _declared(
 ) -> turn_integration.Reference | str:
     """Return the true rotation by a declared angle about the vertical, or why it is unknown.
 
-    `delay_s` is the delay of the sensor's filter, `consecutive` the number of whole turns in a row.
+    `declared_deg` is the angle, `delay_s` the delay of the sensor's filter, and `consecutive` the number of
+    whole turns in a row.
     """
     steady, covariance = turn_integration.steady_force(
         path, integral.begin_s + delay_s, integral.end_s + delay_s
@@ -510,9 +511,9 @@ def readings_of_intervals(
 ) -> Readings:
     """Convert intervals of rates to readings, the input of `fit` and `trace`.
 
-    The covariance of a reading is the covariance of the interval, plus the covariance of the true
-    rotation, plus its independent part of the 1/f noise. `Readings.slow` has the modes that intervals
-    share.
+    `sensor` is the name of the variant, `gravity_mg` local gravity. The covariance of a reading is the
+    covariance of the interval, plus the covariance of the true rotation, plus its independent part of the
+    1/f noise. `Readings.slow` has the modes that intervals share.
     """
     n = len(intervals)
     own, slow = intervals.drift()

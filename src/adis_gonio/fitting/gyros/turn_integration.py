@@ -358,7 +358,7 @@ def _trapezoid_weights(time_s: Floats) -> Floats:
 
 
 def smooth_blocks(rate: Floats, window: int) -> Floats:
-    """Replace each sample by the mean of its block of `window` samples.
+    """Replace each sample of `rate` (n, 3) by the mean of its block of `window` samples.
 
     Without this, noise around zero would add to a mean of absolute rates.
     """
@@ -691,6 +691,8 @@ def reference_as_declared(
 
 def steady_force(path: Path, begin_s: float, end_s: float) -> tuple[Floats, Floats]:
     """Return the constant component of the accelerometers' reading during a turn about one axis.
+
+    The turn is the part of `path` from `begin_s` to `end_s`, in its times.
 
     Returns
     -------

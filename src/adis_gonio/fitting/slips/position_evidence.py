@@ -217,7 +217,8 @@ class Weighed:
     none : float
         ln of the probability that there is no further fault, not normalized.
     named : mapping of (int, Name) to float
-        The same logarithm for each pair of a fault, by its index, and one of its possible names.
+        Logarithm of such a probability for each pair of a fault, by its index, and one of its possible
+        names.
     scatter : ScatterPoint
         Most probable assumption on the ordinary errors, under the most probable fault or none.
     """

@@ -201,14 +201,15 @@ class Angles:
 
 
 GAIN = 0.02
-"""Prior standard deviation of the relative error of an accelerometer's scale factor (data sheet, B: ±2
-%)."""
+"""Prior standard deviation of the relative error of an accelerometer's scale factor (ADIS16350 data sheet,
+B: ±2 %)."""
 SKEW_RAD = math.radians(0.75)
-"""Prior standard deviation of the misalignment Δφ, in rad (data sheet, B: ±0.25° and ±0.5°)."""
+"""Prior standard deviation of the misalignment Δφ, in rad (ADIS16350 data sheet, B: ±0.25° and ±0.5°)."""
 GYRO_GAIN = 0.01
 """Prior standard deviation of the relative error of a gyro's gain (D: no data sheet states it)."""
 GYRO_FORCE_RAD = math.radians(0.1)
-"""Prior standard deviation of a gyro's g-sensitivity in rad/s/g: twice the data sheet's 0.05 °/s/g (B)."""
+"""Prior standard deviation of a gyro's g-sensitivity in rad/s/g: twice the 0.05 °/s/g of the ADIS16350 data
+sheet (B)."""
 TYPICAL = 3.0
 """Prior standard deviation of an effect that may be present, in units of its typical size in the
 catalogue."""
@@ -576,6 +577,8 @@ class Pattern:
         Error of each position for a size of 1, if one size is free; otherwise 0.
     amplitude : float
         Size of the fault that is already in `error_rad`.
+    zero_rad : float
+        Start angle α if the positions have these errors.
     names : mapping of Name to (float, AmplitudePrior or None)
         ln of the prior of each possible name, and the prior of the size; None without a free size.
     """
@@ -707,7 +710,8 @@ def _gyro(rows: Rows, zero: float) -> Iterator[Pattern]:
 def _any_size(estimate: Floats, u: Floats) -> Floats:
     """Return the log evidence of a slip of unknown size, from its estimated size and u in rad.
 
-    Each order of magnitude of the slip is equally probable, up to half a turn.
+    `estimate` and `u` (g,) are for g cases. Each order of magnitude of the slip is equally probable, up to
+    half a turn.
     """
     # Density 1/size up to half a turn, constant below the least slip.
     size = np.maximum(np.maximum(np.abs(wrap_radians(estimate)), u), LEAST_SLIP_RAD)
@@ -726,7 +730,8 @@ def _slip_after_rests(halts: Halts, estimate: Floats, u: Floats) -> Floats:
 def _typing_error(listed_rad: Floats, declared_deg: float, estimate: Floats, u: Floats) -> Floats:
     """Return the log evidence of a wrongly typed angle, from the estimated error and its u in rad.
 
-    The intended angle is one of the declared angle plus `listed_rad`, a whole degree, or any angle.
+    `estimate` and `u` (g,) are for g cases. The intended angle is `declared_deg` plus one of the possible
+    errors `listed_rad`, a whole degree, or any angle.
     """
     spread = u * math.sqrt(2 * math.pi)
     # Mean over the list of Gaussians around each possible entry.

@@ -452,7 +452,11 @@ class _Account:
         return error, u
 
     def finding(self, k: int, name: Name, probability: float, names: tuple[Named, ...]) -> PositionFinding:
-        """Return the finding for the position with index k: its error and its possible causes."""
+        """Return the finding for the position with index k: its error and its possible causes.
+
+        `probability` is the probability of a fault there, `name` the most probable cause, and `names` are
+        all probable causes.
+        """
         declared = _degrees(self.rows.declared_rad[k])
         gravity, gyro = self._gravity(k), self._gyro(k)
         actual = _weighted_mean([gravity, gyro])
@@ -484,9 +488,9 @@ class _Account:
     def _intended(self, k: int, name: Name, declared: float, actual: Angle) -> float | None:
         """Return the angle in degrees that the operator probably meant to enter; None if unknown.
 
-        `actual` is the estimated error of the declared angle. For swapped positions the result is the
-        declared angle of the other position. For a typing error it is the nearest angle on the list of
-        usual angles, else a whole degree.
+        The position has the index k, and `actual` is the estimated error of the declared angle. For swapped
+        positions the result is the declared angle of the other position. For a typing error it is the
+        nearest angle on the list of usual angles, else a whole degree.
         """
         if name == "swapped":
             other = next(j for j in self.pattern.dwells if j != k)
@@ -689,7 +693,7 @@ def _sampling(session: Session, dwells: Sequence[Dwell]) -> tuple[turn_integrati
 def _density(session: Session, dwells: Sequence[Dwell], period_s: float) -> Floats:
     """Return the spectral density (3, 3) of the gyro noise at frequency zero, per sample, in (°/s)².
 
-    It is estimated from the scatter of block means within dwells.
+    `period_s` is the time between samples. It is estimated from the scatter of block means within dwells.
     """
     block = max(1, round(BLOCK_S / period_s)) if period_s > 0 else 1
     squares, count = np.zeros((3, 3)), 0
