@@ -1,8 +1,7 @@
 """Calibrations: their coefficients with covariance, and readings converted to gravity and angle.
 
-Parameters with their covariance: the common base of accelerometer and gyro calibrations.
-
-`Calibration`: converts readings to gravity and angle with the parameters of a fit or a trace.
+`Coefficients` is the common base of accelerometer and gyro calibrations. `Calibration` converts readings
+to gravity and angle with the parameters of a fit or a trace.
 
 In the convention of `model.measurement` a reading is U = diag(K) D g + b + Σ effects(diag(K) D g). Here
 this equation is solved for g. Effects are small against the reading, so the fixed-point iteration a ← U − b
@@ -84,7 +83,7 @@ class Coefficient(JsonRecord):
 
 @dataclass(frozen=True)
 class NotCorrected:
-    """An effect that was found but that a calibration cannot correct, with the reason."""
+    """An effect of the catalogue that was found but that a calibration cannot correct, with the reason."""
 
     effect: str
     reason: str
@@ -167,7 +166,9 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
         raise DataError(f"{path}: is not this kind of calibration; fit a session by adis_gonio.fit")
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
-        """Write it as JSON (`schema/calibration-1.json`); `load` gives exactly the same numbers.
+        """Write the calibration as JSON (`schema/calibration-1.json`); `load` gives equal numbers.
+
+        `force` replaces an existing file.
 
         Raises
         ------
@@ -414,7 +415,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
 
     @property
     def axes(self) -> int:
-        """Number of accelerometer axes in use: 2 in the plane, 3 in space."""
+        """Number of accelerometer axes that the calibration uses: 2 in the plane, 3 in space."""
         return 2 if self.planar else 3
 
     @property
@@ -678,13 +679,13 @@ class Calibration(Coefficients, eq=False, kw_only=True):
     def for_registers(
         self, offsets_lsb: Sequence[int] | None, gyro_offsets_lsb: Sequence[int] | None
     ) -> Calibration:
-        """Return the calibration for readings taken while the offset registers held these numbers.
+        """Return the calibration for readings taken while the offset registers had these contents.
 
         Parameters
         ----------
         offsets_lsb, gyro_offsets_lsb : three int or None
-            XACCL_OFF … and XGYRO_OFF …, in LSB. The calibration of the accelerometers or of the gyros is
-            returned unchanged if its numbers are None, or if its own offsets are unknown.
+            Contents of XACCL_OFF … and XGYRO_OFF …, in LSB. The calibration of the accelerometers or of the
+            gyros is returned unchanged if its contents are None, or if its own offsets are unknown.
         """
         moved = self
         if offsets_lsb is not None and self.provenance.offsets_lsb is not None:

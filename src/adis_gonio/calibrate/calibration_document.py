@@ -206,7 +206,8 @@ def matrix_of(covariance: Mapping[str, Any], names: list[str]) -> Floats:
     Raises
     ------
     ValueError
-        Names or size differ, the matrix is not symmetric, or a variance is negative.
+        The names in `covariance` differ from `names`, the size is wrong, the matrix is not symmetric, or a
+        variance is negative.
     """
     if covariance["names"] != names:
         raise ValueError("the names of the covariance differ from the names of the parameters")

@@ -66,7 +66,7 @@ class Answer:
         result : FitResult
             Result of any method.
         own : bool
-            Show this result, otherwise the recommended one.
+            True to show `result`, False to show the recommended result of the session.
         """
         comparison = result.comparison
         if comparison is None:
@@ -102,7 +102,7 @@ class Answer:
         return self.result.method != self.recommended.method
 
     def _angle(self) -> dict[str, Value]:
-        """Entry `angle` of `values`, the error of the calibrated angle; empty without declared angles."""
+        """Entry `angle` of `values`, the error of the calibrated angle; empty in space."""
         return {} if self.result.angle is None else {"angle": self.result.angle}
 
     def error_curves(self) -> tuple[ErrorCurve | None, ErrorCurve]:
@@ -138,7 +138,7 @@ class Answer:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Warning to print first if the model does not describe the session; otherwise empty."""
+        """Warning to print first if the residual is larger than the measured noise; otherwise empty."""
         return self.result.doubts
 
     @property
@@ -148,7 +148,7 @@ class Answer:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Sentences on the main results, such as the temperature at which they are valid."""
+        """Sentences on the main results, such as the temperature at which they are valid; often none."""
         temperature = self.reference_temperature_c
         if temperature is None or {"delta_k", "delta_phi"} & set(self.values):
             return ()

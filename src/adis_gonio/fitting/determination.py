@@ -23,9 +23,11 @@ from adis_gonio.model.effects import AXES
 from adis_gonio.model.measurement import SENSOR_SPREAD
 
 LIMIT = 0.1
-"""Largest standard uncertainty of a gain (of 1) and a bias (of local gravity) that counts as determined. At
-0.1 terms of second order are a tenth of the first-order terms. Above it neither the value nor a linearised
-uncertainty is meaningful, and a bias within 100 mg or a gain within 10 % is known without a measurement."""
+"""Largest standard uncertainty with which a gain (1 is perfect) or a bias (as a share of local gravity)
+counts as determined. At 0.1 terms of second order are a tenth of the first-order terms. Above it neither
+the value nor a linearised uncertainty is meaningful, and a bias within 100 mg or a gain within 10 % is
+known without a measurement.
+"""
 ANYWHERE_RAD = math.pi / math.sqrt(3)
 """Largest standard uncertainty (rad) of the start angle that counts as determined: the standard deviation
 of an angle that may be anywhere on a turn. Turning the whole part in its fixture changes no reading, so the
@@ -65,12 +67,12 @@ class Determination:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all parameters."""
+        """Names of all parameters: base parameters, then biases."""
         return names_of(self.fit.data)
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom of the residual of the fit."""
+        """Degrees of freedom of the residual of the fit: equations minus determined parameters."""
         return int(self.fit.equations - self.free.sum() + self.null.shape[1])
 
     @property
@@ -83,9 +85,9 @@ class Determination:
         return replace(self, fit=replace(self.fit, data=data))
 
     def determined_by(self, fit: Fit) -> bool:
-        """True if the readings of `fit` determine at least as many parameters as the original readings.
+        """Return True if the readings of `fit` determine at least as many parameters as these readings.
 
-        Combinations of parameters count like parameters.
+        A combination of parameters counts as a parameter.
         """
         return bool(_null_space(fit, self.free).shape[1] <= self.null.shape[1])
 

@@ -38,10 +38,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter: value, standard uncertainty (None if the noise is unknown), unit, degrees of freedom.
+    """A parameter of a result: name, value, standard uncertainty, unit, degrees of freedom.
 
-    `u` is the GUM's standard uncertainty, `dof` its effective degrees of freedom (inf if unlimited). The
-    expanded uncertainty for 95 % is `U` = `k`·`u` with Student's quantile k.
+    `u` is the GUM's standard uncertainty (None if the noise is unknown), `dof` its effective degrees of
+    freedom (inf if unlimited). The expanded uncertainty for 95 % is `U` = `k`·`u` with Student's quantile
+    k.
     """
 
     name: str

@@ -1,7 +1,6 @@
-"""The free turn: samples of a slow turn by hand, and the estimate of all parameters from them.
+"""The free turn: angle and calibration from one slow continuous turn without declared angles.
 
-Angle and calibration from one continuous turn: a batch estimate over the whole recording.
-
+All parameters are estimated together from the samples of the whole recording.
 Unknown are the angle ψ_k of gravity to X at the centre of each window, and common parameters:
 
     U_x = K_x G ⟨cos ψ⟩ + b_x + d_x(t) + l_x ω² + l_y ω'
@@ -21,8 +20,6 @@ Windows are Hann windows that overlap by half. Their weights add up to a constan
 lost, and motion faster than their hop (tremor at 8 to 12 Hz) hardly changes a mean. The noise of the
 means is then noise of low frequencies, which the parameters follow. White noise correlates neighbours by
 1/6; `LONG_RUN` is the resulting factor on the variance of slow parameters.
-
-One slow continuous turn without declared angles: angle and calibration from gyro and gravity.
 
 `fit` of such a recording returns a `FitResult`. The checks here state the conditions of the estimate, and a
 message says what to do if the turn does not meet them.
@@ -171,7 +168,7 @@ LEVER_MM = 100.0
 """Prior standard deviation of each component of the distance between the sensor and the axis of the turn,
 in mm (D)."""
 GYRO_GAIN = 0.05
-"""Prior standard deviation of the gyro's scale factor; the prior mean is 1 (D)."""
+"""Prior standard deviation of the gyro's scale factor, of which the prior mean is 1 (D)."""
 G_SENSITIVITY_DPS = 0.2
 """Prior standard deviation of the gyro's sensitivity to acceleration, in °/s/g (the ADIS16350 data sheet
 states 0.05, B)."""
@@ -186,12 +183,14 @@ window."""
 MOST_DRIFTS = 80
 GYRO_DRIFTS = 12
 STRETCH_S = 3.0
-"""Length of the stretches, in s, within which the accelerometers' noise counts as constant."""
+"""Length in s of the stretches of a recording, within each of which the accelerometers' noise counts as
+constant.
+"""
 STATED_DOF = 8.0
 """Degrees of freedom given to a variance that is not estimated from enough data: the stated variance of a
 drift, or the variance of the whole recording as prior of a stretch."""
 _MG_PER_MM = 1.0 / STANDARD_GRAVITY_MPS2
-"""Acceleration in mg at a distance of 1 mm from the axis for a squared rate of 1 (rad/s)²."""
+"""Acceleration in mg at a distance of 1 mm from the axis of a turn with a rate of 1 rad/s."""
 _GAP_RATE = 0.5
 """Standard deviation, in rad/s, of the unknown rate while samples are missing."""
 _MOST_ROUNDS = 40
@@ -735,7 +734,7 @@ UNSEEN = (
 """Statements on quantities that no free turn determines."""
 
 SOURCES = ("noise of the accelerometers", "noise of the gyro", "drift of the biases", "stated before")
-"""Causes of the uncertainty, in the order of `Solution.parts`."""
+"""Names of the causes of the uncertainty, in the order of `Solution.parts`."""
 
 
 class FreeTurnResult(FitResult):

@@ -33,7 +33,9 @@ if TYPE_CHECKING:
 
 Refused = tuple[int, int, str]
 LEAST_POSES = 3
-"""Fewest poses for a fit with links: two turns give four equations for nine parameters and the gyros'."""
+"""Fewest poses for a fit with links: two turns give four equations for nine parameters of the
+accelerometers and for the parameters of the gyros.
+"""
 MOST_LEFT_OUT = 0.25
 """Largest share of links that may be removed; if more disagree, the gyros as a whole are wrong."""
 FAR_RAD, FAR_SHARE = math.radians(10.0), 0.1

@@ -28,7 +28,7 @@ BEYOND = 3.0
 """Threshold on the difference of two methods' mean squared errors over the same dwells, in standard errors
 of this difference. Above it one method predicts better."""
 ALIKE = 0.01
-"""Relative difference below which two uncertainties count as equal."""
+"""Relative difference of two methods' uncertainties below which they count as equal."""
 
 
 class Recommendation(JsonRecord):

@@ -1,16 +1,13 @@
-"""The methods of fit, and the closed forms among them.
+"""Methods of a fit by name (`METHOD_TABLE`, `fit`), and the four that are closed forms.
 
-Methods `paper`, `two-position`, `four-position` and `mmpm`.
-
-All but `paper` are one linear fit an axis: by the theorem of addition
+The closed forms are `paper`, `two-position`, `four-position` and `mmpm`. All but `paper` are one linear fit
+for each axis: by the theorem of addition
 U_x = A_x cos θ + B_x sin θ + b_x with A_x = K_x G cos α, B_x = K_x G sin α, and
 U_y = A_y cos θ + B_y sin θ + b_y with A_y = K_y G sin(α + Δφ), B_y = −K_y G cos(α + Δφ).
 With 0° and 90° and no bias this is the closed form Δφ = atan2(U_y1, −U_y2) − atan2(U_x2, U_x1); with
 0/90/180/270° it takes the differences of opposite positions, free of bias; with nine or more it is the
 least squares with declared angles (MMPM, which trusts them). Its covariance propagates the noise of the
 readings and the fixture's uncertainty alike, although the fit itself gives no weight to either.
-
-Fitting methods by name: the table `METHOD_TABLE`, and `fit`, which runs one of them.
 """
 
 from __future__ import annotations
@@ -58,13 +55,15 @@ ALPHA, SCALE_X, SCALE_Y, DELTA_PHI, BIAS_X, BIAS_Y = range(6)
 gravity."""
 
 TOLERANCE_DEG = 0.5
-"""Declared angles this near to 0, 90, 180 or 270° (modulo 360°) count as that position."""
+"""Largest difference, in degrees, between a declared angle and 0, 90, 180 or 270° (modulo 360°) at which
+the dwell counts as that position.
+"""
 
 TWO, FOUR = (0, 90), (0, 90, 180, 270)
 """Declared angles in degrees that the methods `two-position` and `four-position` use."""
 
 LEAST_MMPM = 9
-"""Fewest positions of `mmpm`, by its definition."""
+"""Fewest positions with a declared angle for the method `mmpm`, by its definition."""
 
 _FAR_FROM_POLE = 0.5
 """Value of |cos(2α + Δφ)| above which the pole of equation 12 at 45° is not the reason why method `paper`
@@ -116,9 +115,9 @@ def fit_mmpm(readings: Readings) -> FitResult:
     Raises
     ------
     FitError
-        If fewer than nine dwells have a declared angle.
+        Fewer than nine dwells have a declared angle.
     SingularError
-        They are at fewer than three different angles.
+        The dwells are at fewer than three different angles.
     """
     rows = np.flatnonzero(np.isfinite(readings.angle_rad))
     if len(rows) < LEAST_MMPM:

@@ -103,7 +103,10 @@ class MonteCarlo(JsonRecord):
 
     @property
     def remarks(self) -> list[str]:
-        """Sentences on differences between Monte Carlo and linear propagation, and on failed trials."""
+        """Sentences on differences between Monte Carlo and linear propagation, and on failed trials.
+
+        Without any, one sentence states that both agree.
+        """
         remarks = [f"{p.name}: {p.why}" for p in self.parameters if p.why]
         if self.failed:
             remarks.append(f"{self.failed} trials gave no result and were left out")

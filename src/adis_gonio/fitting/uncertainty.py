@@ -43,12 +43,15 @@ Kind = Literal["A", "B"]
 REPEATABILITY, FLICKER, FIXTURE = "repeatability", "1/f noise", "fixture"
 GRAVITY, QUANTIZATION, TEMPERATURE, MODEL = "gravity", "quantization", "temperature", "model choice"
 LINKS = "gyro links"
-"""Name of the additional source in a fit in space that uses the gyros' turns between poses."""
+"""Name of the source of uncertainty that a fit in space has in addition if it uses turns measured by the
+gyros.
+"""
 SOURCES = (REPEATABILITY, FLICKER, FIXTURE, GRAVITY, QUANTIZATION, TEMPERATURE, MODEL)
 
 GRAVITY_HALF_MPS2 = 0.027
-"""Half the range of gravity on the surface of the Earth (9.780 to 9.834 m/s²), a rectangular
-distribution."""
+"""Half the range of gravity on the surface of the Earth (9.780 to 9.834 m/s²), in which local gravity has a
+rectangular distribution.
+"""
 _POOLED, _RESIDUAL, _FIXTURE, _UNSTATED, _EACH = 0, 3, 4, 5, 6
 """Numbers of the estimates that variances come from: samples of all dwells together (+ axis), the residual,
 the scatter of the angles, the scatter of readings without a stated noise, the samples of one dwell (+ 3 n +

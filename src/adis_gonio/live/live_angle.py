@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration
 
 EVERY_S = 0.1
-"""Default time between two readings of the angle, which a person can follow."""
+"""Default time in s between two readings of the angle, slow enough for a person to follow."""
 
 
 @dataclass(frozen=True)

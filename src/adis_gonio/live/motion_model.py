@@ -1,7 +1,6 @@
-"""Time steps of samples, and the model of the motion between them.
+"""Time steps of samples, and the linear model of the angle in motion.
 
-Group samples into time steps: means of a few samples, and the turn by the gyros between two steps.
-
+**Time steps.** A step has the means of a few samples, and the turn by the gyros since the step before.
 Within a step, the accelerations are rotated to the middle of the step by the turn that the gyros measured,
 so that motion does not blur their mean. The chip's filter delays gyros and accelerometers equally: the
 integral of filtered rates is the filtered angle, and both belong to a time before the sample by the delay
@@ -186,12 +185,12 @@ class Sensing:
 
     @property
     def step_noise_mg2(self) -> float:
-        """Variance in mg² of the mean acceleration of a time step by white noise."""
+        """Variance in mg² that white noise gives the mean acceleration of a time step."""
         return self.noise_mg**2 / self.step_samples
 
     @property
     def angle_walk_deg2_per_s(self) -> float:
-        """Growth of the angle's variance by the gyro's white noise, in degrees² per second."""
+        """Variance that the gyro's white noise adds to the angle, in degrees² per second."""
         return self.gyro_noise_dps**2 * self.period_s
 
 
@@ -364,7 +363,7 @@ class Disturbance:
     coloured_mg2 : float
         Variance of the autoregressive process.
     first, second : float
-        Coefficients of the process for the steps one and two before.
+        Coefficients by which the process depends on its values one and two steps before.
     drive_mg2 : float
         Variance of the innovations of the process.
     """
@@ -564,7 +563,7 @@ def smooth_lagged(state: StateEstimate, later: Sequence[Passed]) -> StateEstimat
 
 
 class _Adjoint:
-    """Vector and matrix that carry the information from later observations back to earlier states."""
+    """Vector and matrix that carry the information of later observations back to earlier states."""
 
     def __init__(self, size: int) -> None:
         self._vector, self._matrix = np.zeros(size), np.zeros((size, size))

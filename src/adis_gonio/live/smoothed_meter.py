@@ -1,18 +1,13 @@
-"""The smoothed angle of a running sensor.
-
-The angle of the sensor as samples arrive, from gyros and gravity, by a smoother with a fixed lag.
+"""The angle of a moving sensor as samples arrive, from gyros and gravity, by a smoother with a fixed lag.
 
 A Kalman filter runs over time steps of about 20 ms. The reported angle lags behind the newest sample and
 uses all samples up to it. For this the model of every step within the lag is computed again from the
-present estimate of the disturbance around it.
-`smooth` computes the angle of a whole recording with the same model. docs/theory.md explains the
-model.
+present estimate of the disturbance around it. `smooth` computes the angle of a whole recording with this
+model, which docs/theory.md explains.
 
-The smoothed angle of a running sensor, with an uncertainty that includes the calibration.
-
-Impossible values are reported and increase the uncertainty. They are a length of gravity at rest that
-contradicts the calibration, and a zero rate that the gyros' calibration excludes, such as with the file of
-another sensor.
+The uncertainty of the displayed angle includes the calibration. Impossible values are reported and increase
+the uncertainty. They are a length of gravity at rest that contradicts the calibration, and a zero rate that
+the gyros' calibration excludes, such as with the file of another sensor.
 """
 
 from __future__ import annotations
@@ -312,7 +307,7 @@ class AngleSmoother:
             self._done -= 1
 
     def _pass(self, state: StateEstimate) -> None:
-        """Advance the Kalman filter by the oldest waiting time step."""
+        """Advance the Kalman filter by the oldest waiting time step, from `state`."""
         passed = advance(state, self._step_of(self._done, state))
         self._state = self._doubt_calibration(passed.filtered)
         if self._kept is not None:

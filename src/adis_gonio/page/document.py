@@ -1,7 +1,6 @@
-"""A page of a result: sections, tables and figures as HTML that loads nothing.
+"""A page of a result: sections, tables and plots in one HTML document that loads nothing.
 
-Line and point plots as inline SVG, drawn by matplotlib.
-
+Plots of lines and points are inline SVG, drawn by matplotlib.
 Every series has its own shape or dash in addition to its colour, so that a page printed in black and white
 is readable. Colours are CSS variables with a fallback: the style sheet of a page adapts them to light and
 dark; a separate SVG uses the fallback on a transparent ground. Text remains text. Equal data give equal
@@ -12,8 +11,6 @@ apply to the whole page, its black does not follow a dark page, and every marker
 `inline_svg` makes an element of a page from it.
 
 Matplotlib is the extra `report`, imported when the first plot is drawn.
-
-Sections, tables and figures, and the self-contained HTML document made of them.
 """
 
 from __future__ import annotations
@@ -171,7 +168,7 @@ _MOST_MARKERS = 400
 """Largest number of points of a series with markers and error bars; more points are drawn as dots."""
 _MOST_POINTS = 2000
 _CHARACTER = 6.9
-"""Mean width of a character at the size of the labels, in units of the drawing."""
+"""Mean width of a character of a label, in points of the drawing."""
 _SETTINGS: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "adis-gonio",

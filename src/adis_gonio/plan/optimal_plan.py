@@ -1,9 +1,9 @@
-"""The best plan for a number of positions: criteria, search and text.
+"""The best plan for a number of positions, and the fewest positions for a tolerance.
 
-The search for a plan: candidate positions, criteria on the information matrix, exchange of positions.
+A search exchanges candidate positions to improve a criterion, computed from the information matrix.
 
-The information M (p, p) covers start angle, gains, Δφ and biases in natural units (1 rad, 1, local
-gravity), then of the amplitudes of the possible effects, each in its typical size on a bench, with the
+The information M (p, p) is on start angle, gains, Δφ and biases in natural units (1 rad, 1, local
+gravity), then on the amplitudes of the possible effects, each in its typical size on a bench, with the
 prior of `advice` (`TYPICALS` of them) about zero. V = M⁻¹ is the covariance, V_b its part of the base
 model.
 
@@ -22,8 +22,6 @@ Coordinate exchange (Meyer and Nachtsheim, Technometrics 37, 1995) after Fedorov
 takes the best position given the other dwells; then the dwells are exchanged in pairs, because the order
 matters for the shared noise and for changes with time. Two consecutive dwells never have the same angle,
 because a stage that was not turned repeats its error.
-
-The best plan for a number of positions, the fewest positions for a tolerance, and their text.
 """
 
 from __future__ import annotations
@@ -81,9 +79,9 @@ MEANING: dict[Best, str] = {
     "parameters": "generalised u of the parameters, (det V)^(1/2p) in natural units",
     "tell-apart": "least separation of a typical effect from all others, in standard uncertainties",
 }
-"""Meaning of `Criterion.figure`, for each criterion."""
+"""Quantity that each criterion of a search describes, as the user sees it (`Criterion.figure`)."""
 Choice = NDArray[np.intp]
-"""Index of a candidate position for each dwell, (n,)."""
+"""Plan as an array (n,): the index of a candidate position for each dwell."""
 _MEAN_WEIGHT = 0.01
 """Weight of the mean separation of the effects relative to the smallest separation, in the score
 `tell-apart`. The mean decides between plans with equal smallest separations."""
@@ -214,13 +212,13 @@ class Candidates:
 
     @property
     def precision(self) -> Floats:
-        """Inverse prior variance of each parameter, (p,)."""
+        """Inverse prior variance of each parameter, (p,), in its unit in `columns`."""
         precision = np.full(self.columns.shape[3], 1 / TYPICALS**2)
         precision[: self.base] = 1 / _LOOSE**2
         return precision
 
     def criterion(self, best: Best) -> Criterion:
-        """Return the named criterion for plans from these candidate positions."""
+        """Return the criterion named `best` for plans from these candidate positions."""
         return Criterion(best, self.base, self.gradient, self.precision)
 
     def _covariance(self, choice: Choice) -> Floats:
@@ -434,7 +432,7 @@ class _Climb:
         return bool((np.diff(self.ground.angle_deg[choice]) == 0).any())
 
     def from_(self, start: Choice) -> SearchResult:
-        """Improve a plan by exchanging positions and swapping dwells until its score no longer rises."""
+        """Return an improved plan: positions are exchanged and dwells swapped until the score stays."""
         found = SearchResult(start.copy(), self.score(start))
         for _ in range(_MOST_SWEEPS):
             before = found.score
@@ -444,7 +442,7 @@ class _Climb:
         return found
 
     def _exchange(self, found: SearchResult) -> SearchResult:
-        """Move each dwell in turn to the position that gives the plan the highest score."""
+        """Return a plan in which each dwell in turn moved to the position with the highest score."""
         choice, score = found.choice.copy(), found.score
         for dwell in self.rng.permutation(len(choice)).tolist():
             check()
@@ -460,7 +458,7 @@ class _Climb:
         return SearchResult(choice, score)
 
     def _swap(self, found: SearchResult) -> SearchResult:
-        """Swap the positions of pairs of dwells if this raises the score of the plan."""
+        """Return a plan in which pairs of dwells were swapped if this raised the score."""
         choice, score = found.choice.copy(), found.score
         pairs = np.array(list(itertools.combinations(range(len(choice)), 2)))
         for one, two in self.rng.permutation(pairs)[:_PAIRS].tolist():

@@ -67,7 +67,7 @@ _SURROUNDINGS = {
     "supply_v": "the supply",
     "variance_mg2": "vibration",
 }
-"""Conditions that no plan of positions sets."""
+"""Words for conditions that no plan of positions sets, by name of the condition."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ class Bench:
 
     @property
     def samples(self) -> int:
-        """Number of samples of a dwell."""
+        """Number of samples in a dwell."""
         return round(self.settings.dwell_s / sample_period_s(self.settings.smpl_prd))
 
     @property
@@ -155,7 +155,7 @@ class Bench:
 
     @property
     def each_s(self) -> float:
-        """Expected time in s for one position, before a session has measured it."""
+        """Expected time in s for one position, with turning and settling."""
         return expected_each_s(self.settle_s, self.settings.dwell_s)
 
     def begins_s(self, plan: Plan) -> Floats:
@@ -407,7 +407,13 @@ def predict(plan: Plan, bench: Bench) -> Prediction:
 
 
 def predict_uncertainty(plan: Plan, bench: Bench) -> PlanUncertainty:
-    """Predict the uncertainties of a calibration by this plan; raises the errors of `predict`."""
+    """Predict the uncertainties of a calibration by this plan.
+
+    Raises
+    ------
+    FitError
+        The plan has too few positions, or determines neither ΔK nor Δφ.
+    """
     offsets = np.random.default_rng(0).normal(0.0, bench.fixture_deg, (_STAGES, len(plan)))
     exact = _reach(fit_readings(expected_readings(plan, bench).training))
     if _agree(exact, _reach_off(plan, bench, offsets[0])):
@@ -416,7 +422,10 @@ def predict_uncertainty(plan: Plan, bench: Bench) -> PlanUncertainty:
 
 
 def _reach_off(plan: Plan, bench: Bench, off_deg: Floats) -> PlanUncertainty | None:
-    """Predict the uncertainties if stage angles are wrong by `off_deg` (n,); None if no fit succeeds."""
+    """Predict the uncertainties if stage angles are wrong by `off_deg` (n,).
+
+    None if the fit to such a session fails.
+    """
     try:
         return _reach(fit_readings(expected_readings(plan, bench, off_deg).training))
     except FitError:

@@ -44,7 +44,7 @@ from adis_gonio.model.records import Dwell, Session
 LEAST = 128
 """Smallest number of samples with which a record is used."""
 _GAP = 2.5
-"""Number of sample periods between two samples above which a record ends."""
+"""Time between two samples, in sample periods, above which a record ends."""
 _EVEN = 1.5
 _MANY_LOST = 1e-3
 _SHORT = 4
@@ -227,8 +227,9 @@ def _quick(size: int) -> int:
 
 MOST_M = 6
 _PASSED = 0.01
-"""Least |H|² of the chip's filter that is fitted: above that frequency, rounding and the ends of a
-record show."""
+"""Smallest squared gain |H|² of the chip's filter at which the spectrum is fitted: at higher frequencies
+rounding and the ends of a record disturb it.
+"""
 _FINE = 0.5
 """Ratio of the noise to the step of the converter above which rounding acts as additive noise."""
 _BANDS = ((0.04, 0.3), (0.3, 1.0))

@@ -73,7 +73,7 @@ class NoiseParameter:
 
     @property
     def present(self) -> bool:
-        """True if the data rule out that this noise process is absent."""
+        """True if a test of the hypothesis that this noise process is absent rejects it."""
         return self.profile.present
 
     @property

@@ -1,13 +1,19 @@
 """Noise processes of a part at rest, and the likelihood of their coefficients.
 
-Noise processes of IEEE Std 952-1997, Annex C, in a sampled and filtered record; its Allan deviation.
+The processes are defined in IEEE Std 952-1997, Annex C, in a sampled and filtered record.
 
-Coefficients are squared standard deviations, so every density is linear in them. T is the sampling period.
-The Allan variance at τ and the two-sided density at f of each process, for a squared coefficient of 1, are:
+Coefficients are squared standard deviations, so every density is linear in them. T is the sampling
+period. The Allan variance at τ and the two-sided density at f of each process, per squared coefficient,
+are:
 
-============== ================== ====================== process Allan variance density ==============
-================== ====================== quantization Q 3/τ² T (2πf)² white N 1/τ 1 flicker F 1 1/(4 ln 2 ·
-f) walk K τ/3 1/(2πf)² ============== ================== ======================
+==============  ==================  ======================
+process         Allan variance      density
+==============  ==================  ======================
+quantization Q  3/τ²                T (2πf)²
+white N         1/τ                 1
+flicker F       1                   1/(4 ln 2 · f)
+walk K          τ/3                 1/(2πf)²
+==============  ==================  ======================
 
 F is the floor of the Allan deviation, 0.664 times the standard's B. The likelihood works in the basis of
 the DCT-II without its first vector. In this basis white noise and a random walk of any mean are exactly
@@ -18,11 +24,10 @@ The variance of the Allan deviation follows from the fitted noise of the record 
 assumed kind: for Gaussian noise Var σ̂² = 2/M² Σ (M − |l|) R(l)², with R the autocovariance of the M
 overlapping differences, and the degrees of freedom are 2 (σ²)²/Var σ̂².
 
-Restricted maximum likelihood of the noise processes on the spectrum of a record at rest.
-
+The coefficients are fitted to the spectrum of a record at rest by restricted maximum likelihood.
 Sinusoids (a vibrating table, hum) are subtracted from the record first, and the ordinates around them are
-left out. The spectrum consists of DCT-II ordinates: the lowest ones individually, the higher ones as means
-of narrow bins.
+left out. The spectrum consists of DCT-II ordinates: the lowest ones individually, the higher ones as
+means of narrow bins.
 
 Ordinates are independent and normal with variances linear in the squared coefficients θ ≥ 0. The mean and
 the linear slope of each record are no noise. The likelihood therefore describes the part of the data
@@ -164,7 +169,7 @@ def _edge(k: Floats) -> Floats:
 
 
 LEAST_DIFFERENCES = 8
-"""Smallest number of differences of means from which an Allan deviation is computed."""
+"""Smallest number of differences between neighbouring means from which an Allan deviation is computed."""
 _EXACT = 512
 """Largest averaging time, in samples, at which the expected Allan variance is computed sample by sample
 with the filter; for longer times it is computed from means of several samples."""
@@ -457,7 +462,7 @@ class Ordinates:
 
     @property
     def columns(self) -> dict[str, Any]:
-        """All attributes with one row for each frequency bin, by name."""
+        """All attributes that have one row for each frequency bin, by name."""
         return {name: value for name, value in vars(self).items() if name != "lines"}
 
     def below(self, frequency: float) -> Ordinates:
@@ -626,7 +631,7 @@ class Profile:
 
     @property
     def present(self) -> bool:
-        """True if the p-value of the hypothesis that this noise process is absent is small."""
+        """True if a test of the hypothesis that this noise process is absent rejects it (`p_value`)."""
         return self.p_value < SLOW_NOISE
 
     @property

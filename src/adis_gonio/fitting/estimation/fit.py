@@ -124,7 +124,10 @@ class Fit:
 
     @cached_property
     def turn_rad(self) -> Floats:
-        """Angle (n,) in rad by which the stage has turned the sensor, including errors of the stage."""
+        """Angle (n,) in rad by which the stage has turned the sensor, including fitted errors of the stage.
+
+        The sign is opposite to the declared angle.
+        """
         turn = self.data.turn_rad
         for term, own in zip(self.terms, self.values.terms, strict=True):
             if term.enters_angle:
@@ -146,7 +149,7 @@ class Fit:
 
     @cached_property
     def predicted(self) -> Floats:
-        """Readings (n, axes) that the model predicts at the fitted attitudes."""
+        """Readings (n, axes) in mg that the model predicts at the fitted attitudes, with all terms."""
         return self._predicted(self.ideal)
 
     def _predicted(self, ideal: Floats) -> Floats:
@@ -164,7 +167,10 @@ class Fit:
 
     @cached_property
     def declared_misfit(self) -> Floats:
-        """Residual (n, axes) of each reading from its prediction at the declared angle (first order)."""
+        """Reading minus prediction (n, axes) at the declared angle instead of the fitted attitude, in mg.
+
+        It is computed to first order in the deviation of the angle.
+        """
         deviation = self.data.model.deviation_rad(self.values.attitude)
         return self.misfit + (self.tangent @ deviation[:, :, None])[:, :, 0]
 
@@ -259,7 +265,7 @@ class Fit:
         return self._without_shared(self._own(columns))
 
     def _own(self, columns: Floats) -> Floats:
-        """Convert columns of readings (n, axes, d) to whitened rows, ignoring noise that rows share."""
+        """Convert columns of readings (n, axes, d) to whitened rows, ignoring noise that dwells share."""
         whitened = self.white_by_dwell(columns)
         flat: Floats = whitened.reshape(whitened.shape[0] * whitened.shape[1], columns.shape[2])
         links = self.link_rows
@@ -404,12 +410,12 @@ class Fit:
 
     @property
     def chi2(self) -> float:
-        """Weighted sum of the squared residuals (χ²) of the readings."""
+        """Sum of the squared whitened residuals (χ²) of the readings, and of the links if there are any."""
         return float((self.residual**2).sum())
 
     @cached_property
     def equations(self) -> int:
-        """Number of equations that the readings give; the unknown angle of a dwell uses up one of them."""
+        """Number of equations that the readings give; an unknown angle of a dwell uses up one of them."""
         spare = (
             0 if self.data.free else int(np.isinf(self.data.fixture).sum()) * (self.data.model.freedom == 1)
         )
@@ -442,7 +448,7 @@ class Fit:
 
     @property
     def dof(self) -> float:
-        """Degrees of freedom of χ²: equations minus effective parameters."""
+        """Degrees of freedom of χ²: number of equations minus effective number of fitted parameters."""
         return self.equations - self.used
 
     # -- priors ------------------------------------------------------------------------------------

@@ -182,7 +182,10 @@ class LinkRows:
 
     @property
     def residual(self) -> Floats:
-        """Whitened misclosure (2 m,): gravity measured after each link minus gravity carried along it."""
+        """Whitened misclosure (2 m,): direction of gravity after each link minus gravity before it, turned.
+
+        The turn is the rotation of the link.
+        """
         return self.band.solved(self.misclosure.reshape(-1, 1))[:, 0]
 
     @property

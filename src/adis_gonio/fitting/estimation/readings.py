@@ -65,7 +65,7 @@ OFF_UNIT = 2.0
 """Factor by which the length of readings at rest may differ from 1 g. Beyond it the unit is wrong, because
 no gain of a sensor is so far from 1."""
 UNEQUAL = 0.5
-"""Relative distance of a reading's length from the median length that no bias explains."""
+"""Difference of a reading's length from the median length, as a share of it, that no bias explains."""
 
 
 @dataclass(frozen=True)
@@ -252,7 +252,7 @@ class Readings(ComputedOnce):
 
     @property
     def free(self) -> bool:
-        """True if attitudes are unknown and no declared angle restricts them."""
+        """True if the attitudes are unknown and no declared angle restricts them."""
         return self.model.freedom > 0 and bool(np.isinf(self.fixture).all())
 
     @property
@@ -267,7 +267,10 @@ class Readings(ComputedOnce):
 
     @cached_property
     def visible(self) -> NDArray[np.bool_]:
-        """Mask (p,) of the base parameters that are fitted; the others keep their nominal values."""
+        """Mask (p,) of the base parameters that are fitted; the others keep their nominal values.
+
+        It is `fitted`, if given, otherwise the parameters that these dwells determine.
+        """
         if self.fitted is not None:
             return self.fitted
         return self.model.visible(self.mean, np.isfinite(self.fixture))

@@ -51,8 +51,9 @@ _GAINS = (1.323, 2.773)
 """Gains in likelihood by one and by two further terms above which the terms are needed: 75 % quantiles of
 χ². The low quantiles prefer the narrower band in doubt."""
 _CHOICE_COST = 0.5
-"""Share of the degrees of freedom that remains after the data have chosen band and order (0.45 to 0.7 in
-simulations with the chip's filter)."""
+"""Factor on the degrees of freedom of the density because the data have chosen band and order (0.45 to 0.7
+in simulations with the chip's filter).
+"""
 _SLOPE = 32
 _FLICKER_POWER = (-1.5, -0.6)
 _CLEARLY = 2.0
@@ -99,10 +100,11 @@ class MeanNoise:
 
 @dataclass(frozen=True)
 class _Ordinates:
-    """Periodograms (spectra) of all dwells of equal length.
+    """Periodograms (spectra) of all `dwell` indices with an equal number `n` of samples.
 
     The lowest ordinates (values of a periodogram) are separate. Higher ones of a long dwell are joined into
-    bins of frequency, which never cross a limit between the bands of the fit.
+    bins of frequency, which never cross a limit between the bands of the fit. `weight` is the number of
+    ordinates of each bin.
     """
 
     dwell: NDArray[np.intp]
@@ -541,7 +543,10 @@ def _all_flicker(groups: list[_Ordinates]) -> Floats:
 
 
 def _reciprocal(level: Floats) -> Floats:
-    """Return 1/level for each dwell and axis; 0 for a level so small that it is only rounding error."""
+    """Return 1/level for each dwell and axis; 0 for a level that is only a rounding error.
+
+    `level` are noise densities.
+    """
     least = np.maximum(1e-9 * level.max(axis=tuple(range(level.ndim - 1))), 1e-300)
     return np.where(level > least, 1 / np.maximum(level, least), 0.0)
 

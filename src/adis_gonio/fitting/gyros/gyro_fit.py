@@ -54,7 +54,7 @@ DRIFTS = {
     "drift from dwell to dwell": effect("gyro_drift", AXES, steps=1),
     "warm-up": effect("gyro_warm_up", AXES),
 }
-"""Drifts of the zero rate that may imitate a g-sensitivity."""
+"""Drifts of the zero rate that may imitate a g-sensitivity, by the words for a message."""
 SCORED = ("drift with time", "drift from dwell to dwell")
 """Drifts that are tested by their prediction of left-out dwells. A warm-up is not linear; only a trace
 tests it."""
@@ -305,8 +305,8 @@ def fit_gyro(session: Session, accelerometers: Calibration | None = None) -> Gyr
     Parameters
     ----------
     accelerometers : Calibration, optional
-        Calibration of the accelerometers of the same sensor, for directions that the session does not
-        determine.
+        Calibration of the accelerometers of the session's sensor, for directions of gravity that the
+        session does not determine.
 
     Raises
     ------
@@ -642,7 +642,7 @@ def _warnings(data: Readings, model: _Model, inflation: dict[str, tuple[float, f
 
 
 def _kinds(names: Sequence[str]) -> list[str]:
-    """Shorten a list of parameter names: `gyro_misalignment_xy, xz` instead of two full names."""
+    """Return shortened parameter names: `gyro_misalignment_xy, xz` instead of two full names."""
     groups: dict[str, list[str]] = {}
     for name in names:
         stem, axes = name.rsplit("_", 1)

@@ -288,7 +288,7 @@ def gyro_links(session: Session, prior: GyroPrior | None = None) -> GyroLinks | 
     Parameters
     ----------
     prior : GyroPrior, optional
-        Prior knowledge of the gyros; by default their data sheet.
+        Prior of the gyros' parameters; by default from their data sheet.
     """
     if session.gyro_unit == "counts" or not any(dwell.gyro is not None for dwell in session.dwells):
         return None

@@ -193,12 +193,12 @@ class GyroDwells:
 
     @property
     def by_position(self) -> dict[int, int]:
-        """Row of each dwell by its number in the session."""
+        """Index of each dwell in `dwells`, by its number in the session."""
         return {dwell.position: k for k, dwell in enumerate(self.dwells)}
 
     @cached_property
     def mean_dps(self) -> Floats:
-        """Mean rate (n, 3) of each gyro in each dwell in °/s: its zero rate under the force there."""
+        """Mean reading (n, 3) of each gyro in each dwell in °/s: its zero rate under the force there."""
         return self.scale * np.array([row.mean(axis=0) for row in self.rows])
 
     @cached_property
@@ -215,7 +215,7 @@ class GyroDwells:
 
     @cached_property
     def spans_s(self) -> Floats:
-        """Begin and end (n, 2) of each dwell, with the filter's delay subtracted."""
+        """Begin and end (n, 2) of each dwell in s, with the filter's delay subtracted."""
         return np.column_stack(spans([dwell.time_s for dwell in self.dwells])) - self.sampling.delay_s
 
 

@@ -1,6 +1,4 @@
-"""Turns by the gyros: rates integrated from rest to rest, and angles that other sources give.
-
-Integrate the rates of the three gyros over a turn, from rest to rest, to its angle and attitude.
+"""Turns by the gyros: rates integrated from rest to rest, and the true rotation by other sources.
 
 The mean rate of a turn needs only the integral of the rates (`integrate`). The trapezoidal rule runs on the
 times of the samples, from the last sample of one dwell to the first sample of the next. The Bartlett filter
@@ -87,7 +85,7 @@ WINDOW_S = 0.1
 MOVING_DPS = 1.0
 """Mean rate of a window, in °/s, above which the sensor moves; at rest it is smaller in every attitude."""
 MOVING_NOISE = 6.0
-"""Mean rate of a window above which the sensor moves, in standard deviations of the mean."""
+"""Mean rate of a window, in standard deviations of its noise, above which the sensor moves."""
 SHIFTED_G = 0.01
 """Change of the accelerometers' reading, in g, above which the attitude has changed (0.6°)."""
 HELD_NOISE = 6.0
@@ -747,7 +745,7 @@ showed +57, −21, +46 mg. The default of 10 mg of simulated parts is an estimat
 UNKNOWN_ACCEL_GAIN = 0.02
 _NOMINAL = np.array([1.0] * 3 + [0.0] * 6)
 _NATURAL = np.array([1.0] * 3 + [math.pi / 180] * 3 + [1.0] * 3)
-"""Factors from the units of results to the units used here: skews from degrees to rad."""
+"""Factors from the units of results to the units of `Axes.values`: skews from degrees to rad."""
 _STEP = 0.01
 _NOT_CALIBRATED = (
     "the accelerometers' biases are not determined: u of the directions of axes includes them;"
@@ -865,7 +863,7 @@ class Triad:
 
 
 def triad_of(session: Session, calibration: Calibration | None = None) -> Triad:
-    """Calibrate the accelerometers of a session by a fit to this session, as far as it determines them.
+    """Return the accelerometers of a session, calibrated by a fit to it as far as it determines them.
 
     Parameters
     ----------

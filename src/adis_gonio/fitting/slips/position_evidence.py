@@ -32,7 +32,7 @@ ROUGH = (0.0, 0.001, 0.005)
 """Possible standard deviations of readings in addition to their noise, as a share of gravity."""
 ROUGH_PRIOR = (0.6, 0.3, 0.1)
 LARGER = (1.0, 8.0)
-"""Possible factors on the typical size of all effects of the catalogue."""
+"""Possible factors on the typical sizes of the catalogue's effects, common to all effects."""
 LARGER_PRIOR = (0.7, 0.3)
 WANDERS = ((math.radians(0.1), 0.0), (math.radians(0.5), 0.0), (0.0, 0.002))
 """Possible slow changes during a session: rotation of the part in its mount by the end (standard deviation
@@ -351,7 +351,7 @@ POWER = 0.99
 SIZES_DEG = np.geomspace(0.02, 90.0, 120)
 """Sizes in degrees of the simulated position errors, from which the smallest detectable one is chosen."""
 _DRAWN = 200
-"""Number of simulated sessions."""
+"""Number of simulated sessions for the smallest detectable error."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Linear model of the angles of a session, and all faults that positions may have.
 
-The angles are by gravity and by the gyro, against the declared angles.
+A fault is an error that makes the angle or the reading of a position wrong. The model compares the angles
+by gravity and by the gyro with the declared angles.
 
 ψ = α − φ is the angle of gravity to X. The part is at φ = θ + e, with declared angle θ and its error e.
 The rows are linear around a calibration of the session that is near the truth:
@@ -113,7 +114,7 @@ class Halts:
 
 
 def halts_of(path: Path, sampling: Sampling) -> Halts:
-    """Find the rests between the first and the last movement of a recorded turn about z."""
+    """Return the rests between the first and the last movement of a recorded turn about z."""
     rate = path.rate_dps[:, 2] - path.zero_dps[:, 2].mean()
     steps = np.diff(path.time_s, append=path.time_s[-1])
     means = (rate + np.append(rate[1:], rate[-1])) / 2
@@ -214,7 +215,7 @@ TYPICAL = 3.0
 """Prior standard deviation of an effect that may be present, in units of its typical size in the
 catalogue."""
 BASE = 5
-"""Number of calibration parameters: two scale factors, the misalignment, two biases."""
+"""Number of calibration parameters of the linear model: two scale factors, the misalignment, two biases."""
 _LOOKED_FOR = {"dwell", "cycles"}
 """Choices of catalogue effects that are left out of the model, because the faults describe them: an effect
 in one dwell, or with the cycles of the stage."""
@@ -317,7 +318,8 @@ def common_zero(angle_rad: Floats) -> float:
 class _Local:
     """Model of the readings, linearised at each reading.
 
-    Changes have components along and across the circle of readings.
+    `psi_rad` is the angle of gravity by each reading; `along` and `across` convert changes of a reading to
+    changes of the angle and of the length. `left_mg` is reading minus model.
     """
 
     psi_rad: Floats

@@ -1,6 +1,7 @@
-"""Diagnosis of wrong positions: reduce a session to angles, search for faults, report them.
+"""Find wrong positions of a session: reduce it to angles, search for faults, report them.
 
-The input are the declared angles of a session, its readings, and its gyro turns.
+A fault is an error that makes the angle or the reading of a position wrong, such as a slip of the part. The
+input are the declared angles of a session, its readings, and its gyro turns.
 """
 
 from __future__ import annotations
@@ -429,7 +430,7 @@ class _Account:
 
     @cached_property
     def posterior(self) -> tuple[Floats, Floats]:
-        """Posterior mean and covariance of the calibration parameters and the sizes of faults."""
+        """Posterior mean (p + q,) and covariance of the calibration parameters and the sizes of faults."""
         return _posterior(self.rows, self.accepted, self.scatter)
 
     @cached_property
