@@ -94,6 +94,8 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
 
     Attributes
     ----------
+    schema : str
+        Name of the document's format in its JSON entry `schema`.
     method : str
         Method that determined the parameters, such as `ml`, `trace` or `gyro`.
     parameters : tuple of Coefficient
@@ -364,9 +366,10 @@ class EffectTerm:
 
 @dataclass(frozen=True)
 class AngleReading:
-    """Angles (n,) in degrees, −180 to 180, and their standard uncertainties (n,), NaN if unknown.
+    """Angles `angle_deg` (n,), −180 to 180 degrees, and their standard uncertainties `u_deg` (n,).
 
-    One reading (axes,) gives arrays of zero dimensions, which can be used as numbers.
+    An unknown uncertainty is NaN. One reading (axes,) gives arrays of zero dimensions, which can be used as
+    numbers.
     """
 
     angle_deg: Floats

@@ -61,7 +61,10 @@ about 1."""
 
 @dataclass(frozen=True)
 class Rates:
-    """Rates of turn (n, 3) in °/s with their standard uncertainties (n, 3), which are NaN if unknown."""
+    """Rates of turn `rate_dps` (n, 3) in °/s and their standard uncertainties `u_dps` (n, 3).
+
+    An unknown uncertainty is NaN.
+    """
 
     rate_dps: Floats
     u_dps: Floats
@@ -69,7 +72,10 @@ class Rates:
 
 @dataclass(frozen=True)
 class _Values:
-    """Coefficients of the module's equation that gives gyro readings from rates; a row for each gyro."""
+    """Coefficients of the module's equation that gives gyro readings from rates; a row for each gyro.
+
+    They are the zero rate b, K D, G, G₂, (β, β₂, β₃), κ and s, in this order.
+    """
 
     bias: Floats
     sensitivity: Floats

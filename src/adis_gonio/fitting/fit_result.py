@@ -385,7 +385,10 @@ class FitResult(ParameterTable):
 
 @dataclass(frozen=True)
 class Output:
-    """A quantity that a result reports, with its derivative (p,) by the parameters in natural units."""
+    """A quantity that a result reports, with its derivative by the parameters in natural units.
+
+    `name`, `value` and `unit` are as reported; `gradient` (p,) is the derivative.
+    """
 
     name: str
     value: float

@@ -32,7 +32,7 @@ ALIKE = 0.01
 
 
 class Recommendation(JsonRecord):
-    """The recommended method, its effects beyond the base model, and the reason in one sentence.
+    """The recommended method, its effects beyond the base model, and the reason (`why`) in one sentence.
 
     Its JSON document is the value of `recommended` in a result.
     """
@@ -215,9 +215,10 @@ groups."""
 
 @dataclass(frozen=True)
 class DwellPrediction:
-    """Prediction errors of n dwells: of the angle (n,) in rad, and of the readings (n, r) in mg.
+    """Errors with which a method predicts n dwells; NaN if unknown.
 
-    There are r = 2 axes in the plane; in space r = 1, the error of the norm. An unknown error is NaN.
+    `angle_rad` (n,) are errors of the angle, `residual_mg` (n, r) of the readings. There are r = 2 axes in
+    the plane; in space r = 1, the error of the norm.
     """
 
     angle_rad: Floats

@@ -76,9 +76,9 @@ as a division by zero."""
 
 @dataclass(frozen=True)
 class _Linear:
-    """Result of a linear fit: natural parameters (6,), and their derivative (6, n, 2) by the readings.
+    """Result of a linear fit: natural parameters `beta` (6,), and their derivative by the readings.
 
-    `has_bias` is False if the biases were taken as zero.
+    The derivative is (6, n, 2). `has_bias` is False if the biases were taken as zero.
     """
 
     beta: Floats

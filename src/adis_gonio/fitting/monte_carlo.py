@@ -75,9 +75,10 @@ class Propagated:
 
 
 class MonteCarlo(JsonRecord):
-    """Result of a Monte Carlo propagation: number of trials, and each parameter's distribution.
+    """Result of a Monte Carlo propagation for a `method`: the distribution of each parameter.
 
-    `trials` gave a result and `failed` gave none. Its JSON document is the entry `monte_carlo` of a result.
+    `trials` is the number of trials with a result, `failed` of trials without one; `parameters` are the
+    results. Its JSON document is the entry `monte_carlo` of a result.
     """
 
     method: str

@@ -77,8 +77,8 @@ class NoiseAssumptions:
 class Settled:
     """A fit of base model and biases, and the noise that the session does not state, as estimated.
 
-    `chi2` and `dof` (χ² and its degrees of freedom) are computed with the measured noise: from the readings
-    with a known noise, if there are enough of them to test the model.
+    `determination` is the fit. `chi2` and `dof` (χ² and its degrees of freedom) are computed with the
+    measured noise: from the readings with a known noise, if there are enough of them to test the model.
     """
 
     determination: Determination

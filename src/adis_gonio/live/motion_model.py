@@ -346,8 +346,8 @@ START_MG = 20.0
 held in the hand."""
 SHOCK = 16.0
 """Ratio of the squared deviation of a step to the typical square in the span above which the step is a
-shock. Gaussian noise exceeds it once in nine million steps. A shock raises the variance of its own step
-only."""
+shock. Gaussian noise exceeds it once in nine million steps. A shock raises only the variance of this step.
+"""
 STATIONARY = 0.97
 _MEDIAN = 2 * math.log(2)
 

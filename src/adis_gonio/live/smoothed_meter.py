@@ -179,9 +179,9 @@ class SmoothedAngle:
 
 @dataclass(frozen=True)
 class Kept:
-    """A filtered time step that the live angle no longer needs, stored for `smooth`.
+    """A filtered time step (`passed`) that the live angle no longer needs, stored for `smooth`.
 
-    `drift_deg` is the standard deviation of its angle by slow 1/f noise.
+    `drift_deg` is the standard deviation of its angle by slow 1/f noise, `time_s` its time.
     """
 
     time_s: float

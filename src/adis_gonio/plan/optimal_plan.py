@@ -145,7 +145,8 @@ class Criterion:
     def _angle_variance(self, covariance: Floats) -> Floats:
         """Return the largest variance (k,) of the calibrated angle over the turn, in degrees².
 
-        The variance at a place with gradient g is gᵀ V g, with the covariance V of the base parameters.
+        The variance at an angle with the gradient g is gᵀ V g, with the covariance V of the base
+        parameters.
         """
         own = covariance[:, : self.base, : self.base]
         return np.asarray(np.einsum("mp,kpq,mq->km", self.gradient, own, self.gradient).max(axis=1))

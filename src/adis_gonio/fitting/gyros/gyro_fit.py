@@ -154,9 +154,10 @@ def alignment(parameters: Mapping[str, Value], covariance: Floats) -> dict[str, 
 
 @dataclass(frozen=True)
 class GyroScore:
-    """Errors with which one model predicts the dwells, in °/s by gyro axis: rms and largest.
+    """Errors with which one model predicts the dwells, in °/s by gyro axis.
 
-    Each dwell is predicted by a fit to all other dwells.
+    `rms_dps` has their root mean square and `max_dps` the largest size. Each dwell is predicted by a fit to
+    all other dwells.
     """
 
     rms_dps: dict[str, float]
@@ -200,6 +201,10 @@ class GyroFit(ParameterTable):
         residual agrees with the measured noise.
     reference_temperature_c : float or None
         Mean temperature of the fitted dwells; None if not recorded.
+    provenance, overrides : Provenance or None, mapping
+        Origin of the readings (None if no session was given), and values of its file that were overridden.
+    fit : Fit or None
+        The fitted model on its readings.
     scores : mapping of str to GyroScore
         Prediction errors of the models `zero rate`, `gyro` and `gyro` with a drift, on the same dwells,
         left out one by one.

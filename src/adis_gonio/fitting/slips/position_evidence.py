@@ -48,11 +48,11 @@ GYRO_FAILS = 0.01
 
 @dataclass(frozen=True)
 class ScatterPoint:
-    """One assumption on the ordinary errors of a session: their standard deviations, with ln of its prior.
+    """One assumption on the ordinary errors of a session: their standard deviations, with its prior.
 
     `position_rad` is of positions and `reading` of readings (share of gravity); `effects` is a factor on
     the typical size of the catalogue's effects. `turns_rad` and `drifts` are slow changes by the end of the
-    session.
+    session. `log_prior` is ln of the prior probability.
     """
 
     position_rad: float

@@ -61,7 +61,9 @@ NEAR_MARK, ASTRAY = 0.05, 0.1
 """Distance from the mark within which hands rest to correct themselves, and the farthest overshoot, both as
 a share of the move."""
 ORDINARY = (0.5, 0.45, 0.05)
-"""Shares of the rests in an ordinary move that are near its end, anywhere on its way, anywhere at all."""
+"""Shares of the rests in a move without a slip that are near its end, anywhere on its way, anywhere at
+all.
+"""
 REST_GAIN, LEAST_RAD = 0.02, math.radians(0.1)
 """Standard uncertainty of the angle from a rest to the end of a turn by a gyro: as a share of the angle,
 and its minimum in rad."""

@@ -416,7 +416,10 @@ def _set_of_names(
 
 @dataclass(frozen=True)
 class _Account:
-    """Computes the error of each position that one fault affects, given all accepted faults."""
+    """Computes the error of each position that one fault (`pattern`) affects, given all accepted faults.
+
+    `rows` are the linear model and `scatter` the standard deviations of the ordinary errors.
+    """
 
     position: Sequence[int]
     rows: Rows
