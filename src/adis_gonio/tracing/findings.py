@@ -225,8 +225,8 @@ def base_of(selection: Selection) -> dict[str, Value]:
     return out
 
 
-def zeros_of(selection: Selection, seen: Sequence[Finding] = ()) -> dict[str, Value]:
-    """Return the readings at zero acceleration that no finding states, for readings in counts.
+def zeros_of(selection: Selection) -> dict[str, Value]:
+    """Return the reading at zero acceleration of each axis, for readings in counts.
 
     An axis without a bias in the model is at the approximate zero that was used to convert the readings
     to mg. Its bias is fitted together with the other parameters. Empty if the zero of the unit is known.
@@ -255,9 +255,7 @@ def zeros_of(selection: Selection, seen: Sequence[Finding] = ()) -> dict[str, Va
         for place, parameter in enumerate(term.effect.parameters, start):
             u = float(np.sqrt(fit.covariance[place, place] * selection.inflation))
             stated[parameter.name] = Value(float(fit.values.parameters[place]), u, "mg", dof_of(selection))
-    zeros = in_units_of_file(Finding("bias", axes, stated, 1.0, 0.0, 1.0), data.unit).parameters
-    known = {name for finding in seen if finding.effect == "bias" for name in finding.parameters}
-    return {name: value for name, value in zeros.items() if name not in known}
+    return in_units_of_file(Finding("bias", axes, stated, 1.0, 0.0, 1.0), data.unit).parameters
 
 
 def in_units_of_file(finding: Finding, unit: Unit) -> Finding:

@@ -311,7 +311,9 @@ class TraceRun:
         """Turn accepted names into findings, reject weak findings, and test the model on `check` dwells."""
         final, noise_known = self.final, self.measured.noise_known
         judged = self.judged
-        findings = [finding_of(final, name, self.averaged, judged) for name in self.names.accepted]
+        # Counts have no zero of their own: their bias is a base parameter, and not a finding.
+        accepted = [n for n in self.names.accepted if n != "bias" or self.data.unit.known]
+        findings = [finding_of(final, name, self.averaged, judged) for name in accepted]
         places = credible_sets(judged, self.averaged)
         known = {term.name for term in self.terms}
         self.sets = tuple(
@@ -364,7 +366,7 @@ class TraceRun:
             lambda: advise(self.data, open_still, self.terms, self.names.confounded),
             nothing,
         )
-        zeros = zeros_of(final, seen)
+        zeros = zeros_of(final)
         part = self.measured.model.part
         return self._result(
             adequate=self.adequate and self.measured.noise_known,
