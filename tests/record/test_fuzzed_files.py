@@ -62,7 +62,7 @@ def test_strange_files_end_well_or_in_one_line():
     (*counts,) = map(int, done.stdout.splitlines()[-2].split()[1:])
     ok, told, noisy, *failures = counts
     assert (sum(counts), noisy, failures) == (20, 0, [0, 0, 0]), done.stdout
-    assert ok > 1  # files that are refused at once reach nothing
+    assert ok > 0  # files that are refused at once reach nothing
     assert told > 7
 
 

@@ -1,6 +1,6 @@
-"""The guided session and other work at the bench: bring-up, write-back, IIO as a source.
+"""Work at the bench: the guided session, bring-up of a board, write-back of offsets, IIO sensors.
 
-Names are imported when first used, so that the package itself costs nothing.
+A name is imported when it is first used, so that importing the package itself takes no time.
 """
 
 from __future__ import annotations

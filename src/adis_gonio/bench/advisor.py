@@ -1,9 +1,9 @@
 """Advisors, which propose the next positions to measure by the dwells so far.
 
 A runner asks its advisor whenever its plan is done. `TraceAdvisor` traces the session so far and asks for
-the positions that are expected to separate the remaining explanations. It ends when the model is adequate
-and no measurement would decide anything more, when further positions are not expected to help, or at a
-limit.
+the positions that are expected to separate the remaining explanations of the residual. It ends when the
+model is adequate and no measurement would decide anything more, when further positions are not expected to
+help, or at a limit.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from adis_gonio.tracing.trace_result import NextDwell, TraceResult
 
 MOST_EXTRA = 24
-"""Default limit of positions beyond the plan."""
+"""Default limit of the number of positions that an advisor adds to the plan."""
 FEW = 24
-"""With fewer dwells and an inadequate model, positions are proposed even if they may decide nothing."""
+"""Number of dwells below which an inadequate model gets positions even if they may decide nothing."""
 AT_ONCE = 4
-"""Limit of positions in one round; their results decide the next positions."""
+"""Largest number of positions in one round; their results decide the next positions."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,9 @@ class Advice:
     reasons : tuple of str
         Reasons for these positions, one sentence each.
     ended : str
-        Reason why no position is requested.
+        Reason why no position is proposed; empty if there are positions.
     summary : dict
-        JSON form of the result so far.
+        JSON form of the trace so far (see `summarise_trace`); empty if there is none.
     """
 
     positions: tuple[Position, ...]
@@ -62,7 +62,7 @@ class Advisor(Protocol):
         visited : int
             Number of positions that were requested before and accepted.
         reachable : callable
-            True for a position that can be visited.
+            Returns True for a position that can be visited.
         """
 
 
@@ -74,14 +74,14 @@ class TraceAdvisor:
     most : int
         Limit of positions beyond the plan.
     max_effects : int
-        See `adis_gonio.trace`.
+        Largest number of effects that the trace adds to the base model.
 
     Attributes
     ----------
     result : TraceResult or None
-        The last trace.
+        Result of the last trace; None before the first.
     dwells : int
-        Number of dwells in it.
+        Number of dwells in the last trace; 0 before the first.
     """
 
     def __init__(self, most: int = MOST_EXTRA, max_effects: int = 6) -> None:
@@ -91,7 +91,11 @@ class TraceAdvisor:
         self.dwells = 0
 
     def advise(self, session: Session, visited: int, reachable: Callable[[Position], bool]) -> Advice:
-        """Trace the session, and propose the measurements that the trace recommends."""
+        """Trace the session, and propose the measurements that the trace recommends.
+
+        `visited` is the number of positions that were requested before and accepted; `reachable` returns
+        True for a position that can be visited.
+        """
         from adis_gonio.tracing.advice import sentences
         from adis_gonio.tracing.proposals import LEAST_SEPARATION
         from adis_gonio.tracing.trace import trace
@@ -118,7 +122,7 @@ class TraceAdvisor:
 
 
 def summarise_trace(result: TraceResult, dwells: int) -> dict[str, Any]:
-    """JSON summary of a trace, for comparison with a trace after further positions."""
+    """Return a JSON summary of a trace of `dwells` dwells, to compare with a trace of more dwells."""
     return {
         "dwells": dwells,
         "adequate": result.adequate,
@@ -148,7 +152,11 @@ def _position(measurement: NextDwell) -> Position:
 def _reason_to_end(
     result: TraceResult, wanted: list[NextDwell], within: list[NextDwell], visited: int
 ) -> str:
-    """Reason why no further position is proposed."""
+    """Return the reason why no further position is proposed.
+
+    `wanted` are the useful measurements, `within` the reachable measurements among them, and `visited` is
+    the number of positions that were added so far.
+    """
     from adis_gonio.tracing.advice import sentences
 
     if within:
@@ -172,7 +180,10 @@ def _reason_to_end(
 
 
 def _open_names(result: TraceResult) -> str:
-    """Pairs of an effect of the model and the most probable known effect that could replace it, as text."""
+    """Return the pairs of effects that the session cannot tell apart, as text; empty if there are none.
+
+    A pair is an effect in the model and the most probable known effect that could replace it.
+    """
     from adis_gonio.model.effects import catalogue
 
     known = catalogue().keys() - {step.effect for step in result.steps}

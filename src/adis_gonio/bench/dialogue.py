@@ -22,19 +22,20 @@ from adis_gonio.record.blocks import Block, join
 T = TypeVar("T")
 
 PAUSE_STEP_S = 0.1
-"""Time between two checks for remarks during a pause, on the wall clock."""
+"""Time in s between two checks for remarks during a pause, on the wall clock."""
 
 KEPT_S = 120.0
-"""If turns are recorded, the scans of this many last seconds of a question are kept.
+"""Length in s of the newest scans of a question that are kept if turns are recorded.
 
-This is enough for a turn and the rests before and after it."""
+It is enough for a turn and the rests before and after it.
+"""
 
 WAIT_STEP_S = 1.0
-"""Time between two checks of the clock and the operator during a wait."""
+"""Time in s between two checks of the clock and the operator during a wait."""
 
 
 class Reply(StrEnum):
-    """Possible answers of the operator to a question."""
+    """Answers that the operator may give to a question."""
 
     CONFIRM = "confirm"
     SKIP = "skip"
@@ -54,7 +55,7 @@ class Operator:
     Attributes
     ----------
     stopping, pausing, going_on : threading.Event
-        Set to end the session, to pause it, and to continue it.
+        Flags that are set to end the session, to pause it, and to continue it after a pause.
     """
 
     def __init__(self) -> None:
@@ -66,7 +67,7 @@ class Operator:
         self.going_on = threading.Event()
 
     def open_question(self, answers: frozenset[Reply]) -> None:
-        """Open a question with these possible answers; late answers to earlier questions are discarded."""
+        """Open a question with these possible answers, and discard late answers to earlier questions."""
         while not self._answers.empty():
             self._answers.get_nowait()
         self._allowed = answers
@@ -90,7 +91,7 @@ class Operator:
         Raises
         ------
         UsageError
-            It does not answer the open question.
+            The reply is not among the possible answers of the open question.
         """
         if answer == Reply.STOP:
             self.stop()
@@ -137,11 +138,11 @@ class Operator:
         self.answer(Reply.DECLINE)
 
     def stop(self) -> None:
-        """End the session now; an unfinished dwell is archived as interrupted. It can be resumed."""
+        """End the session now; it can be resumed. An unfinished dwell is archived as interrupted."""
         self.stopping.set()
 
     def pause(self) -> None:
-        """Close the stream until `unpause`; an unfinished dwell is archived as interrupted."""
+        """Pause the session until `unpause`; an unfinished dwell is archived as interrupted."""
         self.going_on.clear()
         self.pausing.set()
 
@@ -161,8 +162,12 @@ class Questions:
 
     Attributes
     ----------
-    bench, ledger, knowledge
-        Parts of the session.
+    bench : SessionBench
+        Sensor and stage of the session.
+    ledger : Ledger
+        Dwells done and decisions made in the session.
+    knowledge : Knowledge
+        Present knowledge from scans and dwells.
     auto : bool
         True without an operator: every question is answered by its default.
     """
@@ -175,15 +180,16 @@ class Questions:
         self._scanned: list[Block] = []
 
     def take_scanned(self) -> list[Block]:
-        """Return the scans read during the last question as one block, if turns are recorded.
+        """Return the scans read during the last question as one block in a list; empty if none were kept.
 
-        They are one block, because many short blocks would make the file half as large again.
+        Scans are kept if turns are recorded. They are one block, because many short blocks would make the
+        file half as large again.
         """
         seen, self._scanned = self._scanned, []
         return [join(seen)] if seen else []
 
     def _keep(self, block: Block) -> None:
-        """Remember the newest scans of the present turn, at most those of the last `KEPT_S` seconds."""
+        """Keep a block of scans of a question if turns are recorded; drop scans older than `KEPT_S`."""
         if not self.bench.settings.turns or not len(block):
             return
         self._scanned.append(block)
@@ -205,7 +211,7 @@ class Questions:
         return self._witness("paused", self._operator.pausing.is_set)
 
     def _witness(self, name: str, observe: Callable[[], T]) -> T:
-        """Return an act of the operator; if a recording is replayed, the recorded act."""
+        """Return `observe()`, an act of the operator; in a replay return the recorded act of this name."""
         return self.bench.source.witness(name, observe)
 
     @property
@@ -216,7 +222,24 @@ class Questions:
     def ask(
         self, question: Event, answers: set[Reply], default: Reply, place: int | None = None
     ) -> Generator[Event, None, Reply]:
-        """Ask a question and wait for the answer; after a pause the question is asked again."""
+        """Ask a question, wait for the answer and return it; after a pause the question is asked again.
+
+        Parameters
+        ----------
+        question : Event
+            Event that shows the question.
+        answers : set of Reply
+            Possible answers; repeat and undo are added if there is a dwell and no guard asks.
+        default : Reply
+            Answer without an operator.
+        place : int or None
+            Index of the position in the plan that the question is about; None if it is about no position.
+
+        Returns
+        -------
+        Reply
+            The answer; `Reply.STOP` if the operator ends the session.
+        """
         if self.ledger.last_place is not None and not isinstance(question, GuardRaised):
             answers = answers | {Reply.REPEAT, Reply.UNDO}
         newest: Floats | None = None
@@ -241,9 +264,9 @@ class Questions:
             self.bench.close_stream()
 
     def _look(self, before: Floats | None) -> Floats:
-        """Read scans and return the newest accelerations (n, 3), at most one window of them.
+        """Read scans and return the newest accelerations (n, 3) in mg, at most one window of them.
 
-        `before` are the accelerations of the last call.
+        `before` are the accelerations of the last call; None at the first call.
         """
         newest = np.empty((0, 3)) if before is None else before
         for block in self.bench.scans():
@@ -263,7 +286,11 @@ class Questions:
     def ask_guard(
         self, guard: Guard, place: int, shown: Guard | None = None
     ) -> Generator[Event, None, Reply]:
-        """Ask the question of a guard and record the answer; `shown` may replace the displayed message."""
+        """Ask the question of a guard, record the answer and return it.
+
+        `place` is the index of the position in the plan; `shown` is a guard whose message is displayed
+        instead of the message of `guard`, None for the same message.
+        """
         shown, position = shown or guard, self.ledger.plan.positions[place]
         raised = GuardRaised(
             guard.kind, shown.message, place, position, shown.values, guard.answers, guard.default
@@ -275,7 +302,10 @@ class Questions:
         return answer
 
     def handle_pause(self, place: int | None) -> Iterator[Event]:
-        """Record the operator's remarks and, if a pause was requested, wait for its end."""
+        """Record the operator's remarks and, if a pause was requested, wait for its end.
+
+        `place` is the index of the present position in the plan; None if there is none.
+        """
         yield from self.remarks(place)
         if not self._pausing:
             return
@@ -290,13 +320,13 @@ class Questions:
         yield Unpaused(place)
 
     def remarks(self, place: int | None) -> Iterator[Event]:
-        """Write the operator's new remarks to the archive."""
+        """Write the operator's new remarks to the archive, with the position's index `place` (or None)."""
         for remark in self._witness("remarks", self._operator.take_remarks):
             self.ledger.note("remark", remark | {"place": place})
             yield Noted(remark["text"])
 
     def wait(self, place: int, length_s: float) -> Generator[Event, None, bool]:
-        """Wait `length_s` before a dwell; True if the operator stopped or paused the session meanwhile."""
+        """Wait `length_s` before the dwell of a place; return True if the operator stopped or paused."""
         end_s = self.bench.now_s + length_s
         while length_s > 0 and (left := end_s - self.bench.now_s) > 0:
             if self.interrupted:

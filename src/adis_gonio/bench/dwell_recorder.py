@@ -1,4 +1,4 @@
-"""Recorder of dwells: from the move to a position until the dwell is complete, given up or skipped."""
+"""Recorder of dwells: from the move to a position until the dwell is complete, abandoned or skipped."""
 
 from __future__ import annotations
 
@@ -56,12 +56,24 @@ class Recording:
 
     Attributes
     ----------
+    place, position : int, Position
+        Index of the position in the plan, and the position.
+    started_utc, started_bus_s : str, float
+        Beginning of the attempt by the wall clock (ISO 8601) and by the bus's clock in s.
     dwell_s, settle_s, period_s : float
         Length of the dwell, wait before it, period of the samples, in s.
     earlier : sequence of Block
         Scans of the turn before the attempt, which are kept with it.
+    moves : list of Move
+        Moves of the stage for this attempt.
+    begin : int or None
+        Number of the dwell's first sample; None before the dwell.
+    timed_out : bool
+        True if the sensor did not come to rest in time.
+    why_moving : str
+        Reason why the newest window before the dwell counts as moving.
     rested_mg : (3,) float or None
-        Reading of the sensor when the dwell began.
+        Reading of the sensor when the dwell began; None before.
     status, settings_lost : Status or None, str
         STATUS after the dwell, and the message of `SessionBench.settings_lost`.
     """
@@ -136,7 +148,7 @@ class Recording:
             self._find_stop()
 
     def moving(self, why: str) -> None:
-        """Note that the sensor moved in a window before the dwell, and why it counts as moving."""
+        """Note that the sensor moved in a window before the dwell; `why` states the reason."""
         self._still_s = None
         self.why_moving = why
 
@@ -146,7 +158,7 @@ class Recording:
             self._still_s = self._samples_time(end - 1)
 
     def try_begin(self) -> bool:
-        """Begin the dwell if the sensor has settled; True if this call began it."""
+        """Begin the dwell if the sensor has settled; return True if this call began it."""
         if self.begun or self._still_s is None:
             return False
         first = self._first_sample(self._still_s + self.settle_s)
@@ -158,20 +170,24 @@ class Recording:
         return True
 
     def complete(self, checked: int) -> bool:
-        """True if the last sample was read, and the sensor was checked to be still up to it.
+        """Return True if the last sample was read, and the sensor was checked to be still up to it.
 
         `checked` is the number of samples that were checked.
         """
         return self._stop is not None and checked >= self._stop
 
     def scans(self) -> Block:
-        """The dwell's scans as one block."""
+        """Return the scans of the dwell as one block."""
         return join([block for phase, block in self._pieces() if phase == "dwell"])
 
     def attempt(
         self, outcome: Outcome, ended_bus_s: float, reason: str = "", status: int | None = None
     ) -> Attempt:
-        """Make the record of this attempt for the archive."""
+        """Make the record of this attempt for the archive.
+
+        `ended_bus_s` is its end on the bus's clock in s, `reason` the reason of an interruption, and
+        `status` the content of STATUS (None if it was not read).
+        """
         return Attempt(
             self.place,
             self.position,
@@ -187,7 +203,7 @@ class Recording:
 
     @property
     def _count(self) -> int:
-        """Number of samples so far."""
+        """Number of samples of the attempt so far."""
         return self._ends[-1]
 
     def _find_stop(self) -> None:
@@ -195,7 +211,7 @@ class Recording:
         self._stop = self._first_sample(self._begin_s + self.dwell_s - 0.5 * self.period_s)
 
     def _first_sample(self, at_s: float) -> int | None:
-        """Index of the first sample at or after a time; None if it has not been read yet."""
+        """Return the index of the first sample at or after a time in s; None if it is not read yet."""
         index = self._count
         for block in reversed(self._blocks):
             index -= len(block)
@@ -209,7 +225,7 @@ class Recording:
         return float(self._blocks[at].time_s[sample - self._ends[at]])
 
     def _pieces(self) -> list[tuple[Phase, Block]]:
-        """Split the blocks at the begin and the end of the dwell.
+        """Return the blocks with their phases, split at the begin and the end of the dwell.
 
         All scans lost in a block that is split count as lost in the dwell.
         """
@@ -236,7 +252,7 @@ MOST_RESTARTS = 5
 """Number of interruptions of one dwell after which the operator is asked."""
 
 WINDOWS_TO_STILLNESS = 4
-"""Number of windows before the detector of stillness gives its first result; added to the time-out."""
+"""Number of windows before the stillness watch gives its first result; their time extends the time-out."""
 
 WARMING_S = 600.0
 """Wait after the program has set another temperature, in s."""
@@ -244,7 +260,7 @@ WARMING_S = 600.0
 
 @dataclass(frozen=True)
 class _Broken:
-    """Reason why a dwell was interrupted, and the question for the operator about it, if there is one."""
+    """Reason why a dwell was interrupted, and the guard that asks the operator about it, if any."""
 
     reason: str
     guard: Guard | None = None
@@ -261,7 +277,7 @@ class DwellRecorder(Recorder):
         self._stops: Counter[int] = Counter()
 
     def take(self, place: int) -> Iterator[Event]:
-        """Record the dwell of a position in the plan; it is restarted if it is disturbed.
+        """Record the dwell of the position at index `place` of the plan; a disturbed dwell is restarted.
 
         Raises
         ------
@@ -294,7 +310,7 @@ class DwellRecorder(Recorder):
         yield from self._complete(recording)
 
     def _gave_up(self, recording: Recording, reason: str, restarts: int) -> Guard | None:
-        """Make the question after repeated disturbances; None if the sensor never came to rest.
+        """Return the guard that asks after `restarts` disturbances; None if the sensor never came to rest.
 
         Raises
         ------
@@ -309,7 +325,7 @@ class DwellRecorder(Recorder):
         return None if recording.timed_out else shock_guard(reason, restarts)
 
     def _go_to(self, recording: Recording) -> Generator[Event, None, bool]:
-        """Set temperature, supply and stage for a position; False if the operator interrupted."""
+        """Set temperature, supply and stage for a position; return False if the operator interrupted."""
         place, position, bench = recording.place, recording.position, self._bench
         if bench.sets_conditions and bench.wants_conditions(position):
             wanted = {"temperature_c": position.temperature_c, "supply_v": position.supply_v}
@@ -343,7 +359,11 @@ class DwellRecorder(Recorder):
     def _record_or_keep(
         self, recording: Recording, rested_mg: Floats | None
     ) -> Generator[Event, None, _Broken | None]:
-        """Record a dwell and check the sensor; if an error ends it, the scans so far are archived."""
+        """Record a dwell and check the sensor; if an error ends it, archive the scans so far.
+
+        Returns None, or the reason if the dwell was interrupted. `rested_mg` is the reading when this dwell
+        first began, before a disturbance; None at the first try.
+        """
         try:
             broken = yield from self._record(recording, rested_mg)
             if broken is None:
@@ -363,7 +383,10 @@ class DwellRecorder(Recorder):
     def _record(
         self, recording: Recording, rested_mg: Floats | None
     ) -> Generator[Event, None, _Broken | None]:
-        """Wait for stillness, then record the dwell; return None, or the reason for its interruption."""
+        """Wait for stillness, then record the dwell; return None, or the reason if it was interrupted.
+
+        `rested_mg` is the reading when this dwell first began, before a disturbance; None at the first try.
+        """
         bench, questions, knowledge = self._bench, self._questions, self._knowledge
         watch = knowledge.watch()
         patience_s = bench.settings.still_timeout_s + WINDOWS_TO_STILLNESS * bench.window * bench.period_s
@@ -394,7 +417,7 @@ class DwellRecorder(Recorder):
         return _Broken(BROKEN_STREAM)
 
     def _look_event(self, recording: Recording, look: Look) -> Watching | DwellProgress:
-        """Make the event that shows the newest window, before the dwell or during it."""
+        """Return the event that shows the newest window, before the dwell or during it."""
         view, target_deg = self._knowledge.view, recording.position.angle_deg
         if not recording.begun:
             waits_for = "the part to settle" if recording.is_still else f"rest: {recording.why_moving}"
@@ -416,7 +439,7 @@ class DwellRecorder(Recorder):
         )
 
     def _disturbance(self, recording: Recording, look: Look) -> _Broken | None:
-        """Judge a window; return the disturbance if it interrupts a dwell that had begun."""
+        """Judge a window of the stillness watch; return the disturbance if it ends a dwell, else None."""
         auto = self._questions.auto
         if look.state == "stuck":
             if auto:
@@ -467,9 +490,9 @@ class DwellRecorder(Recorder):
             yield running
 
     def _note_turn(self, number: int) -> None:
-        """Record the turn by the gyros since the dwell before.
+        """Record the turn by the gyros from the dwell before to the dwell of attempt `number`.
 
-        It cannot be computed from the archive, which lacks the samples during questions.
+        The turn cannot be computed from the archive, which lacks the samples during questions.
         """
         judge, done = self._knowledge.judge, self._ledger.done
         watched = None if judge is None else judge.last_turn()
@@ -482,14 +505,14 @@ class DwellRecorder(Recorder):
     # -- guards ---------------------------------------------------------------------------------------
 
     def _note_doubts(self, number: int) -> bool:
-        """Record the guards that the operator overruled at a complete dwell; True if there are any."""
+        """Record the guards that the operator overruled at the dwell of attempt `number`; True if any."""
         for guard in self._doubts:
             self._ledger.note("doubt", {"attempt": number, "kind": guard.kind, "message": guard.message})
         self._stops.clear()
         return bool(self._doubts)
 
     def _ask(self, guard: Guard, place: int) -> Generator[Event, None, bool]:
-        """Ask the operator the question of a guard; True if the dwell is kept or continues."""
+        """Ask the operator the question of a guard; return True if the dwell is kept or continues."""
         ledger = self._ledger
         self._stops[place] += 1
         shown = add_repeat_hint(guard, self._stops[place] if ledger.done else 1)
@@ -509,9 +532,11 @@ class DwellRecorder(Recorder):
     def _settled(
         self, recording: Recording, mean_mg: Floats, rested_mg: Floats | None
     ) -> Generator[Event, None, Guard | None]:
-        """Check the position of the sensor at rest; return the guard that doubts it, if any.
+        """Check the position of the sensor at rest; return the guard that doubts it, or None.
 
-        Without an operator the doubt is recorded as a problem instead.
+        `mean_mg` is the present reading and `rested_mg` the reading when this dwell first began, before a
+        disturbance (None at the first try). Without an operator the doubt is recorded as a problem, and
+        None is returned.
         """
         judge, limits, place = self._knowledge.judge, self._knowledge.limits, recording.place
         recording.rested_mg = mean_mg
@@ -532,7 +557,10 @@ class DwellRecorder(Recorder):
         return None
 
     def _within(self, recording: Recording, scans: Block, found: list[Problem]) -> Iterator[Event]:
-        """Ask the operator about faults in a dwell; without an operator, record them as problems."""
+        """Ask the operator about alarms, supply and temperature in a dwell; `found` are its problems.
+
+        Without an operator, record the doubts as problems.
+        """
         ledger, place = self._ledger, recording.place
         told = {problem.kind for problem in found}
         for guard in judge_dwell(scans, found):
@@ -563,7 +591,10 @@ class DwellRecorder(Recorder):
 
 
 def problems(place: int, scans: Block, status: Status | None) -> list[Problem]:
-    """List the faults of a dwell for the operator; `status` is None without a register STATUS."""
+    """List the problems of a dwell for the operator: STATUS, alarms, supply, lost and dropped scans.
+
+    `place` is the index of its position in the plan; `status` is None without a register STATUS.
+    """
     messages = () if status is None else status.messages
     found = [Problem("status", f"STATUS: {message}", place) for message in messages]
     alarms = find_alarms(scans)

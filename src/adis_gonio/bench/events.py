@@ -1,6 +1,6 @@
-"""Events of a running session for its front end; see `runner`.
+"""Events that a running session yields to its front end, such as a question or the end of a dwell.
 
-Places are positions of the plan, counted from 0; accelerations are in mg, x, y, z.
+A `place` is the index of a position in the plan, from 0; accelerations are in mg, x, y, z.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ GuardKind = Literal[
     "not_moved", "reversed", "wrong_axis", "wrong_angle", "upside_down", "shock",
     "drift", "stuck", "supply", "temperature", "over_range",
 ]  # fmt: skip
-"""Reasons for which a guard stops a session."""
+"""Kinds of probable error for which a guard stops a session."""
 
 
 @dataclass_transform(frozen_default=True)
@@ -28,7 +28,7 @@ class Event:
         dataclass(frozen=True)(cls)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form, with the name of the event as `event`."""
+        """Return the event in JSON form, with its name as `event`."""
         return {"event": type(self).__name__} | asdict(self)
 
 
@@ -37,6 +37,12 @@ class Started(Event):
 
     Attributes
     ----------
+    path, url, variant : str
+        Path of the archive, URL of the sensor, and its variant.
+    plan : Plan
+        Plan of the session, with its extensions.
+    resumed : bool
+        True if the session was begun by an earlier run.
     done : int
         Number of positions that were done before a resumed session.
     """
@@ -57,7 +63,7 @@ class Configured(Event):
     configuration : dict
         JSON form of the sensor's configuration.
     changed : dict of str to (int, int)
-        Control registers that were changed: numbers before and after.
+        Control registers that this changed: numbers before and after, by name.
     why_polled : str
         Reason why scans are polled; empty if they start at the data-ready edges.
     """
@@ -73,11 +79,12 @@ class NoiseMeasured(Event):
     Attributes
     ----------
     noise_mg : Vector
-        Standard deviation of a sample at rest.
+        Standard deviation of a sample at rest in mg, for each axis.
     still_below_mg, stuck_below_mg : Vector
-        A window with more than the first limit moves; an axis with less than the second is stuck.
+        Limits in mg: an axis with a larger standard deviation in a window moves, with a smaller one it is
+        stuck.
     window_s : float
-        Length of a window.
+        Length of a window in s.
     """
 
     noise_mg: Vector
@@ -91,12 +98,14 @@ class PositionAsked(Event):
 
     Attributes
     ----------
+    place, position : int, Position
+        Index of the position in the plan, from 0, and the position.
     number, total : int
-        Number of the position, from 1, and number of positions.
+        Number of positions done or skipped plus one, and number of positions in the plan.
     can_repeat : bool
         True if there is an earlier dwell that can be repeated.
     time_left_s : float
-        Estimate of the remaining time, from the time of the dwells so far.
+        Estimate of the remaining time in s, from the time of the dwells so far.
     can_undo : bool
         True if there is a dwell that can be withdrawn.
     """
@@ -123,20 +132,22 @@ class Watching(Event):
     ----------
     state : str
         `idle` during a question, `measuring` the noise, `moving`, or `settling` when still.
+    accel_mg : Vector
+        Mean of the newest window in mg.
     spread_mg : Vector
-        Standard deviation within the newest window.
+        Standard deviation within the newest window in mg.
     angle_deg : float or None
         Live angle by gravity in the sense of the stage; None for free attitudes.
     target_deg : float or None
-        Requested angle, if any.
+        Requested angle; None if no angle is requested.
     limit_mg : Vector or None
-        Limit of `spread_mg` for a part at rest; None until the noise is known.
+        Limit of `spread_mg` for a sensor at rest; None until the noise is known.
     waits_for : str
-        Text that names the next step of a wait, or empty.
+        Text that names what the session waits for; empty if it does not wait.
     temperature_c : float or None
         Temperature in the newest scan; None if scans have no temperature.
     lost : int
-        Scans lost since the session was opened.
+        Number of scans lost since the session was opened.
     tolerance_deg : float or None
         Distance from `target_deg` within which no guard questions `angle_deg`; None before the first dwell.
     """
@@ -158,12 +169,24 @@ class DwellProgress(Event):
 
     Attributes
     ----------
-    lost : int
-        Scans lost within this dwell.
-    accel_mg : Vector
-        Mean of the newest window.
-    spread_mg, angle_deg, target_deg, limit_mg, waits_for, temperature_c
-        See `Watching`.
+    place : int
+        Index of the position in the plan, from 0.
+    elapsed_s, length_s : float
+        Length of the dwell so far, and its full length, in s.
+    samples, lost : int
+        Number of samples of the dwell so far, and of scans lost within it.
+    accel_mg, spread_mg : Vector
+        Mean and standard deviation of the newest window in mg; the latter is None if it is not known.
+    angle_deg : float or None
+        Live angle by gravity in the sense of the stage; None for free attitudes.
+    target_deg : float or None
+        Requested angle; None for free attitudes.
+    limit_mg : Vector or None
+        Limit of `spread_mg` for a sensor at rest; None if it is not known.
+    waits_for : str
+        Text that names what the session waits for.
+    temperature_c : float or None
+        Temperature in the newest scan; None if scans have no temperature.
     """
 
     place: int
@@ -185,10 +208,14 @@ class DwellDone(Event):
 
     Attributes
     ----------
+    place, position : int, Position
+        Index of the position in the plan, from 0, and the position.
     attempt : int
         Number of the attempt in the archive.
+    samples, lost : int
+        Number of samples of the dwell, and of scans lost within it.
     accel_mg : Vector
-        Mean of the dwell.
+        Mean of the dwell in mg.
     alarms : int
         Number of scans with an error or alarm (EA).
     """
@@ -205,7 +232,18 @@ class DwellDone(Event):
 class DwellInterrupted(Event):
     """A dwell was interrupted; its samples are in the archive, marked as interrupted.
 
-    A guard that interrupted it asks its question next (`guarded`).
+    Attributes
+    ----------
+    place, position : int, Position
+        Index of the position in the plan, from 0, and the position.
+    attempt : int
+        Number of the attempt in the archive.
+    samples : int
+        Number of samples of the dwell so far.
+    reason : str
+        Reason of the interruption.
+    guarded : bool
+        True if a guard interrupted the dwell; the guard asks its question next.
     """
 
     place: int
@@ -222,7 +260,12 @@ class Problem(Event):
     Attributes
     ----------
     kind : {"status", "alarm", "supply", "lost", "dropped", "stillness"} or GuardKind
-        A kind of a guard means a guard that could not ask, because there is no operator.
+        Kind of the problem. The kind of a guard means that the guard could not ask, because there is no
+        operator.
+    message : str
+        Sentence for the operator.
+    place : int
+        Index of the position in the plan, from 0.
     """
 
     kind: Literal["status", "alarm", "supply", "lost", "dropped", "stillness"] | GuardKind
@@ -238,12 +281,16 @@ class GuardRaised(Event):
 
     Attributes
     ----------
+    kind, message : GuardKind, str
+        Kind of the probable error, and the question.
+    place, position : int, Position
+        Index of the position in the plan, from 0, and the position.
     values : dict of str to float
         Numbers in the message, by names that end in their unit.
     answers : tuple of str
         Names of the allowed answers, for `runner.answer(name)`.
     default : str
-        The safe answer.
+        The safe answer, which is used without an operator.
     """
 
     kind: GuardKind
@@ -260,6 +307,8 @@ class TurnMeasured(Event):
 
     Attributes
     ----------
+    place : int
+        Index of the present position in the plan, from 0.
     asked_deg : float or None
         Turn requested by the plan, in the sense of the stage; None for free attitudes.
     gyro_deg, gyro_u_deg : float or None
@@ -277,20 +326,25 @@ class TurnMeasured(Event):
 
 
 class TurnProgress(Event):
-    """A free turn is being recorded.
+    """A turn is being recorded: a free turn, or whole turns on a table.
 
     Attributes
     ----------
     state : {"rest", "turn", "after"}
         Rest before the turns, the turns, and the rest after them.
+    elapsed_s, length_s : float
+        Time since the beginning and longest time of the recording, in s.
+    samples, lost : int
+        Number of samples so far, and of scans lost.
     turned_deg, rate_dps : float
-        Turn since the beginning and rate over the last seconds, by gravity, counter-clockwise positive.
+        Turn since the beginning, and rate over the last seconds (a free turn, by gravity) or the last block
+        (whole turns, by the gyros); counter-clockwise positive.
     turn, turns : int
         Number of the present full turn, from 1, and number of full turns.
     rest_s : float
-        Duration of the present rest, if whole turns are followed by the gyros.
+        Duration of the present rest in s, if whole turns are followed by the gyros; else 0.
     peak_dps : float
-        Largest rate of any gyro so far, if the gyros are followed.
+        Largest rate of any gyro so far, if the gyros are followed; else 0.
     """
 
     state: Literal["rest", "turn", "after"]
@@ -307,16 +361,22 @@ class TurnProgress(Event):
 
 
 class TurnDone(Event):
-    """A free turn is complete and on the disk.
+    """A turn is complete and on the disk.
 
     Attributes
     ----------
+    attempt : int
+        Number of the attempt in the archive.
     turned_deg : float
         Turn from the beginning to the end.
+    length_s : float
+        Length of the recording in s.
+    samples, lost : int
+        Number of samples, and of scans lost.
     turns : int
-        Full turns in both directions.
+        Number of full turns in both directions.
     travelled_deg : float
-        Sum of the turns in both directions.
+        Sum of the turns in both directions, each counted as positive.
     """
 
     attempt: int
@@ -334,7 +394,11 @@ class Running(Event):
     Attributes
     ----------
     parameters : dict
-        Value, u and unit by name, as in the JSON form of a fit.
+        Value, u and unit of each parameter by its name.
+    method : str
+        Method of the fit.
+    dwells : int
+        Number of dwells in the fit.
     """
 
     parameters: dict[str, dict[str, Any]]
@@ -343,25 +407,39 @@ class Running(Event):
 
 
 class Paused(Event):
-    """The session is paused: the stream is closed until the operator continues."""
+    """The session is paused: the stream is closed until the operator continues.
+
+    `place` is the index of the position in the plan at which it is paused; None if there is none.
+    """
 
     place: int | None
 
 
 class Unpaused(Event):
-    """The session continues after a pause: the open question is asked again."""
+    """The session continues after a pause: the open question is asked again.
+
+    `place` is the index of the position in the plan at which it was paused; None if there is none.
+    """
 
     place: int | None
 
 
 class Noted(Event):
-    """A remark of the operator was written to the archive."""
+    """A remark of the operator (`text`) was written to the archive."""
 
     text: str
 
 
 class Withdrawn(Event):
-    """A dwell was withdrawn from the session; it stays in the archive, marked as withdrawn."""
+    """A dwell was withdrawn from the session; it stays in the archive, marked as withdrawn.
+
+    Attributes
+    ----------
+    place, position : int, Position
+        Index of the position in the plan, from 0, and the position.
+    attempt : int
+        Number of the attempt in the archive.
+    """
 
     place: int
     position: Position
@@ -369,7 +447,7 @@ class Withdrawn(Event):
 
 
 class RepetitionOffered(Event):
-    """The plan is done, but some dwells have a fault or alarm. Answers: accept, decline, repeat, stop.
+    """The plan is done, but some dwells have an error or alarm. Answers: accept, decline, repeat, stop.
 
     If accepted, their positions are asked for one by one and measured again. If declined, the dwells are
     kept and not asked about again.
@@ -377,7 +455,7 @@ class RepetitionOffered(Event):
     Attributes
     ----------
     places, positions : tuple
-        Places and positions of these dwells.
+        Indices in the plan and positions of these dwells.
     """
 
     places: tuple[int, ...]
@@ -392,7 +470,8 @@ class ExtensionOffered(Event):
     plan : Plan
         Extended plan; it begins with the present plan.
     blindness : Blindness or None
-        Effect of an undetectable bias; None if an advisor asks for more positions.
+        Uncertainty from a bias that the present plan cannot determine; None if an advisor asks for more
+        positions.
     reasons : tuple of str
         Reasons of the advisor, one sentence each.
     """
@@ -408,7 +487,7 @@ class Advising(Event):
     Attributes
     ----------
     dwells : int
-        Complete dwells so far.
+        Number of complete dwells so far.
     """
 
     dwells: int
@@ -420,13 +499,13 @@ class Advised(Event):
     Attributes
     ----------
     round : int
-        Number of the round, from 1.
+        Number of requests to the advisor so far, this one included.
     positions : int
-        Number of requested positions.
+        Number of positions that the advisor proposes.
     ended : str
-        Reason why no position is requested, or empty.
+        Reason why no position is proposed; empty if there are positions.
     summary : dict
-        JSON form of the result so far.
+        JSON form of the trace so far.
     """
 
     round: int
@@ -436,7 +515,15 @@ class Advised(Event):
 
 
 class Waiting(Event):
-    """Progress of a wait before a dwell that the plan requires."""
+    """Progress of a wait before a dwell that the plan requires.
+
+    Attributes
+    ----------
+    place : int
+        Index of the position in the plan, from 0.
+    elapsed_s, length_s : float
+        Time waited so far, and length of the wait, in s.
+    """
 
     place: int
     elapsed_s: float
@@ -448,8 +535,12 @@ class Finished(Event):
 
     Attributes
     ----------
+    path : str
+        Path of the archive.
     complete : bool
         False if positions remain; the session can be resumed.
+    done, skipped, total : int
+        Number of positions with a dwell, of skipped positions, and of all positions in the plan.
     """
 
     path: str

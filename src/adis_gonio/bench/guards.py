@@ -1,9 +1,9 @@
-"""Guards detect errors at the bench: wrong positions, by gravity, gyros and angles, and bad dwells.
+"""Guards: checks for errors at the bench, such as a wrong position or a disturbed dwell.
 
-Each judgement gives a `Guard`, a question with its numbers, or None. The limits follow from the sensor's
-noise, the sensor's data sheet and the fixture (`record.plans`), so that a good sensor is not questioned.
-`Judge` compares declared angles, gravity and the integral of the gyros by `adis_gonio.fitting.slips`,
-which is also used for recorded sessions.
+Each check of this module returns a `Guard` (a question with its numbers), or None if all is well. The
+limits follow from the sensor's noise, the sensor's data sheet and the fixture (`record.plans`), so that a
+good sensor is not questioned. `Judge` compares declared angles, gravity and the integral of the gyros by
+`adis_gonio.fitting.slips`, which is also used for recorded sessions.
 """
 
 from __future__ import annotations
@@ -42,16 +42,19 @@ if TYPE_CHECKING:
 
 
 TILT_LIMIT_DEG = math.degrees(math.acos(1 - GAIN_LIMIT))
-"""Tilt of the rotation axis from the horizontal that changes a reading as much as the gain limit."""
+"""Tilt in degrees of the rotation axis that changes a reading as much as the gain limit."""
 NOT_MOVED_SHARE = 0.1
-"""In space: a pose after less than this share of the requested turn counts as not moved."""
+"""Share of the requested turn in space below which the sensor counts as not moved."""
 OTHER_WAY_UP_DEG = 120.0
-"""In space: an attitude farther than this from the requested one counts as upside down."""
+"""Angle in degrees from the requested attitude in space above which the sensor counts as upside down."""
 STEP_WINDOW_S = 1.0
 TEMPERATURE_STEP_C = 1.0
-"""Change within a second: ten times the fastest self-heating by CHIP (5 °C in one minute)."""
+"""Largest change of the temperature in °C within a second of a good dwell.
+
+It is ten times the fastest self-heating by the data sheet (5 °C in one minute).
+"""
 SUPPLY_STEP_V = 0.05
-"""Change within a second: a tenth of the specified range of 4.75 to 5.25 V."""
+"""Largest change of the supply in V within a second of a good dwell: a tenth of the specified range."""
 
 RETAKE: tuple[str, ...] = ("retake", "keep", "skip")
 
@@ -62,10 +65,12 @@ class Guard:
 
     Attributes
     ----------
+    kind, message : GuardKind, str
+        Kind of the probable error, and the question.
     values : dict of str to float
         Numbers in the message; names end in their unit.
-    answers, default
-        See `events.GuardRaised`.
+    answers, default : tuple of str, str
+        Names of the allowed answers, and the safe one among them.
     spoils : bool
         True if a result with this dwell, unchanged, would be wrong.
     """
@@ -84,7 +89,7 @@ class Guard:
 
 
 def add_repeat_hint(guard: Guard, times: int) -> Guard:
-    """Add a hint to a guard that stops at one position repeatedly: an earlier dwell may be wrong."""
+    """Add a hint to a guard that stopped `times` times at one position: an earlier dwell may be wrong."""
     if times < 2 or not guard.contradicts:
         return guard
     hint = (
@@ -101,15 +106,16 @@ class Reading:
     Attributes
     ----------
     asked_deg, here_deg : float
-        Requested turn since the dwell before, and requested angle.
+        Requested turn since the dwell before, and requested stage angle.
     gravity_deg : float
         Turn by gravity since the dwell before, within ±180°.
     off, off_reversed : Off
-        Deviations from the requested angle, with the sense of the session and with the opposite sense.
+        Deviations of the angle by gravity from the requested angle, with the sense of the session and with
+        the opposite sense; the latter is None if a dwell excludes the opposite sense.
     turn : GyroIntegral or None
-        Turn measured by the gyros since the dwell before.
+        Turn measured by the gyros since the dwell before; None if it was not followed.
     sense : int
-        -1 in a reversed session.
+        1, or −1 in a reversed session (the stage counts angles the other way than the plan).
     """
 
     asked_deg: float
@@ -122,7 +128,7 @@ class Reading:
 
 
 def judge_turn(reading: Reading) -> Guard | None:
-    """Check that the sensor was turned in the plane as requested; None if it was."""
+    """Check that the sensor was turned in the plane as requested; return None if it was."""
     if reading.off.allowed:
         return None
     values = {
@@ -169,7 +175,7 @@ def _reversed(reading: Reading, values: dict[str, float], seen: str) -> Guard:
 
 
 def _other_axis(turn: GyroIntegral) -> str | None:
-    """Axis of the largest turn, if it is not z and the turn exceeds the gyros' uncertainty; else None."""
+    """Return the axis of the largest turn; None if it is z or within the gyros' uncertainty."""
     size = np.abs(turn.angle_deg)
     most = int(np.argmax(size))
     if most == 2 or size[most] <= math.degrees(SHIFT_MG / 1000.0) + K * turn.u_deg:
@@ -178,7 +184,10 @@ def _other_axis(turn: GyroIntegral) -> str | None:
 
 
 def judge_level(accel_mg: Floats, gravity_mg: float, bias_mg: float) -> Guard | None:
-    """Check that the axis of rotation (the sensor's Z) is horizontal; None if it is."""
+    """Check that the axis of rotation (the sensor's Z) is horizontal; return None if it is.
+
+    `accel_mg` is the reading (3,), `gravity_mg` local gravity, `bias_mg` the standard deviation of a bias.
+    """
     z = float(accel_mg[2])
     limit = gravity_mg * math.sin(math.radians(TILT_LIMIT_DEG)) + K * bias_mg
     if abs(z) <= limit:
@@ -194,7 +203,11 @@ def judge_level(accel_mg: Floats, gravity_mg: float, bias_mg: float) -> Guard | 
 
 
 def judge_start(accel_mg: Floats, asked_deg: float, sense: int) -> Guard | None:
-    """Check that the sensor is placed as drawn at the first position; any start angle is allowed."""
+    """Check that the sensor is placed as drawn at the first position; return None if it is.
+
+    Any start angle is allowed; a reading (3,) more than 90° from `asked_deg` gives a question. `sense` is
+    −1 in a reversed session.
+    """
     x, y = float(accel_mg[0]), float(accel_mg[1])
     angle = -sense * math.degrees(math.atan2(y, x))
     off = wrap_degrees(angle - asked_deg)
@@ -211,7 +224,10 @@ def judge_start(accel_mg: Floats, asked_deg: float, sense: int) -> Guard | None:
 def judge_pose(
     accel_mg: Floats, asked: Floats | None, before_mg: Floats | None, before_asked: Floats | None
 ) -> Guard | None:
-    """Check that an attitude in space is new, and not upside down; None if it is plausible.
+    """Check that an attitude in space is new, and not upside down; return None if it is plausible.
+
+    `accel_mg` and `before_mg` are the readings (3,) now and at the pose before, `asked` and `before_asked`
+    the requested directions; None means that there is no pose before, or no requested direction.
 
     A sensor that was not moved is found first, since this would spoil the result. Such a sensor often also
     seems upside down, which would be allowed.
@@ -241,14 +257,18 @@ def judge_pose(
 
 
 def angle_between_deg(a: Sequence[float] | Floats, b: Sequence[float] | Floats) -> float:
-    """Angle between two directions in degrees, 0 to 180."""
+    """Return the angle between two directions in degrees, 0 to 180."""
     a, b = np.asarray(a, float), np.asarray(b, float)
     cosine = float(a @ b / (np.linalg.norm(a) * np.linalg.norm(b)))
     return math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
 
 
 def judge_shift(accel_mg: Floats, before_mg: Floats, limit_mg: Floats) -> Guard | None:
-    """Check that the sensor rests as it did before a dwell was disturbed; None if it does."""
+    """Check that the sensor rests as it did before its dwell was disturbed; return None if it does.
+
+    `accel_mg` and `before_mg` are the readings (3,) now and then, `limit_mg` the largest allowed shift
+    (3,).
+    """
     shift = np.abs(accel_mg - before_mg)
     limit = np.maximum(limit_mg, SHIFT_MG)
     k = int(np.argmax(shift / limit))
@@ -261,13 +281,16 @@ def judge_shift(accel_mg: Floats, before_mg: Floats, limit_mg: Floats) -> Guard 
 
 
 def drift_guard(why: str, values: dict[str, float] | None = None) -> Guard:
-    """Make the question for a sensor that has moved since a dwell began."""
+    """Return the question for a sensor that has moved since a dwell began.
+
+    `why` describes the motion; `values` has the numbers of the message by name, None without numbers.
+    """
     message = f"{why}: the part or the stage has moved on; clamp it and take the position again"
     return Guard("drift", message, values or {})
 
 
 def shock_guard(why: str, times: int) -> Guard:
-    """Make the question for a dwell that was disturbed several times."""
+    """Return the question for a dwell that was disturbed `times` times; `why` is the last disturbance."""
     return Guard(
         "shock",
         f"{counted(times, 'dwell')} in a row were disturbed: {why}; find the cause of the disturbance",
@@ -276,12 +299,15 @@ def shock_guard(why: str, times: int) -> Guard:
 
 
 def stuck_guard(why: str) -> Guard:
-    """Make the question for an axis with constant readings."""
+    """Return the question for an axis with constant readings; `why` names the axis."""
     return Guard("stuck", why, answers=("retake", "skip"), spoils=True)
 
 
 def judge_dwell(scans: Block, problems: Sequence[Problem]) -> list[Guard]:
-    """Questions about a complete dwell: its faults, and sudden changes of temperature and supply."""
+    """Return the questions about a complete dwell: alarms, supply, and sudden changes of temperature.
+
+    `problems` are the problems found in the dwell; problems of other kinds give no question.
+    """
     guards = []
     kinds: dict[str, GuardKind] = {"supply": "supply", "alarm": "over_range"}
     found = [problem for problem in problems if problem.kind in kinds]
@@ -313,7 +339,7 @@ def judge_dwell(scans: Block, problems: Sequence[Problem]) -> list[Guard]:
 
 
 def greatest_step(time_s: Floats, values: Floats) -> float:
-    """Largest change of a value within a second, estimated from short means.
+    """Return the largest change of a value within a second, estimated from short means.
 
     The means are over half a second, or over quarters of a shorter dwell.
     """
@@ -328,13 +354,16 @@ def greatest_step(time_s: Floats, values: Floats) -> float:
 
 
 SCALE_ERROR = 0.01
-"""Relative error of a gyro's gain (an estimate, D: the data sheets state none)."""
+"""Assumed relative standard uncertainty of a gyro's gain (an estimate, D: the data sheets state none)."""
 INSTABILITY_DPS = 0.015
-"""Change of a gyro's bias between dwells (the simulator's default, D)."""
+"""Assumed change of a gyro's bias between dwells in °/s (the simulator's default, D)."""
 G_SENSITIVITY_DPS = 0.05 * math.sqrt(2)
-"""Gyro g-sensitivity, 0.05 °/s/g (CHIP, B), times the change of gravity in g by a quarter turn."""
+"""Change of a gyro's zero rate in °/s by a quarter turn.
+
+It is the g-sensitivity, 0.05 °/s/g (sibling's data sheet, B), times the change of gravity in g.
+"""
 GYRO_NOISE_DPS = 0.6
-"""Noise of a sample (CHIP, B); the average over the turn has less."""
+"""Noise of a gyro's sample in °/s (sibling's data sheet, B); the average over the turn has less."""
 
 
 @dataclass(frozen=True)
@@ -344,11 +373,11 @@ class GyroIntegral:
     Attributes
     ----------
     angle_deg : (3,) float
-        Angles about x, y, z of the sensor, right-handed about the drawn axes.
+        Angles turned about x, y, z of the sensor, right-handed about the drawn axes.
     u_deg : float
         Standard uncertainty of each angle.
     zero_u_deg : float
-        Contribution of noise and zero rate to it, without the scale factor.
+        Part of `u_deg` that comes from noise and zero rate, without the part of the scale factor.
     """
 
     angle_deg: Floats
@@ -362,7 +391,7 @@ class Turning:
     Parameters
     ----------
     longest_gap_s : float
-        Longest time without samples; after a longer gap the turn is unknown.
+        Longest time without samples in s; after a longer gap the turn is unknown.
     """
 
     def __init__(self, longest_gap_s: float) -> None:
@@ -377,7 +406,7 @@ class Turning:
         self._broken = False
 
     def rest(self, dwell: Block) -> None:
-        """End a dwell and begin the next turn; the mean of the dwell is the gyros' zero rate."""
+        """End a dwell and begin the next turn; the dwell's mean rate is the zero rate of the gyros."""
         rates = _rates(dwell)
         self._broken = rates is None or not len(dwell)
         if rates is None or not len(dwell):
@@ -408,7 +437,7 @@ class Turning:
         self._last_s, self._last = float(time_s[-1]), turning[-1]
 
     def turn(self) -> GyroIntegral | None:
-        """Angles turned since the last dwell; None if samples were missing for too long."""
+        """Return the angles turned since the last dwell; None if samples were missing for too long."""
         if self._bias is None or self._broken or not self._length_s:
             return None
         wander = math.hypot(INSTABILITY_DPS, G_SENSITIVITY_DPS) * self._length_s
@@ -431,11 +460,11 @@ class PartPosition:
     angle_deg : float or None
         Declared angle in the sense of the stage; None for a dwell that was doubted and kept.
     mean_mg : (2 or more,) float
-        Mean reading.
+        Mean reading in mg.
     turn : GyroIntegral or None
         Turn by the gyros since the position before; None if it was not followed from there.
     approach : int
-        Direction from which it was reached, in the sense of the stage; 0 if unknown.
+        Direction from which the position was reached (+1 or −1), in the sense of the stage; 0 if unknown.
     """
 
     angle_deg: float | None
@@ -447,7 +476,14 @@ class PartPosition:
 def diagnose_positions(positions: Sequence[PartPosition], spread: PriorKnowledge, sense: int) -> Diagnosis:
     """Find the positions that are wrong, by declared angle, gravity and gyro together.
 
-    The last of `positions` is the present one.
+    Parameters
+    ----------
+    positions : sequence of PartPosition
+        Positions of the session in order; the last one is the present position.
+    spread : PriorKnowledge
+        Uncertainties of the sensor and its fixture.
+    sense : {1, -1}
+        −1 in a reversed session.
     """
     positions = positions[-LARGEST:]
     n = len(positions)
@@ -486,7 +522,11 @@ def diagnose_positions(positions: Sequence[PartPosition], spread: PriorKnowledge
 def add_diagnosis(
     guard: Guard | None, found: Diagnosis, positions: Sequence[PartPosition], sense: int
 ) -> Guard | None:
-    """Add the diagnosis to a guard, or make a guard if only the diagnosis doubts the position."""
+    """Add the diagnosis to a guard, or make a guard if only the diagnosis doubts the position.
+
+    Returns None if neither doubts it. `positions` are the diagnosed positions, the present one last;
+    `sense` is −1 in a reversed session.
+    """
     here = min(len(positions), LARGEST) - 1
     last = next((one for one in found.findings if here in (one.position, *one.others)), None)
     if last is None:
@@ -528,7 +568,11 @@ def _diagnosis_text(
 
 @dataclass(frozen=True)
 class _Taken:
-    """A recorded dwell: position, mean reading (3,) in mg, and `doubted` if a guard was overruled."""
+    """A recorded dwell of a session.
+
+    `mean_mg` is its mean reading (3,), `doubted` is True if a guard was overruled, and `turn` is the turn
+    by the gyros before it (None if it was not followed).
+    """
 
     place: int
     position: Position
@@ -536,7 +580,7 @@ class _Taken:
     doubted: bool
     turn: GyroIntegral | None = None
     since: int | None = None
-    """Place of the dwell from which `turn` was followed."""
+    """Place of the dwell from which `turn` was followed; None without a turn."""
 
 
 class Judge:
@@ -547,11 +591,11 @@ class Judge:
     planar : bool
         False if attitudes are free.
     spread : PriorKnowledge
-        Tolerances of a good sensor; its fixture has a finite uncertainty.
+        Uncertainties of a good sensor and of its fixture, which must be finite.
     sense : {1, -1}
-        -1 in a reversed session.
+        −1 in a reversed session (the stage counts angles the other way than the plan).
     longest_gap_s : float
-        See `Turning`.
+        Longest time in s without samples after which a turn by the gyros is unknown.
     """
 
     def __init__(self, spread: PriorKnowledge, *, planar: bool, sense: int, longest_gap_s: float) -> None:
@@ -565,7 +609,7 @@ class Judge:
         self._rebuild()
 
     def settled(self, position: Position, accel_mg: Floats) -> Guard | None:
-        """Check the position in which the sensor has come to rest; None if it is plausible."""
+        """Check the position in which the sensor rests, by its reading; return None if it is plausible."""
         if not self._planar or position.angle_deg is None:
             return self._pose(position, accel_mg)
         level = judge_level(accel_mg, self._spread.gravity_mg, self._spread.bias_mg)
@@ -593,7 +637,10 @@ class Judge:
         )
 
     def turned(self, place: int, position: Position, accel_mg: Floats) -> TurnMeasured | None:
-        """Turn from the last dwell to the present position; None before the first dwell."""
+        """Return the turn from the last dwell to the present position; None before the first dwell.
+
+        `place` is the index of the present position in the plan, `accel_mg` the present reading.
+        """
         if not self._taken:
             return None
         before, turn = self._taken[-1], self.turning.turn()
@@ -606,7 +653,10 @@ class Judge:
         return TurnMeasured(place, self._asked_deg(position), by_gyro, u_deg, gravity)
 
     def done(self, place: int, position: Position, scans: Block, *, doubted: bool) -> None:
-        """Take a complete dwell into account; of a doubted dwell only the position is used."""
+        """Take a complete dwell into account; a doubted dwell does not change the model of the sensor.
+
+        `place` is the index of its position in the plan; `doubted` is True if a guard was overruled.
+        """
         mean = np.asarray(scans.accel_mg.mean(axis=0))
         self._taken.append(_Taken(place, position, mean, doubted, *self._turned))
         self._turned = (None, None)
@@ -614,7 +664,10 @@ class Judge:
         self.turning.rest(scans)
 
     def last_turn(self) -> tuple[int, GyroIntegral] | None:
-        """Turn before the newest dwell, and the place where it began; None if it was not followed."""
+        """Return the place where the turn before the newest dwell began, and this turn by the gyros.
+
+        Returns None if the turn was not followed.
+        """
         last = self._taken[-1] if self._taken else None
         return None if last is None or last.turn is None or last.since is None else (last.since, last.turn)
 
@@ -623,7 +676,7 @@ class Judge:
         self.turning = Turning(self._longest_gap_s)
 
     def withdraw(self, place: int) -> None:
-        """Forget the dwell of a place.
+        """Forget the dwell of a place (index in the plan).
 
         If it is the newest dwell, the next turn is still measured from its position.
         """
@@ -640,13 +693,14 @@ class Judge:
         self._rebuild()
 
     def angle_deg(self, accel_mg: Floats) -> float | None:
-        """Present angle by gravity, in the stage's sense, within ±180°; None if attitudes are free."""
+        """Return the stage angle of a reading by gravity, within ±180°; None if attitudes are free."""
         return self._expected.angle_deg(accel_mg) if self._planar else None
 
     def tolerance_deg(self, accel_mg: Floats, angle_deg: float) -> float | None:
-        """Largest deviation from a stage angle that no guard doubts; None before the first dwell.
+        """Return the largest deviation from a stage angle that no guard doubts; None before a dwell.
 
-        It becomes smaller when dwells have shown the sensor's gains, biases and misalignment.
+        `accel_mg` is the present reading. The deviation becomes smaller when dwells have shown the sensor's
+        gains, biases and misalignment.
         """
         if not self._planar or not self._expected.begun:
             return None
@@ -679,7 +733,7 @@ class Judge:
         self._other.add(taken.mean_mg, angle)
 
     def _asked_deg(self, position: Position) -> float:
-        """Requested turn in degrees from the last dwell to a position, by the shorter way."""
+        """Return the requested turn in degrees from the last dwell to a position, by the shorter way."""
         before = self._taken[-1].position.angle_deg or 0.0
         asked = wrap_degrees((position.angle_deg or 0.0) - before)
         return 180.0 if asked == -180.0 else asked

@@ -42,7 +42,7 @@ SPACE = (
 
 
 def turn_to_do(turns: int) -> str:
-    """Instruction to the operator for a free turn of this many full turns, in one line."""
+    """Return the instruction to the operator for a free turn of this many full turns, in one line."""
     if turns > 1:
         ways = f"{turns} times all around in the time, on and on, or forth and back if a cable requires it"
     else:
@@ -54,7 +54,10 @@ def turn_to_do(turns: int) -> str:
 
 
 def whole_turns_to_do(turned_deg: float, fastest_dps: float) -> str:
-    """Instruction to the operator for whole turns on a table, in one line."""
+    """Return the instruction to the operator for whole turns on a table, in one line.
+
+    `turned_deg` is the turn, counter-clockwise positive, and `fastest_dps` the largest rate.
+    """
     turns = round(abs(turned_deg) / 360)
     times = "once" if turns == 1 else f"{turns} times"
     way = "counter-clockwise" if turned_deg > 0 else "clockwise"
@@ -66,7 +69,7 @@ def whole_turns_to_do(turned_deg: float, fastest_dps: float) -> str:
 
 
 def face(position: Position | None) -> str:
-    """Name of the axis that points up or down, such as `X arrow up`; empty without a direction."""
+    """Return the axis that points up or down, such as `X arrow up`; empty without a direction."""
     if position is None or position.direction is None:
         return ""
     along, axis = max(zip(position.direction, "XYZ", strict=True), key=lambda pair: abs(pair[0]))
@@ -74,7 +77,7 @@ def face(position: Position | None) -> str:
 
 
 def drawing(plan: Plan) -> tuple[str, ...]:
-    """Drawing of the sensor at the first position, as lines of text (ASCII and the degree sign)."""
+    """Return a drawing of the sensor at a plan's first position, as lines of text."""
     return SPACE if plan.plane == "none" else PLANE
 
 
@@ -86,14 +89,16 @@ def to_do(
     fastest_dps: float = 180.0,
     table: bool = False,
 ) -> str:
-    """Instruct the operator to take the next position, such as `turn the part +90° …`.
+    """Return the instruction to take the next position, such as `turn the part +90° …`.
 
     Parameters
     ----------
+    position : Position
+        The next position.
     before : Position or None
-        Present position of the sensor.
+        Present position of the sensor; None if it is not known.
     reverse : bool
-        True in a reversed session.
+        True in a reversed session, in which the stage counts angles the other way than the plan.
     fastest_dps : float
         Largest rate of whole turns.
     table : bool
@@ -143,4 +148,4 @@ def _hold(position: Position, *, table: bool) -> str:
 
 _MUCH = 0.3
 _ROUND_DEG = 10.0
-"""Angle from the vertical below which an arrow is described as up or down."""
+"""Angle from the vertical in degrees from which the instruction states the tilt of an arrow."""

@@ -34,30 +34,30 @@ ALL_THERMOMETERS = (*DEFAULT_SCAN, "YTEMP_OUT", "ZTEMP_OUT")
 """Registers of a scan with the temperature of each gyro's die."""
 
 TURNS = 5
-"""Turns each way, ten about an axis; during more turns the zero rate would drift (docs/gyros.md)."""
+"""Default number of turns each way, ten about an axis; in more turns the zero rate would drift."""
 MOST_TURNS = 20
-"""Limit of turns each way: with an error of the gain, more turns could not be counted reliably."""
+"""Largest number of turns each way: with an error of the gain, more could not be counted reliably."""
 REST_S = 1.0
-"""Rest before the turn and after it."""
+"""Rest before the turn and after it, in s."""
 STOPPED_S = 6.0
-"""Rest within the turn after which it counts as ended, even if it is not whole."""
+"""Rest in s within a turn after which the turn counts as ended, even if it is not whole."""
 PATIENCE_S = 300.0
 MOVING_DPS = 2.0
-"""Mean rate of a block below which the part rests."""
+"""Mean rate of a block in °/s below which the sensor rests."""
 OFF_SHARE, OFF_DEG = 0.03, 5.0
-"""Largest deviation from whole turns by a gyro's gain and zero rate."""
+"""Largest deviation from whole turns that a gyro explains: share of the turn (gain), and degrees (zero)."""
 FACE_DEG = 30.0
-"""Largest angle from the requested attitude."""
+"""Largest angle in degrees between the requested attitude and the attitude of a dwell."""
 _TILT_SHARE = 0.2
 _ALMOST_DEG = 30.0
 
 _UP = ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
 _DOWN = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-"""Readings of an ideal sensor with its X, Y or Z arrow up, or down."""
+"""Readings of an ideal sensor in G with its X, Y or Z arrow up (`_UP`), or down (`_DOWN`)."""
 
 
 def gyro_turns_plan(turns: int = TURNS, faces: int = 6) -> Plan:
-    """Plan of gyro turns: with each arrow up, `turns` whole turns in both senses.
+    """Return a plan of gyro turns: with each arrow up, `turns` whole turns in both senses.
 
     Parameters
     ----------
@@ -88,15 +88,21 @@ class GyroTurn(FollowedTurn):
 
     Parameters
     ----------
+    place, position : int, Position
+        Index of the position in the plan, and the position.
     wanted_deg : float
         Requested turn, counter-clockwise positive.
     rest : Block
-        Scans of the dwell before.
+        Scans of the dwell before, which give the zero rates and the vertical.
+    began : (str, float)
+        Beginning of the recording: UTC, and time on the bus's clock in s.
 
     Attributes
     ----------
     angle_deg : (3,) float
-        Turn about the sensor's axes.
+        Turn so far about the sensor's axes.
+    moved : bool
+        True once the sensor has moved.
     """
 
     phase = "before"
@@ -129,7 +135,7 @@ class GyroTurn(FollowedTurn):
         return f"no whole turn within {PATIENCE_S:.0f} s" if self.length_s >= PATIENCE_S else None
 
     def begin(self, bench: SessionBench) -> bool:
-        """Start the turn of the stage; False if there is no such stage."""
+        """Start the turn of the stage; return False if the stage cannot turn, so that a hand has to."""
         move = bench.begin_turn(self.wanted_deg)
         self.moves += [] if move is None else [move]
         return move is not None
@@ -177,7 +183,7 @@ class GyroTurnsRecorder(DwellRecorder):
     judges_places = False  # whole turns end where they began
 
     def take(self, place: int) -> Iterator[Event]:
-        """Record the turn that the plan requests at a place, if any, and the dwell after it."""
+        """Record the turn, if any, that the plan requests at index `place`, and the dwell after it."""
         position = self._ledger.plan.positions[place]
         if position.turned_deg is None:
             yield from self._lay(place)
@@ -185,7 +191,7 @@ class GyroTurnsRecorder(DwellRecorder):
             yield from super().take(place)
 
     def _lay(self, place: int) -> Iterator[Event]:
-        """Record a dwell in a new attitude, and check that the requested face is down."""
+        """Record a dwell in a new attitude, and check that the requested arrow points up or down."""
         yield from super().take(place)
         asked = self._ledger.plan.positions[place].direction
         number = self._ledger.done.get(place)
@@ -206,13 +212,13 @@ class GyroTurnsRecorder(DwellRecorder):
             self._ledger.skip(place)
 
     def _rest(self, place: int) -> Block:
-        """Read the scans of the dwell at a place from the archive."""
+        """Read the scans of the dwell at a place (index in the plan) from the archive."""
         archive, number = self._ledger.archive, self._ledger.done[place]
         attempt = next(a for a in archive.attempts() if a.number == number)
         return join(archive.blocks(attempt, "dwell"))
 
     def _turn(self, place: int, wanted_deg: float) -> Generator[Event, None, bool]:
-        """Record a turn; True if the dwell after it can be recorded."""
+        """Record a turn by `wanted_deg`; return True if the dwell after it can be recorded."""
         before = place - 1
         if before not in self._ledger.done:
             message = "the rest before this turn was skipped, so that the zero rates are unknown"
@@ -232,7 +238,10 @@ class GyroTurnsRecorder(DwellRecorder):
         return (yield from self._judged(turn, rest, blocks))
 
     def _judged(self, turn: GyroTurn, rest: Block, blocks: list[Block]) -> Generator[Event, None, bool]:
-        """Judge a turn and ask about a bad one; True if it is good or is kept."""
+        """Judge a turn and ask about a bad one; return True if it is good or is kept.
+
+        `rest` has the scans of the dwell before, `blocks` the scans of the turn.
+        """
         place, guard = turn.place, judge_whole_turn(turn, found_in(rest, blocks, self._sampling(rest)))
         if guard is None:
             return True
@@ -262,7 +271,10 @@ class GyroTurnsRecorder(DwellRecorder):
 
 
 def found_in(rest: Block, blocks: list[Block], sampling: Sampling) -> Integral | str:
-    """Integrate the rates of a turn over its scans; return the reason as text if that is not possible."""
+    """Integrate the rates of a turn over its scans; return the reason as text if that is not possible.
+
+    `rest` has the scans of the dwell before, `blocks` the scans of the turn.
+    """
     blocks = [block for block in blocks if len(block)]
     scans = join(blocks)
     rates, force = _rates_and_force(scans)
@@ -274,7 +286,10 @@ def found_in(rest: Block, blocks: list[Block], sampling: Sampling) -> Integral |
 
 
 def judge_whole_turn(turn: GyroTurn, found: Integral | str) -> Guard | None:
-    """Check that a turn was whole, about the vertical and in the requested sense; None if it was."""
+    """Check that a turn was whole, about the vertical and in the requested sense; None if it was.
+
+    `found` is the integral of the turn, or the reason as text why it cannot be computed.
+    """
     wanted_deg, turned = turn.wanted_deg, turn.turned_deg
     values = {"asked_deg": wanted_deg, "gyro_deg": turned}
     if isinstance(found, str):
@@ -304,15 +319,12 @@ def judge_whole_turn(turn: GyroTurn, found: Integral | str) -> Guard | None:
 
 
 def way(angle_deg: float) -> str:
-    """Sense of a turn seen from above: `counter-clockwise` or `clockwise`."""
+    """Return the sense of a turn seen from above: `counter-clockwise` or `clockwise`."""
     return "counter-clockwise" if angle_deg > 0 else "clockwise"
 
 
 def _the_other_way(plan: Plan, place: int) -> Plan:
-    """Reverse the sense of the remaining turns in the present attitude, from a place on.
-
-    Returns the changed plan.
-    """
+    """Return the plan with the turns in the present attitude, from a place on, in the other sense."""
     positions, k = list(plan.positions), place
     while k < len(positions) and (turned := positions[k].turned_deg) is not None:
         positions[k] = replace(positions[k], turned_deg=-turned)

@@ -46,14 +46,27 @@ COLUMNS: dict[str, tuple[str, float]] = {
     "temp_x": ("temp_c", 1e-3),
     "voltage0_supply": ("supply_v", 1e-3),
 }
-"""Column of a session and factor from IIO's unit, by channel; the first existing temperature is used."""
+"""Column of a session and factor from IIO's unit to the column's unit, by the channel's name.
+
+If a device has several temperatures, the first one in this order is used.
+"""
 
 ACCELS = ("accel_x", "accel_y", "accel_z")
 
 
 @dataclass(frozen=True)
 class SampleFormat:
-    """Storage format of a channel's samples in a scan, as IIO describes it."""
+    """Storage format of a channel's samples in a scan, as IIO describes it.
+
+    Attributes
+    ----------
+    big_endian, signed : bool
+        Byte order of the stored word, and True if the number is signed.
+    bits, storage : int
+        Number of bits of the number, and of the stored word.
+    shift : int
+        Number of bits of the word below the number.
+    """
 
     big_endian: bool
     signed: bool
@@ -100,13 +113,13 @@ class IioChannel:
     Attributes
     ----------
     id : str
-        Such as `accel_x`, or with the label in the name of the kernel's file, `voltage0_supply`.
+        Name such as `accel_x`, or with the label in the name of the kernel's file, `voltage0_supply`.
     index : int
-        Place in a scan; -1 if it cannot be buffered.
+        Place of its sample in a scan; −1 if the channel cannot be buffered.
     format : SampleFormat or None
-        None if it cannot be buffered.
+        Storage format of its samples; None if the channel cannot be buffered.
     scale, offset : float
-        value = (raw + offset) * scale.
+        Conversion of a raw number to IIO's unit: value = (raw + offset) * scale.
     """
 
     id: str
@@ -129,6 +142,8 @@ class IioChannel:
 
 def choose_channels(channels: Sequence[IioChannel], where: str) -> tuple[IioChannel, ...]:
     """Choose the channels that a session records: one for each column, in the order of the columns.
+
+    `where` names the device in error messages. Gyros are left out unless there are three.
 
     Raises
     ------
@@ -155,6 +170,13 @@ class BufferLayout:
 
     Samples are ordered by the index, and each begins at a multiple of its size; the size of a scan is a
     multiple of its largest sample.
+
+    Attributes
+    ----------
+    channels : tuple of IioChannel
+        Channels in the order of a scan.
+    size : int
+        Size of a scan in bytes.
     """
 
     def __init__(self, channels: Sequence[IioChannel]) -> None:
@@ -181,7 +203,7 @@ class BufferLayout:
         )
 
     def numbers(self, data: bytes) -> dict[str, np.ndarray]:
-        """Decode the bytes of n whole scans: numbers (n,) int64 by channel."""
+        """Decode the bytes of n whole scans: numbers (n,) int64 by the channel's name."""
         scans = np.frombuffer(data, self._dtype)
         return {
             channel.id: channel.format.numbers(scans[channel.id])
@@ -191,7 +213,15 @@ class BufferLayout:
 
 
 def parse_number(attributes: Mapping[str, str], name: str, default: float, where: str) -> float:
-    """Number from the text of an attribute, or the default if there is no such attribute."""
+    """Return the number in the text of an attribute, or the default if there is no such attribute.
+
+    `where` names the device in error messages.
+
+    Raises
+    ------
+    CannotOpenError
+        The text is no finite number.
+    """
     text = attributes.get(name)
     if text is None:
         return default
@@ -207,7 +237,8 @@ def parse_number(attributes: Mapping[str, str], name: str, default: float, where
 def channel_of(name: str, texts: Mapping[str, str], where: str) -> IioChannel:
     """Make a channel from the texts of its attributes `scale`, `offset`, `index` and `format`.
 
-    Missing attributes have defaults.
+    Missing attributes have defaults. `name` is the channel's name, `where` names the device in error
+    messages.
     """
     scale = parse_number(texts, "scale", 1.0, where)
     offset = parse_number(texts, "offset", 0.0, where)
@@ -227,11 +258,11 @@ class DeviceFacts:
     Attributes
     ----------
     id, name : str
-        Such as `iio:device0`, `adxl345`.
+        Id and name of the device, such as `iio:device0` and `adxl345`.
     channels : tuple of IioChannel
-        Inputs, with the timestamp if there is one.
+        Input channels, with the timestamp if there is one.
     rate_hz : float or None
-        None if the device does not state it.
+        Sample rate in Hz; None if the device does not state it.
     """
 
     id: str
@@ -252,7 +283,8 @@ class LocalDevice:
     Parameters
     ----------
     name : str
-        `iio:device0`, `device0`, or the name in its attribute `name`; empty takes the only accelerometer.
+        Id such as `iio:device0` or `device0`, or the name in the device's attribute `name`; empty takes the
+        only accelerometer.
     root : path
         Folder with /sys and /dev; another folder than / is for containers and tests.
 
@@ -305,7 +337,13 @@ class LocalDevice:
     # -- the buffer -------------------------------------------------------------------------------
 
     def open_buffer(self, channels: tuple[IioChannel, ...], samples: int) -> None:
-        """Start to buffer scans of these channels."""
+        """Start to buffer scans of these channels; the buffer has room for `samples` scans.
+
+        Raises
+        ------
+        CannotOpenError
+            The buffer is in use or cannot be opened.
+        """
         if (self._text("buffer/enable") or "0").strip() == "1":
             raise CannotOpenError(f"{self.where}: its buffer is in use by another program")
         chosen = {f"in_{channel.id}_en" for channel in channels}
@@ -323,7 +361,7 @@ class LocalDevice:
             ) from error
 
     def read_buffer(self, size: int, timeout_s: float) -> bytes:
-        """Wait for bytes, and read those available, at most `size`."""
+        """Wait for bytes for at most `timeout_s`, then read the available bytes, at most `size`."""
         if self._descriptor is None:
             raise ProtocolError(f"{self.where}: no buffer is open")
         ready, _, _ = select.select([self._descriptor], [], [], timeout_s)
@@ -371,7 +409,10 @@ class LocalDevice:
 
 
 def local_accelerometers(root: Path = Path("/")) -> list[tuple[str, str]]:
-    """Id and name of each accelerometer with three axes on this machine."""
+    """Return id and name of each accelerometer with three axes on this machine.
+
+    `root` is the folder with /sys and /dev.
+    """
     return [(folder.name, _name_of(folder)) for folder in _folders(root) if _is_accelerometer(folder)]
 
 
@@ -414,14 +455,14 @@ def _hint(error: OSError) -> str:
 
 
 PORT = 30431
-"""iiod's port."""
+"""TCP port on which iiod listens."""
 
 TIMEOUT_S = 5.0
 LINE_LIMIT = 1024
 _RECEIVED = 1 << 16
 _SHORTEST_WAIT_S = 1e-6
 XML_LIMIT = 1 << 22
-"""Limit of the context's XML in bytes; hundreds of devices need less."""
+"""Largest size in bytes of the XML that describes a server's devices; hundreds of devices need less."""
 
 _ERRNO = {1: "not permitted", 2: "no such attribute", 5: "input/output error", 13: "permission denied"}
 _ERRNO |= {16: "busy", 19: "no such device", 22: "invalid", 110: "timed out"}
@@ -433,10 +474,12 @@ class NetworkDevice:
 
     Parameters
     ----------
-    host, port
-        The server.
+    host, port : str, int
+        Address of the server.
     name : str
         Id or name of the device; empty takes the only accelerometer of three axes.
+    timeout_s : float
+        Longest time for an operation in s.
 
     Raises
     ------
@@ -530,7 +573,7 @@ class NetworkDevice:
         return parse_number({"raw": text}, "raw", 0.0, self.where)
 
     def _id_of(self, channel: str) -> str:
-        """Id of a channel as requests need it, without the label."""
+        """Return the id of a channel as requests need it, without the label."""
         for element in self._element.findall("channel"):
             if channel in (element.get("id"), f"{element.get('id')}_{element.get('name')}"):
                 return element.get("id", "")
@@ -539,7 +582,13 @@ class NetworkDevice:
     # -- the buffer -------------------------------------------------------------------------------
 
     def open_buffer(self, channels: tuple[IioChannel, ...], samples: int) -> None:
-        """Start to buffer scans of these channels."""
+        """Start to buffer scans of these channels; the buffer has room for `samples` scans.
+
+        Raises
+        ------
+        CannotOpenError
+            The server refuses to open the buffer.
+        """
         order = [element.get("id", "") for element in self._element.findall("channel")]
         bits = sum(1 << order.index(self._id_of(channel.id)) for channel in channels)
         words = -(-len(order) // 32)
@@ -552,7 +601,7 @@ class NetworkDevice:
         self._buffered = True
 
     def read_buffer(self, size: int, timeout_s: float) -> bytes:
-        """Read `size` bytes of whole scans."""
+        """Read `size` bytes of whole scans; `timeout_s` is the longest time for it."""
         with self._within(max(timeout_s, self._timeout_s)):
             data, length = b"", self._number(f"READBUF {self._id} {size}")
             while length > 0:
@@ -640,7 +689,7 @@ class NetworkDevice:
 
     @contextlib.contextmanager
     def _within(self, seconds: float) -> Iterator[None]:
-        """Context that gives all requests of an operation one common deadline."""
+        """Context that limits the total time of all requests in its block to some seconds."""
         self._deadline_s = time.monotonic() + seconds
         try:
             yield

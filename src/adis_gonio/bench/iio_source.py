@@ -37,22 +37,22 @@ from adis_gonio.record.blocks import GENERIC, ValueBlock
 from adis_gonio.record.source import KnownPart, Measuring, SampleSource, Settings
 
 TYPICAL_NOISE_MG = 5.0
-"""Estimate for a sample of an unknown accelerometer; ten times this estimate counts as motion."""
+"""Estimate of a sample's noise in mg for an unknown accelerometer; ten times as much counts as motion."""
 
 TYPICAL_BIAS_MG = 50.0
-"""Estimate of an unknown accelerometer's zero-g offset; consumer parts state 20 to 100 mg."""
+"""Estimate of an unknown accelerometer's bias in mg; consumer parts state 20 to 100 mg."""
 
 PATIENCE_S = 5.0
-"""Shortest time without a scan after which a device counts as silent."""
+"""Shortest time in s without a scan after which a device counts as silent."""
 
 RATES_HZ = (1e-3, 1e6)
-"""Sample rates that a device may state: a sample each 17 minutes to one each microsecond."""
+"""Sample rates in Hz that a device may state: a sample each 17 minutes to one each microsecond."""
 
 BUFFER_BLOCKS = 4
-"""Size of the device's buffer in blocks."""
+"""Size of the device's buffer in blocks of samples."""
 
 NO_FAULTS = "the sensor reports no errors or alarms, so a fault within a dwell is not detected"
-"""IIO has no common interface for errors and alarms."""
+"""Text for the user: IIO has no common interface for errors and alarms."""
 
 _OPTIONS = ("poll", "rate", "root")
 _NETWORK = re.compile(r"ip:(?P<host>\[[^]]+\]|[^:/]+)(?::(?P<port>\d{1,5}))?(?:/(?P<device>.*))?")
@@ -64,12 +64,15 @@ class IioMeasuring(JsonRecord):
     Attributes
     ----------
     sample_rate_hz : float
+        Number of samples a second.
     device : str
-        Its name.
+        Name of the device.
     buffered : bool
         False if single values are polled.
     scales, offsets : mapping of str to float
-        By channel: value = (raw + offset) * scale, in IIO's units.
+        Conversion of each channel by its name: value = (raw + offset) * scale, in IIO's units.
+    settling_s : float
+        Settling time of a filter: 0, because none is known.
     """
 
     sample_rate_hz: float
@@ -91,12 +94,14 @@ class IioSource(SampleSource):
 
     Parameters
     ----------
+    url : str
+        URL by which the device was opened.
     device : IioDevice
-        Closed by `close` of the source.
+        Open device; the source closes it.
     poll_hz : float or None
-        Rate at which single values are read instead of scans.
+        Rate at which single values are read instead of scans; None reads scans from the buffer.
     rate_hz : float or None
-        Sample rate of a device that does not state it.
+        Sample rate in Hz of a device that does not state it; None takes the device's rate.
 
     Raises
     ------
@@ -137,11 +142,11 @@ class IioSource(SampleSource):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Columns of a session that the blocks of samples have."""
+        """Columns of a session that the blocks of samples have, in order."""
         return tuple(channel.column for channel in self.channels)
 
     def now_s(self) -> float:
-        """Present time in s on the host's clock, 0 at opening."""
+        """Return the present time in s on the host's clock, 0 at opening."""
         return time.monotonic() - self._zero_s
 
     def sleep_s(self, seconds: float) -> None:
@@ -153,15 +158,18 @@ class IioSource(SampleSource):
         return self.measuring
 
     def identity(self, registers: Mapping[str, Any], measuring: Mapping[str, Any]) -> dict[str, Any]:
-        """Name, rate and scales of the device, which must not change during a session."""
+        """Return name, rate and scales of the device, which must not change during a session.
+
+        `measuring` is the configuration in JSON form; `registers` is not used.
+        """
         return dict(measuring)
 
     def expected_noise_mg(self, measuring: Measuring) -> float:
-        """Noise of a sample in mg, a rough value for any accelerometer."""
+        """Return an estimate of a sample's noise in mg, a rough value for any accelerometer."""
         return TYPICAL_NOISE_MG
 
     def samples(self, settings: Settings, block_samples: int) -> IioStream:
-        """Start a stream of samples."""
+        """Start a stream of samples in blocks of `block_samples`; the settings have no effect on it."""
         return self.stream(block_samples)
 
     def stream(self, block_samples: int) -> IioStream:
@@ -178,7 +186,13 @@ class IioSource(SampleSource):
 
 
 class IioStream(Closing):
-    """Stream of blocks of samples until it is closed; use it as a context manager."""
+    """Stream of blocks of samples until it is closed; use it as a context manager.
+
+    Attributes
+    ----------
+    how, caveat : str
+        Way in which samples are read, and their known limitation, as texts for the user.
+    """
 
     how = ""
     caveat = NO_FAULTS
@@ -255,7 +269,13 @@ class BufferedSamples(IioStream):
         return self._values(numbers, time_s, lost)
 
     def _times(self, stamps_ns: np.ndarray) -> tuple[Floats, int]:
-        """Convert time stamps to the source's clock in s, and count missing samples between them."""
+        """Convert time stamps (n,) in ns to times on the source's clock in s, and count missing samples.
+
+        Raises
+        ------
+        ProtocolError
+            The time stamps do not increase.
+        """
         if self._first_ns is None:
             self._first_ns = int(stamps_ns[0])
         before = stamps_ns[:1] if self._last_ns is None else np.array([self._last_ns])
@@ -309,7 +329,7 @@ def open_from_url(url: BusUrl) -> IioSource:
     UsageError
         An option is unknown, or the address is not valid.
     CannotOpenError
-        See `LocalDevice`, `NetworkDevice`, `IioSource`.
+        There is no such device, it cannot be opened, or it is no accelerometer with three axes.
     """
     UrlOptions(url, _OPTIONS)  # refuses other options
     poll_hz, rate_hz = (_hertz(url, name) for name in ("poll", "rate"))
@@ -329,7 +349,10 @@ def open_from_url(url: BusUrl) -> IioSource:
 
 
 def find_devices(root: Path = Path("/")) -> list[Device]:
-    """List the accelerometers of this machine; others have to be named by their address."""
+    """List the accelerometers of this machine; devices of other machines have to be named by address.
+
+    `root` is the folder with /sys and /dev.
+    """
     return [
         Device(f"iio:{name.removeprefix('iio:')}", f"IIO accelerometer {label}: samples, no registers")
         for name, label in local_accelerometers(root)

@@ -1,7 +1,7 @@
 """Base class of recorders of dwells and turns, and the recorder of a free turn.
 
-A plan chooses its recorder (`runner.RECORDERS`): dwells at positions, one free turn, or dwells between the
-whole turns of gyros. All other parts of a session are common.
+A plan chooses its recorder (`runner.RECORDERS`): dwells at positions, one free turn, or dwells between
+whole turns on a table. All other parts of a session are common.
 
 A free turn is one continuous recording, from a rest through turns to a rest. Its plan has one place, and
 the whole recording is its dwell. Every few seconds a piece is archived as an attempt with the reason
@@ -37,26 +37,33 @@ class FollowedTurn(ABC):
 
     Attributes
     ----------
+    place, position : int, Position
+        Index of the position in the plan, and the position.
     phase : {"dwell", "before"}
         Phase of its scans in the archive.
     rest_before_s : float
-        Rest before the turn begins.
+        Rest before the turn begins, in s.
     piece_s : float
-        Length of the pieces in which it is archived.
+        Length of the pieces in which the recording is archived, in s.
     limit_s : float
-        Longest time of the recording.
+        Longest time of the recording, in s.
     turns : int
-        Requested full turns.
+        Number of requested full turns.
+    began : (str, float)
+        Beginning of the piece that is not archived yet: UTC, and time on the bus's clock in s.
     blocks, moves : list
         Scans and moves that are not archived yet.
     turned_deg, rate_dps : float
         Turn since the beginning and present rate, counter-clockwise positive.
     turns_made : int
-        Full turns so far.
+        Number of full turns so far.
     travelled_deg : float
-        Sum of the turns in both directions.
+        Sum of the turns in both directions, each counted as positive.
     rest_s, peak_dps : float
-        See `TurnProgress`.
+        Duration of the present rest in s, and largest rate of any gyro so far in °/s; 0 if the gyros are
+        not followed.
+    samples, lost, length_s : int, int, float
+        Number of samples so far, of scans lost, and time since the beginning in s.
     """
 
     phase: ClassVar[Phase] = "dwell"
@@ -81,7 +88,7 @@ class FollowedTurn(ABC):
 
     @abstractmethod
     def begin(self, bench: SessionBench) -> bool:
-        """Start the turn of the stage; False if there is no such stage."""
+        """Start the turn of the stage; return False if the stage cannot turn, so that a hand has to."""
 
     @property
     @abstractmethod
@@ -104,7 +111,10 @@ class FollowedTurn(ABC):
             self.see(block)
 
     def progress(self, *, begun: bool) -> TurnProgress:
-        """Make the event that shows the present state of the turn."""
+        """Return the event that shows the present state of the turn.
+
+        `begun` is True once the rest before the turn is over.
+        """
         return TurnProgress(
             ("after" if self.full else "turn") if begun else "rest",
             self.length_s,
@@ -120,7 +130,7 @@ class FollowedTurn(ABC):
         )
 
     def done(self, number: int) -> TurnDone:
-        """Make the event for the end of the turn; `number` is its attempt in the archive."""
+        """Return the event for the end of the turn; `number` is its attempt in the archive."""
         return TurnDone(
             number,
             self.turned_deg,
@@ -135,12 +145,17 @@ class FollowedTurn(ABC):
 class Recorder(ABC):
     """Base of recorders, which record the positions of a plan into the archive.
 
+    Parameters
+    ----------
+    questions : Questions
+        Dialogue with the operator, with the parts of the session.
+
     Attributes
     ----------
     one_recording : bool
         True if the session is one continuous recording without positions.
     judges_places : bool
-        True if each position is judged by gravity.
+        True if the guards check each position by gravity.
     """
 
     one_recording: ClassVar[bool] = False
@@ -185,7 +200,11 @@ class Recorder(ABC):
         return BROKEN_STREAM
 
     def _write(self, turn: FollowedTurn, outcome: Outcome, reason: str, status: int | None = None) -> int:
-        """Write the scans of a turn that are not yet archived as an attempt; return its number."""
+        """Write the scans of a turn that are not yet archived as an attempt; return its number.
+
+        `outcome` and `reason` are stored with the attempt; `status` is the content of STATUS, None if it
+        was not read.
+        """
         now_s = self._bench.now_s
         blocks = [(turn.phase, block) for block in turn.blocks]
         number = self._ledger.archive.add_attempt(
@@ -199,27 +218,27 @@ class Recorder(ABC):
 
 
 def why_broken_off(error: BaseException) -> str:
-    """Reason for the archive why an error ended an attempt."""
+    """Return the reason, for the archive, why an error ended an attempt."""
     return str(error) if isinstance(error, AdisGonioError) else "the program ended"
 
 
 DURATION_S = 60.0
 TURNS = 2
-"""With two turns each angle is seen twice, which separates drift from calibration."""
+"""Default number of turns; with two turns each angle is seen twice, which separates drift."""
 FASTEST_DPS = 45.0
-"""Limit of the mean rate; a hand that changes its grip reaches twice its mean."""
+"""Largest mean rate in °/s; a hand that changes its grip reaches twice its mean."""
 REST_S = 3.0
-"""Rest before the turns and after them."""
+"""Rest before the turns and after them, in s."""
 PIECE_S = 5.0
 """Length of the pieces in which a recording is archived, in s; a killed program loses the last one."""
 RESTING_DEG = 0.5
-"""Largest turn within `REST_S` that counts as rest."""
+"""Largest turn in degrees within `REST_S` that counts as rest."""
 
 PLACE = Position(None, 0)
 
 
 def free_turn_plan(turns: int = TURNS, duration_s: float = DURATION_S) -> Plan:
-    """Plan of a free turn: `turns` full turns in one recording of at most `duration_s`.
+    """Return a plan of a free turn: `turns` full turns in one recording of at most `duration_s`.
 
     Raises
     ------
@@ -249,9 +268,21 @@ class TurningStage(Protocol):
 class FreeTurn(FollowedTurn):
     """A turn by hand in the plane, followed by the angle of gravity.
 
+    Parameters
+    ----------
+    place : int
+        Index of the position in the plan.
+    turns : int
+        Number of requested full turns.
+    limit_s : float
+        Longest time of the recording, in s.
+    began : (str, float)
+        Beginning of the recording: UTC, and time on the bus's clock in s.
+
     Attributes
     ----------
     sweeps : Sweeps
+        Turn so far by the angle of gravity: present angle, full turns and travel.
     """
 
     rest_before_s = REST_S
@@ -279,7 +310,7 @@ class FreeTurn(FollowedTurn):
         self.rate_dps = (a1 - a0) / (t1 - t0) if t1 > t0 else 0.0
 
     def begin(self, bench: SessionBench) -> bool:
-        """Start the turn of the stage; False if there is no such stage."""
+        """Start the turn of the stage; return False if the stage cannot turn, so that a hand has to."""
         if not isinstance(bench.stage, TurningStage):
             return False
         bench.stage.turn_freely(self.turns)
@@ -301,7 +332,7 @@ class FreeTurn(FollowedTurn):
     def ended(self) -> str | None:
         """None during the recording; empty at its end.
 
-        It ends when the time is over, or when the turns were made and the sensor rests.
+        The recording ends when the time is over, or when the turns were made and the sensor rests.
         """
         return "" if self.length_s >= self.limit_s or (self.full and self.resting) else None
 
@@ -310,14 +341,14 @@ class FreeTurnRecorder(Recorder):
     """Records a free turn as the dwell of a plan with a single position.
 
     `Settings.dwell_s` limits the time of the recording; it ends earlier when the turns were made and the
-    part rests.
+    sensor rests.
     """
 
     one_recording = True
     judges_places = False
 
     def take(self, place: int) -> Iterator[Event]:
-        """Record the free turn and archive it as a dwell."""
+        """Record the free turn and archive it as the dwell of `place`, the index of its position (0)."""
         bench, ledger = self._bench, self._ledger
         turn = FreeTurn(place, max(ledger.plan.turns, 1), bench.settings.dwell_s, bench.moment())
         why = yield from self._record_turn(turn)
@@ -343,7 +374,7 @@ class FreeTurnRecorder(Recorder):
 
 
 def _too_few(turn: FreeTurn) -> str:
-    """Message for a recording that has fewer full turns than requested."""
+    """Return the message for a recording that has fewer full turns than requested."""
     if not turn.sweeps.full:
         return f"it went {turn.sweeps.span_deg:.0f}°, no full turn: undo it and turn all around"
     return (

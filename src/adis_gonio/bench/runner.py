@@ -60,7 +60,7 @@ RECORDERS: dict[str, type[Recorder]] = {GYRO_TURNS: GyroTurnsRecorder, FREE_TURN
 """Recorder by the name of the plan; other plans take a `DwellRecorder`."""
 
 SHARE_OF_RANGE = 0.6
-"""Share of the gyros' range for the mean rate: a hand is much faster than its mean between two grips."""
+"""Largest mean rate of a turn as a share of the gyros' range: a hand is faster between two grips."""
 
 
 class Visiting:
@@ -68,12 +68,14 @@ class Visiting:
 
     Parameters
     ----------
+    questions : Questions
+        Dialogue with the operator.
     recorder : Recorder
         Records each place.
     extend : bool
-        True to accept the extension of a two-position session.
+        True to accept, without an operator, the extension of a two-position session.
     advisor : Advisor or None
-        Source of further positions when the plan is done.
+        Source of further positions when the plan is done; None if there is none.
     """
 
     def __init__(
@@ -100,7 +102,10 @@ class Visiting:
                 return
 
     def _carry_out(self, answer: Reply, place: int | None) -> Generator[Event, None, bool]:
-        """Do what the operator's answer requests; return False if the answer ends the session."""
+        """Do what the operator's answer requests; return False if the answer ends the session.
+
+        `place` is the index of the position that was asked for; None if an offer was answered.
+        """
         last = self._ledger.last_place
         if answer is Reply.REPEAT and last is not None:
             yield from self._recorder.take(last)
@@ -130,7 +135,7 @@ class Visiting:
         return (yield from self._questions.ask(asked, {Reply.CONFIRM, Reply.SKIP}, Reply.CONFIRM, place))
 
     def _time_left_s(self) -> float:
-        """Estimated time in s for the remaining positions, by the time for the positions so far."""
+        """Return an estimate of the time in s for the remaining positions, by the time spent so far."""
         bench, ledger = self._bench, self._ledger
         left = len(ledger.plan) - len(ledger.done) - len(ledger.skipped)
         if self._first_asked_s is None:
@@ -141,7 +146,7 @@ class Visiting:
         return left * each + sum(ledger.plan.positions[k].wait_s for k in ledger.open_places)
 
     def _offer_repetition(self) -> Generator[Event, None, Reply]:
-        """Ask if dwells with a fault are to be repeated or kept, and record the answer."""
+        """Ask if dwells with an error or alarm are to be repeated or kept; record and return the answer."""
         places = sorted(self._ledger.faulty)
         where = tuple(self._ledger.plan.positions[place] for place in places)
         offer = RepetitionOffered(tuple(places), where)
@@ -159,9 +164,8 @@ class Visiting:
     def _take_again(self, place: int) -> Generator[Event, None, Reply | None]:
         """Repeat the dwell of a position: ask for the position until there is a new dwell.
 
-        Returns None, or the operator's other answer.
-
-        If the position is skipped, its present dwell is kept.
+        Returns None, or the operator's answer if it is about something else. If the position is skipped,
+        its present dwell is kept.
         """
         done, skipped = self._ledger.done, self._ledger.skipped
         before = done.get(place)
@@ -189,7 +193,10 @@ class Visiting:
         return (yield from self._offer(ExtensionOffered(longer, blind), wanted))
 
     def _offer(self, offer: ExtensionOffered, wanted: bool) -> Generator[Event, None, Reply]:
-        """Offer a longer plan; if it is accepted, archive it before the next position."""
+        """Offer a longer plan and return the answer; an accepted plan is archived before the next position.
+
+        `wanted` is True if the offer is accepted without an operator.
+        """
         default = Reply.ACCEPT if wanted else Reply.DECLINE
         answer = yield from self._questions.ask(offer, {Reply.ACCEPT, Reply.DECLINE}, default)
         if answer is Reply.ACCEPT:
@@ -224,7 +231,7 @@ class Visiting:
         return (yield from self._offer(ExtensionOffered(longer, None, advice.reasons), True))
 
     def _reachable(self, position: Position) -> bool:
-        """True if the operator can place the sensor there, or with `auto` the program can."""
+        """Return True if the operator can place the sensor there, or with `auto` the program can."""
         ledger = self._ledger
         refused = {replace(ledger.plan.positions[place], wait_s=0.0) for place in ledger.skipped}
         if replace(position, wait_s=0.0) in refused:
@@ -283,10 +290,14 @@ class SessionRunner(Operator):
         ----------
         sensor : Adis16354 or SampleSource
             Open sensor; it stays open.
-        path : path
-            New file; an existing session is never overwritten.
+        path : str or Path
+            File of the new session; an existing session is never overwritten.
+        plan : Plan
+            Positions to visit.
+        settings : Settings or None
+            Settings of the session; None for the defaults.
         auto : bool
-            True to answer all questions by default; needs a stage that the program can move.
+            True to answer each question by its default; needs a stage that the program can move.
         extend : bool
             With `auto`: True to accept the extension that a two-position session offers.
         gravity_mps2 : float
@@ -294,12 +305,14 @@ class SessionRunner(Operator):
         fixture_sigma_deg : float or None
             Standard uncertainty of a declared angle in degrees; None if it is not stated.
         stage_curve : StageCurve or None
-            Errors of the stage by its certificate, which correct the declared angles.
+            Errors of the stage according to its certificate, which correct the declared angles; None
+            without one.
         advisor : Advisor or None
-            Source of further positions when the plan is done.
+            Source of further positions when the plan is done; None if there is none.
         metadata : str
-            Notes to keep: `title`, `note` and the names in `adis_gonio.model.records.METADATA`; or
-            `created_utc`, the time of its begin in ISO 8601 (default: now).
+            Texts to keep with the session: `title`, `note` and the names in
+            `adis_gonio.model.records.METADATA`; or `created_utc`, the time of its begin in ISO 8601
+            (default: now).
 
         Raises
         ------
@@ -344,9 +357,23 @@ class SessionRunner(Operator):
         extend: bool = False,
         advisor: Advisor | None = None,
     ) -> SessionRunner:
-        """Continue with the remaining positions of a session, with its own settings.
+        """Continue with the remaining positions of a session, with the session's own settings.
 
-        These may be positions that an advisor requested; a new advisor is asked when they are done.
+        The remaining positions may be positions that an advisor requested; `advisor` is asked when they are
+        done.
+
+        Parameters
+        ----------
+        sensor : Adis16354 or SampleSource
+            Open sensor, the one of the session; it stays open.
+        path : str or Path
+            File of the session.
+        auto : bool
+            True to answer each question by its default; needs a stage that the program can move.
+        extend : bool
+            With `auto`: True to accept the extension that a two-position session offers.
+        advisor : Advisor or None
+            Source of further positions when the plan is done; None if there is none.
 
         Raises
         ------
@@ -385,7 +412,7 @@ class SessionRunner(Operator):
 
     @property
     def fastest_dps(self) -> float:
-        """Largest mean rate of a turn that suits the range of the gyros; known after the configuration."""
+        """Largest mean rate of a turn in °/s that suits the gyros' range; known after configuration."""
         return SHARE_OF_RANGE * float(self._bench.configuration.as_dict().get("gyro_range_dps") or 300.0)
 
     @property
@@ -395,7 +422,7 @@ class SessionRunner(Operator):
 
     @property
     def virtual_time(self) -> bool:
-        """True if the sensor's time stops while no event is taken."""
+        """True if the sensor's clock stops while no event is taken."""
         return self._bench.virtual_time
 
     @property
@@ -409,19 +436,20 @@ class SessionRunner(Operator):
         Parameters
         ----------
         so_far : bool
-            If False, there are no `Running` events, each of which takes the time of a fit.
+            True to fit the dwells so far after each dwell (`Running` events), which takes the time of a
+            fit.
 
         Yields
         ------
         Event
-            The last one is `Finished`, and by then the file is closed.
+            Events of the session; the last one is `Finished`, and by then the file is closed.
 
         Raises
         ------
         SessionError
             The sensor is stuck, does not come to rest (`auto`), or the archive cannot be written.
         BusError, ChipError
-            Errors of the sensor. All dwells completed before are in the archive.
+            The sensor failed. All dwells completed before are in the archive.
         """
         if self._ran:
             raise UsageError("a runner runs once; resume the session with a new one")
@@ -491,13 +519,12 @@ class SessionRunner(Operator):
 
 
 def _measure_noise(questions: Questions) -> Generator[Event, None, list[float] | None]:
-    """Measure the noise at rest, until the sensor has been still long enough.
+    """Measure the noise at rest, until the sensor has been still long enough; record it in the archive.
 
     Returns
     -------
     list of float or None
-        Standard deviation of a sample on each axis in mg, also in the archive; None if the operator
-        stopped.
+        Standard deviation of a sample on each axis in mg; None if the operator stopped.
 
     Raises
     ------
@@ -520,7 +547,7 @@ def _measure_noise(questions: Questions) -> Generator[Event, None, list[float] |
 
 
 def _meter_noise(questions: Questions) -> Generator[Event, None, Floats | None]:
-    """Measure the noise of a sample at rest in mg, (3,).
+    """Measure the noise (3,) of a sample at rest in mg.
 
     Returns None if the operator stops or pauses, or if the sensor does not come to rest.
     """

@@ -26,14 +26,14 @@ from adis_gonio.record.source import (
 from adis_gonio.record.stillness import window_samples
 
 CHECKPOINT_S = 1e-3
-"""Time without frames before a checkpoint, so that no frame spans the point of resuming."""
+"""Time in s without frames before a checkpoint, so that no frame spans the point of resuming."""
 
 
 class MovableStage(Protocol):
     """A stage that the program can move; a bus may bring one as its attribute `stage`."""
 
     def move_to(self, angle_deg: float, approach: int = 1) -> object:
-        """Go to an angle, in the direction `approach` (+1 or -1) at the end."""
+        """Go to an angle in degrees, in the direction `approach` (+1 or −1) at the end."""
 
 
 @runtime_checkable
@@ -48,7 +48,7 @@ class SimulatedWorld(Protocol):
     """The simulated surroundings of a sensor; a simulated bus brings one as its attribute `world`."""
 
     def truth(self, time_s: Floats | None = None) -> dict[str, float]:
-        """True parameters of the simulated sensor, averaged over the times if any are given."""
+        """Return the true parameters of the simulated sensor, averaged over the times if any are given."""
 
 
 @runtime_checkable
@@ -59,10 +59,16 @@ class WatchedStage(SpatialStage, Protocol):
     """
 
     def begin_move(self, angle_deg: float, approach: int = 0) -> float:
-        """Start a move to an angle; return the time in s at which the move ends."""
+        """Start a move to an angle in degrees; return the time in s on the bus's clock at which it ends.
+
+        `approach` is the direction of travel at the end, +1 or −1; 0 for the direct way.
+        """
 
     def begin_orient(self, vector: Sequence[float]) -> float:
-        """Start a move to the attitude in which an ideal sensor reads this vector (3,); return its end."""
+        """Start a move to the attitude in which an ideal sensor reads this vector (3,).
+
+        Returns the time in s on the bus's clock at which the move ends.
+        """
 
 
 @runtime_checkable
@@ -70,7 +76,7 @@ class TurnTable(MovableStage, Protocol):
     """A stage that can also turn the sensor about the vertical while scans are read."""
 
     def begin_turn(self, angle_deg: float) -> float:
-        """Start a turn, counter-clockwise positive; return the time in s at which it ends."""
+        """Start a turn in degrees, counter-clockwise positive; return the time in s at which it ends."""
 
 
 @runtime_checkable
@@ -80,7 +86,7 @@ class ControlledWorld(SimulatedWorld, Protocol):
     def bring_to(
         self, time_s: float, temperature_c: float | None = None, supply_v: float | None = None
     ) -> None:
-        """Change the temperature of the sensor or its supply, from a given time on."""
+        """Change the sensor's temperature or supply from a given time on; None leaves it unchanged."""
 
 
 class SessionBench:
@@ -96,11 +102,17 @@ class SessionBench:
     Attributes
     ----------
     configuration : Measuring
-        Configuration of the sensor; like the following three, known after `configure`.
+        Configuration of the sensor. This and the following attributes are known after `configure`.
     window : int
-        Number of samples in a window of the detector of stillness.
+        Number of samples in a window of the stillness watch.
+    period_s : float
+        Period of the samples in s.
     settle_s : float
-        Wait between stillness and a dwell, at least the settling time of the filter.
+        Wait between stillness and a dwell in s, at least the settling time of the filter.
+    source : SampleSource
+        The sensor as a source of samples.
+    stage, world : object or None
+        Stage that the program can move, and simulated world; None without them.
     """
 
     def __init__(self, sensor: Adis16354 | SampleSource, settings: Settings) -> None:
@@ -138,11 +150,11 @@ class SessionBench:
         return self.source.now_s()
 
     def utc(self) -> str:
-        """Present UTC time as ISO 8601 text."""
+        """Return the present UTC time as ISO 8601 text."""
         return self.source.witness("utc", utc_now)
 
     def moment(self) -> tuple[str, float]:
-        """Present UTC time, and the time in s on the clock of the sensor's bus."""
+        """Return the present UTC time, and the time in s on the clock of the sensor's bus."""
         return self.utc(), self.now_s
 
     def require_auto(self, plan: Plan) -> None:
@@ -160,7 +172,7 @@ class SessionBench:
             raise UsageError(f"plan '{plan.name}' needs an operator: this stage does not turn a table")
 
     def can_reach(self, position: Position) -> bool:
-        """True if the program can set a position and its conditions without an operator."""
+        """Return True if the program can set a position and its conditions without an operator."""
         if self.wants_conditions(position) and not self.sets_conditions:
             return False
         return self.stage is not None if position.angle_deg is not None else self._spatial is not None
@@ -172,11 +184,11 @@ class SessionBench:
 
     @staticmethod
     def wants_conditions(position: Position) -> bool:
-        """True if a position requests a temperature or a supply."""
+        """Return True if a position requests a temperature or a supply."""
         return position.temperature_c is not None or position.supply_v is not None
 
     def set_conditions(self, temperature_c: float | None, supply_v: float | None) -> None:
-        """Set temperature and supply from now on, if the program can."""
+        """Set temperature (°C) and supply (V), if the program can; None leaves them unchanged."""
         if isinstance(self.world, ControlledWorld):
             self.world.bring_to(self.now_s, temperature_c, supply_v)
 
@@ -197,7 +209,7 @@ class SessionBench:
     # -- configuration ----------------------------------------------------------------------------
 
     def configure(self) -> tuple[dict[str, int], dict[str, int]]:
-        """Configure the sensor by the settings; return all registers before and after."""
+        """Configure the sensor by the settings; return the contents of all registers before and after."""
         settings = self.settings
         before = self.source.registers()
         self.configuration: Measuring = self.source.configure(settings)
@@ -215,7 +227,7 @@ class SessionBench:
         return before, after
 
     def settings_lost(self) -> str:
-        """Message if settings of the sensor have changed during the session, with a remedy; else empty.
+        """Return a message with a remedy if the sensor's settings changed during the session; else empty.
 
         After a difference the settings are read again and checked, since a bus error may have caused it.
         """
@@ -252,7 +264,10 @@ class SessionBench:
             self.source.give_back()
 
     def require_same_settings(self, archive: ArchiveView, now: dict[str, int]) -> None:
-        """Raise `SessionError` if a control register has changed since the session began."""
+        """Raise `SessionError` if a control register has changed since the session began.
+
+        `now` has the present contents of all registers by name.
+        """
         registers, measuring = archive.last("registers-configured"), archive.last("configuration")
         if registers is None:
             return
@@ -265,14 +280,14 @@ class SessionBench:
                 )
 
     def changes(self, before: dict[str, int], after: dict[str, int]) -> dict[str, tuple[int, int]]:
-        """Settings that differ between two register dumps, each with both numbers."""
+        """Return the control registers that differ between two register dumps, with both numbers."""
         names = self.source.identity(after, {})
         return {name: (before[name], after[name]) for name in names if before[name] != after[name]}
 
     # -- scans and moves --------------------------------------------------------------------------
 
     def scans(self) -> SampleStream:
-        """The running stream of scans, opened when first needed; two blocks are one window."""
+        """Return the running stream of scans, opened when first needed; two blocks are one window."""
         if self._stream is None:
             block_scans = max(8, self.window // 2)
             self._stream = self.source.samples(self.settings, block_scans)
@@ -317,7 +332,7 @@ class SessionBench:
         return False
 
     def _begin(self, stage: WatchedStage, move: Move) -> bool:
-        """Start a move that is recorded by scans; False if the move has neither angle nor direction."""
+        """Start a move during which scans are read; return False if it has neither angle nor direction."""
         if move.angle_deg is not None:
             self._moves_until_s = stage.begin_move(move.angle_deg, move.approach)
         elif move.direction is not None:
@@ -331,7 +346,10 @@ class SessionBench:
     # -- time -------------------------------------------------------------------------------------
 
     def clock_offset(self, archive: ArchiveView, bus_s: float) -> float:
-        """Difference in s between the time since the session began and the present bus clock."""
+        """Return the seconds to add to the present bus clock to get the time since the session began.
+
+        `bus_s` is the present time on the bus's clock.
+        """
         runs = archive.runs()
         if not runs:
             return -bus_s
@@ -351,6 +369,8 @@ class SessionBench:
 
         Parameters
         ----------
+        archive : ArchiveView
+            The session to resume.
         attempt : int
             Number of the last attempt to repeat; 0 for the end of the noise measurement.
         """
@@ -372,9 +392,9 @@ class SessionBench:
         self._wait_until(end_s)
 
     def take_up(self, archive: ArchiveView, attempt: int) -> None:
-        """Move a new simulated sensor to the position in which an archived attempt left it.
+        """Move a new simulated sensor to the position in which the archived attempt `attempt` left it.
 
-        Unlike `bring_world_to` this is another power-on at another time, as on a real bench.
+        Unlike `bring_world_to`, this is another power-on at another time, as on a real bench.
         """
         for move in archive.moves_before(attempt)[-1:]:
             self._carry_out(move, watched=False)
@@ -391,7 +411,7 @@ class SessionBench:
             source.sleep_s(ahead if ahead < CHECKPOINT_S else ahead - CHECKPOINT_S / 2)
 
     def truth(self, dwells: Sequence[StoredAttempt] = (), dwell_s: float = 0.0) -> dict[str, float] | None:
-        """True parameters of a simulation, averaged over the last `dwell_s` of each dwell.
+        """Return the true parameters of a simulation, averaged over the last `dwell_s` of each dwell.
 
         Returns None for a real sensor.
         """

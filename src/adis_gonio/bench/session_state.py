@@ -36,23 +36,24 @@ class Ledger:
     Parameters
     ----------
     archive : Archive
+        File of the session.
     now : callable
-        Gives the sensor's time in s, for records.
+        Returns the time in s on the sensor's clock, for records.
 
     Attributes
     ----------
     plan : Plan
-        Plan with its extensions.
+        Plan of the session with its extensions.
     recorded_s : float or None
-        Length of the recording if it differs from the settings.
+        Length of a free turn in s; None for dwells, which have the length of the settings.
     done : dict
         Number of the attempt that is used as the dwell, by place.
     skipped, faulty : set of int
-        Skipped places, and places with a fault in their dwell that was not accepted.
+        Skipped places, and places whose dwell has an error or alarm that was not accepted.
     last_place : int or None
-        Place of the newest dwell.
+        Place of the newest dwell; None without a dwell.
     taken : int
-        Number of dwells of this run.
+        Number of dwells recorded since this program opened the session.
     """
 
     def __init__(self, archive: Archive, now: Callable[[], float]) -> None:
@@ -69,7 +70,7 @@ class Ledger:
         self._now = now
 
     def note(self, kind: str, value: Any) -> None:
-        """Write a record to the archive unless the value is None."""
+        """Write a record of this kind to the archive, unless its value is None."""
         if value is not None:
             self.archive.add_record(kind, value, self._now())
 
@@ -79,7 +80,7 @@ class Ledger:
         return problem
 
     def scanning(self, now: dict[str, Any]) -> None:
-        """Write the method by which scans are read to the archive, if it has changed."""
+        """Write the method by which scans are read (`how`, `caveat`) to the archive if it has changed."""
         if now != self._scanning:
             self._scanning = now
             self.note("scanning", now)
@@ -107,7 +108,7 @@ class Ledger:
         self.last_place = place
 
     def withdraw(self, place: int) -> Withdrawn:
-        """Remove a dwell from the session; it stays in the archive, marked as withdrawn."""
+        """Remove the dwell of a place from the session; it stays in the archive, marked as withdrawn."""
         number = self.done.pop(place)
         self.note("withdrawn", number)
         self.faulty.discard(place)
@@ -115,12 +116,12 @@ class Ledger:
         return Withdrawn(place, self.plan.positions[place], number)
 
     def keep_faulty(self, places: list[int]) -> None:
-        """Accept the dwells of these places despite their faults; they are not questioned again."""
+        """Accept the dwells of these places despite an error or alarm; they are not questioned again."""
         self.note("kept", [self.done[place] for place in places])
         self.faulty.difference_update(places)
 
     def extend(self, plan: Plan) -> None:
-        """Replace the plan by a longer one, also in the archive."""
+        """Replace the plan by a changed one, such as a longer one, also in the archive."""
         self.note("plan", plan.as_dict())
         self.plan = plan
 
@@ -129,13 +130,15 @@ class Ledger:
 
 
 PARTS = 8
-"""Number of pieces of a dwell; the scatter of their means gives the uncertainty of its mean."""
+"""Number of parts of a dwell; the scatter of their means gives the uncertainty of the dwell's mean."""
 EVERY_UP_TO = 36
-"""Up to this many dwells, each dwell is followed by a fit; later, an increase of their number by 10 %."""
+"""Number of dwells up to which each dwell is followed by a fit; later, every increase by 10 % is."""
 
 
 @dataclass(frozen=True)
 class _Mean:
+    """Mean reading (3,) of a dwell in mg at a position, and the variance of this mean per axis in mg²."""
+
     position: Position
     mean_mg: Floats
     variance_mg2: float
@@ -154,19 +157,26 @@ class RunningFit:
         self._fitted = 0
 
     def add(self, place: int, position: Position, scans: Block) -> None:
-        """Add the mean of a dwell; it replaces the mean of an earlier dwell at the same position."""
+        """Add the mean of the dwell at a place; it replaces the mean of an earlier dwell there.
+
+        `scans` are the scans of the dwell.
+        """
         # The scatter of the means of the parts gives the variance of the mean of the dwell.
         parts = np.array([part.mean(axis=0) for part in np.array_split(scans.accel_mg, PARTS)])
         variance = float(parts.var(axis=0, ddof=1).mean()) / PARTS
         self._means[place] = _Mean(position, np.asarray(scans.accel_mg.mean(axis=0)), variance)
 
     def withdraw(self, place: int) -> None:
-        """Remove the dwell of a position from the fit."""
+        """Remove the dwell of a place (index in the plan) from the fit."""
         self._means.pop(place, None)
         self._fitted = 0
 
     def result(self, plan: Plan, *, reverse: bool) -> Running | None:
-        """Fit the dwells so far; None if they do not allow a fit, or few were added since the last fit."""
+        """Fit the dwells so far and return the event that shows the fit.
+
+        Returns None if the dwells do not allow a fit, or few were added since the last fit. `reverse` is
+        True in a reversed session, in which the stage counts angles the other way than the plan.
+        """
         from adis_gonio.fitting.estimation.readings import readings_of
         from adis_gonio.fitting.methods import fit_of
 
@@ -204,7 +214,7 @@ class RunningFit:
 
 
 LEAST_BIAS_MG = 10.0
-"""Standard deviation of an unknown bias in mg: the estimate for the ADIS16354 (CHIP, D)."""
+"""Least standard deviation of an unknown bias in mg: the estimate for the ADIS16354 (D)."""
 
 
 class LiveView:
@@ -213,17 +223,18 @@ class LiveView:
     Attributes
     ----------
     limit_mg : Vector or None
-        Standard deviation below which a window is still.
+        Standard deviation in mg below which a window is still; None before the noise is known.
     target : Position or None
-        Requested position.
+        Requested position; None if there is none.
     judge : Judge or None
-        Source of the angle by gravity; None before the noise is known.
+        Source of the angle by gravity; None before the noise is known and if positions are not judged.
     temperature_c : float or None
-        Of the newest scan; None if it is not in the scans.
+        Temperature in the newest scan; None if scans have no temperature.
     lost : int
-        Scans lost since the session was opened.
+        Number of scans lost since the session was opened.
     smoother : SmoothedMeter or None
-        Smooths the angle by the gyros while the sensor turns, without a lag.
+        Smooths the angle by the gyros while the sensor turns, without a lag; None if angles are not
+        smoothed.
     """
 
     def __init__(self) -> None:
@@ -246,9 +257,11 @@ class LiveView:
             self._seen_s = float(block.time_s[-1])
 
     def angle_deg(self, accel_mg: Floats, target_deg: float | None) -> tuple[float | None, float | None]:
-        """Present angle in the stage's sense, within ±180° of the target, and its tolerance in degrees.
+        """Return the present angle in the stage's sense and its tolerance, both in degrees.
 
-        The angle is measured by gravity and, if there are any, by gyros; see `Judge.tolerance_deg`.
+        The angle is measured by gravity and, if there are any, by gyros. It is within ±180° of the target;
+        None if attitudes are free. The tolerance is the largest deviation from the target that no guard
+        doubts; None without a target or before the first dwell.
         """
         if self.judge is None:
             return None, None
@@ -260,7 +273,7 @@ class LiveView:
         return target_deg + wrap_degrees(angle - target_deg), tolerance
 
     def _smoothed_mg(self, accel_mg: Floats) -> Floats:
-        """Reading (3,) in mg with the direction replaced by the smoothed angle."""
+        """Return a reading (3,) in mg with the direction in the plane replaced by the smoothed angle."""
         smoothed = None if self.smoother is None else self.smoother.reading(self._seen_s)
         if smoothed is None:
             return accel_mg
@@ -276,7 +289,12 @@ class LiveView:
         target_deg: float | None,
         waits_for: str,
     ) -> Watching:
-        """Make the event that shows the newest readings outside a dwell."""
+        """Return the event that shows the newest readings outside a dwell.
+
+        `accel_mg` and `spread_mg` are the mean and the standard deviation of the newest window,
+        `target_deg` is the requested angle (None if there is none), and `waits_for` names what the session
+        waits for.
+        """
         angle_deg, tolerance_deg = self.angle_deg(accel_mg, target_deg)
         return Watching(
             state,
@@ -304,22 +322,24 @@ class Knowledge:
     Parameters
     ----------
     bench : SessionBench
+        Sensor and stage of the session.
     ledger : Ledger
+        Dwells done and decisions made in the session.
     judging : bool
-        False if no positions are declared.
+        False if positions are not judged, as in a free turn.
 
     Attributes
     ----------
     view : LiveView
         Source of events for a front end.
     judge : Judge or None
-        None before the noise is known, and if positions are not judged.
+        Judge of the positions; None before the noise is known, and if positions are not judged.
     limits : StillnessLimits or None
-        None before the noise is known.
+        Limits of stillness; None before the noise is known.
     reversed : bool
-        True if the session is reversed.
+        True if the stage counts angles the other way than the plan.
     fits_dwells : bool
-        False if nobody sees the result of the dwells so far.
+        False if the dwells so far are not to be fitted, because the result is not shown.
     """
 
     def __init__(self, bench: SessionBench, ledger: Ledger, *, judging: bool) -> None:
@@ -335,7 +355,10 @@ class Knowledge:
         self.fits_dwells = True
 
     def take_noise(self, noise: list[float]) -> NoiseMeasured:
-        """Set the limits of stillness by the noise at rest (mg), and prepare the check of positions."""
+        """Set the limits of stillness by the noise at rest (mg), and prepare the check of positions.
+
+        Returns the event that reports noise and limits.
+        """
         bench = self._bench
         quantum = bench.source.part.step_mg
         limits = limits_from_noise(np.array(noise), bench.window, quantum)
@@ -352,7 +375,10 @@ class Knowledge:
         )
 
     def _new_judge(self, noise_mg: float) -> Judge | None:
-        """Make the judge of positions from the dwells so far; None if the fixture allows any angle."""
+        """Return a judge of positions that knows the dwells so far; None if any angle is allowed.
+
+        `noise_mg` is the largest noise of an axis.
+        """
         bench, ledger = self._bench, self._ledger
         planar = ledger.plan.plane != "none"
         fixture = ledger.header.fixture_sigma_deg
@@ -376,7 +402,13 @@ class Knowledge:
         return judge
 
     def watch(self) -> StillnessWatch:
-        """Make a new detector of stillness; `UsageError` before the noise is known."""
+        """Return a new detector of stillness.
+
+        Raises
+        ------
+        UsageError
+            The noise is not known yet.
+        """
         if self.limits is None:
             raise UsageError("the limits of stillness are not known")
         return StillnessWatch(self.limits, self._noise_mg)
@@ -388,7 +420,10 @@ class Knowledge:
             self.judge.turning.see(block)
 
     def learn(self, place: int, position: Position, scans: Block, *, doubted: bool) -> None:
-        """Take a complete dwell into account: running fit and check of positions."""
+        """Take a complete dwell into account in the running fit and the check of positions.
+
+        `place` is the index of its position in the plan; `doubted` is True if a guard was overruled.
+        """
         self._running.add(place, position, scans)
         if self.judge is not None:
             self.judge.done(place, position, scans, doubted=doubted)
@@ -409,7 +444,10 @@ class Knowledge:
             self.judge.reverse()
 
     def running(self) -> Running | None:
-        """Fit the dwells so far; None if they do not allow a fit, or few were added since the last fit."""
+        """Fit the dwells so far and return the event that shows the fit.
+
+        Returns None if the dwells do not allow a fit, or few were added since the last fit.
+        """
         if not self.fits_dwells:
             return None
         return self._running.result(self._ledger.plan, reverse=self.reversed)

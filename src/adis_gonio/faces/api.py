@@ -1,4 +1,4 @@
-"""`adis_gonio.fit` and `adis_gonio.trace`: for accelerometers and gyros, for a session or a file."""
+"""`adis_gonio.fit` and `adis_gonio.trace`: functions for accelerometers or gyros of a session or a file."""
 
 from __future__ import annotations
 
@@ -62,6 +62,10 @@ def fit(
 
     Parameters
     ----------
+    session : Session or path
+        Session, or its file.
+    method : str, optional
+        Method of the fit; None takes the recommended method.
     part : {"accelerometer", "gyro"}
         Part of the sensor; gyros have one method, `gyro`.
     accelerometers : Calibration, optional
@@ -74,10 +78,10 @@ def fit(
     Raises
     ------
     UsageError
-        Neither a session nor a path; an unknown method or part; a calibration of another sensor, or gyros
-        that the session cannot use.
+        `session` is neither a session nor a path; an unknown method or part; a calibration of another
+        sensor, or gyros that the session cannot use.
     DataError, FitError, SingularError
-        See `adis_gonio.fitting.fit`.
+        The file cannot be read, or no fit is possible; see `adis_gonio.fitting.fit`.
     """
     if known_part(part) != GYRO:
         if accelerometers is not None:
@@ -99,12 +103,23 @@ def trace(
 ) -> TraceResult:
     """Trace a session, or the session in a file; see `adis_gonio.tracing.trace`.
 
+    Parameters
+    ----------
+    session : Session or path
+        Session, or its file.
+    max_effects : int
+        Largest number of effects to add.
+    time_limit : float, optional
+        Time in s after which the search ends; None is unlimited.
+    part : {"accelerometer", "gyro"}
+        Part of the sensor whose readings are traced.
+
     Raises
     ------
     UsageError
-        Neither a session nor a path; a time limit that is not positive.
+        `session` is neither a session nor a path, or the time limit is not positive.
     DataError, FitError
-        See `adis_gonio.tracing.trace`.
+        The file cannot be read, or no trace is possible; see `adis_gonio.tracing.trace`.
     """
     from adis_gonio.tracing.trace import trace as trace_session
 
@@ -114,9 +129,9 @@ def trace(
 def _load_gyros(
     session: Session, given: GyroCalibration | str | PathLike[str] | None
 ) -> GyroCalibration | None:
-    """Return a gyro calibration, read from its file if a path is given.
+    """Return a gyro calibration, read from its file if a path is given; None if None is given.
 
-    It must come from another session than the one that it is used for.
+    `session` is the session that uses the calibration; its own file raises `UsageError`.
     """
     if not isinstance(given, str | PathLike):
         return given
@@ -131,7 +146,10 @@ def _load_gyros(
 
 
 def _load(given: Any, what: str) -> Session:
-    """Return a session, read from its file if a path is given; `UsageError` for anything else."""
+    """Return a session, read from its file if a path is given; `UsageError` for anything else.
+
+    `what` is the name of the calling function, for the message.
+    """
     if isinstance(given, Session):
         return given
     if isinstance(given, str | PathLike):

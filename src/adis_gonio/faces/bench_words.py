@@ -1,6 +1,6 @@
 """The words of a bench session for the screen and the plain prompts: keys, answers, lines about events.
 
-Both faces take every key, question and line from here, so that an operator meets one of each.
+Both front ends take every key, question and line from here, so that an operator meets one wording.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class BenchKey:
     word: str
     meaning: str
     also: str = ""
-    """Another letter for the same key in a dialog."""
+    """Another letter for the same key in a dialog of the screen; empty for none."""
 
 
 ENTER = "Enter"
@@ -39,25 +39,28 @@ ANSWERS = {
     "decline": BenchKey("n", "no", "no"),
     "stop": BenchKey("q", "quit", "end here; the data stay, --resume goes on"),
 }
-"""Keys of the answers to the runner's questions."""
+"""Key of each answer to the runner's questions, by the name of the answer."""
 ON_TABLE = {
     "retake": BenchKey("r", "again", "go back to the mark and turn again"),
     "reverse": BenchKey("v", "reverse", "keep it, and turn the next one the other way"),
 }
-"""Answers that have another meaning for whole turns on a table."""
+"""Keys of the answers that have another meaning for whole turns on a table, by the name of the answer."""
 PAUSE = BenchKey("p", "pause", "pause or go on; nothing is measured during a pause")
 NOTE = BenchKey("n", "note", "add a note to the session")
 DRAW = BenchKey("d", "draw", "draw how to hold the part, and the positive direction")
 HELP = BenchKey("?", "help", "show this list")
 MOVE = BenchKey("m", "move", "turn the simulated part by some degrees, such as m -30")
 BUMP = BenchKey("b", "bump", "bump the simulated part")
-"""Keys of a simulated part that only the operator's keys move (`sim:?hands=free`)."""
+"""Key that bumps the simulated part with `sim:?hands=free`.
+
+The keys `MOVE` and `BUMP` act only on this part, which nothing but the operator's keys moves.
+"""
 
 Question = events.PositionAsked | events.GuardRaised | events.RepetitionOffered | events.ExtensionOffered
 
 
 def answers_to(question: Question) -> dict[str, BenchKey]:
-    """Possible answers to a question, by name, in the order in which they are listed."""
+    """Return the possible answers to a question: keys by name of the answer, in the order of the list."""
     match question:
         case events.PositionAsked():
             possible = {"repeat": question.can_repeat, "undo": question.can_undo}
@@ -72,7 +75,7 @@ def answers_to(question: Question) -> dict[str, BenchKey]:
 
 
 def default_of(question: Question) -> str:
-    """Name of the answer that Enter gives."""
+    """Return the name of the answer that the Enter key gives to a question."""
     if isinstance(question, events.GuardRaised):
         return question.default
     return "confirm" if isinstance(question, events.PositionAsked) else "accept"
@@ -82,7 +85,11 @@ Offer = events.RepetitionOffered | events.ExtensionOffered
 
 
 def reason_of(question: Offer, planned: int) -> tuple[str, str]:
-    """Reason for an offer as sentences, and the offer as a question; the plan has `planned` positions."""
+    """Return the reason for an offer as sentences, and the offer as a question.
+
+    The offer is to repeat dwells or to extend the plan; `planned` is the number of positions in the present
+    plan.
+    """
     if isinstance(question, events.RepetitionOffered):
         where = ", ".join(str(position) for position in question.positions)
         return f"An error or alarm occurred at {where}.", "Repeat these dwells? Otherwise they are kept."
@@ -92,7 +99,10 @@ def reason_of(question: Offer, planned: int) -> tuple[str, str]:
 
 
 def help_lines(*, hands: bool = False) -> list[str]:
-    """List of all keys with their meanings."""
+    """Return the lines of a list of all keys with their meanings.
+
+    `hands` adds the keys that move a simulated part.
+    """
     keys = [ANSWERS[name] for name in ("confirm", "repeat", "skip", "undo", "keep", "reverse")]
     keys += [PAUSE, NOTE, DRAW, ANSWERS["stop"], *([MOVE, BUMP] if hands else [])]
     return [f"{key.letter:<6} {key.meaning}" for key in keys] + ["Ctrl-C end at once"]
@@ -104,7 +114,10 @@ Level = Literal["said", "warned"]
 
 
 def lines_about(event: events.Event) -> list[tuple[str, Level]]:
-    """Lines about an event that stay in view, each with its level; empty for an event without news."""
+    """Return the lines about an event that stay in view, each with its level, `said` or `warned`.
+
+    The list is empty for an event without news.
+    """
     match event:
         case events.Started():
             shape = counted(len(event.plan), "position")
@@ -131,7 +144,10 @@ def lines_about(event: events.Event) -> list[tuple[str, Level]]:
 
 
 def _course(event: events.Event) -> list[tuple[str, Level]]:
-    """Lines about the progress of the session, each with its level."""
+    """Return the lines about an event in the progress of the session, each with its level.
+
+    The list is empty for other events.
+    """
     match event:
         case events.DwellInterrupted() if not event.guarded:
             return [(f"{event.position} interrupted: {event.reason} (samples kept)", "warned")]
@@ -149,7 +165,10 @@ def _course(event: events.Event) -> list[tuple[str, Level]]:
 
 
 def configuration_lines(event: events.Configured) -> list[str]:
-    """Lines about rate, filter, changed registers, the chip's compensations, and why it is polled."""
+    """Return the lines about sample rate, filter, changed registers and compensations of the chip.
+
+    The last line gives the reason if scans are polled.
+    """
     filter_m = event.configuration.get("filter_m")
     filtered = "" if filter_m is None else f", filter 2 × {2**filter_m} taps"
     changed = ", ".join(f"{name} {a} → {b}" for name, (a, b) in event.changed.items())
@@ -164,7 +183,10 @@ def configuration_lines(event: events.Configured) -> list[str]:
 
 
 def turn_text(turn: events.TurnMeasured | None) -> str:
-    """Text on the turn since the last position: requested, by the gyro ± U (95 %), and by gravity."""
+    """Return a text on the turn since the last position: requested, by the gyro ± U (95 %), and by gravity.
+
+    The text is a dash if `turn` is None.
+    """
     if turn is None:
         return "–"
     parts = [] if turn.asked_deg is None else [f"asked {signed(turn.asked_deg)}°"]
@@ -177,7 +199,10 @@ def turn_text(turn: events.TurnMeasured | None) -> str:
 
 
 def running_values(running: events.Running) -> list[str]:
-    """Texts of ΔK and Δφ by the dwells so far, each ± U (95 %)."""
+    """Return texts of ΔK and Δφ from the dwells so far, each ± U (95 %); empty if none is known.
+
+    `running` is the event with the parameters so far.
+    """
     known: Mapping[str, Any] = running.parameters
     return [
         f"{NAMES[name]} {format_uncertain(known[name]['value'], known[name]['U'], known[name]['unit'])}"
@@ -187,7 +212,10 @@ def running_values(running: events.Running) -> list[str]:
 
 
 def lines_of_result(event: events.Event) -> list[tuple[str, Level]]:
-    """Lines about the last turn and the result so far, which the screen shows next to the messages."""
+    """Return lines about the last turn and the result so far, which the screen shows next to the messages.
+
+    The list is empty for other events.
+    """
     if isinstance(event, events.TurnMeasured):
         return [(f"last turn: {turn_text(event)}", "said")]
     values = running_values(event) if isinstance(event, events.Running) else []
@@ -195,7 +223,7 @@ def lines_of_result(event: events.Event) -> list[tuple[str, Level]]:
 
 
 def position_count(question: events.PositionAsked) -> str:
-    """Number of the position asked for, and the remaining time."""
+    """Return a text with the number of the position asked for and the remaining time of the session."""
     minutes = round(question.time_left_s / 60)
     left = f" (about {format_duration(60 * minutes)} left)" if minutes else ""
     return f"{question.number} of {question.total}{left}"

@@ -1,7 +1,7 @@
 """A simulated part that only the operator's keys move, to practise mistakes: `sim:?hands=free`.
 
-The part is on a simulated board (`adis_gonio.testing.open_board`), which lives in real time behind a serial
-port, as a real one does. The session sees a sensor without a stage.
+The part is on a simulated board (`adis_gonio.testing.open_board`), which runs in real time behind a serial
+port like a real board. The session sees a sensor without a stage.
 """
 
 from __future__ import annotations
@@ -19,9 +19,12 @@ if TYPE_CHECKING:
 
 OPTION, FREE = "hands", "free"
 FREE_RATE_HZ = 100.0
-"""Default rate of samples: the board runs in this process, so that a slow machine has to keep up."""
+"""Default sample rate in Hz.
+
+The board runs in this process, so that a slow machine has to keep up with it.
+"""
 BUMP_DEG = 2.0
-"""Turn of the part by a bump, forth and back."""
+"""Angle in degrees by which a bump turns the part forth and back."""
 
 
 class Hands:
@@ -69,12 +72,12 @@ class Hands:
 def free_hands(url: str) -> Iterator[tuple[str, Hands | None]]:
     """Open the board of a URL with `hands=free`; yield the URL of its port and the hands that move it.
 
-    Any other URL is yielded unchanged, without hands.
+    Any other URL is yielded unchanged, with None instead of hands.
 
     Raises
     ------
     UsageError, CannotOpenError
-        As `adis_gonio.testing.open_board`.
+        The board cannot be opened, see `adis_gonio.testing.open_board`.
     """
     parsed = BusUrl.parse(url)
     if parsed.scheme != "sim" or parsed.options.get(OPTION) != FREE:

@@ -8,8 +8,8 @@ user's, with defaults.
 *Control chart*: the drift of the parameters, with its uncertainty, is extrapolated from the last
 calibration to the last day on which the error conforms to the tolerance.
 
-Error of an angle ψ by an earlier calibration, to first order in the differences δ = later − earlier of
-the parameters, with g the local gravity:
+Error of an angle ψ that an earlier calibration gives, to first order in the differences δ = later − earlier
+of the parameters, with g the local gravity:
 
     e(ψ) = −½ sin 2ψ δΔK + cos²ψ δΔφ + (cos ψ δb_y − sin ψ δb_x) / g
 
@@ -38,7 +38,11 @@ _TURN = np.arange(0.0, 360.0, 5.0)
 
 
 def slopes_deg(gravity_mps2: float = STANDARD_GRAVITY_MPS2) -> Floats:
-    """Error of the angle in degrees per unit of each of `PARAMETERS` (1, °, mg, mg), (m, 4)."""
+    """Return the error of the angle per unit of each calibration parameter, (m, 4).
+
+    The errors are in degrees at m angles over a full turn. The parameters are `PARAMETERS`: ΔK (1), Δφ (°),
+    biases of X and Y (mg). `gravity_mps2` is the local gravity.
+    """
     psi = np.radians(_TURN)
     gravity_mg = 1000.0 * gravity_mps2 / STANDARD_GRAVITY_MPS2
     cos, sin = np.cos(psi), np.sin(psi)
@@ -50,13 +54,17 @@ def slopes_deg(gravity_mps2: float = STANDARD_GRAVITY_MPS2) -> Floats:
 def curve_of(
     difference: Mapping[str, float], u: Mapping[str, float], gravity_mps2: float, dof: float = math.inf
 ) -> ErrorCurve:
-    """Error of the angle over a full turn by an earlier calibration.
+    """Return the error of the angle over a full turn that an earlier calibration gives.
 
     Parameters
     ----------
     difference, u : mapping of str to float
-        Difference of `PARAMETERS`, later minus earlier, and its standard uncertainty; 0 for a missing
-        parameter. Covariances are neglected.
+        Difference of each of `PARAMETERS`, later minus earlier calibration, and its standard uncertainty; 0
+        for a missing parameter. Covariances are neglected.
+    gravity_mps2 : float
+        Local gravity.
+    dof : float
+        Degrees of freedom of `u`.
     """
     slopes = slopes_deg(gravity_mps2)  # (m, 4)
     by = np.array([difference.get(name, 0.0) for name in PARAMETERS])
@@ -65,12 +73,14 @@ def curve_of(
 
 
 DEFAULT_TOLERANCE = Tolerance(0.1)
-"""Tolerance of the angle if none is given: an assumption. It is about four LSB of the ADIS16354 at the
-horizontal (0.027° each), or a change of a bias by 1.7 mg."""
+"""Tolerance of the error of an angle if none is given; an assumption.
+
+It is about four LSB of the ADIS16354 at the horizontal (0.027° each), or a change of a bias by 1.7 mg.
+"""
 WITHIN = 0.8
-"""Share of the tolerance with which an error has to conform for an interval to grow."""
+"""Share of the tolerance to which an error has to conform for the calibration interval to grow."""
 ROUTINE = 0.8
-"""Share of the interval that must have passed before a calibration can lengthen it."""
+"""Share of the calibration interval that must have passed before a calibration can lengthen it."""
 SHORTEST_DAYS, LONGEST_DAYS = 30.0, 5 * YEAR_DAYS
 
 
@@ -84,7 +94,7 @@ class Rules(JsonRecord):
     assumed : bool
         True if the tolerance is the default.
     first_days : float
-        Interval after the first calibration.
+        Calibration interval in days after the first calibration.
     longer, shorter : float
         Factors by which the staircase rule lengthens and shortens the interval.
     """
@@ -105,14 +115,15 @@ class Rules(JsonRecord):
 class Stair(JsonRecord):
     """One change of the calibration interval by the staircase rule.
 
-    A calibration shows the error that the sensor has had with the previous calibration.
+    A calibration shows the error that angles by the previous calibration had.
 
     Attributes
     ----------
     when : str
-        Date.
+        Date of the calibration.
     elapsed_days, error_deg, interval_days : float
-        Time since the previous calibration, its largest error of an angle, and the next interval.
+        Time since the previous calibration, largest error of an angle by the previous calibration, and the
+        next interval.
     response : str
         `longer`, `kept`, `shorter` or `early` (too early to lengthen the interval).
     verdict : {"pass", "fail", "undecided"}
@@ -128,7 +139,11 @@ class Stair(JsonRecord):
 
 
 class Rule(JsonRecord):
-    """Date of the next calibration by one method, or the reason why the method gives no date."""
+    """Date of the next calibration by one method, or the reason why the method gives no date.
+
+    `method` is the name of the method, `why` the reason for the date or for its absence (then `date` is
+    None), `assumes` a text with the assumptions, empty for none.
+    """
 
     method: str
     date: str | None
@@ -144,9 +159,13 @@ class Due(JsonRecord):
     date : str or None
         Earliest date of the methods; None if no session has a date.
     by : str
-        Method of that date.
+        Name of the method that gives this date; empty without a date.
+    limits : Rules
+        Tolerance and factors that were used.
     rules : tuple of Rule
+        Date by each method.
     stairs : tuple of Stair
+        Changes of the calibration interval so far, in order of time.
     """
 
     serial: str
@@ -158,7 +177,10 @@ class Due(JsonRecord):
 
 
 def due_of(history: History, limits: Rules | None = None) -> Due:
-    """Determine the date of the next calibration of a sensor."""
+    """Determine the date of the next calibration of a sensor from its history.
+
+    `limits` are the tolerance and the factors; None takes the defaults.
+    """
     limits = limits or Rules()
     if not len(history.sessions):
         lacking = Rule("staircase", None, "no session has both a date and a result", "")
@@ -174,9 +196,11 @@ def step(
 ) -> tuple[float, str, Verdict]:
     """Return the next calibration interval in days, the response and the verdict after one calibration.
 
-    An error that does not conform to the tolerance shortens the interval (or the elapsed time if that is
-    shorter). An error that conforms to the share `WITHIN` of the tolerance lengthens the interval, if the
-    share `ROUTINE` of it has passed. Otherwise the interval is kept.
+    `interval_days` is the present interval, `elapsed_days` the time since the previous calibration, `error`
+    the error that the previous calibration had. An error that does not conform to the tolerance shortens
+    the interval (or the elapsed time if that is shorter). An error that conforms to the share `WITHIN` of
+    the tolerance lengthens the interval, if the share `ROUTINE` of the interval has passed. Otherwise the
+    interval is kept. `Stair` explains response and verdict. `limits` has the tolerance and the factors.
     """
     verdict, _ = limits.tolerance.verdict(error)
     if verdict == "fail":
@@ -190,7 +214,11 @@ def step(
 
 
 def staircase_of(history: History, limits: Rules) -> list[Stair]:
-    """List the changes of the calibration interval so far, one per session from the second session on."""
+    """List the changes of the calibration interval so far, one for each session from the second on.
+
+    A session that shares no parameter with the last used session gives none. `limits` has the tolerance and
+    the factors.
+    """
     days, sessions = history.days, history.sessions
     interval, stairs = limits.first_days, []
     last = 0
@@ -209,7 +237,11 @@ def staircase_of(history: History, limits: Rules) -> list[Stair]:
 
 
 def _difference(history: History, before: int, after: int) -> tuple[dict[str, float], dict[str, float]]:
-    """Change of each parameter that both sessions determine, and the standard uncertainty of the change."""
+    """Return the change of each parameter between two sessions, and its standard uncertainty.
+
+    `before` and `after` are indices in the history; parameters that only one of them determines are
+    missing.
+    """
     pair = [history.sessions[before], history.sessions[after]]
     one, other = (record.values for record in pair)
     names = [name for name in PARAMETERS if name in one and name in other]

@@ -1,4 +1,7 @@
-"""Distribution of a cause over the sessions (share, mean, spread), and the detectable amplitude."""
+"""Distribution of the amplitude of a cause over the sessions (share, mean, spread); detectable amplitude.
+
+The amplitude is detectable if a population of sessions would show it with 90 % probability.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,10 @@ from adis_gonio.tracing.thresholds import limits
 _LEVELS = (0.025, 0.975)
 _SHARES = np.concatenate([np.linspace(0.005, 0.2, 40), np.linspace(0.21, 1.0, 80)])
 _FACTORS = np.geomspace(0.4, 2.5, 9)
-"""Factors on the most probable mean and spread; the posterior of the share is averaged over them."""
+"""Factors on the most probable mean and spread of a cause.
+
+The posterior of the share of affected sessions is averaged over them.
+"""
 
 
 def share_of(
@@ -35,7 +41,8 @@ def share_of(
 ) -> tuple[float, float, float]:
     """Estimate the share of sessions that a cause affects, with its 95 % interval.
 
-    Returns the posterior mean and both ends of the 95 % interval, for a uniform prior.
+    `part` is the cause, `others` are the other causes in the model. Returns the posterior mean and both
+    ends of the 95 % interval, for a uniform prior.
     """
     # Only sessions of the group that could show the cause.
     inside = part.group.inside & population.units.seen(part.candidate.index)
@@ -67,9 +74,11 @@ def _at(factors: Sequence[tuple[Floats, Floats]], share: float) -> float:
 def means_of(
     population: Population, others: Sequence[ChosenCause], part: ChosenCause
 ) -> tuple[dict[str, Value], dict[str, float]]:
-    """Mean amplitude of a cause with its uncertainty, and its spread, by parameter in the parameter's unit.
+    """Return the mean amplitude of a cause with its uncertainty, and the spread over the sessions.
 
-    The uncertainty follows from the curvature of the log likelihood in share, spread and mean together.
+    Both are given by parameter in the parameter's unit. `part` is the cause, `others` are the other causes
+    in the model. The uncertainty follows from the curvature of the log likelihood in share, spread and mean
+    together.
     """
     units, start = population.units, part.amplitudes
     size = _sizes(population, others, part)
@@ -85,11 +94,12 @@ def means_of(
 
 
 def _sizes(population: Population, others: Sequence[ChosenCause], part: ChosenCause) -> Floats:
-    """Factor (d,) that converts scaled amplitudes to the unit of each column.
+    """Return the factors (d,) that convert the scaled amplitudes of a cause to the unit of each column.
 
-    Amplitudes are in typical standard uncertainties. If they are relative to each session's own
-    uncertainty, the factor is the median of this uncertainty over the affected sessions: the sessions of
-    one stage may be much noisier than the rest.
+    Scaled amplitudes are in typical standard uncertainties. If they are relative to each session's own
+    uncertainty, the factor is the median of this uncertainty over the affected sessions, because the
+    sessions of one stage may be much noisier than the rest. `part` is the cause, `others` are the other
+    causes in the model.
     """
     units, index = population.units, list(part.candidate.index)
     typical = units.typical[index]
@@ -107,9 +117,11 @@ def _sizes(population: Population, others: Sequence[ChosenCause], part: ChosenCa
 
 
 def _uncertainty(population: Population, others: Sequence[ChosenCause], part: ChosenCause) -> Floats | None:
-    """Standard uncertainty of the mean amplitudes (d,), as multiples of the typical standard uncertainty.
+    """Return the standard uncertainty of the mean amplitudes (d,) of a cause.
 
-    Returns None if the mean is fixed at zero, or if the likelihood has no maximum in it.
+    It is a multiple of the typical standard uncertainty of one session. Returns None if the mean is fixed
+    at zero, or if the likelihood has no maximum in it. `part` is the cause, `others` are the other causes
+    in the model.
     """
     start = part.amplitudes
     at = parameters_of(start)
@@ -140,7 +152,11 @@ def _uncertainty(population: Population, others: Sequence[ChosenCause], part: Ch
 
 
 def _curvature(value, at: Floats, step: float = 0.05) -> Floats:  # type: ignore[no-untyped-def]
-    """Minus the second derivatives (p, p) of a function at a point (p,), by central differences."""
+    """Return minus the second derivatives (p, p) of a function at a point (p,).
+
+    `value` is the function, `at` the point. The derivatives are central differences over the distance
+    `step`.
+    """
     count = len(at)
     moves = step * np.eye(count)
     out = np.zeros((count, count))
@@ -153,11 +169,11 @@ def _curvature(value, at: Floats, step: float = 0.05) -> Floats:  # type: ignore
 
 
 ASKED = (0.1, 0.3, 1.0)
-"""Shares of the sessions for which the detectable amplitude is computed."""
+"""Shares of affected sessions for which the detectable amplitude is computed."""
 _POWER_90 = 1.2815515655446004
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(15)
 _SIZES = np.geomspace(0.1, 30.0, 26)
-"""Amplitudes to try, in typical standard uncertainties."""
+"""Amplitudes that are tried for the detectable amplitude, in typical standard uncertainties."""
 
 
 class Reach(JsonRecord):
@@ -168,9 +184,10 @@ class Reach(JsonRecord):
     Attributes
     ----------
     amplitude : mapping of str to float
-        Smallest amplitude found with 90 % power, by the share of affected sessions (`0.1`, `0.3`, `1`);
-        None if no amplitude that was tried suffices.
+        Smallest amplitude found with 90 % probability, by the share of affected sessions (`0.1`, `0.3`,
+        `1`); None if no amplitude that was tried suffices.
     unit, parameter : str
+        Unit of the amplitude, and name of the parameter that it is.
     """
 
     amplitude: Mapping[str, float | None]
@@ -179,10 +196,11 @@ class Reach(JsonRecord):
 
 
 def reach_of(population: Population) -> dict[str, Reach]:
-    """Smallest amplitude of each effect that the population shows with 90 % power, on the worst axis.
+    """Return the smallest amplitude of each effect that the population would show, on the worst axis.
 
-    The log likelihood has to rise by more than the price of the search, which follows from the priors of
-    candidates and grid. Its rise is an expected value over sessions drawn from the distribution.
+    The probability of showing it is 90 %. The log likelihood has to rise by more than the price of the
+    search, which follows from the priors of candidates and grid. Its rise is an expected value over
+    sessions drawn from the distribution of amplitudes.
     """
     units = population.units
     by_name: dict[str, list[tuple[str, str, dict[str, float | None]]]] = defaultdict(list)
@@ -213,9 +231,11 @@ def reach_of(population: Population) -> dict[str, Reach]:
 
 
 def _smallest(block: Block, share: float, price: float) -> float | None:
-    """Smallest mean amplitude that 90 % of populations would show, or None if no tried amplitude suffices.
+    """Return the smallest mean amplitude that 90 % of populations would show.
 
-    A population shows the amplitude if the log likelihood rises by more than `price`.
+    `block` has the sessions' information on the amplitude, `share` is the share of affected sessions. A
+    population shows an amplitude if the log likelihood rises by more than `price`. The tried amplitudes are
+    `_SIZES`; the result is None if none of them suffices.
     """
     low, high = 0, len(_SIZES)
     while low < high:  # bisection: power grows with the amplitude
@@ -229,10 +249,11 @@ def _smallest(block: Block, share: float, price: float) -> float | None:
 
 
 def _expected(block: Block, share: float, size: float) -> tuple[float, float]:
-    """Expected increase of a population's log likelihood by one more cause, and the variance of it.
+    """Return the expected rise of a population's log likelihood by one more cause, and its variance.
 
-    A `share` of the units is affected with the mean amplitude `size`, in typical standard uncertainties.
-    The expectation is by Gauss–Hermite quadrature over the scores of the units.
+    The share `share` of the sessions is affected, with the mean amplitude `size` in typical standard
+    uncertainties; `block` has the sessions' information on the amplitude. The expectation is by
+    Gauss–Hermite quadrature over the scores of the sessions.
     """
     g = block.information[:, 0, 0]
     spread = RELATIVE_SPREAD * size

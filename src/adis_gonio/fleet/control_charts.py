@@ -1,15 +1,15 @@
 """Drift of a quantity between sessions, and control charts that compare a session with those before it.
 
-Drift is a weighted line with additional scatter between sessions: y_i = a + b t_i + w_i + e_i, with e_i
-of standard deviation u_i and w_i of τ. τ² follows from Paule and Mandel (J. Res. NBS 87, 1982, 377): the
-residual is then as large as expected. The uncertainty is by Knapp and Hartung (Stat. Med. 22, 2003,
-2693), at least as large as the stated u require, with Student's t at n − 2.
+Drift is a weighted line with additional scatter between sessions: y_i = a + b t_i + w_i + e_i, with e_i of
+standard deviation u_i and w_i of τ. τ² follows from Paule and Mandel (J. Res. NBS 87, 1982, 377): the
+residual is then as large as expected. The uncertainty is by Knapp and Hartung (Stat. Med. 22, 2003, 2693),
+at least as large as the stated u require, with Student's t at n − 2.
 
-The charts compare each session with the weighted mean of all before it (recursive residuals; Brown,
-Durbin and Evans, J. R. Stat. Soc. B 37, 1975). If nothing changes, the differences are independent and
-standard normal, so that neither chart needs a baseline of good sessions and the average run lengths of
-the textbooks apply. Shewhart's chart detects a session that is far off; the CUSUM
-(Page, Biometrika 41, 1954) detects a small shift that stays.
+The charts compare each session with the weighted mean of all sessions before it (recursive residuals;
+Brown, Durbin and Evans, J. R. Stat. Soc. B 37, 1975). If nothing changes, the differences are independent
+and standard normal, so that neither chart needs a baseline of good sessions and the average run lengths of
+the textbooks apply. Shewhart's chart detects a session that is far off; the CUSUM (Page, Biometrika 41,
+1954) detects a small shift that stays.
 """
 
 from __future__ import annotations
@@ -24,35 +24,39 @@ from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.uncertainty import Value
 
 CUSUM_K = 0.5
-"""Half of the shift, in standard deviations, for which the chart is tuned (Montgomery, chapter 9)."""
+"""Slack k of the CUSUM in standard deviations: half of the shift that it detects best.
+
+The choice follows Montgomery, chapter 9.
+"""
 CUSUM_H = 5.0
-"""Decision interval in standard deviations: one false alarm in 465 sessions."""
+"""Limit h of the CUSUM in standard deviations, which gives one false alarm in 465 sessions."""
 SHEWHART = 3.0
-"""Limits in standard deviations: one false alarm in 370 sessions."""
+"""Limit of Shewhart's chart in standard deviations, which gives one false alarm in 370 sessions."""
 _MOVING_RANGE = 2 / math.sqrt(math.pi)
-"""Mean distance of two neighbours in standard deviations (d₂ of two)."""
+"""Mean distance of two successive normal values, in their standard deviations (d₂ of two)."""
 
 
 class ControlChart(JsonRecord):
-    """Control charts of a quantity: each session is compared with the sessions before it.
+    """Control charts of a quantity, which compare each session with the sessions before it.
 
-    Entries of the first session are NaN.
+    Entries of the first session are NaN, unless stated otherwise.
 
     Attributes
     ----------
     expected : (n,) float
-        Weighted mean of all sessions before.
+        Weighted mean of the values of all sessions before this session.
     low, high : (n,) float
         Shewhart's limits for this session.
     z : (n,) float
-        Difference from `expected` in standard deviations.
+        Difference of the value from `expected` in standard deviations.
     up, down : (n,) float
         The two sums of the CUSUM, in standard deviations; 0 at the first session.
     between : float
-        Standard deviation between sessions, in addition to their u.
+        Standard deviation of the values between sessions in excess of their standard uncertainties u.
     since : int or None
         Index of the first session after a change that the CUSUM signals, by the most likely split of the
-        sessions up to the signal into two means (Pignatiello and Samuel, J. Qual. Technol. 33, 2001).
+        sessions up to the signal into two means (Pignatiello and Samuel, J. Qual. Technol. 33, 2001); None
+        without a signal.
     k, h : float
         Slack and limit of the CUSUM.
     """
@@ -80,13 +84,16 @@ class ControlChart(JsonRecord):
 
     @property
     def signal(self) -> int | None:
-        """Index of the first session at which a sum of the CUSUM exceeds its limit, or None."""
+        """Index of the first session at which a sum of the CUSUM exceeds its limit; None if none does."""
         over = np.flatnonzero(np.maximum(self.up, self.down) > self.h)
         return int(over[0]) if len(over) else None
 
 
 def control_chart(value: Floats, u: Floats) -> ControlChart:
-    """Make the Shewhart and CUSUM charts of values (n,) with standard uncertainties (n,), in time order."""
+    """Make the Shewhart and CUSUM charts of the values of a quantity in successive sessions.
+
+    `value` (n,) and `u` (n,) are the values and their standard uncertainties, in order of time.
+    """
     between = between_neighbours(value, u)
     variance = u**2 + between**2
     weight = 1 / variance
@@ -103,7 +110,10 @@ def control_chart(value: Floats, u: Floats) -> ControlChart:
 
 
 def _split(value: Floats, weight: Floats, last: int) -> int:
-    """Index of the session at which the mean most probably changed, among the sessions up to `last`."""
+    """Return the index of the session at which the mean most probably changed.
+
+    `value` and `weight` are (n,); only the sessions up to the index `last` are used.
+    """
 
     def gain(at: int) -> float:
         one, other = slice(0, at), slice(at, last + 1)
@@ -114,10 +124,10 @@ def _split(value: Floats, weight: Floats, last: int) -> int:
 
 
 def between_neighbours(value: Floats, u: Floats) -> float:
-    """Estimate the standard deviation between sessions in excess of their u.
+    """Estimate the standard deviation between sessions in excess of their standard uncertainties.
 
-    The estimate is made from the differences of neighbouring sessions (moving range), so that a single step
-    in the series hardly changes it.
+    `value` and `u` are (n,) in order of time. The estimate is made from the differences of neighbouring
+    sessions (moving range), so that a single step in the series hardly changes it.
     """
     if len(value) < 3:
         return 0.0
@@ -127,7 +137,10 @@ def between_neighbours(value: Floats, u: Floats) -> float:
 
 
 def cusum(z: Floats) -> tuple[Floats, Floats]:
-    """Upper and lower CUSUM (n,) of standardised values z: max(0, S + z − k) and max(0, S − z − k)."""
+    """Return the upper and lower CUSUM (n,) of standardised values z (n,).
+
+    They are S⁺ = max(0, S⁺ + z − k) and S⁻ = max(0, S⁻ − z − k), with k = `CUSUM_K`.
+    """
     up, down = np.zeros(len(z)), np.zeros(len(z))
     high = low = 0.0
     for n, one in enumerate(z):
@@ -138,7 +151,7 @@ def cusum(z: Floats) -> tuple[Floats, Floats]:
 
 YEAR_DAYS = 365.25
 LEAST = 3
-"""Fewest sessions for a straight line with an estimate of the scatter about it."""
+"""Smallest number of sessions for a straight line with an estimate of the scatter about it."""
 
 
 class Drift(JsonRecord):
@@ -147,19 +160,20 @@ class Drift(JsonRecord):
     Attributes
     ----------
     slope : Value
-        Slope per year, in `<unit>/a`.
+        Change of the quantity per year, in `<unit>/a`.
     level : Value
-        Value at `reference_day`.
+        Value of the line at `reference_day`.
     reference_day : float
         Weighted mean time of the sessions in days, at which level and slope are independent.
     between : float
-        Standard deviation τ between sessions beyond u.
+        Standard deviation τ of the values between sessions in excess of their standard uncertainties u.
     birge : float
-        Birge ratio: square root of χ² per degree of freedom about the line, with the stated u alone.
+        Birge ratio: square root of χ² per degree of freedom about the line, with the stated standard
+        uncertainties u alone.
     birge_p : float
-        Probability of this scatter, if the stated u are the only cause.
+        Probability of at least this scatter, if the stated u are its only cause.
     p_value : float
-        Probability of this slope without drift.
+        Probability of at least this slope, of either sign, without drift.
     """
 
     slope: Value
@@ -174,12 +188,14 @@ class Drift(JsonRecord):
 def drift_of(day: Floats, value: Floats, u: Floats, unit: str) -> Drift | None:
     """Fit a straight line to the values of the sessions over time.
 
-    Returns None for fewer than `LEAST` sessions, or if all have one time.
+    Returns None for fewer than `LEAST` sessions, or if all sessions have the same time.
 
     Parameters
     ----------
     day, value, u : (n,) float
-        Time in days, value and standard uncertainty above zero in `unit`.
+        Time in days, value and standard uncertainty of each session; the uncertainty is above zero.
+    unit : str
+        Unit of the values.
     """
     if len(day) < LEAST or not np.ptp(day) > 0:
         return None
@@ -209,8 +225,8 @@ def _line(
 ) -> tuple[float, float, float, tuple[float, float], float]:
     """Fit a straight line to values over days, weighted by 1/variance.
 
-    Returns the weighted mean time, the level at that time, the slope per day, the variances of both, and
-    χ².
+    Returns the weighted mean time, the value of the line at that time, the slope per day, the variances of
+    both, and χ².
     """
     # Weighted straight line about the weighted mean time, where level and slope are independent.
     weight = 1 / variance

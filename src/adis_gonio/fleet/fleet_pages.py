@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 
 _MOST_BINS = 40
 _MOST_GROUPS = 12
-"""Most groups in one figure."""
+"""Largest number of groups (stages or operators) in one figure."""
 _MOST_FIGURES = 6
-"""Most figures of outlying groups."""
+"""Largest number of figures of outlying groups."""
 _MOST_ROWS = 200
-"""Most rows of a table of the page; the JSON has all."""
+"""Largest number of rows in a table of the page; the JSON document has all rows."""
 
 
 def build_page(summary: Summary, repeated: Sequence[Repeated] = (), population: Sequence[str] = ()) -> str:
@@ -41,10 +41,12 @@ def build_page(summary: Summary, repeated: Sequence[Repeated] = (), population: 
 
     Parameters
     ----------
+    summary : Summary
+        Statistics of the fleet.
     repeated : sequence of Repeated
-        Files that do not count.
+        Files that do not count, because another file has the same data.
     population : sequence of str
-        Paragraphs on the population trace.
+        Paragraphs on the population trace; empty without one.
 
     Raises
     ------
@@ -102,9 +104,10 @@ def _parameters(summary: Summary) -> Section:
 
 
 def _histogram(one: QuantitySummary, values: Floats) -> Figure | None:
-    """Plot a histogram of one quantity over the sessions, or None for fewer than five sessions.
+    """Plot a histogram of one quantity over the sessions; None for fewer than five sessions.
 
-    The curve is the distribution that a single true value with the median u would give.
+    `values` (n,) are the values of the quantity, NaN where unknown. The curve is the distribution that a
+    single true value with the median u would give.
     """
     x = values[np.isfinite(values)]
     spread = one.distribution
@@ -172,7 +175,10 @@ def _outlying(summary: Summary) -> Section:
 
 
 def _group_plot(one: Outlying, summary: Summary) -> Figure | None:
-    """Plot the values of all sessions by stage or operator; None if there are too many groups."""
+    """Plot a quantity of all sessions by stage or operator; None if there are too many groups.
+
+    `one` is an outlying group, which gives the quantity and the kind of group.
+    """
     names = summary.table[GROUPS[one.kind]]
     values = summary.table[one.quantity]
     known = [str(name) for name in np.unique(names[(names != "") & np.isfinite(values)])]
@@ -199,7 +205,11 @@ def _group_plot(one: Outlying, summary: Summary) -> Figure | None:
 
 
 def _files(title: str, head: str, rows: Sequence[tuple[str, str]], *, folded: bool = False) -> Section:
-    """Make a section with a table of files and a text for each file."""
+    """Make a section with a table of files and a text for each file.
+
+    `head` is the heading of the texts; `folded` hides the section until it is opened. `title` is the
+    heading of the section.
+    """
     more = len(rows) - _MOST_ROWS
     table = Table(["file", head], rows[:_MOST_ROWS], caption=f"{more} more." if more > 0 else "")
     return Section(title, tables=[table] if rows else [], folded=folded)
@@ -248,7 +258,10 @@ def _section(track: Track, history: History) -> Section:
 
 
 def _dates(track: Track) -> dict[float, str]:
-    """Labels of a time axis in days: dates of at most four sessions, far enough apart to be read."""
+    """Return labels of a time axis by time in days: dates of at most four sessions of the track.
+
+    The dates are far enough apart to be read.
+    """
     shown: dict[float, str] = {}
     for day in sorted(track.day.tolist()):
         if not shown or day - max(shown) >= 0.3 * np.ptp(track.day):
@@ -297,14 +310,14 @@ ENDINGS = (".parquet", ".json", ".html")
 
 @dataclass(frozen=True)
 class FleetResult:
-    """Records of a fleet with their summary; equal for any number and order of workers."""
+    """Records of a fleet with their summary, which do not depend on number and order of the workers."""
 
     fleet: Fleet
     options: Options
 
     @cached_property
     def rows(self) -> list[dict[str, Any]]:
-        """Table of the fleet: one row per session, with the columns `session_table.COLUMNS`."""
+        """Rows of the table of the fleet, one per session, with the columns `session_table.COLUMNS`."""
         return [record.row() for record in self.fleet.records]
 
     @cached_property
@@ -335,7 +348,10 @@ class FleetResult:
         return (f"No population trace: {found}.",) if isinstance(found, str) else found.summary()
 
     def as_dict(self) -> dict[str, Any]:
-        """The document that `adis-gonio fleet` writes: summary, options, and files that are not counted."""
+        """Return the JSON document that `adis-gonio fleet` writes.
+
+        It has summary, options, and the files that are not counted.
+        """
         found = self.population
         population = {"reason": found} if isinstance(found, str) else found
         return self.summary.as_dict() | json_object(
@@ -366,14 +382,16 @@ class FleetResult:
 
 
 def check_outputs(paths: Sequence[Path], files: Sequence[str]) -> None:
-    """Check the output files before the work begins.
+    """Check before the work begins that the output files can be written.
+
+    `files` are the session files.
 
     Raises
     ------
     UsageError
-        An unknown ending, or a file that is one of the sessions.
+        An output file has an unknown ending, or is one of the session files.
     OutputError, NotInstalledError
-        A file cannot be written.
+        A file cannot be written, or its format needs a package that is not installed.
     """
     for path in paths:
         if path.suffix.lower() not in ENDINGS:

@@ -1,4 +1,4 @@
-"""Many sessions from files to records: each session counts once, and none is computed twice."""
+"""The way from files to records: each session counts once, and none is computed twice."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def files_of(given: Iterable[str | Path]) -> list[str]:
 
 
 def session_files(places: Sequence[str | Path]) -> list[Path]:
-    """Absolute paths of the session files in folders and their subfolders, each once.
+    """Return absolute paths of the session files in folders and their subfolders, each once.
 
     Raises
     ------
@@ -82,14 +82,14 @@ def _below(place: Path) -> Iterator[Path]:
 
 
 class Workers(Protocol):
-    """Interface of objects that compute sessions: `LocalPool`, `Cluster` and `ThisProcess`."""
+    """Interface of objects that compute the records of sessions: `LocalPool`, `Cluster`, `ThisProcess`."""
 
     def results(self, jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, SessionRecord]]:
-        """Yield each job once with its record, in any order."""
+        """Yield each job once with the record that was computed for it, in any order."""
 
 
 class ThisProcess:
-    """Computes one session after another in the calling process."""
+    """Computes the records of sessions one after another in the calling process."""
 
     def results(self, jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, SessionRecord]]:
         """Yield each job with its record, computed in the order of the jobs."""
@@ -98,7 +98,7 @@ class ThisProcess:
 
 
 class Repeated(JsonRecord):
-    """A file with the same data as another file, which is counted instead."""
+    """A file with the same data as another file, which is counted in its place."""
 
     path: str
     same_as: str
@@ -111,8 +111,9 @@ class Survey:
     Attributes
     ----------
     jobs : tuple of Job
-        Sorted by path.
+        Sessions to compute, sorted by path.
     repeated : tuple of Repeated
+        Files with the same bytes as a session of `jobs`.
     unreadable : tuple of SessionRecord
         Records of unreadable files.
     """
@@ -131,8 +132,9 @@ class Fleet:
     records : tuple of SessionRecord
         One per session, sorted by path.
     repeated : tuple of Repeated
+        Files that do not count, because another file has the same data.
     again : int
-        Sessions with a record in the store before the run.
+        Number of sessions that had a record in the store before the run.
     """
 
     records: tuple[SessionRecord, ...]
@@ -150,7 +152,8 @@ def survey(
 ) -> Survey:
     """Read every file once; files with equal bytes are one session, under the first name.
 
-    With a store, only new or changed files are read.
+    `share` is called with the finished share of the files. With a store, only new or changed files are
+    read; None reads all files.
     """
     names: dict[str, str] = {}
     repeated, unreadable = [], []
@@ -185,14 +188,17 @@ def run_fleet(
     store: Store,
     tell: Callable[[FleetProgress], None] | None = None,
 ) -> Fleet:
-    """Compute the record of every session that has no record in the store yet.
+    """Compute the record of every session that has no record in the store yet; return all records.
+
+    `tell` is called with the progress after each session. `found` has the sessions, `options` the
+    computations to make.
 
     Raises
     ------
     OutputError
-        The store cannot be written; the records in it stay.
+        The store cannot be written; the records that it has stay.
     FleetError
-        There are no workers.
+        The workers have gone.
     """
     known = ((job.path, store.found(job, options)) for job in found.jobs)
     records = {path: record for path, record in known if record is not None}
@@ -216,7 +222,7 @@ class Scan:
     Attributes
     ----------
     computed, known : int
-        Files that were computed now, and files with a record in the store before.
+        Number of files that were computed now, and of files that had a record in the store before.
     unreadable : tuple of SessionRecord
         Records of unreadable files, which are not in the store.
     """
@@ -231,8 +237,12 @@ def scan(store: Store, places: Sequence[str | Path], *, trace: bool = False) -> 
 
     Parameters
     ----------
+    store : Store
+        Store of the records.
+    places : sequence of path
+        Folders or files.
     trace : bool
-        Trace the residual too; records without a trace are made again.
+        True also traces the residual; records without a trace are then made again.
     """
     paths = session_files(places)
     store.mark_gone(places, paths)
@@ -249,8 +259,8 @@ class FleetProgress:
     Attributes
     ----------
     total, done, failed, again : int
-        Number of sessions to compute in this run, of those computed, of failures among them, and of
-        sessions with a record from before.
+        Number of sessions to compute in this run, of sessions computed so far, of failures among them, and
+        of sessions with a record from an earlier run.
     """
 
     def __init__(self, total: int, again: int, clock: Callable[[], float] = time.monotonic) -> None:
@@ -265,7 +275,10 @@ class FleetProgress:
         self.failed += record.status != "ok"
 
     def __str__(self) -> str:
-        """Progress as text, such as `120 of 1000, 4.1 a second, 3 min 35 s left, 2 failed`."""
+        """Return the progress as text.
+
+        An example is `120 of 1000, 4.1 a second, 3 min 35 s left, 2 failed`.
+        """
         elapsed = self._clock() - self._begun
         parts = [f"{self.done} of {counted(self.total, 'session')}"]
         if self.done and elapsed > 0:

@@ -1,10 +1,10 @@
 """Scatter of a quantity over the fleet, and the outlying sensors (units), stages and operators.
 
-A *unit* is one sensor, known by its serial number. It is compared with the other units by a robust z:
-its distance from their median over the distance that scatter and its own u explain. A *stage* or an
-*operator* is compared by ranks (normal scores) of a quantity over its units, and by the number of units
-with an effect (hypergeometric distribution). All tests of a fleet share one probability of naming a group
-by chance (Bonferroni). The most outlying group is named and removed before the others are compared.
+A *unit* is one sensor, known by its serial number. It is compared with the other units by a robust z: its
+distance from the median of the units, divided by the distance that scatter and its own u explain. A *stage*
+or an *operator* is compared by ranks (normal scores) of a quantity over its units, and by the number of
+units with an effect (hypergeometric distribution). All tests of a fleet share one probability of naming a
+group by chance (Bonferroni). The most outlying group is named and removed before the others are compared.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from adis_gonio.base.uncertainty import OUTLYING
 
 PROBABILITIES = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 LEAST = 3
-"""Fewest values from which scatter is estimated."""
+"""Smallest number of values from which scatter is estimated."""
 
 
 _LEAST_SHARE = 1e-6
-"""Least share of the variance of a value that sessions on one stage do not share."""
+"""Smallest share of the variance of a value that is taken as not shared by sessions on one stage."""
 
 
 def unshared_u(u: Floats, curves: Iterable[str], influence: Iterable[Sequence[float]]) -> Floats:
-    """Standard uncertainties (n,) of values, without the part that all sessions share by their stage.
+    """Return standard uncertainties (n,) of values, without the part that all sessions share.
 
-    They belong to differences between the sessions. A part is shared if the sessions have the certificate
-    of one stage: `curves` (n,) are digests of the certificates, `influence` (n, k) the change of each value
-    by each independent error of the certificate.
+    They apply to differences between the sessions. `u` (n,) has the full standard uncertainties. A part is
+    shared if all sessions have the certificate of one stage: `curves` (n,) are digests of the certificates,
+    `influence` (n, k) the change of each value by each independent error of the certificate.
     """
     if len(set(curves)) > 1 or not all(map(len, influence)):
         return u
@@ -56,10 +56,12 @@ class Distribution(JsonRecord):
     n : int
         Number of sessions with the quantity.
     mean, sd, robust_sd : float
+        Mean, standard deviation (NaN for one value), and standard deviation from the median absolute
+        deviation.
     quantiles : mapping of str to float
         Quantiles by probability in percent, such as `50`.
     low, high : float
-        Extremes.
+        Smallest and largest value.
     """
 
     n: int
@@ -86,16 +88,16 @@ class Beyond(JsonRecord):
     Attributes
     ----------
     n : int
-        Number of values with an uncertainty.
+        Number of values with a standard uncertainty.
     u : float
         Median standard uncertainty of the values.
     q, dof, p_value : float
-        Cochran's Q about the weighted mean, its degrees of freedom, and the probability of this Q if u
-        explains the scatter.
+        Cochran's Q about the weighted mean, its degrees of freedom, and the probability of at least this Q
+        if u explains the scatter.
     tau : float
         Additional standard deviation between the true values of the sessions (Paule and Mandel).
     tau_95 : tuple of float
-        Interval of 95 % of tau (Q profile).
+        95 % interval of tau (Q profile).
     """
 
     document_keys = ("n", "u", "q", "dof", "p_value", "birge_ratio", "tau", "tau_95")
@@ -110,16 +112,16 @@ class Beyond(JsonRecord):
 
     @property
     def birge_ratio(self) -> float:
-        """Birge ratio: observed scatter over the scatter that the stated uncertainties explain."""
+        """Birge ratio: observed scatter divided by the scatter that the stated uncertainties explain."""
         return math.sqrt(self.q / self.dof)
 
 
 def beyond(values: Floats, u: Floats, dof: Floats) -> Beyond | None:
-    """Compare the scatter of values (n,) with their standard uncertainties (n,) with `dof` (n,).
+    """Compare the scatter of values (n,) with their standard uncertainties.
 
-    A deviation in units of u has Student's distribution. It is converted to the normal deviate of equal
-    probability, so that Q is χ² even if u has few degrees of freedom. Returns None for fewer than three
-    values with a u.
+    `u` (n,) are the standard uncertainties with `dof` (n,) degrees of freedom. A deviation in units of u
+    has Student's distribution. It is converted to the normal deviate of equal probability, so that Q is χ²
+    even if u has few degrees of freedom. Returns None for fewer than three values with a u.
     """
     from scipy.stats import chi2
 
@@ -144,7 +146,10 @@ def beyond(values: Floats, u: Floats, dof: Floats) -> Beyond | None:
 
 
 def as_normal(t: Floats, dof: Floats) -> Floats:
-    """Convert values (n,) of Student's t to normal deviates of equal probability; `dof` (n,) is given."""
+    """Convert values (n,) of Student's t with `dof` (n,) degrees of freedom to normal deviates.
+
+    A value and its deviate have equal probability.
+    """
     from scipy.special import ndtri, stdtr
 
     few = np.isfinite(dof) & (dof < 1e6)
@@ -156,9 +161,10 @@ def as_normal(t: Floats, dof: Floats) -> Floats:
 
 
 def tau_of(q_at: Callable[[float], float], goal: float, values: Floats) -> float:
-    """Standard deviation τ between sessions (Paule and Mandel) at which Cochran's Q equals `goal`.
+    """Return the standard deviation τ between sessions at which Cochran's Q equals `goal`.
 
-    It is 0 if Q is smaller than `goal` without any τ.
+    `q_at(τ)` computes Q; `values` (n,) set the range of the search. The result is 0 if Q is at most `goal`
+    without any τ (Paule and Mandel).
     """
     from scipy.optimize import brentq
 
@@ -171,16 +177,17 @@ def tau_of(q_at: Callable[[float], float], goal: float, values: Floats) -> float
 
 
 class Repeats(JsonRecord):
-    """Scatter of the sessions of each sensor about their mean, compared with their stated u.
+    """Scatter of each sensor's sessions about the sensor's mean, compared with their stated u.
 
     Attributes
     ----------
     units, sessions : int
         Number of sensors with two sessions or more, and number of their sessions.
     ratio : float
-        Scatter of a sensor's sessions over the scatter that u explains; 1 if u is right.
+        Scatter of a sensor's sessions divided by the scatter that their standard uncertainties u explain; 1
+        if u is right.
     p_value : float
-        Probability of this scatter if u explains it.
+        Probability of at least this scatter if u explains it.
     """
 
     units: int
@@ -190,11 +197,11 @@ class Repeats(JsonRecord):
 
 
 def repeats(values: Floats, u: Floats, dof: Floats, unit: NDArray[np.int64]) -> Repeats | None:
-    """Compare the scatter of each sensor's sessions about their mean with the stated uncertainties.
+    """Compare the scatter of each sensor's sessions about the sensor's mean with the stated uncertainties.
 
-    `unit` (n,) is the number of the sensor in each session; a negative number is an unknown sensor.
-
-    Returns None if no sensor has two sessions.
+    `values`, `u`, `dof` and `unit` are (n,): value of a quantity in each session, its standard uncertainty
+    and degrees of freedom, and the number of the sensor; a negative number is an unknown sensor. Returns
+    None if no sensor has two sessions.
     """
     from scipy.stats import chi2
 
@@ -215,12 +222,15 @@ def repeats(values: Floats, u: Floats, dof: Floats, unit: NDArray[np.int64]) -> 
 
 
 FEWEST_UNITS = 5
-"""Fewest sensors in a fleet for a test for outlying sensors."""
+"""Smallest number of sensors in a fleet for a test for outlying sensors."""
 FEWEST = 3
-"""Fewest sessions or sensors that a group, and the rest of the fleet, must have for a test."""
+"""Smallest number of sessions or sensors that a group, and the rest of the fleet, must have for a test."""
 _MAD_EFFICIENCY = 0.37
-"""Efficiency of the median absolute deviation: a robust z of n values has the tails of Student's
-distribution with about this factor times n − 1 degrees of freedom."""
+"""Efficiency of the median absolute deviation, compared with the standard deviation.
+
+A robust z of n values has the tails of Student's distribution with about this factor times n − 1 degrees of
+freedom.
+"""
 
 Codes = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -235,15 +245,17 @@ class Test:
     kind : str
         `unit`, `stage` or `operator`.
     code : int
-        Number of the group.
+        Number of the tested group (sensor, stage or operator).
     quantity : str
-        A parameter, or `effect NAME`.
+        Name of the compared parameter, or `effect NAME`.
     z : float
-        Robust z, or the normal deviate of equal probability.
+        Robust z of the group, or the normal deviate with the probability of its difference.
     p_value : float
-        Two-sided for parameters, one-sided (as many or more) for effects.
+        Probability of at least this difference by chance: two-sided for parameters, one-sided (as many or
+        more) for effects.
     value, others : float
-        Median of the group and of the others; for an effect the share that shows it.
+        Median of the parameter in the group and in the others; for an effect the share of sessions or
+        sensors that show it.
     n : int
         Number of sessions of the unit, or of units of the stage or operator.
     """
@@ -275,9 +287,10 @@ class FamilyOfTests:
 
 
 def outlying(comparisons: Sequence[FamilyOfTests]) -> tuple[int, list[Test]]:
-    """Count all tests, and list the tests that are significant, the smallest p-value first.
+    """Count all tests, and list the significant tests, the smallest p-value first.
 
-    The probability that any of all tests is significant by chance is at most `OUTLYING`.
+    The probability that any of all tests is significant by chance is at most `OUTLYING`. Each entry of
+    `comparisons` has the tests of one kind of group for one quantity.
     """
     total = sum(one.count for one in comparisons)
     passed = [test for one in comparisons if one.count for test in one.find(OUTLYING / total)]
@@ -291,9 +304,11 @@ def by_unit(quantity: str, values: Floats, u: Floats, unit: Codes) -> FamilyOfTe
 
     Parameters
     ----------
+    quantity : str
+        Name of the quantity.
     values, u, unit : (n,)
-        One entry per session. `unit` is the number of the sensor; a session with a negative number
-        (unknown) counts as a separate sensor.
+        Value of the quantity, its standard uncertainty, and the sensor of each session. `unit` is the
+        number of the sensor; a session with a negative number (unknown) counts as a separate sensor.
     """
     good = np.isfinite(values)
     codes = _own(unit)[good]
@@ -315,9 +330,11 @@ def by_unit(quantity: str, values: Floats, u: Floats, unit: Codes) -> FamilyOfTe
 
 
 def robust_z(values: Floats, u: Floats) -> tuple[Floats, float]:
-    """Robust z (n,): distance of each value from the median over √(τ² + u²); and the median.
+    """Return the robust z (n,) of values, and their median.
 
-    τ is such that the median distance is as in a normal distribution; 0 if u alone explains it.
+    z is the distance of each value from the median divided by √(τ² + u²), with the standard uncertainties
+    `u` (n,). The scatter τ is such that the median distance is as in a normal distribution; it is 0 if u
+    alone explains the distances.
     """
     centre = float(np.median(values))
     away = np.abs(values - centre)
@@ -339,7 +356,11 @@ def robust_z(values: Floats, u: Floats) -> tuple[Floats, float]:
 
 
 def by_rank(kind: str, quantity: str, values: Floats, group: Codes, unit: Codes) -> FamilyOfTests:
-    """Test each stage or operator against the others, by the ranks of the medians of its sensors."""
+    """Test each stage or operator against the others, by the ranks of the medians of its sensors.
+
+    `kind` is `stage` or `operator`; `values`, `group` and `unit` are (n,): value of the quantity in each
+    session, number of the group (negative if unknown), and number of the sensor.
+    """
     good = np.isfinite(values) & (group >= 0)
     x, code = _by_unit(values[good], group[good], _own(unit)[good])
     return _stepwise(kind, quantity, x, code, _normal_scores, np.median)
@@ -348,7 +369,9 @@ def by_rank(kind: str, quantity: str, values: Floats, group: Codes, unit: Codes)
 def by_share(kind: str, effect: str, found: Flags, group: Codes, unit: Codes) -> FamilyOfTests:
     """Test every group by the number of its sensors with an effect in at least half of their sessions.
 
-    If `kind` is `unit`, the sessions of each unit are counted.
+    If `kind` is `unit`, the sessions of each sensor are counted instead. `found` (n,) is True for a session
+    that shows the effect; `group` (n,) and `unit` (n,) are the numbers of its group and its sensor,
+    negative if unknown.
     """
     good = group >= 0
     shown, code = found[good].astype(float), group[good]
@@ -364,9 +387,10 @@ def _own(unit: Codes) -> Codes:
 
 
 def _by_unit(values: Floats, group: Codes, unit: Codes) -> tuple[Floats, Codes]:
-    """Median of the values of each sensor in each group, and the group of each median.
+    """Return the median of the values of each sensor in each group, and the group of each median.
 
-    Many sessions of a sensor therefore count as one value.
+    Many sessions of a sensor therefore count as one value. `values`, `group` and `unit` are (n,), one entry
+    for each session.
     """
     if not len(values):
         return values, group
@@ -376,7 +400,10 @@ def _by_unit(values: Floats, group: Codes, unit: Codes) -> tuple[Floats, Codes]:
 
 
 def _medians(values: Floats, index: Codes) -> Floats:
-    """Median of the values of each group; `index` (n,) numbers the groups from 0 without gaps."""
+    """Return the median of the values (n,) of each group; `index` (n,) numbers the groups from 0.
+
+    The numbers have no gaps.
+    """
     # Sorted within each group, so that the median is the mean of its two middle values.
     x = values[np.lexsort((values, index))]
     count = np.bincount(index)
@@ -385,7 +412,10 @@ def _medians(values: Floats, index: Codes) -> Floats:
 
 
 def _normal_scores(values: Floats, index: Codes, count: Codes) -> tuple[Floats, Floats]:
-    """Van der Waerden's test of each group against the rest: z and two-sided p-value of each group."""
+    """Return z and two-sided p-value of each group by Van der Waerden's test against the rest.
+
+    `index` (n,) is the group of each value, `count` the number of values of each group.
+    """
     n = len(values)
     score = ndtri(rankdata(values) / (n + 1))
     score -= score.mean()
@@ -398,9 +428,10 @@ def _normal_scores(values: Floats, index: Codes, count: Codes) -> tuple[Floats, 
 
 
 def _hypergeometric(values: Floats, index: Codes, count: Codes) -> tuple[Floats, Floats]:
-    """Test if a group has more sessions with an effect than the rest, by the hypergeometric distribution.
+    """Test if a group has more members with an effect than the rest, by the hypergeometric distribution.
 
-    Returns, for each group, the normal deviate and the probability of as many sessions or more by chance.
+    `values` (n,) is 1 for a member with the effect, `index` (n,) its group, `count` the size of each group.
+    Returns, for each group, the normal deviate and the probability of as many members or more by chance.
     """
     here = np.bincount(index, values)
     p = np.minimum(hypergeom.sf(here - 1, len(values), int(values.sum()), count), 1.0)
@@ -415,7 +446,12 @@ def _stepwise(
     score: Callable[[Floats, Codes, Codes], tuple[Floats, Floats]],
     middle: Callable[[Floats], Any],
 ) -> FamilyOfTests:
-    """Test each group against the rest, remove the most outlying one, and repeat without it."""
+    """Test each group against the rest, remove the most outlying group, and repeat without it.
+
+    `values` (n,) are compared by their group `code` (n,). `score` returns z and p-value of each group,
+    `middle` the figure of a group that is reported. `kind` and `quantity` name the kind of group and the
+    compared quantity.
+    """
 
     def find(level: float) -> list[Test]:
         x, groups = values, code

@@ -1,4 +1,4 @@
-"""Summary of a fleet by columns (100 000 rows are quick): parameters, effects, outlying groups.
+"""Summary of a fleet, computed column by column to be quick: parameters, effects, outlying groups.
 
 >>> from adis_gonio.fleet.fleet_summary import summarise
 >>> from adis_gonio.fleet.session_table import read_parquet
@@ -51,13 +51,15 @@ from adis_gonio.fleet.session_table import Row, Table, table_of
 FORMAT = "adis-gonio fleet summary 1"
 KINDS = ("unit", "stage", "operator")
 GROUPS = {"unit": "serial", "stage": "stage", "operator": "operator"}
-"""Column of the table that names the groups, by kind of group."""
+"""Name of the table's column that names the groups, by kind of group."""
 _ALIKE = 0.9
-"""If two groups have at least this share of their sessions in common, the fleet cannot distinguish them."""
+"""Share of common sessions from which on the fleet cannot distinguish two groups."""
 _RMS = "angle"
-"""Name of the rms error of the angle.
+"""Name of the quantity that is the rms error of the angle.
 
-Its logarithm is compared between groups. It has no u: the stated u is for a displayed angle."""
+Its logarithm is compared between groups. It has no standard uncertainty here, because the stated u is that
+of a displayed angle.
+"""
 
 
 class QuantitySummary(JsonRecord):
@@ -68,11 +70,14 @@ class QuantitySummary(JsonRecord):
     Attributes
     ----------
     name, unit : str
+        Name and unit of the quantity.
     distribution : Distribution
+        Statistics of its values.
     beyond : Beyond or None
-        None if fewer than three sessions state a u.
+        Its scatter compared with the stated uncertainties; None if fewer than three sessions state one.
     repeats : Repeats or None
-        None if no unit has two sessions.
+        Scatter of each sensor's sessions compared with the stated uncertainties; None if no sensor has two
+        sessions.
     """
 
     name: str = field(metadata=HIDDEN)
@@ -83,7 +88,7 @@ class QuantitySummary(JsonRecord):
 
 
 class Frequency(JsonRecord):
-    """Number of sessions in which an effect was found, among the traced sessions."""
+    """Number of traced sessions in which an effect was found, and number of all traced sessions."""
 
     document_keys = ("effect", "found", "traced", "share", "wilson_95")
 
@@ -98,7 +103,7 @@ class Frequency(JsonRecord):
 
     @property
     def wilson_95(self) -> tuple[float, float]:
-        """Both ends of the 95 % interval of the share, by Wilson."""
+        """Both ends of the 95 % interval of the share of sessions with the effect, by Wilson."""
         return wilson(self.found, self.traced)
 
 
@@ -110,14 +115,17 @@ class Outlying(JsonRecord):
     Attributes
     ----------
     kind : {"unit", "stage", "operator"}
+        Kind of group; a unit is one sensor.
     name : str
         Name of the group; the path of a session without a serial number.
     quantity, unit : str
         Parameter with its unit, or `effect NAME`.
     z, p_value, adjusted_p : float
-        Robust z or normal deviate, its p-value, and the p-value times the number of tests.
+        Difference from the others as robust z or normal deviate, its p-value, and the p-value times the
+        number of tests.
     value, others : float
-        Median of the group and of the others; for an effect the share that shows it.
+        Median of the parameter in the group and in the others; for an effect the share of sessions or
+        sensors that show it.
     n : int
         Number of sessions of the unit, or of units of the stage or operator.
     same_sessions_as : tuple of str
@@ -144,14 +152,16 @@ class Summary:
     Attributes
     ----------
     sessions : mapping of str to int
-        Counts: `n`, `ok`, `failed`, `traced`, `adequate`, `doubted`, `units`, `stages`, `operators`.
+        Number of sessions: all (`n`), with a result (`ok`), `failed`, `traced`, with an `adequate` model,
+        `doubted`; and number of sensors (`units`), `stages` and `operators`.
     failures : tuple of (str, str)
-        Path and reason.
+        Path of each failed session, and the reason.
     parameters : tuple of QuantitySummary
+        Statistics of each quantity.
     effects : tuple of Frequency
-        The most frequent first.
+        Number of sessions with each effect, the most frequent first.
     tests : int
-        Number of comparisons.
+        Number of comparisons of a group with the others.
     outlying : tuple of Outlying
         Outlying groups, the smallest p-value first.
     """
@@ -163,10 +173,10 @@ class Summary:
     tests: int
     outlying: tuple[Outlying, ...]
     table: Table = field(repr=False, compare=False, default_factory=dict)
-    """Columns of all sessions, for figures."""
+    """Columns of the table of all sessions, for figures."""
 
     def as_dict(self) -> dict[str, Any]:
-        """The JSON document of the summary."""
+        """Return the JSON document of the summary."""
         return {
             "format": FORMAT,
             "software": f"adis-gonio {__version__}",
@@ -183,7 +193,7 @@ class Summary:
 
 
 def summarise(rows: Sequence[Row] | Any) -> Summary:
-    """Summarise the sessions of a table, in any order of its rows.
+    """Summarise the fleet whose sessions are the rows of a table, in any order.
 
     The table is a list of rows or a pyarrow table, with the columns `session_table.COLUMNS`.
     """
@@ -229,10 +239,11 @@ def _quantities(table: Table) -> list[str]:
 
 
 def _doubt(table: Table, name: str, group: Codes | None = None) -> Floats:
-    """Standard uncertainties (n,) of the values of a quantity; NaN if a session states none.
+    """Return the standard uncertainties (n,) of the values of a quantity; NaN if a session states none.
 
-    They are for comparisons within each group of sessions, by default all sessions: without the influence
-    of the stage that a group shares. A negative number is a group of one session.
+    They are for comparisons within each group of sessions: the influence of the stage that a group shares
+    is left out. `group` (n,) is the group of each session, a negative number for a group of one session;
+    None makes all sessions one group.
     """
     if name == _RMS:
         return np.full(len(table[name]), np.nan)
@@ -278,7 +289,11 @@ def _frequencies(table: Table, traced: int) -> list[Frequency]:
 
 
 def _comparisons(table: Table, groups: dict[str, Codes], traced: Any) -> list[FamilyOfTests]:
-    """Tests of every sensor, stage and operator against the others, for all parameters and effects."""
+    """Make the tests of every sensor, stage and operator against the others.
+
+    They cover all parameters and effects. `groups` has the number of each session's group by kind; `traced`
+    (n,) is True for a traced session.
+    """
     unit = groups["unit"]
     made = []
     for name in _quantities(table):
@@ -319,7 +334,10 @@ def _named(test: Test, tests: int, table: Table, groups: dict[str, Codes]) -> Ou
 
 
 def _twins(kind: str, rows: Any, table: Table, groups: dict[str, Codes]) -> tuple[str, ...]:
-    """Names of other groups that have nearly the same sessions as the given rows."""
+    """Return the names of other groups that have nearly the same sessions as the given rows.
+
+    `kind` is the kind of the group to which the rows belong.
+    """
     found = []
     for other in KINDS:
         codes = groups[other]
@@ -346,7 +364,10 @@ OUTLYING_HEAD = ["group", "quantity", "here", "the others", "z", "p × tests", "
 
 
 def headline(summary: Summary) -> str:
-    """First sentence, such as `998 of 1000 sessions have a result, of 334 units on 4 stages.`."""
+    """Return the first sentence of a summary of the fleet.
+
+    An example is `998 of 1000 sessions have a result, of 334 units on 4 stages.`.
+    """
     n = summary.sessions
     verb = "has" if 1 in (n["ok"], n["n"]) else "have"
     text = f"{n['ok']} of {counted(n['n'], 'session')} {verb} a result"
@@ -360,7 +381,10 @@ def headline(summary: Summary) -> str:
 
 
 def remarks(summary: Summary) -> list[str]:
-    """Sentences on the numbers of failed, traced, doubtful and unnamed sessions."""
+    """Return sentences on the numbers of failed, traced, doubtful and unnamed sessions.
+
+    An unnamed session has no serial number.
+    """
     n = summary.sessions
     sentences = []
     if n["failed"]:
@@ -381,7 +405,7 @@ def remarks(summary: Summary) -> list[str]:
 
 
 def parameter_rows(summary: Summary) -> list[list[str]]:
-    """Rows of the table of parameters, with the columns `PARAMETER_HEAD`."""
+    """Return the rows of the table of parameters, with the columns `PARAMETER_HEAD`."""
     return [_parameter(one) for one in summary.parameters]
 
 
@@ -401,7 +425,7 @@ def _parameter(one: QuantitySummary) -> list[str]:
 
 
 def _to_digit_of(sd: float, value: float) -> str:
-    """Format a value with as many decimals as show two digits of its standard deviation."""
+    """Format a value with as many decimals as show two digits of its standard deviation `sd`."""
     if not sd > 1e-6:
         return format_number(value)
     return format_fixed(value, count_decimals(sd))
@@ -415,7 +439,7 @@ def _tau(beyond: Beyond) -> str:
 
 
 def effect_rows(summary: Summary) -> list[list[str]]:
-    """Rows of the table of effects, with the columns `EFFECT_HEAD`."""
+    """Return the rows of the table of effects, with the columns `EFFECT_HEAD`."""
     rows = []
     for one in summary.effects:
         low, high = one.wilson_95
@@ -426,7 +450,7 @@ def effect_rows(summary: Summary) -> list[list[str]]:
 
 
 def outlying_rows(summary: Summary) -> list[list[str]]:
-    """Rows of the table of outlying groups, with the columns `OUTLYING_HEAD`."""
+    """Return the rows of the table of outlying groups, with the columns `OUTLYING_HEAD`."""
     return [_outlying(one) for one in summary.outlying]
 
 
@@ -450,7 +474,7 @@ def _outlying(one: Outlying) -> list[str]:
 
 
 def outlying_text(summary: Summary) -> str:
-    """State how many comparisons were made, and the probability of naming a group by chance."""
+    """Return a sentence on the number of comparisons and the probability of naming a group by chance."""
     if not summary.tests:
         return (
             f"Nothing could be compared: a comparison needs {FEWEST_UNITS} units, or {FEWEST} units on a"

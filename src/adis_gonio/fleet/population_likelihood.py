@@ -1,23 +1,24 @@
 """The hierarchical likelihood of one cause over many sessions.
 
 A unit (a session) is affected with probability w. The amplitudes of an affected unit are θ ~ N(μ, τ² 1),
-the amplitudes of other units are zero. μ and τ are either in the unit of the amplitudes or relative to
-each session's standard uncertainty (for amplitudes that differ by orders of magnitude between sessions);
-each has half of the prior. With score s and information G of a unit,
+the amplitudes of other units are zero. μ and τ are either in the unit of the amplitudes or relative to each
+session's standard uncertainty (for amplitudes that differ by orders of magnitude between sessions); each
+has half of the prior. With score s and information G of a unit,
 
     ln B(μ, τ) = sᵀμ − ½ μᵀGμ + ½ (s − Gμ)ᵀ (G + 1/τ²)⁻¹ (s − Gμ) − ½ ln |1 + τ² G|
 
-is its Bayes factor for being affected, in closed form, and Σ ln(1 − w + w B) the log likelihood of the
-population (empirical Bayes: Efron, Large-Scale Inference, 2010, ch. 2). Averaged over a grid of (w, μ, τ)
-that was fixed before the data, B is an e-value: its expectation is 1 if no unit is affected, so that it
-exceeds 1/p with probability p at most (Markov; Vovk and Wang, Ann. Stat. 49, 2021), for any number of
-units. The factor of one unit is limited to `MOST`; a limited factor is still an e-value.
+gives its Bayes factor B for being affected, in closed form, and Σ ln(1 − w + w B) is the log likelihood of
+the population (empirical Bayes: Efron, Large-Scale Inference, 2010, ch. 2). Averaged over a grid of (w, μ,
+τ) that was fixed before the data, the likelihood ratio of the population is an e-value: its expectation is
+1 if no unit is affected, so that it exceeds 1/p with probability p at most (Markov; Vovk and Wang, Ann.
+Stat. 49, 2021), for any number of units. The Bayes factor of one unit is limited to exp(`MOST`); with the
+limit it is still an e-value.
 
 The noise of each session is checked by its own χ². Ratios χ²/ν scatter by √(2/ν) if the stated noise is
-right; any additional scatter is a difference between sessions. Each ratio is drawn towards the common
+right; any additional scatter is a difference between sessions. Each ratio is shrunk towards the common
 ratio accordingly (moderated variances: Smyth, Stat. Appl. Genet. Mol. Biol. 3, 2004). A ratio that the
-common one cannot explain is used as it is. No ratio is less than 1 if the noise was stated, so that noise
-stated too small does not look like an effect.
+common ratio cannot explain is used unchanged. No ratio is less than 1 if the noise was stated, so that
+noise stated too small does not look like an effect.
 """
 
 from __future__ import annotations
@@ -34,15 +35,27 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.fleet.session_evidence import Column, SessionEvidence
 
 MOST = float(np.log(1000.0))
-"""Limit of the log Bayes factor of one session, so that an extreme session proves no common cause."""
+"""Largest log Bayes factor of one session, so that an extreme session proves no common cause."""
 MOST_OF_KNOWN = 100.0
-"""Like `MOST`, for the estimate of the distribution of a cause that is already accepted."""
+"""Largest log Bayes factor of one session for a cause that is already accepted.
+
+It is used to estimate the distribution of the amplitudes of this cause.
+"""
 SHARES = (0.03, 0.1, 0.2, 0.35, 0.6, 1.0)
-"""Shares w of affected sessions to try; a cause in fewer than 3 % of them is not common."""
+"""Shares w of affected sessions to try.
+
+A cause in fewer than 3 % of the sessions is not common.
+"""
 SPREADS = (0.35, 0.7, 1.4, 2.8, 5.6, 11.0)
-"""Spreads τ to try for amplitudes that scatter about zero, in typical standard uncertainties."""
+"""Standard deviations τ to try for amplitudes that scatter about zero.
+
+They are in typical standard uncertainties.
+"""
 MEANS = (0.35, 0.7, 1.4, 2.8, 5.6, 11.0)
-"""Lengths of the mean μ to try for amplitudes of one sign; the spread is a third of the length."""
+"""Lengths of the mean μ to try for amplitudes of one sign, in typical standard uncertainties.
+
+The spread is a third of the length.
+"""
 RELATIVE_SPREAD = 1 / 3
 
 
@@ -51,7 +64,8 @@ class Block:
     """Score (n, d) and information (n, d, d) of n sessions with respect to the d amplitudes of one cause.
 
     The score is the derivative of the log likelihood at amplitude zero, and the information is minus its
-    second derivative. Both are for amplitudes in the scaled unit of `Units.joint`.
+    second derivative. Both are for amplitudes in the scaled unit of `Units.joint`: typical standard
+    uncertainties.
     """
 
     score: Floats
@@ -59,7 +73,7 @@ class Block:
 
     @property
     def width(self) -> int:
-        """Number d of amplitudes."""
+        """Number d of amplitudes of the cause."""
         return int(self.score.shape[1])
 
 
@@ -67,10 +81,8 @@ class Block:
 class Group:
     """Distribution of the amplitudes of a cause: normal with `mean` (d,) and `spread` on every axis.
 
-    A `share` of the sessions is affected.
-
-    The unit of mean and spread is the typical standard uncertainty over all sessions or, if `relative`, the
-    standard uncertainty of each session.
+    The share `share` of the sessions is affected. The unit of mean and spread is the typical standard
+    uncertainty over all sessions or, if `relative` is true, the standard uncertainty of each session.
     """
 
     share: float
@@ -80,14 +92,20 @@ class Group:
 
 
 def log_factor(block: Block, mean: Floats, spread: float | Floats) -> Floats:
-    """Log Bayes factor (n,) of each session, affected against unaffected, without an upper limit."""
+    """Return the log Bayes factor (n,) of each session, affected against unaffected, without a limit.
+
+    `mean` (d,) and `spread` are the mean and the standard deviation of the amplitudes of affected sessions.
+    `block` has score and information of the sessions on the amplitudes.
+    """
     return log_factors(block, mean[None], spread)[:, 0]
 
 
 def log_factors(block: Block, means: Floats, spread: float | Floats) -> Floats:
-    """Log Bayes factors (n, h) of n sessions, affected against unaffected, for h mean amplitudes (h, d).
+    """Return log Bayes factors (n, h) of n sessions, affected against unaffected.
 
-    The spread may be one number, or one per amplitude (d,).
+    They are given for h mean amplitudes `means` (h, d) of affected sessions. The spread of the amplitudes
+    may be one number, or one per amplitude (d,). `block` has score and information of the sessions on the
+    amplitudes.
     """
     score, information = block.score, block.information
     shifted = score[:, None, :] - means @ information  # s − Gμ, (n, h, d)
@@ -106,13 +124,18 @@ def log_factors(block: Block, means: Floats, spread: float | Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Grid:
-    """A grid of h trial distributions of the amplitudes, chosen before the data are seen, with their prior.
+    """A grid of h trial distributions of a cause's amplitudes, with their prior.
+
+    It is chosen before the data are seen.
 
     Attributes
     ----------
     mean : (h, d) float
+        Mean amplitudes of each distribution.
     spread, share, log_prior : (h,) float
-        Half of the prior is for amplitudes in their unit, half for relative amplitudes.
+        Standard deviation of the amplitudes, share of affected sessions, and log of the prior. Each
+        distribution is used twice, with half of its prior: for amplitudes in their unit, and for relative
+        amplitudes.
     """
 
     mean: Floats
@@ -121,7 +144,7 @@ class Grid:
     log_prior: Floats
 
     def group(self, k: int) -> Group:
-        """Distribution k of the grid; from k = h on, the amplitudes are relative (see `Group`)."""
+        """Return distribution k of the grid; from k = h on, the amplitudes are relative (see `Group`)."""
         relative, k = divmod(k, len(self.share))
         return Group(float(self.share[k]), self.mean[k], float(self.spread[k]), bool(relative))
 
@@ -133,7 +156,7 @@ class Grid:
 
 @cache
 def grid_of(width: int) -> Grid:
-    """Make the grid for a cause with `width` amplitudes.
+    """Make the grid of trial distributions for a cause with `width` amplitudes.
 
     Half of the prior is for amplitudes that scatter about zero, half for amplitudes with a common sign.
     """
@@ -155,7 +178,7 @@ def grid_of(width: int) -> Grid:
 
 
 def _ways(width: int) -> list[Floats]:
-    """Directions (width,) of the mean amplitude in the grid: each amplitude alone, with either sign.
+    """Return the directions (width,) of the mean amplitude in the grid: each axis, with either sign.
 
     For two amplitudes, the four diagonal directions are included.
     """
@@ -166,10 +189,11 @@ def _ways(width: int) -> list[Floats]:
 
 
 def gains(block: Block, grid: Grid, most: float = MOST) -> Floats:
-    """Log likelihood ratio (n, h) of each session at each distribution of the grid, ln(1 − w + w B).
+    """Return the log likelihood ratio (n, h) of each session at each distribution of the grid.
 
-    Here w is the share of affected sessions and B the Bayes factor of the session, affected against
-    unaffected.
+    It is ln(1 − w + w B) with the share w of affected sessions and the Bayes factor B of the session,
+    affected against unaffected. ln B is limited to `most`. `block` has score and information of the
+    sessions on the amplitudes.
     """
     h = len(grid.share) // len(SHARES)
     factors = np.empty((len(block.score), h))
@@ -182,22 +206,26 @@ def gains(block: Block, grid: Grid, most: float = MOST) -> Floats:
 
 
 def mixed(log_factor: Floats, share: float, most: float = MOST) -> Floats:
-    """Log likelihood ratio ln(1 − w + w B) of a session that is affected with probability w.
+    """Return the log likelihood ratio ln(1 − w + w B) of sessions that are affected with probability w.
 
-    B is the Bayes factor, affected against unaffected; ln B is limited to `most`.
+    `log_factor` is ln B, with the Bayes factor B of a session, affected against unaffected; it is limited
+    to `most`. `share` is w.
     """
     return _mixed(np.minimum(log_factor, most), share)
 
 
 def _mixed(cut: Floats, share: float, excess: Floats | None = None) -> Floats:
-    """Like `mixed` for a limited ln B; `excess` is B − 1 if it is computed already."""
+    """Return the log likelihood ratio ln(1 − w + w B) for log Bayes factors that are limited already.
+
+    `cut` is ln B and `share` is w; `excess` is B − 1, None if it is not computed yet.
+    """
     if share >= 1:
         return cut
     return np.asarray(np.log1p(share * (np.expm1(cut) if excess is None else excess)))
 
 
 _FOREIGN = 1e-3
-"""A session with a χ² less probable than this does not have the common noise."""
+"""Probability of a session's χ² below which the session does not have the common noise."""
 
 
 @dataclass(frozen=True)
@@ -207,19 +235,22 @@ class Units:
     Attributes
     ----------
     evidence : tuple of SessionEvidence
+        Evidence of each session.
     columns : tuple of Column
-        All columns that any session can determine.
+        All m columns that at least one session determines; a column is one amplitude of a possible effect.
     inflation : (n,) float
         Factor by which each session's noise variance is enlarged.
     typical : (m,) float
-        Median standard uncertainty of each amplitude over the sessions that determine it, in its unit,
-        times `Column.weight`.
+        Typical standard uncertainty of each amplitude in its unit: the median over the sessions that
+        determine it, times `Column.weight`.
     z : (n, m) float
-        Scores with the enlarged noise; zero if a session does not determine a column.
+        Score of each session and column divided by its standard deviation, with the enlarged noise; zero if
+        a session does not determine a column.
     length : (n, m) float
-        1/u of each amplitude in units of `typical`; zero if a session does not determine it.
+        1/u of each amplitude, with u in units of `typical`; zero if a session does not determine it.
     directions : (n, k, m) float32
-        As in `SessionEvidence`, padded with zeros.
+        Unit vectors whose products are the correlations of the scores (see `SessionEvidence`), padded with
+        zeros.
     """
 
     evidence: tuple[SessionEvidence, ...]
@@ -234,13 +265,14 @@ class Units:
         return len(self.evidence)
 
     def seen(self, index: Sequence[int]) -> NDArray[np.bool_]:
-        """Mask (n,) of the sessions that determine at least one of the columns."""
+        """Return a mask (n,) of the sessions that determine at least one of the columns `index`."""
         return np.asarray((self.length[:, list(index)] > 0).any(axis=1))
 
     def joint(self, index: Sequence[int], relative: Sequence[bool] | bool = False) -> Block:
-        """Score and information of all sessions for some of the columns.
+        """Return score and information of all sessions for the columns `index`.
 
-        Amplitudes are in `typical` or, if `relative`, in each session's standard uncertainty.
+        Amplitudes are in units of `typical` or, if `relative` is true (for all columns or for each), in
+        each session's standard uncertainty.
         """
         chosen = list(index)
         length = self.length[:, chosen]
@@ -275,7 +307,7 @@ def units_of(evidence: Sequence[SessionEvidence]) -> Units:
 
 
 def inflations(evidence: Sequence[SessionEvidence]) -> Floats:
-    """Factor (n,) by which each session's noise variance is enlarged so that it explains the residuals.
+    """Return the factor (n,) by which each session's noise variance is enlarged to explain the residuals.
 
     If the readings have two directions, along the turn and across it, the larger factor is used.
     """
@@ -300,7 +332,7 @@ def _moderated(ratio: Floats, dof: Floats) -> Floats:
     """Shrink the ratios χ²/ν (n,) of the sessions towards their common ratio.
 
     The more the ratios scatter beyond the scatter of χ² itself, the less they are shrunk. A ratio that does
-    not belong to the common noise is returned unchanged.
+    not belong to the common noise is returned unchanged. `dof` (n,) are the degrees of freedom ν.
     """
     from scipy.stats import chi2
 
@@ -320,7 +352,7 @@ def _moderated(ratio: Floats, dof: Floats) -> Floats:
 
 
 def _median_of(dof: Floats) -> Floats:
-    """Median of the distribution of χ²/ν for `dof` degrees of freedom ν (n,).
+    """Return the median of the distribution of χ²/ν for `dof` degrees of freedom ν (n,).
 
     The approximation is by Wilson and Hilferty.
     """

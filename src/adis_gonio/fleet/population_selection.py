@@ -1,9 +1,9 @@
 """Forward selection of the causes of a population, on the joint evidence of all sessions.
 
-A candidate is a cause on some axes with its share of the prior. Each step compares every candidate in
-every group of sessions, given the causes that were chosen before. A chosen cause may or may not be
-present in a unit, with an unknown amplitude; both are averaged out, so that a candidate gains nothing
-from readings that a chosen cause explains.
+A candidate is a cause on some axes with its share of the prior. Each step compares every candidate in every
+group of sessions, given the causes that were chosen before. A chosen cause may or may not be present in a
+session, with an unknown amplitude; both are averaged out, so that a candidate gains nothing from readings
+that a chosen cause explains.
 """
 
 from __future__ import annotations
@@ -42,15 +42,17 @@ class Candidate:
     Attributes
     ----------
     cause : str
-        Name of the catalogue, or the quantity that an unnamed function depends on.
+        Name of the effect in the catalogue, or the quantity that an unnamed function depends on.
     named : bool
+        True if the catalogue has the cause; False for an unnamed function.
     variant : str
-        As in `Column`.
+        Choice and time constant of the cause (see `Column`).
     axes : str
         Letters of the axes; empty for an effect of the stage, which acts on no single axis.
     index : tuple of int
-        Indices of its columns among the columns of the population.
+        Indices of its columns (amplitudes) among the columns of the population.
     log_prior : float
+        Log of its prior probability.
     """
 
     cause: str
@@ -62,16 +64,16 @@ class Candidate:
 
     @property
     def kind(self) -> tuple[str, bool]:
-        """The cause, and True if it is named in the catalogue of effects."""
+        """The name of the cause, and True if it is named in the catalogue of effects."""
         return self.cause, self.named
 
 
 def candidates_of(columns: Sequence[Column]) -> list[Candidate]:
     """List every cause on each axis and on all axes together, with its prior probability.
 
-    The priors are as in the trace of one session.
-
-    The share of a name is divided evenly among its variants, or by 1/n among numbers n of cycles.
+    The priors are equal to those in the trace of one session. The share of a name is divided evenly among
+    its variants, or in proportion to 1/n among the numbers n of cycles per turn. `columns` are the
+    amplitudes on which sessions give evidence.
     """
     by_kind: dict[tuple[str, bool], list[int]] = defaultdict(list)
     for k, column in enumerate(columns):
@@ -98,7 +100,10 @@ def _part(variant: str) -> float:
 def _blocks(
     name: str, index: Sequence[int], columns: Sequence[Column]
 ) -> Iterator[tuple[str, str, tuple[int, ...]]]:
-    """Yield the variant, the axes and the column indices of each candidate of a cause."""
+    """Yield the variant, the axes and the column indices of each candidate of a cause.
+
+    `name` is the name in the catalogue, empty for an unnamed cause; `index` are the indices of its columns.
+    """
     variants: dict[str, dict[str, list[int]]] = defaultdict(lambda: defaultdict(list))
     for k in index:
         variants[columns[k].variant][columns[k].axes].append(k)
@@ -117,27 +122,32 @@ def _blocks(
 
 
 FOLDS = 5
-"""Number of groups into which the sessions are divided for cross-validation."""
+"""Number of folds into which the sessions are divided for cross-validation."""
 LEAST_UNITS = 5
-"""Fewest sessions of a population or a group."""
+"""Smallest number of sessions of a population or a group."""
 WHOLE = 0.5
-"""Prior share of causes in all sessions; the rest is for one stage, operator, serial number or variant."""
+"""Prior share of causes that act in all sessions.
+
+The remaining prior is for causes in one stage, operator, serial number or variant.
+"""
 
 Kind = tuple[str, bool]
 
 
 @dataclass(frozen=True)
 class Membership:
-    """A group of sessions with one common stage, operator, serial number or sensor variant.
+    """A group of sessions: all, or those with one stage, operator, serial number or sensor variant.
 
     Attributes
     ----------
     by : str
-        `all`, `stage`, `operator`, `serial` or `sensor`.
+        Grouping: `all`, `stage`, `operator`, `serial` or `sensor`.
     value : str
-        Common value; empty for all sessions.
+        Common value of these sessions, such as the name of the stage; empty for all sessions.
     inside : (n,) bool
+        True for the sessions of the group.
     log_prior : float
+        Log of the prior probability that a cause acts in this group.
     """
 
     by: str
@@ -147,7 +157,11 @@ class Membership:
 
 
 def memberships(units: Units, by: Sequence[str]) -> list[Membership]:
-    """List the groups of sessions: all sessions, and the sessions of each value of the groupings `by`."""
+    """List the groups of sessions in which a cause may act.
+
+    These are all sessions, and the sessions of each value of the groupings `by` if they are at least
+    `LEAST_UNITS`.
+    """
     n = len(units)
     found: list[list[tuple[str, str, NDArray[np.bool_]]]] = []
     for name in by:
@@ -169,7 +183,7 @@ def memberships(units: Units, by: Sequence[str]) -> list[Membership]:
 
 @dataclass(frozen=True)
 class ChosenCause:
-    """A cause that was added to the model, its group of sessions, and its amplitudes' distribution."""
+    """A cause in the model, with its group of sessions and the distribution of its amplitudes."""
 
     candidate: Candidate
     group: Membership
@@ -183,9 +197,11 @@ class Scores:
     Attributes
     ----------
     log_evidence : (k, g) float
-        Log evidence of each candidate in each group against the model, averaged over the grid.
+        Log evidence for the model with the candidate in the group, against the present model, averaged over
+        the grid of distributions.
     trained, foreseen : (k, g, folds) float
-        Log evidence without the sessions of a fold, and the log score of these sessions, predicted by it.
+        Log evidence without the sessions of a fold, and the log score of these sessions, predicted from the
+        others.
     best : (k, g) int
         Index of the most probable distribution of the grid.
     """
@@ -205,13 +221,15 @@ class SelectionStep:
     part : ChosenCause
         Best candidate of the most probable cause, with the best distribution of the grid.
     log_evidence : float
-        Log evidence of any further cause against the model, averaged over all candidates by their prior.
+        Log evidence for any further cause, against the present model, averaged over all candidates by their
+        prior.
     posterior : mapping of (cause, named) to float
-        Probability of each cause, if there is a further cause; sums to 1.
+        Probability of each cause, if there is a further cause; the sum is 1.
     places : mapping of (by, value) to float
-        Probability of each group, if the cause is right.
+        Probability of each group of sessions, if the cause is right.
     heldout : float
-        Log score of the sessions of each fold for the cause that the other folds choose, summed.
+        Log score of the sessions of each fold, for the cause that the other folds choose, added up over the
+        folds.
     """
 
     part: ChosenCause
@@ -222,7 +240,7 @@ class SelectionStep:
 
 
 class Population:
-    """Sessions with the causes that may affect them and the groups in which a cause may act."""
+    """Evidence of many sessions, their possible causes, and the groups in which a cause may act."""
 
     def __init__(self, units: Units, candidates: Sequence[Candidate], groups: Sequence[Membership]) -> None:
         self.units = units
@@ -237,11 +255,12 @@ class Population:
     def blocks_given(
         self, parts: Sequence[ChosenCause], index: Sequence[int], relative: bool = False
     ) -> list[tuple[Floats, Block]]:
-        """Score and information of some columns, with the amplitudes of other causes averaged out.
+        """Return score and information of some columns, with the amplitudes of other causes averaged out.
 
         The causes `parts` may each be present or absent in a session. The list has an entry for each
         combination: its log probability (n,) in each session, and the score and information of the columns
-        for this combination.
+        `index` for this combination. `relative` is true for amplitudes in each session's standard
+        uncertainty.
         """
         own = self.units.joint(index, relative)
         if not parts:
@@ -269,10 +288,12 @@ class Population:
         log_prior: Floats,
         relative: bool,
     ) -> tuple[Floats, Block]:
-        """Score and information of the columns if the causes `chosen` are present.
+        """Return score and information of the columns `index` if the causes `chosen` are present.
 
-        The amplitudes of these causes are averaged out. Returned with it is the log probability (n,) of the
-        combination, not normalised.
+        The amplitudes of these causes are averaged out. `own` has the score and information without other
+        causes, and `log_prior` (n,) is the log prior of the combination. Returned with the block is the log
+        probability (n,) of the combination, not normalised. `relative` is true for amplitudes in each
+        session's standard uncertainty.
         """
         if not chosen:
             return log_prior, own
@@ -295,9 +316,10 @@ class Population:
         return log_prior + log_factor(first, mean, spread), Block(score, information)
 
     def by_unit(self, parts: Sequence[ChosenCause], candidate: Candidate, most: float = MOST) -> Floats:
-        """Log likelihood ratio (n, 2 h) of each session, with a candidate in the model against without it.
+        """Return the log likelihood ratio (n, 2 h) of each session, with a candidate to without it.
 
-        There is one column for each distribution of the candidate's grid.
+        `parts` are the causes that are already in the model. There is one column for each distribution of
+        the candidate's grid. The log Bayes factor of a session is limited to `most`.
         """
         grid = grid_of(len(candidate.index))
         out = []
@@ -308,7 +330,10 @@ class Population:
         return np.concatenate(out, axis=1)
 
     def scores(self, parts: Sequence[ChosenCause], only: Sequence[Candidate] | None = None) -> Scores:
-        """Score candidates (default: all), in every group, as an addition to the model `parts`."""
+        """Return the evidence for adding each candidate, in every group, to the present model.
+
+        `parts` are the causes in the present model. `only` are the candidates; None takes all.
+        """
         candidates = self.candidates if only is None else only
         shape = (len(candidates), len(self.groups))
         evidence, best = np.zeros(shape), np.zeros(shape, dtype=np.intp)
@@ -325,7 +350,7 @@ class Population:
         return Scores(evidence, trained, foreseen, best)
 
     def step(self, parts: Sequence[ChosenCause]) -> SelectionStep:
-        """Find the most probable cause to add to the model `parts`."""
+        """Find the most probable cause to add to the model with the causes `parts`."""
         # Posterior over candidates and groups, then the best candidate of the most probable cause.
         scores = self.scores(parts)
         prior = self.log_prior
@@ -353,14 +378,14 @@ class Population:
 
     @property
     def log_prior(self) -> Floats:
-        """Log prior (k, g) of each of k candidates in each of g groups."""
+        """Log prior (k, g) of each of k candidates in each of g groups of sessions."""
         own = np.array([candidate.log_prior for candidate in self.candidates])
         return np.asarray(own[:, None] + np.array([group.log_prior for group in self.groups]))
 
     def refine(self, parts: Sequence[ChosenCause], part: ChosenCause) -> ChosenCause:
-        """Find the most likely distribution of the amplitudes of the cause `part`; other causes stay fixed.
+        """Find the most likely distribution of the amplitudes of the cause `part`.
 
-        Returns the cause with this distribution.
+        The other causes `parts` stay fixed. Returns the cause with this distribution.
         """
         from scipy.optimize import minimize
 
@@ -390,7 +415,10 @@ class Population:
         return replace(part, amplitudes=best if at(best) > at(start) else start)
 
     def affected(self, parts: Sequence[ChosenCause], part: ChosenCause) -> Floats:
-        """Probability (n,) that the cause `part` affects each session, given the other causes."""
+        """Return the probability (n,) that the cause `part` affects each session.
+
+        The other causes `parts` are given.
+        """
         amplitudes = part.amplitudes
         share = min(amplitudes.share, 1 - 1e-9)
         # Odds of presence and absence, summed over the combinations of the other parts.
@@ -403,9 +431,10 @@ class Population:
         return np.where(part.group.inside, 1 / (1 + np.exp(-np.clip(odds, -500, 500))), 0.0)
 
     def without_foremost(self, parts: Sequence[ChosenCause], part: ChosenCause, count: int) -> float:
-        """Increase of the log likelihood by the cause `part`, without the sessions that favour it most.
+        """Return the rise of the log likelihood by the cause `part`, without its strongest sessions.
 
-        The `count` sessions that favour the cause most are left out of the sum.
+        `parts` are the other causes. The `count` sessions that favour the cause most are omitted from the
+        sum.
         """
         amplitudes = part.amplitudes
         rows = [
@@ -417,7 +446,7 @@ class Population:
 
 
 def parameters_of(group: Group) -> Floats:
-    """Convert a distribution to unbounded parameters for an optimiser.
+    """Convert a distribution of amplitudes to unbounded parameters for an optimiser.
 
     They are the logit of the share, the log of the spread and, if it is not zero, the mean (d,).
     """
@@ -427,7 +456,10 @@ def parameters_of(group: Group) -> Floats:
 
 
 def group_at(parameters: Floats, like: Group) -> Group:
-    """Convert the parameters of `parameters_of` back to a distribution like `like`."""
+    """Convert the parameters of `parameters_of` back to a distribution.
+
+    The distribution `like` gives the mean if it is not among the parameters, and the flag `relative`.
+    """
     share = 1 / (1 + np.exp(-np.clip(parameters[0], -8, 12)))
     spread = float(np.exp(np.clip(parameters[1], -4, 5)))
     mean = like.mean if len(parameters) == 2 else parameters[2:]
@@ -435,9 +467,10 @@ def group_at(parameters: Floats, like: Group) -> Group:
 
 
 def _heldout(scores: Scores, prior: Floats) -> float:
-    """Log score of the sessions of each fold under the cause that the other folds choose, summed.
+    """Return the log score of the sessions of each fold under the cause that the other folds choose.
 
-    The score shows how well the cause predicts sessions that took no part in its choice.
+    The scores are added up over the folds. They show how well the cause predicts sessions that took no part
+    in its choice. `prior` is the log prior (k, g) of candidates and groups.
     """
     gain = 0.0
     for fold in range(FOLDS):

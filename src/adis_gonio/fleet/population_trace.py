@@ -1,4 +1,4 @@
-"""`trace_population`: from the evidence of many sessions to the causes that they have in common.
+"""The population trace: from the evidence of many sessions to the causes that they have in common.
 
 evidence ─ units ─▶ candidates ─▶ selection ─▶ accepted causes, and the sessions that they affect
 """
@@ -31,7 +31,7 @@ from adis_gonio.tracing.thresholds import limits
 
 
 class Affected(JsonRecord):
-    """A session that is probably affected by a cause, with this probability."""
+    """A session that is probably affected by a cause, with the probability of being affected."""
 
     source: str
     serial: str
@@ -47,22 +47,22 @@ class Common(JsonRecord):
     Attributes
     ----------
     effects : tuple of str
-        Names that the data cannot distinguish, the most probable first; a single one if it is certain.
-        Empty for an unnamed cause.
+        Names of the cause that the data cannot distinguish, the most probable first; a single name if it is
+        certain. Empty for an unnamed cause.
     depends_on : str
-        Quantity that an unnamed cause depends on.
+        Quantity that an unnamed cause depends on; empty for a named cause.
     variant : str
-        Choice or time constant of the most probable form.
+        Choice or time constant of the most probable form of the cause (see `Column`).
     axes : tuple of str
-        Axes on which it acts.
+        Axes on which the cause acts.
     posterior : mapping of str to float
-        Probability of each name, if there is a cause; unnamed causes are `unnamed: …`.
+        Probability of each name, if there is a further cause; unnamed causes are `unnamed: …`.
     by, value : str
-        Group of sessions that shows it: `all`, or a grouping such as `stage` with its value.
+        Group of sessions that shows the cause: `all`, or a grouping such as `stage` with its value.
     groups : mapping of str to float
-        Probability of each group.
+        Probability of each group of sessions, if the cause is right.
     sessions : int
-        Number of sessions of the group that could show it.
+        Number of sessions of the group that could show the cause.
     share : mapping of str to float
         Share of these sessions that are affected (`value`), with its 95 % interval (`low`, `high`). If
         the sign is not common, only the shape of the normal distribution separates share and spread; the
@@ -70,14 +70,14 @@ class Common(JsonRecord):
     mean : mapping of str to Value
         Mean amplitude of affected sessions by parameter; zero if the sign is not common.
     spread : mapping of str to float
-        Standard deviation of the amplitudes about the mean, in its unit.
+        Standard deviation of the amplitudes about the mean, in the parameter's unit.
     relative : bool
         True if the amplitudes are similar relative to each session's uncertainty rather than in their
         unit; `mean` and `spread` are then for an affected session of median uncertainty.
     p_value : float
         Upper bound of the probability of this evidence without a further cause in any session.
     heldout_gain : float
-        Rise of the log likelihood by the cause, on sessions that were not used to choose it.
+        Rise of the log likelihood by the cause, on sessions that took no part in its choice.
     affected : tuple of Affected
         Sessions affected with a probability above one half, the most probable first.
     """
@@ -135,20 +135,24 @@ class PopulationResult(JsonRecord):
     Attributes
     ----------
     sessions : int
+        Number of sessions.
     found : tuple of Common
         Causes with one name.
     sets : tuple of Common
         Causes with several names that the data cannot distinguish.
     unnamed : tuple of Common
-        Causes that are unnamed functions, or may be.
+        Causes that are unnamed functions, or may be unnamed functions.
     detectable : mapping of str to Reach
+        Smallest amplitude of each effect that these sessions would have shown.
     missing : mapping of str to str
         Effects for which no session gives evidence, with the reason.
     open : mapping of str to str
         Causes that were rejected, with the reason.
     inflation : mapping of str to float
-        `median` and `largest` factor on the noise variance of a session.
+        `median` and `largest` factor by which the noise variance of a session is enlarged to explain its
+        residual.
     notes : tuple of str
+        Remarks for the user, one sentence each.
     """
 
     sessions: int
@@ -162,7 +166,7 @@ class PopulationResult(JsonRecord):
     notes: tuple[str, ...] = ()
 
     def summary(self) -> tuple[str, ...]:
-        """Lines of text: a heading, then one line for each cause, rejected cause and note."""
+        """Return lines of text: a heading, then one line for each cause, rejected cause and note."""
         lines = [f"Population of {counted(self.sessions, 'session')}:"]
         for title, every in (
             ("found", self.found),
@@ -178,11 +182,14 @@ class PopulationResult(JsonRecord):
 
 
 GROUPINGS = ("stage", "operator", "serial", "sensor")
-"""Groupings in which a cause may be common to a group of sessions."""
+"""Groupings of the sessions; a cause may be common to all sessions with one value of a grouping."""
 MOST_PARTS = 4
 """Largest number of causes that are searched for in a population."""
 FOREMOST = 0.02
-"""Share of the sessions (at least one) that favour a cause most; it must be likely without them, too."""
+"""Share of the sessions (at least one) that are left out of a test of each cause.
+
+They are the sessions that favour the cause most; it must also be likely without them.
+"""
 
 
 def trace_population(
@@ -241,8 +248,8 @@ def trace_population(
 def _chosen(population: Population) -> tuple[list[SelectionStep], dict[str, str]]:
     """Select causes one by one until no further cause is probable.
 
-    Returns the selection steps, each with the most likely distribution of amplitudes, and the reason if the
-    last step was rejected.
+    Returns the selection steps, each with the most likely distribution of amplitudes, and the reason by
+    cause if the last step was rejected (otherwise no entry).
     """
     steps: list[SelectionStep] = []
     for _ in range(MOST_PARTS):
@@ -259,7 +266,10 @@ def _chosen(population: Population) -> tuple[list[SelectionStep], dict[str, str]
 
 
 def _objection(population: Population, parts: Sequence[ChosenCause], step: SelectionStep) -> str:
-    """Reason to reject a cause that has a sufficient likelihood; empty if there is none."""
+    """Return the reason to reject a cause that has a sufficient likelihood; empty if there is none.
+
+    `parts` are the causes that were accepted before, `step` adds the cause in question.
+    """
     if step.heldout <= 0:
         return "held-out sessions do not agree with it"
     seen = population.units.seen(step.part.candidate.index) & step.part.group.inside
@@ -272,7 +282,7 @@ def _objection(population: Population, parts: Sequence[ChosenCause], step: Selec
 def _keep_supported(
     population: Population, steps: Sequence[SelectionStep]
 ) -> tuple[list[SelectionStep], dict[str, str]]:
-    """Drop the causes that later causes explain.
+    """Drop the causes that causes found later explain.
 
     Returns the remaining steps, and the reason for each dropped cause.
     """
@@ -296,7 +306,7 @@ def _label(kind: Kind) -> str:
 
 
 def _merged(population: Population, steps: Sequence[SelectionStep]) -> list[Common]:
-    """Convert selection steps to causes of the result; steps on several axes with one cause are merged."""
+    """Convert selection steps to causes of the result; steps of one cause on several axes are merged."""
     commons: dict[tuple[str, str, str], Common] = {}
     for k, step in enumerate(steps):
         others = [one.part for j, one in enumerate(steps) if j != k]
@@ -361,7 +371,10 @@ def _common(population: Population, others: Sequence[ChosenCause], step: Selecti
 
 
 def _dependence(names: Sequence[Kind], best: Kind) -> str:
-    """Name the quantity that an unnamed cause depends on, with possible named causes in brackets."""
+    """Return the quantity that an unnamed cause depends on, with possible named causes in brackets.
+
+    `names` are the causes that the data cannot distinguish, `best` is the most probable of them.
+    """
     nameless = [name for name, named in names if not named]
     also = [name for name, named in names if named]
     what = best[0] if not best[1] else nameless[0]

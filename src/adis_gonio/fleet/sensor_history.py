@@ -1,4 +1,4 @@
-"""History of one sensor: quantities over time, drift, control charts, effects found; and its texts."""
+"""History of one sensor: quantities over time, drift, control charts, effects found; as data and texts."""
 
 from __future__ import annotations
 
@@ -34,24 +34,27 @@ LISTED = (
     *("when", "path", "operator", "stage", "plan", "method", "effects"),
     *("adequate", "temperature_c", "angle_max_deg"),
 )
-"""Fields of a session's record that the document of `history` includes."""
+"""Fields of a session's record that the JSON document of `history` includes."""
 
 
 class Track(JsonRecord):
-    """Course of one quantity over the sessions of a sensor that determine it.
+    """Course of one quantity over those sessions of a sensor that determine it.
 
     Attributes
     ----------
     name, unit : str
+        Name and unit of the quantity.
     sessions : tuple of int
         Indices of the sessions in the history, from 0.
     day : (n,) float
-        Days since 1970.
+        Time of each session in days since 1970.
     values : tuple of Value
+        Value of the quantity in each session, with uncertainty.
     drift : Drift or None
-        None with fewer than three sessions, and for the error of the angle, which has no sign.
+        Straight line over time; None with fewer than three sessions, and for the error of the angle, which
+        has no sign.
     chart : ControlChart or None
-        None with fewer than two sessions.
+        Control charts; None with fewer than two sessions.
     drifts : bool
         True if the slope differs from zero at the level `DRIFTING` over all quantities.
     """
@@ -95,11 +98,13 @@ class History:
     Attributes
     ----------
     serial : str
+        Serial number of the sensor.
     sessions : tuple of SessionRecord
         Sessions in the order of time.
     tracks : mapping of str to Track
+        Course of each quantity, by its name.
     left_out : tuple of (SessionRecord, str)
-        Sessions without a date or with a doubtful result, and the reason.
+        Sessions that are not used, without a date or with a doubtful result, and the reason.
     """
 
     serial: str
@@ -113,7 +118,7 @@ class History:
         return np.array([day_of(record.when or "") for record in self.sessions])
 
     def as_dict(self) -> dict[str, Any]:
-        """The document that `adis-gonio history --json` prints."""
+        """Return the JSON document that `adis-gonio history --json` prints."""
         return json_object(
             serial=self.serial,
             sessions=[
@@ -137,12 +142,12 @@ def history_of(serial: str, records: Sequence[SessionRecord]) -> History:
 
 
 def known_serial(serial: str, known: Sequence[str]) -> str:
-    """Check a serial number and return it.
+    """Return the serial number `serial` if it is one of the known serial numbers.
 
     Raises
     ------
     UsageError
-        It is unknown; the message lists similar serial numbers.
+        The serial number is unknown; the message lists similar serial numbers.
     """
     if serial in known:
         return serial
@@ -161,7 +166,7 @@ def known_serial(serial: str, known: Sequence[str]) -> str:
 
 
 def alike(serial: str, known: Sequence[str]) -> list[str]:
-    """Return the known serial numbers that equal this one if capitals and spaces are ignored."""
+    """Return the known serial numbers that differ from this one only by capitals and spaces."""
 
     def bare(text: str) -> str:
         return "".join(text.split()).casefold()
@@ -175,7 +180,7 @@ def day_of(when: str) -> float:
 
 
 def date_of(day: float) -> str:
-    """Convert days since 1970-01-01 to a date (UTC); `UsageError` beyond the calendar's end."""
+    """Convert days since 1970-01-01 to a date (UTC); `UsageError` for a day beyond the calendar's end."""
     try:
         return (datetime(1970, 1, 1) + timedelta(days=float(day))).date().isoformat()
     except OverflowError:
@@ -191,10 +196,10 @@ def _unfit(record: SessionRecord) -> str:
 
 
 def _names(records: Sequence[SessionRecord]) -> list[str]:
-    """Names of the quantities to track over the sessions.
+    """Return the names of the quantities to track over the sessions.
 
-    A session in the plane determines the gain ratio ΔK only: a common factor of both gains cannot be
-    distinguished from a change of gravity.
+    For sessions in the plane the gain ratio ΔK is tracked instead of gains: a common factor of both gains
+    cannot be distinguished from a change of gravity.
     """
     if any("delta_k" in record.values for record in records):
         return [*_IN_PLANE, ANGLE]
@@ -214,7 +219,10 @@ def _track(name: str, records: Sequence[SessionRecord]) -> Track:
 
 
 def own_u(records: Sequence[SessionRecord], name: str) -> Floats:
-    """Standard uncertainties (n,) of a value without the influence of the stage; see `unshared_u`."""
+    """Return the standard uncertainties (n,) of a value without the influence of a shared stage.
+
+    `name` is the quantity; `unshared_u` removes the influence.
+    """
     return unshared_u(
         np.array([record.values[name].u or 0.0 for record in records]),
         [record.stage_curve for record in records],
@@ -235,12 +243,15 @@ _ROWS = 9
 
 
 def format_expanded(value: Value) -> str:
-    """Format a value with its expanded uncertainty, `value ± U`, without the unit."""
+    """Format a value with its expanded uncertainty U (95 %), `value ± U`, without the unit."""
     return format_uncertain(value.value, value.U)
 
 
 def drift_sentences(track: Track) -> list[str]:
-    """Sentences on the drift of a quantity, and on its scatter between sessions."""
+    """Return sentences on the drift of a quantity, and on its scatter between sessions.
+
+    The list is empty without a drift fit.
+    """
     drift = track.drift
     if drift is None:
         return []
@@ -256,7 +267,7 @@ def drift_sentences(track: Track) -> list[str]:
 
 
 def chart_sentences(track: Track, history: History) -> list[str]:
-    """Sentences on the sessions at which the control charts of a quantity signal a change."""
+    """Return sentences on the sessions at which the control charts of a quantity signal a change."""
     chart = track.chart
     if chart is None:
         return []
@@ -272,7 +283,7 @@ def chart_sentences(track: Track, history: History) -> list[str]:
 
 
 def effect_table(history: History) -> list[list[str]]:
-    """Table rows (date, effects found, adequacy of the model), one per session."""
+    """Return table rows (date, effects found, adequacy of the model), one for each session."""
     return [[_date(record), _effects(record), _adequate(record)] for record in history.sessions]
 
 
@@ -292,7 +303,7 @@ def _date(record: SessionRecord) -> str:
 
 
 def headline(history: History) -> str:
-    """Summarise a history in one line: its sessions, drifting quantities, and signals of control charts."""
+    """Return one line on a history: number of sessions, drifting quantities, signals of control charts."""
     moving = [NAMES.get(name, name) for name, track in history.tracks.items() if track.drifts]
     signals = [
         NAMES.get(name, name)
@@ -306,7 +317,7 @@ def headline(history: History) -> str:
 
 
 def chart_lines(track: Track, width: int = 80) -> list[str]:
-    """Plot a quantity over time in characters, at most `width` wide.
+    """Return a plot of a quantity over time in lines of characters, at most `width` wide.
 
     The signs are `●` for a value, `│` for its expanded uncertainty U and `·` for the weighted mean.
     """
@@ -341,7 +352,7 @@ def chart_lines(track: Track, width: int = 80) -> list[str]:
 
 
 def value_rows(history: History) -> tuple[list[str], Sequence[list[str]]]:
-    """Return the head and the rows of a table: each session's date and all its quantities ± U."""
+    """Return the head and the rows of a table: the date of each session and all its quantities ± U."""
     tracks = list(history.tracks.values())
     rows = []
     for n, record in enumerate(history.sessions):

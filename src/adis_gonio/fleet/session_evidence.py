@@ -5,15 +5,15 @@ projected out, let X be the columns of all candidates and r the residual of the 
 
     ln L(a) − ln L(0) = aᵀ Xᵀr − ½ aᵀ XᵀX a
 
-for amplitudes a in their units. The score Xᵀr and the information XᵀX are all that a population needs of
-a session.
+for amplitudes a in their units. The score Xᵀr and the information XᵀX are all that a population trace needs
+of a session.
 
 An effect of the catalogue has one column for each amplitude, axis by axis. Time constants are on one grid
-in seconds for all sessions, since a part's τ does not depend on the length of a session. Unnamed
-functions (courses in time, harmonics of gravity's direction in the sensor, dependence on the previous
-position) have columns too, so that a cause that the catalogue lacks is not given the nearest name. Bias
-and base parameters have no columns, since every session has its own, nor have effects of one dwell: dwell
-7 of one session is not dwell 7 of another.
+in seconds for all sessions, since a part's τ does not depend on the length of a session. Unnamed functions
+(courses in time, harmonics of gravity's direction in the sensor, dependence on the previous position) have
+columns too, so that a cause that the catalogue lacks is not given the nearest name. Bias and base
+parameters have no columns, since every session has its own. Effects of one dwell have no columns either,
+since dwell 7 of one session is not dwell 7 of another.
 """
 
 from __future__ import annotations
@@ -40,13 +40,14 @@ from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace_result import TraceResult
 
 TAUS_S = tuple(float(f"{tau:.3g}") for tau in np.geomspace(10.0, 3160.0, 11))
-"""Time constants in s, a quarter of a decade apart.
+"""Time constants in s for which a session gives evidence, a quarter of a decade apart.
 
-A course with a time constant between two of them loses less than 1 % of its sum of squares."""
+A course with a time constant between two of them loses less than 1 % of its sum of squares.
+"""
 MOST_CYCLES = 12
-"""Largest number of cycles per turn of a periodic error of the stage."""
+"""Largest number of cycles per turn for which a session gives evidence on a periodic error of the stage."""
 HARMONICS = (2, 3, 4, 5, 6)
-"""Harmonics of the direction of gravity in the sensor that describe an unnamed error."""
+"""Harmonics of the angle of gravity in the sensor's X-Y plane that describe an unnamed error."""
 COURSES = 4
 """Number of cosines over the length of a session that describe an unnamed course in time."""
 
@@ -58,12 +59,14 @@ class Column:
     Attributes
     ----------
     cause : str
-        Name of the catalogue, or the quantity that an unnamed function depends on.
+        Name of the effect in the catalogue, or the quantity that an unnamed function depends on.
     named : bool
+        True if the catalogue has the cause; False for an unnamed function.
     variant : str
-        Choice and time constant: `degree=2`, `cycles=5`, `tau=316`; or the number of a function.
+        Choice and time constant of the effect: `degree=2`, `cycles=5`, `tau=316`; or the number of a
+        function.
     axes : str
-        Axis on which it acts; empty for an effect of the stage, which acts on no single axis.
+        Axis on which the cause acts; empty for an effect of the stage, which acts on no single axis.
     parameter, unit : str
         Name of the amplitude in the catalogue, and its unit.
     """
@@ -98,9 +101,10 @@ class Column:
 
 
 def columns_of(data: Readings) -> tuple[list[tuple[Term, list[Column]]], dict[str, str]]:
-    """List the model terms that may act, each with its columns, for the readings of a session.
+    """List the model terms that may act in a session, each with its columns.
 
-    Returned with it is the reason for each effect that has no columns.
+    `data` are the readings of the session. Returned with the list is the reason for each effect that has no
+    columns.
     """
     missing: dict[str, str] = {}
     out: list[tuple[Term, list[Column]]] = []
@@ -163,20 +167,23 @@ def _variants(
 
 
 class _Part(NamedTerm):
-    """A named term that uses only some of its amplitudes."""
+    """A model term of a named effect that uses only some of the effect's amplitudes."""
 
     def __init__(self, term: NamedTerm, chosen: list[int]) -> None:
         super().__init__(term.label, term.covariates, term.cost, term.effect, term.shapes)
         object.__setattr__(self, "_chosen", chosen)
 
     def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """Basis functions of the chosen amplitudes, the last axis of the array."""
+        """Return the basis functions of the chosen amplitudes, which are the last axis of the array.
+
+        `ideal` are the readings of ideal axes, `conditions` the covariates of the effect.
+        """
         chosen: list[int] = self._chosen  # type: ignore[attr-defined]
         return super().columns(ideal, conditions)[..., chosen]
 
 
 def _nameless(data: Readings) -> Iterator[tuple[Term, list[Column]]]:
-    """Yield the terms of unnamed functions with their columns, one term per function and axis."""
+    """Yield the model terms of unnamed functions with their columns, one term per function and axis."""
     conditions = data.conditions
     for cause, gain, basis in _functions(conditions, data.planar):
         probe = (
@@ -221,7 +228,7 @@ def _functions(conditions: Conditions, planar: bool) -> Iterator[tuple[str, bool
 
 
 def _harmonic(n: int) -> Callable[[Floats, int], Floats]:
-    """Make the function that returns cos nψ and sin nψ, (rows, 2).
+    """Make the function that returns cos nψ and sin nψ, (rows, 2), for readings of an ideal sensor in g.
 
     ψ is the direction of gravity in the plane of X and Y of the sensor.
     """
@@ -235,7 +242,7 @@ def _harmonic(n: int) -> Callable[[Floats, int], Floats]:
 
 FORMAT = "adis-gonio population evidence 1"
 _STEP = 2.0**-15
-"""Resolution of the stored directions: 3·10⁻⁵ of a column."""
+"""Resolution of the stored directions: 3·10⁻⁵ of the length of a unit vector."""
 
 
 @dataclass(frozen=True)
@@ -253,21 +260,23 @@ class SessionEvidence:
     Attributes
     ----------
     keys : tuple of str
-        Columns that this session determines (`Column.key`), m of them.
+        Keys of the m columns (amplitudes) that this session determines, see `Column.key`.
     z : (m,) float
-        Score of each column over its standard uncertainty: N(0, 1) if the effect is absent.
+        Score of each column divided by its standard deviation: N(0, 1) if the effect is absent.
     length : (m,) float
-        1/u of each amplitude if it is estimated alone, in 1/unit.
+        1/u of each amplitude if it is estimated alone, in 1/unit of the amplitude.
     directions : (k, m) float
-        Unit vectors; the product of two columns is the correlation of their scores.
+        Unit vector of each column; the scalar product of two of them is the correlation of their scores.
     scatter : tuple of ResidualChi2
-        Residual after base model and bias, along the turn and across it; one entry if attitudes are free.
+        χ² of the residual after base model and bias, along the turn and across it; one entry if attitudes
+        are free.
     noise_known : bool
         False if the noise is estimated from the residual alone.
     missing : mapping of str to str
         Effects without columns, with the reason.
     digest, source, serial, operator, stage, sensor : str
-        Facts of the session, as in `Provenance`.
+        Digest of the session's data, its file, and serial number, operator, stage and sensor type; empty if
+        unknown.
     """
 
     keys: tuple[str, ...]
@@ -287,9 +296,8 @@ class SessionEvidence:
     def estimate(self, key: str) -> tuple[float, float]:
         """Estimate one amplitude by least squares, without other amplitudes.
 
-        Returns the amplitude and its standard uncertainty, in the unit of its column.
-
-        `KeyError` if the session does not determine the column.
+        `key` is the key of its column. Returns the amplitude and its standard uncertainty, in the unit of
+        the column. `KeyError` if the session does not determine the column.
         """
         if key not in self.keys:
             raise KeyError(key)
@@ -297,7 +305,7 @@ class SessionEvidence:
         return float(self.z[k] / self.length[k]), float(1 / self.length[k])
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON document of the evidence.
+        """Return the JSON document of the evidence.
 
         The directions are base64 of 16-bit integers (k, m) in steps of 2⁻¹⁵.
         """
@@ -359,14 +367,16 @@ def evidence_of(session: Session, result: TraceResult | None = None) -> SessionE
     Parameters
     ----------
     session : Session
+        The session.
     result : TraceResult, optional
-        Trace of the session, if there is one. Dwells that it found slipped or outlying are then excluded,
-        the scatter that it found is added to the noise, and the effects found are evidence at their size.
+        Trace of the session; None without a trace. Dwells that the trace found slipped or outlying are
+        excluded, the scatter that it found is added to the noise, and the effects found are evidence at
+        their size.
 
     Raises
     ------
     DataError, FitError
-        As `adis_gonio.fitting.estimation.readings_of` and the fit.
+        The session has no readings to fit, or the fit fails.
     """
     fit = _begun(readings_of(session).training) if result is None or not result.fits else result.fits[-1]
     origin = provenance_of(session)
@@ -440,7 +450,7 @@ def _unit(directions: Floats) -> Floats:
 
 
 def _reduced(unit: Floats) -> Floats:
-    """Replace columns (rows, m) by shorter ones (k, m) that have equal scalar products."""
+    """Replace columns (rows, m) by shorter columns (k, m) that have equal scalar products."""
     # XᵀX = V S² Vᵀ: rows S Vᵀ have the products of the columns.
     _, s, vt = np.linalg.svd(unit, full_matrices=False)
     kept = s > 1e-5 * (s[0] if s.size else 1.0)
@@ -448,9 +458,11 @@ def _reduced(unit: Floats) -> Floats:
 
 
 def _scatter(fit: Fit, rest: Floats, base: Floats) -> tuple[ResidualChi2, ...]:
-    """χ² of the residual along the turn and across it, each with its degrees of freedom.
+    """Return χ² of the residual along the turn and across it, each with its degrees of freedom.
 
-    Base model, bias and single dwells reduce the degrees of freedom.
+    `rest` is the whitened residual, `base` the whitened columns of base model, bias and effects of single
+    dwells, which reduce the degrees of freedom. A session with free attitudes has one entry. `fit` is the
+    fit of the session.
     """
     data = fit.data
     rows = rest.reshape(len(data), -1)

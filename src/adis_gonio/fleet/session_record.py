@@ -1,7 +1,6 @@
 """The record of one session: its row in the store, and the job that computes it.
 
-The numbers are taken from the answer (`adis_gonio.tracing.traced_answer`), as `fit` and the report show
-them.
+The numbers are those of the answer that `fit` and the report show (`adis_gonio.tracing.traced_answer`).
 """
 
 from __future__ import annotations
@@ -26,7 +25,10 @@ if TYPE_CHECKING:
     from adis_gonio.tracing.trace_result import TraceResult
 
 ANGLE = "angle"
-"""Name of the rms error of the angle; its u and U are uncertainties of a displayed angle."""
+"""Name of the quantity that is the rms error of the angle.
+
+Its u and U are uncertainties of a displayed angle.
+"""
 QUANTITIES = {
     "delta_k": "1",
     "delta_phi": "deg",
@@ -35,16 +37,18 @@ QUANTITIES = {
     **{f"skew_{axes}": "deg" for axes in ("xy", "xz", "yz")},
     ANGLE: "deg",
 }
-"""Unit of each quantity that a record can hold, named as in the document of `fit`; in space the
-skews replace `delta_phi`."""
+"""Unit of each quantity that a record can have, by the name in the document of `fit`.
+
+In space the skews replace `delta_phi`.
+"""
 PARTS = {"": "value", "_u": "u", "_u95": "U", "_k": "k", "_dof": "dof"}
-"""Endings of the columns that a quantity has in a row, with their keys in the JSON form of a value."""
+"""Endings of the columns that a quantity has in a row, with the keys in the JSON form of a value."""
 
 Status = Literal["ok", "failed"]
 
 
 class FoundEffect(JsonRecord):
-    """An effect that the trace of a session found, as in the field `found` of the `trace` document."""
+    """An effect that the trace of a session found, as the field `found` of the `trace` document has it."""
 
     effect: str
     axes: tuple[str, ...]
@@ -59,7 +63,7 @@ class FoundEffect(JsonRecord):
 
 
 _APART = ("values", "evidence", "stage_influence")
-"""Fields of a record that are no columns of its row."""
+"""Names of the fields of a record that are no columns of its row in the table."""
 
 
 class SessionRecord(JsonRecord):
@@ -74,24 +78,27 @@ class SessionRecord(JsonRecord):
     data_sha256 : str or None
         Digest of the dwells' data, equal for an archive and the CSV exported from it.
     serial, operator, stage : str or None
-        As the operator stated them.
+        Serial number of the sensor, operator and stage as the session states them.
     sensor : str or None
-        Variant.
+        Variant of the sensor.
     plan : str or None
         Name of the plan; None for a CSV.
     when : str or None
         Begin of the session (UTC, ISO 8601); None for a CSV.
     simulated : bool or None
+        True if a simulator made the readings.
     dwells : int or None
+        Number of dwells.
     measuring_s : float or None
-        Time in the dwells, s.
+        Total time of the dwells in s.
     temperature_c : float or None
-        Mean over all samples, °C.
+        Mean temperature over all samples in °C.
     gravity_mps2 : float or None
+        Local gravity.
     method : str or None
         Recommended method of the fit, by which `values` were determined.
     model_effects : tuple of str
-        Effects of the traced model, if that is the answer.
+        Effects in the traced model if that model gives the values; empty otherwise.
     values : mapping of str to Value
         Values of those `QUANTITIES` that the session determines.
     angle_max_deg : float or None
@@ -99,6 +106,7 @@ class SessionRecord(JsonRecord):
     traced : bool
         True if a trace ran; otherwise the effects are not known.
     effects : tuple of FoundEffect
+        Effects that the trace found.
     adequate : bool or None
         True if the traced model explains the readings; None without a trace.
     stage_curve : str
@@ -109,12 +117,13 @@ class SessionRecord(JsonRecord):
     doubts : tuple of str
         Reasons to doubt the result: dwells that the operator kept although a guard objected.
     status : {"ok", "failed"}
+        `failed` if the session has no result.
     reason : str
-        Reason of a failure, one line.
+        Reason of a failure, one line; empty without one.
     software : str
-        Program that computed it.
+        Program and version that computed the record.
     evidence : mapping or None
-        `SessionEvidence.as_dict()`, if it was requested and the session has evidence.
+        `SessionEvidence.as_dict()`, if it was requested and the session has evidence; otherwise None.
     """
 
     path: str
@@ -161,7 +170,7 @@ class SessionRecord(JsonRecord):
         )
 
     def row(self) -> dict[str, Any]:
-        """One row with the columns of `adis_gonio.fleet.session_table.COLUMNS`; unknown values are None.
+        """Return a row with the columns of `session_table.COLUMNS`; unknown values are None.
 
         Each of `QUANTITIES` takes six columns: `delta_k`, `delta_k_u`, `delta_k_u95` (U, since names of
         columns ignore capitals), `delta_k_k`, `delta_k_dof` (`PARTS`), and `delta_k_stage` (its
@@ -183,9 +192,9 @@ class SessionRecord(JsonRecord):
 def once(records: Iterable[SessionRecord]) -> tuple[list[SessionRecord], dict[str, str]]:
     """Remove records with equal data.
 
-    Returns the other records by path, and for each removed record the path of the one that was kept.
-
-    For an archive and the CSV exported from it, the file that states more facts is kept.
+    Returns the remaining records, sorted by path, and for each removed record the path of the record with
+    the same data. For an archive and the CSV exported from it, the record of the file that states more
+    facts remains.
     """
     kept, copies, names = [], {}, dict[str, str]()
     for record in sorted(records, key=_unstated):
@@ -200,13 +209,16 @@ def once(records: Iterable[SessionRecord]) -> tuple[list[SessionRecord], dict[st
 
 
 def _unstated(record: SessionRecord) -> tuple[int, str]:
-    """Sort key that puts the file with the most stated facts first, then sorts by path."""
+    """Return a sort key that puts the file with the most stated facts first, then sorts by path."""
     names = ("when", "serial", "operator", "stage", "plan")
     return sum(getattr(record, name) is None for name in names), record.path
 
 
 def value_from(entry: Mapping[str, Any]) -> Value:
-    """Make a `Value` (with its uncertainty) from its JSON form."""
+    """Make a `Value` (with its uncertainty) from its JSON form.
+
+    The form is a mapping with `value`, `u`, `unit`, `dof` and `k`; a value of None becomes NaN.
+    """
     value, dof = entry["value"], entry["dof"]
     return Value(
         math.nan if value is None else value,
@@ -223,10 +235,10 @@ class Options(JsonRecord):
     Attributes
     ----------
     trace : bool
-        Trace the residual too. A trace takes seconds to half a minute per session, a fit tenths of a
+        True also traces the residual. A trace takes seconds to half a minute per session, a fit tenths of a
         second.
     evidence : bool
-        Compute the session's evidence for `population_trace`.
+        True also computes the session's evidence for `trace_population`.
     """
 
     trace: bool = True
@@ -252,22 +264,25 @@ class Job:
 def lost(path: str, reason: str) -> SessionRecord:
     """Make the record of a session that could not be computed.
 
-    It has no digest, so that the next run tries the session again.
+    It has no digest, so that the next run tries the session again. `reason` is the reason, which the record
+    states after the path.
     """
     return SessionRecord(path, status="failed", reason=f"{path}: {reason}")
 
 
 def work(path: str, digest: str, options: dict[str, bool], version: str) -> SessionRecord:
-    """Compute the record of a job, perhaps on another machine.
+    """Compute the record of a job, perhaps on another machine than the caller's.
+
+    A refused job gives a record with the reason.
 
     Parameters
     ----------
     path, digest : str
-        As in `Job`; a file with another digest is refused.
+        Path of the session file and SHA-256 of its bytes; a file with another digest is refused.
     options : mapping
-        `Options.as_dict()`.
+        Computations to make, as `Options.as_dict()` returns them.
     version : str
-        Version of adis-gonio that runs the fleet.
+        Version of adis-gonio that runs the fleet; another version of this program refuses the job.
     """
     if version != __version__:
         return lost(path, f"the worker has adis-gonio {__version__}, the fleet {version}")
@@ -281,12 +296,18 @@ def work(path: str, digest: str, options: dict[str, bool], version: str) -> Sess
 
 
 def record_of(path: str | Path, *, trace: bool = False, evidence: bool = False) -> SessionRecord:
-    """Compute the record of one session; a broken file gives a record with the reason, never an exception.
+    """Compute the record of one session file.
+
+    A broken file gives a record with the reason, never an exception.
 
     Parameters
     ----------
-    trace, evidence : bool
-        As in `Options`.
+    path : str or Path
+        Session file.
+    trace : bool
+        True also traces the residual.
+    evidence : bool
+        True also computes the evidence for a population trace.
     """
     from adis_gonio.record.loading import explain_refusal, load_session
 
@@ -307,7 +328,10 @@ def record_of(path: str | Path, *, trace: bool = False, evidence: bool = False) 
 
 
 def _facts(session: Session) -> dict[str, Any]:
-    """Fields of the record that the file states, which are known even if the fit fails."""
+    """Return the fields of the record that the session file states.
+
+    They are known even if the fit fails.
+    """
     origin = provenance_of(session)
     return {
         "data_sha256": origin.sha256,
@@ -327,7 +351,10 @@ def _facts(session: Session) -> dict[str, Any]:
 
 
 def _utc(text: str) -> str | None:
-    """Convert an ISO time to UTC with a resolution of a second; a time without a zone is taken as UTC."""
+    """Convert an ISO time to UTC with a resolution of a second; None for a text that is no time.
+
+    A time without a zone is taken as UTC.
+    """
     if not text:
         return None
     try:
@@ -370,7 +397,10 @@ def _of_trace(found: TraceResult | None) -> dict[str, Any]:
 
 
 def _evidence(session: Session) -> dict[str, Any] | None:
-    """Evidence of a session for a population trace; None if it has none, such as a session of one pose."""
+    """Return the evidence of a session for a population trace; None if it has none.
+
+    For example, a session of one pose has no evidence.
+    """
     from adis_gonio.fleet.session_evidence import evidence_of
 
     try:

@@ -1,4 +1,4 @@
-"""The table of many sessions: its columns, documented here and nowhere else, and the table as Parquet."""
+"""The table of many sessions: its columns with their documentation, and the table as Parquet."""
 
 from __future__ import annotations
 
@@ -16,8 +16,11 @@ from adis_gonio.fleet.session_record import QUANTITIES
 Kind = Literal["text", "number", "integer", "flag", "names", "numbers"]
 Row = Mapping[str, Any]
 Table = dict[str, NDArray[Any]]
-"""Columns (n,) by name: float with NaN or str with "" if unknown, or lists of numbers; for `effects` see
-`table_of`."""
+"""Columns (n,) by name.
+
+A column has floats (NaN if unknown), str ("" if unknown), or lists of numbers; `table_of` describes
+`effects`.
+"""
 
 _FACTS: dict[str, tuple[Kind, str, str]] = {
     "path": ("text", "", "file of the session, as it was given"),
@@ -65,7 +68,7 @@ def _of_quantities() -> dict[str, tuple[Kind, str, str]]:
 
 
 COLUMNS: dict[str, tuple[Kind, str, str]] = {**_FACTS, **_of_quantities()}
-"""Kind, unit and meaning of each column, in order."""
+"""Kind, unit and meaning of each column of the table, in order."""
 
 
 _FACTS_USED = (
@@ -78,8 +81,8 @@ _USED = (*_FACTS_USED, *(f"{name}{part}" for name in QUANTITIES for part in ("",
 def table_of(rows: Sequence[Row] | Any) -> Table:
     """Convert rows, or a pyarrow table such as `read_parquet` gives, to arrays by column.
 
-    `effect_row` (m,) and `effect_name` (m,) replace `effects`: each effect found, with the number of its
-    row. Rows are sorted by path.
+    In place of the column `effects`, `effect_row` (m,) and `effect_name` (m,) have the row number and the
+    name of each effect found. Rows are sorted by path.
     """
     if isinstance(rows, Sequence):
         columns = {name: [row.get(name) for row in rows] for name in _USED}
@@ -112,7 +115,7 @@ def require_pyarrow() -> Any:
     Raises
     ------
     NotInstalledError
-        It is not installed.
+        pyarrow is not installed.
     """
     try:
         import pyarrow.parquet
@@ -124,7 +127,8 @@ def require_pyarrow() -> Any:
 def write_parquet(rows: Sequence[Row], path: str | Path, about: Mapping[str, Any]) -> None:
     """Write rows to a Parquet file.
 
-    The metadata are `unit` and `meaning` of each column, and `adis_gonio` (`about` as JSON).
+    The metadata of the file are `unit` and `meaning` of each column, and `adis_gonio`, which is `about` as
+    JSON.
 
     Raises
     ------

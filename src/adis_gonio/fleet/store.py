@@ -1,10 +1,11 @@
 """The store: the result of every session file by the file's digest, so that nothing is computed twice.
 
-One SQLite file. `archive`, `history` and `due` keep it in the first folder, `fleet` as its journal.
+The store is one SQLite file. `archive`, `history` and `due` keep it in the first folder, `fleet` as its
+journal.
 
 | table | a row is |
 |---|---|
-| `files` | a path with its stamp and digest; `gone` if it was not found again |
+| `files` | a path with its length, times and digest; `gone` if it was not found again |
 | `records` | the record of a session as JSON, by the digest of its file, with the options that made it |
 
 Each record is written in a separate transaction, so that an interruption leaves whole records only. The
@@ -30,9 +31,9 @@ from adis_gonio.fleet.session_record import Job, Options, SessionRecord, once
 from adis_gonio.record.provenance import digest_of_file
 
 NAME = "adis-gonio.index"
-"""File name of the store in the first folder."""
+"""File name that the store has in the first folder."""
 APPLICATION_ID = 0x41444749
-"""`ADGI` in the file's header."""
+"""Number in the file's header that identifies a store: the letters `ADGI`."""
 VERSION = 2
 IN_MEMORY = ":memory:"
 
@@ -61,11 +62,11 @@ class Store:
     Parameters
     ----------
     path : str or Path
-        File of the store, created if it does not exist; `IN_MEMORY` for none.
+        File of the store, created if it does not exist; `IN_MEMORY` keeps the store in memory.
     strict : bool
-        Behave as the journal of a fleet: only results with equal options and version are used again, and
-        a damaged or unwritable file is an error. Otherwise a damaged file is renamed and replaced, and
-        on a full disk the store continues in memory.
+        True makes the store the journal of a fleet: only results with equal options and version are used
+        again, and a damaged or unwritable file is an error. False: a damaged file is renamed and replaced,
+        and on a full disk the store continues in memory.
 
     Attributes
     ----------
@@ -75,9 +76,9 @@ class Store:
     Raises
     ------
     DataError
-        The file is something else, or, if `strict`, damaged.
+        The file is no store, or, if `strict`, it is damaged.
     OutputError
-        If `strict`, it cannot be opened or written.
+        If `strict`, the file cannot be opened or written.
     """
 
     def __init__(self, path: str | Path, *, strict: bool = False) -> None:
@@ -88,7 +89,7 @@ class Store:
 
     @classmethod
     def of(cls, places: Sequence[str | Path], path: str | Path | None = None) -> Store:
-        """Open the store at `path` or, without a path, in the first folder.
+        """Open the store at `path` or, if it is None, in the first folder of `places`.
 
         Raises
         ------
@@ -110,7 +111,7 @@ class Store:
 
     @property
     def sessions(self) -> int:
-        """Number of sessions with a record."""
+        """Number of sessions with a record in the store."""
         return int(self._connection.execute("SELECT count(*) FROM records").fetchone()[0])
 
     # -- the file ----------------------------------------------------------------------------------
@@ -147,7 +148,11 @@ class Store:
         return connection
 
     def _prepare(self, connection: sqlite3.Connection) -> None:
-        """Make the tables of a new store; check the file of an existing one."""
+        """Make the tables of a new store; check the file of an existing store.
+
+        Raises `DataError` for a file of another program or version, and `sqlite3.DatabaseError` for a
+        damaged file.
+        """
         if not _tables(connection):
             connection.execute("BEGIN IMMEDIATE")
             if not _tables(connection):  # another program may have created them
@@ -167,7 +172,10 @@ class Store:
             raise sqlite3.DatabaseError(" ".join(str(found).split())[:80])
 
     def _ours(self) -> bool:
-        """True if this program made the file, by the file's header or, if that is damaged, its name."""
+        """Return True if this program made the file of the store.
+
+        The file's header shows this or, if the header is damaged, the file's name.
+        """
         with self.path.open("rb") as file:
             head = file.read(72)
         return int.from_bytes(head[68:72], "big") == APPLICATION_ID or self.path.name == NAME
@@ -184,10 +192,13 @@ class Store:
     ) -> sqlite3.Connection:
         """Continue with a store in memory that has the records of the file; new records are not saved.
 
+        `verb` names the failed action in the message (`opened`, `written`), `error` is the failure, `known`
+        the open connection to the file, None if it could not be opened.
+
         Raises
         ------
         OutputError
-            If `strict`.
+            If `strict`, always.
         """
         if self.strict:
             held = "" if known is None else f"; it holds {counted(self.sessions, 'session')}"
@@ -212,7 +223,10 @@ class Store:
         return connection
 
     def _write(self, statements: Iterable[tuple[str, Sequence[Any]]]) -> None:
-        """Execute all SQL statements or none; on a full or read-only disk continue in memory."""
+        """Execute all SQL statements or none; on a full or read-only disk continue in memory.
+
+        Each statement is given with its arguments.
+        """
         todo = list(statements)
         if not todo:
             return
@@ -236,7 +250,9 @@ class Store:
     # -- writing -----------------------------------------------------------------------------------
 
     def digest_of(self, path: str | Path) -> str:
-        """SHA-256 of a file, which is read only if its length or times have changed; its path is recorded.
+        """Return the SHA-256 of a file, which is read only if its length or times have changed.
+
+        The path of the file is recorded in the store.
 
         The record of the file's former content is deleted unless another file has that content.
 
@@ -263,12 +279,12 @@ class Store:
         return digest
 
     def keep(self, *records: SessionRecord, options: Options | None = None) -> None:
-        """Write records to the disk; records without a digest are skipped.
+        """Write records to the store with the options that made them; a record without a digest is skipped.
 
         Raises
         ------
         OutputError
-            If `strict`, they cannot be written; the store is unchanged.
+            If `strict`, the records cannot be written; the store is unchanged.
         """
         key = None if options is None else options.key
         todo: list[tuple[str, Sequence[Any]]] = []
@@ -282,7 +298,10 @@ class Store:
         self._write(todo)
 
     def mark_gone(self, places: Sequence[str | Path], paths: Iterable[Path]) -> None:
-        """Mark files below the given places that no longer exist; their records remain in the store."""
+        """Mark files below the given places that no longer exist; their records remain in the store.
+
+        `paths` are the files that exist.
+        """
         there = {str(path) for path in paths}
         roots = [Path(place).resolve() for place in places]
         held = self._connection.execute("SELECT path FROM files WHERE NOT gone").fetchall()
@@ -295,7 +314,10 @@ class Store:
     # -- reading -----------------------------------------------------------------------------------
 
     def found(self, job: Job, options: Options) -> SessionRecord | None:
-        """Stored record of a job with the file's present name; None if the job has to be computed."""
+        """Return the stored record of a job, with the present path of the file.
+
+        Return None if the job has to be computed, because there is no record or its options do not suffice.
+        """
         row = self._connection.execute(
             "SELECT options, record FROM records WHERE sha256 = ?", (job.digest,)
         ).fetchone()
@@ -307,14 +329,14 @@ class Store:
         return replace(record, path=job.path)
 
     def rows(self, **wanted: str | None) -> list[dict[str, Any]]:
-        """Records as flat rows, sorted by serial number, operator, stage and date.
+        """Return the records as flat rows, sorted by serial number, operator, stage and date.
 
-        Each row also has `copies` (other paths of equal files) and `gone` (True if no file is left).
+        Each row also has `copies` (other paths of equal files) and `gone` (True if no file remains).
 
         Parameters
         ----------
         wanted : str or None
-            Filters `serial`, `operator` and `stage`.
+            Filters `serial`, `operator` and `stage`: only records with this value; None for all.
         """
         paths: dict[str, list[str]] = {}
         for path, digest in self._connection.execute("SELECT path, sha256 FROM files WHERE NOT gone"):
@@ -328,7 +350,10 @@ class Store:
         return sorted(rows, key=_place)
 
     def records(self, serial: str | None = None) -> list[SessionRecord]:
-        """Records of one sensor (by serial number) or of all, sorted by time; equal data appear once."""
+        """Return the records of one sensor, by serial number, or of all sensors, sorted by time.
+
+        `serial` is None for all sensors. Files with equal data give one record.
+        """
         return sorted(once(self._records(serial))[0], key=lambda record: record.when or "")
 
     def _records(self, serial: str | None) -> list[SessionRecord]:
@@ -337,7 +362,7 @@ class Store:
         return [SessionRecord.from_dict(json.loads(text)) for (text,) in found]
 
     def serials(self) -> list[str]:
-        """Serial numbers of all sensors with a record."""
+        """Return the serial numbers of all sensors with a record in the store, sorted."""
         rows = self._connection.execute(
             "SELECT DISTINCT serial FROM records WHERE serial IS NOT NULL ORDER BY serial"
         )
@@ -345,7 +370,7 @@ class Store:
 
 
 def _place(row: dict[str, Any]) -> tuple[Any, ...]:
-    """Sort key of a row; rows without a serial number come last."""
+    """Return the sort key of a row; rows without a serial number come last."""
     return (
         row["serial"] is None,
         *(row[name] or "" for name in ("serial", "operator", "stage", "when", "path")),

@@ -1,11 +1,12 @@
 """Workers that compute sessions: local processes or a dask cluster; a worker that dies loses nothing.
 
-Each process of this machine has one session at a time, so that it is known which session was lost with it.
-That session is given to a new process; if that one dies as well, the session is a row with the reason.
+Each process of this machine has one session at a time, so that the session lost with a process is known.
+That session is given to a new process; if this process dies as well, the record of the session has the
+reason.
 
-The files of a cluster are on a disk that all workers see. The scheduler gives the sessions of a worker
-that dies to others; a session that was lost more often than its `distributed.scheduler.allowed-failures`
-(3) is a row with the reason. dask is imported when a cluster is asked for (extra `fleet`).
+The files of a cluster are on a disk that all workers see. The scheduler gives the sessions of a worker that
+dies to others; a session that was lost more often than its `distributed.scheduler.allowed-failures` (3) has
+a record with the reason. dask is imported when a cluster is asked for (extra `fleet`).
 """
 
 from __future__ import annotations
@@ -31,15 +32,18 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 ATTEMPTS = 2
-"""Number of processes that may die from one session."""
+"""Number of processes that may die while they compute one session.
+
+After that the session counts as failed.
+"""
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 _LOOK_S = 0.5
-"""Interval of checks while waiting, in s."""
+"""Interval in s between checks while the cluster is waited for."""
 _SPAWN = get_context("spawn")
 
 
 def cores() -> int:
-    """Number of processor cores that this process may use."""
+    """Return the number of processor cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -51,9 +55,9 @@ class LocalPool:
     Parameters
     ----------
     workers : int, optional
-        Largest number of processes; by default one per core.
+        Largest number of processes; None is one per core.
     compute : callable
-        Computes a record in a worker; called as `work`.
+        Computes a record in a worker, with the arguments of `work`.
     """
 
     def __init__(self, workers: int | None = None, compute: Callable[..., SessionRecord] = work) -> None:
@@ -71,11 +75,11 @@ class LocalPool:
 
     @property
     def pids(self) -> tuple[int, ...]:
-        """Identifiers of the running processes."""
+        """Process identifiers of the running workers."""
         return tuple(worker.process.pid or 0 for worker in self._running)
 
     def results(self, jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, SessionRecord]]:
-        """Yield each job with its record, as they arrive."""
+        """Yield each job with its record, in the order in which the records arrive."""
         waiting, deaths = deque(jobs), Counter[str]()
         while waiting or self._running:
             while waiting and len(self._running) < self.workers:
@@ -121,7 +125,10 @@ class _Worker:
         there.close()
 
     def give(self, job: Job, options: Options) -> None:
-        """Send a job; the death of the process is found when its record is received."""
+        """Send a job to the process.
+
+        If the process has died, this is noticed when its record is received.
+        """
         self.job = job
         with suppress(OSError):
             self.pipe.send((job.path, job.digest, options.as_dict(), __version__))
@@ -135,7 +142,7 @@ class _Worker:
         return record
 
     def end(self) -> str:
-        """Kill the process if it runs, wait for its end, and describe how it ended."""
+        """Kill the process if it runs, wait for its end, and return a text on how it ended."""
         self.process.kill()
         self.process.join()
         self.pipe.close()
@@ -149,7 +156,10 @@ class _Worker:
 
 
 def _answer(pipe: Connection, compute: Callable[..., SessionRecord]) -> None:
-    """Answer jobs in a worker process until the pipe is closed; texts of libraries are not shown."""
+    """Answer jobs in a worker process until the pipe is closed.
+
+    `compute` makes a record from a job's arguments. Output that libraries print is not shown.
+    """
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     os.dup2(nowhere, 2)
@@ -159,11 +169,17 @@ def _answer(pipe: Connection, compute: Callable[..., SessionRecord]) -> None:
 
 
 CONNECT_S = 10.0
-"""Time limit for the answer of a scheduler."""
+"""Time limit in s for the answer of a scheduler."""
 ALONE_S = 60.0
-"""Time for which a cluster may be without a worker before the run ends; others may still start."""
+"""Time in s for which a cluster may be without a worker before the run ends.
+
+New workers may start during this time.
+"""
 _ASK_VERSION = "__import__('adis_gonio').__version__"
-"""Expression that workers evaluate to give their version; they may not have the package at all."""
+"""Python expression that workers evaluate to give their version of adis-gonio.
+
+They may lack the package, so no function of it is used.
+"""
 
 
 class Cluster:
@@ -172,9 +188,9 @@ class Cluster:
     Parameters
     ----------
     address : str
-        Such as `tcp://10.0.0.1:8786`.
+        Address of the scheduler, such as `tcp://10.0.0.1:8786`.
     connect_s, alone_s : float
-        Limits in s: for the scheduler's answer, for a cluster without a worker.
+        Time limits in s for the scheduler's answer, and for a cluster without a worker.
 
     Raises
     ------
@@ -209,12 +225,12 @@ class Cluster:
             self._client.close(timeout=CONNECT_S)
 
     def results(self, jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, SessionRecord]]:
-        """Yield each job with its record, as they arrive.
+        """Yield each job with its record, in the order in which the records arrive.
 
         Raises
         ------
         FleetError
-            The scheduler has gone, or all of its workers have.
+            The scheduler has gone, or all of its workers have gone.
         """
         arrived: queue.SimpleQueue[str] = queue.SimpleQueue()
         waiting = iter(jobs)
@@ -247,7 +263,10 @@ class Cluster:
                 self._threads()
 
     def _record(self, job: Job, future: Future) -> SessionRecord:
-        """Wait for the record of a job; if its worker dies, the cluster computes the job again."""
+        """Wait for the record of a job; if its worker dies, the cluster computes the job again.
+
+        `future` is the job at the cluster.
+        """
         while True:
             if future.status == "cancelled":
                 raise FleetError(f"the scheduler at {self.address} has gone")
@@ -261,7 +280,7 @@ class Cluster:
                 return record
 
     def _threads(self) -> int:
-        """Number of sessions that the cluster can compute at once, looked up from time to time.
+        """Return the number of sessions that the cluster can compute at once, looked up from time to time.
 
         Raises
         ------
@@ -285,7 +304,10 @@ class Cluster:
         return threads
 
     def _check(self, limit_s: float) -> None:
-        """Check that the cluster has workers and that they run this version of the program."""
+        """Check that the cluster has workers and that they run this version of the program.
+
+        `limit_s` is the time in s to wait for the first worker. Raises `FleetError` otherwise.
+        """
         try:
             self._client.wait_for_workers(1, timeout=limit_s)
         except TimeoutError:

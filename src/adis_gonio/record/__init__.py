@@ -1,6 +1,6 @@
-"""A session on disk: the archive, samples files, plans, corrections of metadata.
+"""Sessions on disk: the archive, samples files, plans, and corrections of a file's metadata.
 
-Names are imported when first used, so that the package itself costs nothing.
+A name is imported when it is first used, so that importing the package itself takes no time.
 """
 
 from __future__ import annotations

@@ -73,11 +73,14 @@ from adis_gonio.record.blocks import GENERIC, UNITS, Block, count_alarms, from_b
 from adis_gonio.record.plans import Plan, Position
 
 MOST_STEPS = 100_000_000
-"""Instructions of SQLite's machine after which a statement is stopped; a session of a day takes 10⁶."""
+"""Number of SQLite's machine instructions after which a query is stopped; a day-long session takes 10⁶."""
 LONGEST_ROW_BYTES = 4_000_000
-"""Limit of a row: a block has some ten kilobytes, a plan of 3600 positions half a megabyte."""
+"""Largest size of a table row in bytes: a block has some ten kilobytes, a plan of 3600 positions 500 kB."""
 MOST_TEXT = 4_000_000
-"""Limit of characters in the rows of a query; parsed JSON takes up to 30 times its length in memory."""
+"""Largest number of characters in all rows of a query.
+
+Parsed JSON takes up to 30 times its length in memory.
+"""
 
 WAIT_S = 30.0
 """Time in s for which a reader waits for a commit, and a writer for readers."""
@@ -88,7 +91,7 @@ _MAGIC = b"SQLite format 3\x00"
 
 
 def is_archive(path: Path) -> bool:
-    """True if the first bytes are those of a session file: SQLite with this program's application id."""
+    """Return True if the file begins like a session file: SQLite with this program's application id."""
     try:
         with path.open("rb") as file:
             head = file.read(72)
@@ -98,14 +101,14 @@ def is_archive(path: Path) -> bool:
 
 
 def connect(path: Path, *, write: bool) -> sqlite3.Connection:
-    """Open an existing session file.
+    """Open an existing session file as an SQLite connection, for reading or also for writing (`write`).
 
     Raises
     ------
     DataError
-        Not a session file, damaged, truncated or newer than this program.
+        The file is no session file, is damaged or truncated, or is newer than this program.
     SessionError
-        It cannot be opened here (permissions, busy), or has no session yet.
+        The file cannot be opened here (permissions, busy), or has no session yet.
     """
     _check_file(path)
     connection = _open(path, "rw" if write else "ro")
@@ -129,14 +132,14 @@ def connect(path: Path, *, write: bool) -> sqlite3.Connection:
 
 
 def create(path: Path) -> sqlite3.Connection:
-    """Open a new, empty file for a session; the caller runs `statements()` in its first transaction.
+    """Create an empty session file and open it; the caller runs `statements()` in its first transaction.
 
     Raises
     ------
     UsageError
-        The file exists already.
+        The file exists already and is not empty.
     SessionError
-        It cannot be created here.
+        The file cannot be created here.
     """
     try:
         path.touch(exist_ok=False)
@@ -156,7 +159,7 @@ def create(path: Path) -> sqlite3.Connection:
 
 
 def set_aside(path: Path) -> Path:
-    """Rename a file to the first free name of the form `stem.1.suffix`, and return that name.
+    """Rename a file to the first unused name of the form `stem.1.suffix`, and return the new name.
 
     If a killed program left a journal, it is rolled back first: it belongs to the file's present name, and
     SQLite would otherwise apply it to the next file of this name.
@@ -168,7 +171,7 @@ def set_aside(path: Path) -> Path:
 
 
 def make_durable(connection: sqlite3.Connection) -> None:
-    """Set the SQLite options of a writer, so that a power cut loses nothing; see the module's text."""
+    """Set the SQLite options of a connection for writing, so that a power cut loses no committed data."""
     connection.execute("PRAGMA journal_mode = DELETE")
     connection.execute("PRAGMA synchronous = EXTRA")
     connection.execute("PRAGMA foreign_keys = ON")
@@ -176,7 +179,7 @@ def make_durable(connection: sqlite3.Connection) -> None:
 
 @contextmanager
 def translated_errors(path: Path) -> Iterator[None]:
-    """Convert errors of SQLite in the block to one-line errors of this package that name the file."""
+    """Convert SQLite errors raised in the block to one-line errors of this package that name the file."""
     try:
         yield
     except sqlite3.Error as error:
@@ -186,7 +189,7 @@ def translated_errors(path: Path) -> Iterator[None]:
 
 
 def damaged(path: Path, what: str) -> DataError:
-    """Make the error for a file with damaged content; `what` names the content."""
+    """Make the error for a file with damaged content; `what` names the damaged content."""
     return DataError(f"{path}: is damaged ({what}); restore it from a copy (it was left as it is)")
 
 
@@ -289,7 +292,7 @@ def _check_content(path: Path, connection: sqlite3.Connection) -> None:
 
 
 def _refuse_other_objects(path: Path, connection: sqlite3.Connection) -> None:
-    """Raise `DataError` if the file has other tables than `statements`, or any other object.
+    """Raise `DataError` if the file lacks a table of `statements`, or has any other object.
 
     A view with the name of a table may run without end; a trigger, an index or another table would run
     expressions from the file. A trigger against UPDATE or DELETE may be missing.
@@ -309,11 +312,10 @@ def _refuse_other_objects(path: Path, connection: sqlite3.Connection) -> None:
 
 
 def _objects(connection: sqlite3.Connection) -> dict[str, tuple[str, str]]:
-    """Kind and SQL text of each table, view, trigger and index of a database, by name.
+    """Return kind and SQL text of each table, view, trigger and index of a database, by name.
 
-    SQLite's internal tables and indexes are left out.
-
-    Triggers and views are always included, even if their names look internal.
+    SQLite's internal tables and indexes are left out. Triggers and views are always included, even if their
+    names look internal.
     """
     own = "name LIKE 'sqlite\\_%' ESCAPE '\\' AND (type = 'table' OR sql IS NULL)"
     query = f"SELECT name, type, sql FROM sqlite_master WHERE NOT ({own})"
@@ -323,12 +325,17 @@ def _objects(connection: sqlite3.Connection) -> dict[str, tuple[str, str]]:
 class ArchiveView(Closing):
     """A session file that is open for reading; use it as a context manager.
 
+    Attributes
+    ----------
+    path : Path
+        Path of the file.
+
     Raises
     ------
     DataError
         The file is missing, of another kind, damaged, truncated or newer than this program.
     SessionError
-        It cannot be read here, or has no session yet.
+        The file cannot be read here, or has no session yet.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -347,7 +354,7 @@ class ArchiveView(Closing):
             self._connection.rollback()
 
     def header(self) -> Header:
-        """Header of the session, read from the file once, because it never changes."""
+        """Return the header of the session; it is read from the file once, because it never changes."""
         if self._header is None:
             self._header = self._read_header()
         return self._header
@@ -365,7 +372,7 @@ class ArchiveView(Closing):
         return Header(**values)
 
     def records(self, kind: str | None = None) -> list[Record]:
-        """Records of one kind, or of all kinds if `kind` is None, in the order of writing."""
+        """Return the records of one kind, or of all kinds if `kind` is None, in the order of writing."""
         return [self._checked_record(**row) for row in self._rows("records", "record", kind=kind)]
 
     def _checked_record(self, record: int, kind: str, value: Any, **row: Any) -> Record:
@@ -376,21 +383,21 @@ class ArchiveView(Closing):
         return Record(kind=kind, value=value, **row)
 
     def last(self, kind: str) -> Any:
-        """Value of the last record of a kind; None if there is no such record."""
+        """Return the value of the last record of a kind; None if there is no such record."""
         records = self.records(kind)
         return records[-1].value if records else None
 
     def runs(self) -> list[JsonDict]:
-        """Rows of the table `runs`, in order: one for each time a program opened the session to record."""
+        """Return the rows of the table `runs`: one for each time a program opened the session to record."""
         return self._rows("runs", "run")
 
     def plan(self) -> Plan:
-        """Plan of the session as last extended."""
+        """Return the plan of the session with all its extensions."""
         extended = self.last("plan")
         return self.header().plan if extended is None else Plan.from_dict(extended)
 
     def attempts(self) -> list[StoredAttempt]:
-        """All attempts to record a dwell, complete or not, in order of their numbers."""
+        """Return all attempts to record a dwell, complete or not, in the order of their numbers."""
         offsets = {run["run"]: run["clock_offset_s"] for run in self.runs()}
         stored = []
         for row in self._rows("attempts", "attempt"):
@@ -402,7 +409,7 @@ class ArchiveView(Closing):
         return stored
 
     def _refuse_strangers(self, stored: list[StoredAttempt]) -> None:
-        """Raise `DataError` if an attempt contradicts the other tables, although its row is valid."""
+        """Raise `DataError` if an attempt with a valid row contradicts the header, the plan or the runs."""
         header, places = self.header(), len(self.plan())
         runs = {run["run"]: run["continues"] for run in self.runs()}
         of_number = {attempt.number: attempt.run for attempt in stored}
@@ -424,9 +431,10 @@ class ArchiveView(Closing):
                 raise damaged(self.path, f"run {run} goes on after attempt {after}")
 
     def dwells(self) -> list[StoredAttempt]:
-        """Complete dwells in the order of recording; of a repeated dwell only the last is included.
+        """Return the complete dwells in the order of recording, at most one for each place of the plan.
 
-        If the last dwell of a place was withdrawn, the place has no dwell and is asked again.
+        Of a repeated dwell only the last counts. If the last dwell of a place was withdrawn, the place has
+        no dwell, and the operator is asked for it again.
         """
         attempts = self.attempts()
         latest = {a.place: a.number for a in attempts if a.outcome == "complete"}
@@ -434,11 +442,12 @@ class ArchiveView(Closing):
         return [a for a in attempts if a.number in counted]
 
     def doubts(self) -> list[JsonDict]:
-        """Reasons to doubt a result of this session, each with a message.
+        """Return the reasons to doubt a result of this session, as mappings with `kind` and `message`.
 
-        The list has the guards that the operator overruled in dwells that count. If a place was skipped
-        because it contradicted earlier dwells, and all of these still count, one of them may be wrong: the
-        list has this contradiction too.
+        A reason is a guard that the operator overruled in a dwell that counts; `attempt` is the number of
+        the dwell. If a place was skipped because it contradicted earlier dwells, and all of these still
+        count, one of them may be wrong: this contradiction is a reason too, with its `place`, and its
+        `attempt` is None.
         """
         dwells = self.dwells()
         counted, places = {attempt.number for attempt in dwells}, {attempt.place for attempt in dwells}
@@ -453,13 +462,13 @@ class ArchiveView(Closing):
         return kept + [{"attempt": None, **doubt} for doubt in skipped.values()]
 
     def _require_place(self, place: int) -> int:
-        """Return the place that a record names; raise `DataError` if the plan is shorter."""
+        """Return `place`, a position's number in a record; raise `DataError` if the plan is shorter."""
         if place >= len(self.plan()):
             raise damaged(self.path, f"a record names place {place}, which the plan does not have")
         return place
 
     def offset_writes(self) -> list[JsonDict]:
-        """Recorded steps of writes to the sensor's offset registers, in order; see `write_journal`.
+        """Return the recorded steps of writes to the sensor's offset registers, in order.
 
         Raises
         ------
@@ -478,13 +487,13 @@ class ArchiveView(Closing):
         return steps
 
     def withdrawn(self) -> set[int]:
-        """Numbers of complete attempts that the operator declared invalid afterwards."""
+        """Return the numbers of complete attempts that the operator declared invalid afterwards."""
         return {record.value for record in self.records("withdrawn")}
 
     def faulty(self) -> list[StoredAttempt]:
-        """Dwells with a sensor fault or alarm that the operator has not accepted.
+        """Return the dwells with a sensor error or alarm that the operator has not accepted.
 
-        STATUS shows it after the dwell, the bit EA within it.
+        An error shows in STATUS after the dwell, or in the bit EA within the dwell.
         """
         kept = {number for record in self.records("kept") for number in record.value}
         return [
@@ -495,17 +504,17 @@ class ArchiveView(Closing):
         ]
 
     def skipped(self) -> set[int]:
-        """Places of the plan that the operator skipped and that have no dwell."""
+        """Return the places of the plan that the operator skipped and that have no dwell."""
         skipped = {self._require_place(place) for place in {r.value for r in self.records("skipped")}}
         return skipped - {a.place for a in self.dwells()}
 
     def pending(self) -> list[int]:
-        """Places of the plan, in order, that still need a dwell and were not skipped."""
+        """Return the places of the plan, in order, that still need a dwell and were not skipped."""
         settled = {a.place for a in self.dwells()} | self.skipped()
         return [place for place in range(len(self.plan())) if place not in settled]
 
     def blocks(self, attempt: StoredAttempt, phase: Phase | None = None) -> list[Block]:
-        """Blocks of samples of an attempt, of one phase or of all phases.
+        """Return the blocks of samples of an attempt, of one phase or (None) of all phases.
 
         Raises
         ------
@@ -545,9 +554,10 @@ class ArchiveView(Closing):
         return block
 
     def _line(self, attempt: int) -> list[StoredAttempt]:
-        """Last attempt of each run in the chain of runs that leads to an attempt, in order.
+        """Return the last attempt of each run in the chain of runs that leads to an attempt, in order.
 
-        If a run resumed at an earlier attempt, the later attempts of the run before are not included.
+        `attempt` is the number of the attempt. If a run resumed at an earlier attempt, the later attempts
+        of the run before are not included.
         """
         continues = {run["run"]: run["continues"] for run in self.runs()}
         of_number = {stored.number: stored for stored in self.attempts()}
@@ -558,7 +568,10 @@ class ArchiveView(Closing):
         return line
 
     def moves_before(self, attempt: int) -> list[Move]:
-        """Moves of the stage that led to its position at the end of an attempt, in order."""
+        """Return the moves of the stage that led to its position at the end of an attempt, in order.
+
+        `attempt` is the number of the attempt.
+        """
         of_run = {stored.number: stored.run for stored in self.attempts()}
         rows = self._rows("moves", "move")
         return [
@@ -569,7 +582,10 @@ class ArchiveView(Closing):
         ]
 
     def conditions_before(self, attempt: int) -> list[Record]:
-        """Records of temperature and supply set by the program up to the end of an attempt, in order."""
+        """Return the records of temperature and supply that the program set, up to the end of an attempt.
+
+        `attempt` is the number of the attempt; the records are in the order of writing.
+        """
         records = self.records("conditions")
         return [
             record
@@ -583,9 +599,10 @@ class ArchiveView(Closing):
         self._connection.close()
 
     def _rows(self, table: str, order: str, kind: str | None = None, **where: int | str) -> list[JsonDict]:
-        """Checked rows of a table, each by column name, without checksums.
+        """Return the checked rows of a table, each by column name, without checksums.
 
-        `where` gives values of columns that the rows must have.
+        `order` names the column by which the rows are sorted, `where` gives values of columns that the rows
+        must have, and `kind` limits the table `records` to one kind (None: all kinds).
 
         All reads go through this method: it checks each value against the type and range that
         `archive_tables` declares, and parses JSON. Records of other kinds than `kind` are left out after
@@ -614,7 +631,7 @@ class ArchiveView(Closing):
 
 
 def _can_be_scanned(attempt: StoredAttempt) -> bool:
-    """True if the attempt's columns exist in the sensor, occur once and include the accelerations."""
+    """Return True if the attempt's columns exist, occur once each and include the accelerations."""
     names, generic = attempt.registers, attempt.variant == GENERIC
     known = UNITS if generic else BY_NAME
     least = ("ax", "ay", "az") if generic else ACCEL_OUT
@@ -632,6 +649,13 @@ class Archive(ArchiveView):
     """A session file that is open for writing, by one program at a time.
 
     Call `create` for a new file or `open_existing` to continue a file, then `begin_run`.
+
+    Attributes
+    ----------
+    path : Path
+        Path of the file.
+    utc : callable
+        Returns the present time as the text that is stored with a run or record.
     """
 
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
@@ -643,14 +667,14 @@ class Archive(ArchiveView):
 
     @classmethod
     def create(cls, path: str | Path, header: Header) -> Archive:
-        """Create a session file with its header and open it for writing.
+        """Create a session file with this header and open it for writing.
 
         Raises
         ------
         UsageError
             The file exists already.
         SessionError
-            It cannot be created here.
+            The file cannot be created here.
         """
         path = Path(path)
         archive = cls(path, create(path))
@@ -681,14 +705,16 @@ class Archive(ArchiveView):
         return self._run
 
     def begin_run(self, bus_s: float, clock_offset_s: float, continues: int = 0) -> int:
-        """Register a new run (opening for recording); an earlier opening may then no longer write.
+        """Register a new run (opening for recording), and return its number, from 1.
+
+        Programs that opened the session earlier may no longer write to it.
 
         Parameters
         ----------
         bus_s : float
-            Time on the bus's clock.
+            Present time on the bus's clock in s.
         clock_offset_s : float
-            Offset from that clock to the time since the session began, in s.
+            Seconds to add to a time on that clock to get the time since the session began.
         continues : int
             Number of the attempt after which the session continues; 0 for the beginning.
         """
@@ -700,14 +726,14 @@ class Archive(ArchiveView):
         return run
 
     def add_record(self, kind: str, value: Any, bus_s: float) -> None:
-        """Write a value of one kind to the table `records`, with the bus time in s."""
+        """Write a record to the table `records`: kind, value, and time on the bus's clock in s."""
         with self._transaction():
             self._record(kind, value, bus_s)
 
     def add_attempt(self, attempt: Attempt) -> int:
         """Write an attempt with its scans and moves to the disk, completely or not at all.
 
-        The number of scans that were dropped within the dwell goes into a record, which older programs
+        The number of scans dropped within the dwell is written as a separate record, which older programs
         ignore.
 
         Returns

@@ -1,8 +1,8 @@
-"""The archive's tables: SQL, type and range of every column, rows as plain data, and their checksum.
+"""The archive's tables: SQL, type and range of every column, classes for the rows, and the checksum.
 
 A checksum detects damage, but not a forged value with a matching checksum. Therefore every value of a
-session file goes through `checked_row`. Kinds of records that are not listed are read by no program, and
-their values are not checked.
+session file goes through `checked_row`. Kinds of records that `RECORDS` does not list are read by no
+program, and their values are not checked.
 """
 
 from __future__ import annotations
@@ -47,14 +47,22 @@ JsonDict = dict[str, Any]
 
 @dataclass(frozen=True)
 class Move:
-    """A move of the stage by the program, at the time `bus_s` of the bus's clock.
+    """A move of the stage by the program.
 
     Attributes
     ----------
-    angle_deg, approach, direction
-        As in `Position`: an angle in the plane, or a direction in space.
+    bus_s : float
+        Time at which the move begins on the bus's clock, in s.
+    angle_deg : float or None
+        Angle of the stage to which it moves; None for a move in space.
+    approach : {1, -1, 0}
+        Direction of travel in which the angle is reached; 0 for a move in space.
+    direction : tuple of 3 float or None
+        Attitude to which it moves in space: the reading of an ideal sensor there, in units of G. None for a
+        move in the plane.
     turned_deg : float or None
-        Turn about the vertical, as in `Position`; the move begins at `bus_s`.
+        Turn of the sensor about the vertical, positive counter-clockwise seen from above; None for other
+        moves.
     """
 
     bus_s: float
@@ -65,7 +73,7 @@ class Move:
 
     @property
     def aim(self) -> list[float] | dict[str, float] | None:
-        """Target of a move in addition to its angle, as stored: a direction, a turn, or None."""
+        """Target of the move in space, as stored: a direction, a turn about the vertical, or None."""
         if self.turned_deg is not None:
             return {"turned_deg": self.turned_deg}
         return None if self.direction is None else list(self.direction)
@@ -79,19 +87,22 @@ class Attempt:
     ----------
     place : int
         Number of the position in the plan, from 0.
+    position : Position
+        This position: declared angle, approach and use.
     outcome : {"complete", "interrupted"}
-    reason : str
-        Reason of an interruption; empty for a complete dwell.
+        Whether the dwell was recorded to its end.
     started_utc : str
-        Wall clock, ISO 8601, UTC.
+        Time of its beginning by the wall clock, ISO 8601, UTC.
     started_bus_s, ended_bus_s : float
-        Times on the clock of the bus.
+        Times of its beginning and end on the bus's clock, in s.
     blocks : sequence of (phase, Block)
         All scans in order; scans of phase `dwell` are the samples of the dwell.
     moves : sequence of Move
         Moves of the stage for this attempt.
+    reason : str
+        Reason of an interruption; empty for a complete dwell.
     status : int or None
-        Word of STATUS after it.
+        Content of the register STATUS after the attempt; None if it was not read.
     """
 
     place: int
@@ -115,9 +126,31 @@ class StoredAttempt:
     number : int
         Number of the attempt, from 1, in the order of recording.
     run : int
-        Opening of the session to which it belongs.
+        Number of the run (opening of the session) to which it belongs.
     offset_s : float
-        Offset from the bus's clock to the time since the session began, in s.
+        Seconds to add to a time on the bus's clock to get the time since the session began.
+    place : int
+        Number of the position in the plan, from 0.
+    position : Position
+        This position: declared angle, approach and use.
+    outcome : {"complete", "interrupted"}
+        Whether the dwell was recorded to its end.
+    reason : str
+        Reason of an interruption; empty for a complete dwell.
+    started_utc : str
+        Time of its beginning by the wall clock, ISO 8601, UTC.
+    started_bus_s, ended_bus_s : float
+        Times of its beginning and end on the bus's clock, in s.
+    registers : tuple of str
+        Names of the columns of its samples; empty without samples.
+    variant : str
+        Variant of the sensor; empty without samples.
+    gyro_range_dps : int or None
+        Range of the gyros in °/s; None if it is unknown or there are no samples.
+    status : int or None
+        Content of the register STATUS after the attempt; None if it was not read.
+    blocks : int
+        Number of its blocks of samples.
     """
 
     number: int
@@ -139,7 +172,21 @@ class StoredAttempt:
 
 @dataclass(frozen=True)
 class Record:
-    """A row of the table `records`: a value of some kind, with the times of writing."""
+    """A row of the table `records`.
+
+    Attributes
+    ----------
+    run : int
+        Number of the run (opening of the session) that wrote it.
+    utc : str
+        Time of writing by the wall clock, ISO 8601, UTC.
+    bus_s : float
+        Time of the event on the bus's clock, in s.
+    kind : str
+        Kind of the event, such as `plan` or `problem`; `RECORDS` lists the kinds.
+    value : object
+        Parsed JSON value.
+    """
 
     run: int
     utc: str
@@ -157,15 +204,24 @@ class Header:
     url, variant : str
         URL of the bus, and variant of the sensor.
     plan : Plan
-        The first plan; an extension is a record.
+        Plan at the beginning; an extension is stored as a record.
     settings : mapping
-        JSON form of the runner's settings.
+        JSON form of the session's `Settings`.
+    gravity_mps2 : float
+        Local gravity in m/s².
+    fixture_sigma_deg : float or None
+        Standard uncertainty of a declared angle in degrees; `inf` if attitudes are free, None if not
+        stated.
     title, note, operator, serial, stage, laboratory, customer : str
-        Notes of the operator; all but the first two are empty in sessions of older programs.
+        Texts that the operator entered; all but the first two are empty in sessions of older programs.
     stage_curve : mapping or None
-        JSON form of the errors of the stage by its certificate.
+        JSON form of the stage's errors of angle according to its certificate; None without a certificate.
     simulated : bool
-        True if the bus is simulated, so that the truth is known.
+        True if the bus is simulated, so that the true parameters are known.
+    created_utc : str
+        Time of creation, ISO 8601, UTC; empty until the file is created.
+    software : str
+        Name and version of the program that created the file.
     """
 
     url: str
@@ -188,7 +244,7 @@ class Header:
 
 
 def utc_now() -> str:
-    """Present UTC time as ISO 8601 text with milliseconds."""
+    """Return the present UTC time as ISO 8601 text with milliseconds."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
@@ -204,7 +260,7 @@ def to_json(value: Any) -> str:
 
 
 def checksum(*values: Any) -> int:
-    """CRC-32 of the values of a row; bytes count as they are, other values as JSON text."""
+    """Return the CRC-32 of the values of a row; bytes count as they are, other values as JSON text."""
     plain = [value for value in values if not isinstance(value, bytes)]
     crc = zlib.crc32(json.dumps(plain).encode())
     for value in values:
@@ -222,17 +278,17 @@ def _plain(value: Any) -> Any:
 
 
 APPLICATION_ID = 0x4144474F
-"""`ADGO` in the file's header identifies the format for `file` and SQLite."""
+"""Application id in the header of a session file (the letters `ADGO`), by which it is recognised."""
 SCHEMA_VERSION = 1
 
 LARGEST_S = 1e10
-"""Limit of times in s: three hundred years; clocks that count from 1970 are far below it."""
+"""Largest magnitude of a time in s: three hundred years; clocks that count from 1970 are far below it."""
 LARGEST_VALUE = 1e9
-"""Limit of a sample or a parameter in its unit."""
+"""Largest magnitude of a sample or a parameter in its unit."""
 LEAST_FIXTURE_DEG = 1e-9
-"""Smallest uncertainty of an angle in degrees that is not 0."""
+"""Smallest standard uncertainty of a declared angle in degrees, apart from 0."""
 _MOST = 10**9
-"""Limit of counts and of row numbers."""
+"""Largest count or row number."""
 
 _COUNT = whole(0, _MOST)
 _TIME = number(-LARGEST_S, LARGEST_S)
@@ -304,7 +360,7 @@ META = fields(
         **dict.fromkeys(("title", "note", *METADATA, "software"), text),
     },
 )
-"""Shapes of the values in the table `meta` by key: the fields of `Header`."""
+"""Checks of the values in the table `meta`, one for each key: the fields of `Header`."""
 
 _DOUBT = {"kind": text, "message": text}
 _SUMMARY = fields(
@@ -327,7 +383,7 @@ _SUMMARY = fields(
 
 
 def _summary(value: Any) -> None:
-    """Check the summary of a session that an advisor stored; it may be empty."""
+    """Check the summary of a session in a record of kind `advised`; it may be empty."""
     if value not in (None, {}):
         _SUMMARY(value)
 
@@ -377,7 +433,7 @@ RECORDS: Mapping[str, Shape] = {
         others=anything,
     ),
 }
-"""Shapes of the values of records by kind."""
+"""Check of the value of a record, by the record's kind."""
 
 
 def _aim(value: Any) -> None:
@@ -390,7 +446,19 @@ def _aim(value: Any) -> None:
 
 @dataclass(frozen=True)
 class TableColumn:
-    """A column of a table: its name, its SQL type, and the checked shape of its (parsed) values."""
+    """A column of a table.
+
+    Attributes
+    ----------
+    name : str
+        Name of the column.
+    sql : str
+        SQL type and constraints.
+    shape : Shape
+        Check of a value; it raises `ShapeError` for a wrong type or a value out of range.
+    json : bool
+        True if the column has JSON text; the check then applies to the parsed value.
+    """
 
     name: str
     sql: str
@@ -404,7 +472,7 @@ _OF_RUN, _OF_ATTEMPT = f"{_INTEGER} REFERENCES runs", f"{_INTEGER} REFERENCES at
 
 
 def _one_of(name: str, *allowed: str) -> TableColumn:
-    """Text column that allows only the given words."""
+    """Return a text column of this name that allows only the given words."""
     listed = ", ".join(f"'{text}'" for text in allowed)
     return TableColumn(name, f"{_TEXT} CHECK ({name} IN ({listed}))", choice(*allowed))
 
@@ -466,13 +534,13 @@ TABLES: Mapping[str, tuple[TableColumn, ...]] = {
         TableColumn("direction", _TEXT, _aim, json=True),
     ),
 }
-"""Columns of each table; the last column in the file is the checksum of the row."""
+"""Columns of each table by the table's name, without the last one, which is the checksum of the row."""
 
 
 def statements() -> list[str]:
-    """SQL statements that create the tables of an empty archive, to be run in one transaction.
+    """Return the SQL statements that create the tables of an empty archive, to be run in one transaction.
 
-    `database` compares this text with the SQL in the archive, so that every character has to stay.
+    An archive is refused if its SQL differs from this text in any character, so the text must not change.
     """
     create = []
     for table, columns in TABLES.items():
@@ -496,7 +564,9 @@ def statements() -> list[str]:
 
 
 def checked_row(table: str, row: Sequence[Any]) -> dict[str, Any]:
-    """Check the values of a row, without its checksum, and return them by column; JSON is parsed.
+    """Check the values of a row of a table, and return them by column name, with JSON parsed.
+
+    `row` has the values in the order of the columns, without the checksum.
 
     Raises
     ------
@@ -507,12 +577,12 @@ def checked_row(table: str, row: Sequence[Any]) -> dict[str, Any]:
 
 
 def checked_value(name: str, shape: Shape, value: Any) -> Any:
-    """Return `value` if it has the given shape; `name` is for the message.
+    """Return `value` if it passes the check `shape`.
 
     Raises
     ------
     ShapeError
-        It has another shape; the message begins with the name.
+        The value has a wrong type or is out of range; the message begins with `name`.
     """
     try:
         shape(value)
@@ -532,6 +602,6 @@ def _checked(column: TableColumn, value: Any) -> Any:
 
 
 def text_of_json(value: Any) -> None:
-    """Check that a value is text, without a limit of its length: a plan of many positions may be long."""
+    """Check that a value is text of any length, because the JSON of a long plan is long."""
     if not isinstance(value, str):
         raise ShapeError(" is no text")

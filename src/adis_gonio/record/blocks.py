@@ -1,12 +1,13 @@
-"""Blocks of samples, of the chip as words or of any other sensor as values, and the alarms in them.
+"""Blocks of samples (words of the chip, or values of any other sensor) and the alarms in them.
 
-A session takes either kind: both have `time_s`, `lost`, `dropped`, `alarm` (None if the sensor reports
-no alarms), `registers` (names of the columns), `units`, `values()`, `accel_mg`, `first`, and this module's
-functions. The chip's kind is `ScanBlock`; a source that knows its values in units gives `ValueBlock`.
+A session takes either kind of block: both have `time_s`, `lost`, `dropped`, `alarm` (None if the sensor
+reports no alarms), `registers` (names of the columns), `units`, `values()`, `accel_mg` and `first`, and
+this module's functions take both. The chip's kind is `ScanBlock`; a source that knows its values in units
+gives `ValueBlock`.
 
-The supply and over-range bits of STATUS clear when their condition ends (DS p. 20), so STATUS after a dwell
-does not show what happened within it. EA, bit 14 of every output word, does: it is set while any bit of
-STATUS is set. The archive keeps the words, so that old sessions are judged by the same rule.
+The supply and over-range bits of STATUS clear when their condition ends (data sheet, p. 20), so STATUS
+after a dwell does not show what happened within it. EA, bit 14 of every output word, does: it is set while
+any bit of STATUS is set. The archive keeps the words, so that old sessions are judged by the same rule.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, TEMP_OUT
 from adis_gonio.device.sensor.settings import ScanBlock, join as join_scans
 
 GENERIC = "generic"
-"""Name of a sensor of which only the samples are known."""
+"""Name of the variant of a sensor of another make, of which only the samples are known."""
 
 UNITS = dict.fromkeys(("ax", "ay", "az"), "mg") | dict.fromkeys(("gx", "gy", "gz"), "°/s")
 UNITS |= {"temp_c": "°C", "supply_v": "V"}
-"""Columns of a `ValueBlock` with their units."""
+"""Unit of each column that a `ValueBlock` may have, by the column's name."""
 
 
 @dataclass(frozen=True)
@@ -39,13 +40,15 @@ class ValueBlock:
     Attributes
     ----------
     registers : tuple of str
-        Names of the k columns, of `UNITS`; ax, ay and az are the least.
+        Names of the k columns, keys of `UNITS`; at least ax, ay and az.
     data : (n, k) float64
-        In the units of `UNITS`.
+        Values of n samples, each column in its unit of `UNITS`.
     time_s : (n,) float64
         Time of each sample on the source's clock, in s.
     lost : int
-        Samples that were missed since the block before, as far as the source knows.
+        Number of samples missed between the block before and this block, as far as the source knows.
+    variant, gyro_range_dps, dropped, alarm
+        Constants: such a sensor has no known gyro range, drops no scans and reports no alarms.
     """
 
     registers: tuple[str, ...]
@@ -57,31 +60,31 @@ class ValueBlock:
     gyro_range_dps = None
     dropped = 0
     alarm = None
-    """A generic sensor reports no errors or alarms."""
+    """None, because a generic sensor reports no errors or alarms."""
 
     def __len__(self) -> int:
         return len(self.data)
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Unit of the values of each column."""
+        """Unit of each column, in the order of `registers`."""
         return tuple(UNITS[name] for name in self.registers)
 
     def values(self) -> Floats:
-        """Values (n, k) of n samples in k columns, each column in its unit."""
+        """Return the values (n, k) of n samples in k columns, each column in its unit."""
         return self.data
 
     @property
     def accel_mg(self) -> Floats:
-        """Acceleration (n, 3) in mg."""
+        """Acceleration (n, 3) along x, y and z in mg."""
         return self.columns("ax", "ay", "az")
 
     def columns(self, *names: str) -> Floats:
-        """Values of the named columns, (n, number of names)."""
+        """Return the values of the named columns in the order of the names, (n, number of names)."""
         return self.data[:, [self.registers.index(name) for name in names]]
 
     def first(self, count: int) -> ValueBlock:
-        """Copy with only the first `count` samples."""
+        """Return a copy with only the first `count` samples."""
         return replace(self, data=self.data[:count], time_s=self.time_s[:count])
 
 
@@ -89,7 +92,7 @@ Block = ScanBlock | ValueBlock
 
 
 def join(blocks: Sequence[Block]) -> Block:
-    """Join consecutive blocks with the same columns to one block."""
+    """Join consecutive blocks of one sensor, with equal columns, to one block; add up lost samples."""
     values = [block for block in blocks if isinstance(block, ValueBlock)]
     if not values:
         return join_scans([block for block in blocks if isinstance(block, ScanBlock)])
@@ -102,9 +105,9 @@ def join(blocks: Sequence[Block]) -> Block:
 
 
 def cut(block: Block, low: int, high: int, *, counted: bool) -> Block:
-    """Copy of samples `low` to `high` (exclusive) of a block.
+    """Return a copy of the samples `low` to `high` (exclusive) of a block.
 
-    Its counts of lost and dropped scans are kept if `counted`, else zero.
+    If `counted`, the copy keeps the block's numbers of lost and dropped scans; otherwise they are zero.
     """
     rows = slice(low, high)
     lost = block.lost if counted else 0
@@ -116,12 +119,15 @@ def cut(block: Block, low: int, high: int, *, counted: bool) -> Block:
 
 
 def count_alarms(block: Block) -> int:
-    """Number of samples whose bit EA reports an error or alarm; 0 if the sensor has no such bit."""
+    """Return the number of samples whose bit EA reports an error or alarm; 0 for a sensor without EA."""
     return 0 if block.alarm is None else int(block.alarm.sum())
 
 
 def to_bytes(block: Block) -> bytes:
-    """Encode the samples as the archive stores them, little-endian: words (uint16) or values (float64)."""
+    """Encode the samples of a block as the archive stores them, in little-endian order.
+
+    Words of the chip are stored as uint16, values of a generic sensor as float64.
+    """
     if isinstance(block, ValueBlock):
         return block.data.astype("<f8").tobytes()
     return block.words.astype("<u2").tobytes()
@@ -136,7 +142,23 @@ def from_bytes(
     variant: str,
     gyro_range_dps: int | None,
 ) -> Block:
-    """Decode a block from the bytes that `to_bytes` made and the archive stored."""
+    """Decode a block from the bytes that `to_bytes` made and the archive stored.
+
+    Parameters
+    ----------
+    content : bytes
+        Samples, row by row.
+    time_s : (n,) float64
+        Time of each sample in s.
+    lost : int
+        Number of samples missed since the block before.
+    registers : tuple of str
+        Names of the columns.
+    variant : str
+        Variant of the sensor; `GENERIC` means values, any other variant means words.
+    gyro_range_dps : int or None
+        Range of the gyros in °/s; None if it is unknown or the sensor is generic.
+    """
     shape = (len(time_s), len(registers))
     if variant == GENERIC:
         data = np.frombuffer(content, "<f8").astype(np.float64).reshape(shape)
@@ -152,16 +174,17 @@ _OF_REGISTER = {
 
 
 def die_temperatures(block: Block) -> Floats | None:
-    """Temperatures (n, 3) of the dies of the three gyros in °C; None unless all were scanned."""
+    """Return the temperatures (n, 3) of the dies of the three gyros in °C; None unless all were scanned."""
     if isinstance(block, ValueBlock) or not all(name in block.registers for name in TEMP_OUT):
         return None
     return block.select(TEMP_OUT).values()
 
 
 def session_columns(block: Block) -> dict[str, Floats]:
-    """Columns (n,) of a session from a block: accelerations in LSB (of a generic sensor in mg).
+    """Convert a block to the columns of a session: a mapping from a column's name to its values (n,).
 
-    Columns that the block lacks are left out, and so are gyros of unknown range.
+    Accelerations are in LSB, of a generic sensor in mg. Columns that the block lacks are left out, and so
+    are gyros of unknown range.
 
     Raises
     ------
@@ -185,7 +208,11 @@ def session_columns(block: Block) -> dict[str, Floats]:
 
 
 def session_series(columns: dict[str, Floats]) -> dict[str, Any]:
-    """Convert columns of a session to the fields of a `Dwell` or `Turn`: arrays of each quantity."""
+    """Convert the columns of `session_columns` to keyword arguments of a `Dwell` or `Turn`.
+
+    These are accel (n, 3), gyro (n, 3), temperature_c (n,) and supply_v (n,); a quantity without columns is
+    None.
+    """
     with_gyro = all(f"g{axis}" in columns for axis in "xyz")
     return {
         "accel": np.column_stack([columns[f"a{axis}"] for axis in "xyz"]),
@@ -196,24 +223,24 @@ def session_series(columns: dict[str, Floats]) -> dict[str, Any]:
 
 
 SUPPLY_LIMITS_V = (4.75, 5.25)
-"""Lower and upper limit of the specified supply (DS, B)."""
+"""Lower and upper limit of the specified supply voltage in V (data sheet; confidence B)."""
 
 WITHOUT_NEWS = "they had no new data (ND), so their data-ready edge did not come from the sensor"
 
 
 class Alarms(JsonRecord):
-    """When and how long the flag EA reported an error or alarm during a dwell.
+    """When, how often and how long the bit EA reported an error or alarm during a dwell.
 
     Attributes
     ----------
     scans : int
         Number of scans with EA.
     times : int
-        Number of runs of such scans.
+        Number of uninterrupted runs of scans with EA.
     first_s : float
-        Time from the first scan of the dwell to the first scan with EA.
+        Time from the first scan of the dwell to the first scan with EA, in s.
     longest_s : float
-        Longest run, from its first scan to the first scan without EA.
+        Duration of the longest run, from its first scan to the first scan without EA, in s.
     """
 
     scans: int
@@ -230,7 +257,7 @@ class Alarms(JsonRecord):
 
 
 def find_alarms(scans: Block) -> Alarms | None:
-    """Summarize the alarms during a dwell; None without alarms or if the sensor has no bit EA."""
+    """Summarize the alarms in the scans of a dwell; None without alarms or if the sensor has no bit EA."""
     alarm = scans.alarm
     if alarm is None or not alarm.any():
         return None

@@ -1,4 +1,4 @@
-"""A session from a file (`load_session`), and corrections of the file's metadata (`Overrides`)."""
+"""Load a session from a file (`load_session`), and correct the file's metadata (`Overrides`)."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _REPLACED = ("gravity_mps2", "fixture_sigma_deg", "accel_unit", "sensor", "labor
 _OPTIONS = re.compile(r"--(columns|unit|sensor|gravity|fixture|reverse)\b")
 
 REVERSE = "reverse"
-"""Word that the user writes instead of degrees if the stage turned the other way to these positions."""
+"""Word that the user writes in place of degrees for positions to which the stage turned the other way."""
 
 
 def explain_refusal(reason: str) -> str:
-    """Reason why a file was refused, with a remark if it mentions options that this command lacks."""
+    """Return the reason why a file was refused, with a remark on options that the command lacks."""
     if not _OPTIONS.search(reason):
         return reason
     return f"{reason} (an option of fit, trace and report; for this command it has to be in the file)"
@@ -33,10 +33,10 @@ class AngleChange:
     Attributes
     ----------
     first, last : int
-        Numbers of the dwells.
+        Numbers of the first and the last position to correct; they are equal for one position.
     degrees : float or None
-        The new angle, or the angle to add to the declared ones. None means that the stage turned the other
-        way: each angle is mirrored at the position before the first.
+        The new angle, or the angle to add to the declared angles. None means that the stage turned the
+        other way: each angle is mirrored at the declared angle of the position before `first`.
     added : bool
         True if `degrees` is added to the declared angles.
     """
@@ -53,12 +53,12 @@ class AngleChange:
         return f"{where}{'+=' if self.added else '='}{self.degrees:g}"
 
     def applied(self, dwells: tuple[records.Dwell, ...]) -> tuple[records.Dwell, ...]:
-        """Return all dwells of a session, with this correction of their angles.
+        """Return all dwells of a session, with this correction of their declared angles.
 
         Raises
         ------
         UsageError
-            There is no such position, or no declared angle before it at which to mirror.
+            There is no such position, or no angle is declared before it at which to mirror.
         """
         numbers = [dwell.position for dwell in dwells]
         if not any(self.first <= number <= self.last for number in numbers):
@@ -98,21 +98,24 @@ class Overrides:
     Attributes
     ----------
     gravity_mps2 : float or None
-        Local gravity; any value above zero (`adis_gonio.model.records.checked_gravity_mps2` checks whether
-        it occurs on Earth).
+        Local gravity in m/s²; any value above zero (`adis_gonio.model.records.checked_gravity_mps2` checks
+        whether it occurs on Earth).
     fixture_sigma_deg : float or None
         Standard uncertainty of a declared angle in degrees; `inf` if attitudes are free.
     reverse : bool
-        The stage turned the other way than declared: angles and directions of approach change their sign.
+        True if the stage turned the other way than declared: angles and directions of approach change their
+        sign.
     angles : tuple of AngleChange
         Corrections of angles that were mistyped or at which the sensor slipped; applied before `reverse`.
     accel_unit : str or None
         Unit of the accelerations; takes precedence over a unit in the file's header.
     sensor : str or None
+        Variant of the sensor, or `generic`.
     laboratory, customer : str or None
+        Laboratory that calibrates the sensor, and its customer; free text.
     stage_curve : StageCurve or None
-        Errors of the stage by its certificate. They correct the declared angles; the remaining uncertainty
-        of a declared angle counts as not stated, unless `fixture_sigma_deg` is given.
+        Errors of the stage's angle according to its certificate. They correct the declared angles; the
+        remaining uncertainty of a declared angle counts as not stated, unless `fixture_sigma_deg` is given.
     columns : mapping of str to str
         Column of the format → column in the header of a CSV with other names.
 
@@ -146,7 +149,7 @@ class Overrides:
                 raise UsageError(f"{name} is '{value}': known are {', '.join(known)}")
 
     def apply(self, session: records.Session) -> records.Session:
-        """Return a copy of the session with the corrections.
+        """Return a copy of the session with these corrections.
 
         Raises
         ------
@@ -250,8 +253,9 @@ def load_session(path: str | Path, overrides: Overrides | None = None) -> record
     Parameters
     ----------
     path : str or Path
+        File to read.
     overrides : Overrides, optional
-        Corrections of the file's metadata.
+        Corrections of the file's metadata; without them the metadata stay as they are.
 
     Raises
     ------
@@ -259,7 +263,7 @@ def load_session(path: str | Path, overrides: Overrides | None = None) -> record
         The file is missing, of another kind or truncated, or its content cannot be used. The message is one
         line that names the file and, if possible, the row.
     UsageError
-        A correction that does not apply to this file.
+        A correction does not apply to this file.
     """
     path, overrides = Path(path), overrides or Overrides()
     if path.is_dir():

@@ -4,7 +4,7 @@ Plans: the positions of a session, their order and their use.
 
 | plan | positions | reason |
 |---|---|---|
-| `two-position` | 0°, 90° | the seed paper's; determines ΔK and Δφ, but no bias |
+| `two-position` | 0°, 90° | the paper's; determines ΔK and Δφ, but no bias |
 | `four-position` | 0°, 90°, 180°, 270° | opposite positions cancel a bias |
 | `mmpm` | nine, every 40° | all six planar parameters, with the largest information of nine positions |
 | `tumble` | n up and n back (12) | the way back shows backlash, hysteresis and drift |
@@ -13,16 +13,17 @@ Plans: the positions of a session, their order and their use.
 Why steps of 40° for nine positions: readings of a turn are a first-order trigonometric regression, for
 which equally spaced angles over the full circle are D-optimal. The information of all six planar parameters
 (start angle, two gains, Δφ, two biases) then does not depend on the start angle. Nine angles in steps of
-45° would repeat one angle, and a quarter turn is worse by orders of magnitude (the test computes the
+45° would repeat one angle, and a quarter turn is worse by orders of magnitude (a test computes the
 determinants). An odd number separates the harmonics of the residual up to the fourth (n harmonics need 2n +
 1 positions).
 
-Expected angle of gravity at a position, and the largest plausible deviation of a good sensor.
+Readings: the expected angle of gravity at a position, and its largest deviation for a good sensor.
 
 The angle of a reading is φ = atan2(U_y, U_x) = α − θ + the effects of gains, misalignment and biases. These
-are unknown when a session begins, but the sensor's data sheet limits each of them. They are estimated by a
-linear Gaussian model, dwell by dwell. At the first positions the limits of the data sheet determine the
-allowed deviation; later the dwells have shown the gains and biases, and the fixture determines it.
+are unknown when a session begins, but the sensor's data sheet limits each of them. The unknowns are
+estimated by a linear Gaussian model, dwell by dwell. At the first positions the limits of the data sheet
+determine the allowed deviation; later the dwells have shown the gains and biases, and the fixture
+determines it.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ Order = Literal["plan", "reverse", "shuffled"]
 
 MOST_POSITIONS = 3600
 GYRO_TURNS = "gyro-turns"
-"""Name of the plan of whole turns on a table (`gyro_turns`)."""
+"""Name of the plan of whole turns about the vertical on a table (`gyro_turns`)."""
 DEFAULT_PLAN = "two-position"
 
 
@@ -64,7 +65,8 @@ class Position(JsonRecord):
     Attributes
     ----------
     angle_deg : float or None
-        Angle to declare, positive for the rotation of the paper's equation 6; None for a free attitude.
+        Angle of the stage to declare, positive for the rotation of the paper's equation 6; None for a free
+        attitude.
     approach : {1, -1, 0}
         Direction of travel in which the angle is reached; 0 for a free attitude.
     use : {"fit", "check"}
@@ -73,13 +75,13 @@ class Position(JsonRecord):
         For a free attitude: the reading of an ideal sensor there, in units of G. It is a suggestion that a
         stage can follow if it turns in space; fits do not use it.
     wait_s : float
-        Additional wait at the position, before the dwell.
+        Additional wait at the position before the dwell, in s.
     temperature_c, supply_v : float or None
-        Temperature of the sensor and supply to set first; None leaves them unchanged. Fits use the measured
-        values instead.
+        Temperature of the sensor (°C) and supply (V) to set first; None leaves them unchanged. Fits use the
+        measured values instead.
     turned_deg : float or None
-        Turn of the sensor on the way here, by a mark or a stop, about the vertical, positive
-        counter-clockwise seen from above; None if the way does not matter.
+        Turn of the sensor about the vertical on the way to this position, exact by a mark or a stop;
+        positive counter-clockwise seen from above. None if the way does not matter.
     """
 
     angle_deg: float | None
@@ -105,10 +107,14 @@ class Plan(JsonRecord):
 
     Attributes
     ----------
+    name : str
+        Name of the plan, such as `tumble`.
+    positions : tuple of Position
+        Positions in the order of the visits.
     plane : {"xy", "none"}
-        Plane of rotation, or none for attitudes anywhere in space.
+        Plane in which the sensor turns; "none" for attitudes anywhere in space.
     turns : int
-        Full turns of a continuous recording; 0 for a plan of positions.
+        Number of full turns of a continuous recording; 0 for a plan of positions.
     """
 
     document_keys = ("name", "plane", "positions", "turns")
@@ -127,7 +133,8 @@ class Plan(JsonRecord):
         Parameters
         ----------
         order : {"plan", "reverse", "shuffled"}
-            A shuffled order separates effects of time from effects of the angle.
+            Order of the plan, its reverse, or a random order, which separates effects of time from effects
+            of the angle.
         rng : numpy.random.Generator
             Draws the shuffled order.
         """
@@ -149,7 +156,7 @@ class Plan(JsonRecord):
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Plan:
-        """Create a plan from its JSON form."""
+        """Create a plan from its JSON form, which `as_dict` returns."""
         positions = tuple(_position(entry) for entry in data["positions"])
         return cls(data["name"], positions, data["plane"], data.get("turns", 0))
 
@@ -161,6 +168,11 @@ def _position(entry: Mapping[str, Any]) -> Position:
 
 @dataclass(frozen=True)
 class _Kind:
+    """Numbers of positions that a built-in plan allows.
+
+    `default` is the usual number, `least` the smallest; `fixed` is True if only the default is allowed.
+    """
+
     default: int
     least: int
     fixed: bool = False
@@ -175,11 +187,11 @@ _KINDS: dict[str, _Kind] = {
 }
 
 PLAN_NAMES: tuple[str, ...] = tuple(_KINDS)
-"""Names of plans for `plan`."""
+"""Names of the built-in plans, which `plan` creates."""
 
 
 def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0) -> Plan:
-    """Create a plan by its name.
+    """Create a built-in plan by its name.
 
     Parameters
     ----------
@@ -189,8 +201,8 @@ def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0)
         Number of angles (`tumble` visits each twice); None for the plan's default, which is fixed for the
         two- and the four-position plan.
     check : int
-        Number of `check` positions between the others. They are spread over the session: at its end a drift
-        would make them extrapolations.
+        Number of check positions (kept out of every fit) to insert between the others. They are spread over
+        the session: at its end a drift would make them extrapolations.
 
     Raises
     ------
@@ -223,7 +235,13 @@ def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0)
 
 
 def with_checks(made: Plan, check: int) -> Plan:
-    """Add `check` positions to a plan in the plane, spread between its positions; see `plan`."""
+    """Add `check` check positions to a plan in the plane, spread evenly between its positions.
+
+    Raises
+    ------
+    UsageError
+        The number of check positions is below 0 or too large.
+    """
     _refuse_checks(check)
     return replace(made, positions=_with_checks(list(made.positions), check)) if check else made
 
@@ -243,7 +261,7 @@ def _angles(name: str, count: int) -> list[Position]:
 
 
 def _sphere(count: int) -> list[tuple[float, float, float]]:
-    """Directions (unit vectors) spread evenly over the sphere, on a spiral with the golden angle."""
+    """Return `count` unit vectors spread evenly over the sphere, on a spiral with the golden angle."""
     golden = math.pi * (3.0 - math.sqrt(5.0))
     vectors = []
     for k in range(count):
@@ -254,9 +272,9 @@ def _sphere(count: int) -> list[tuple[float, float, float]]:
 
 
 def _with_checks(fit: list[Position], check: int) -> tuple[Position, ...]:
-    """Insert `check` positions, spread evenly over the gaps between the `fit` positions.
+    """Insert `check` check positions, spread evenly over the gaps between positions of use `fit`.
 
-    Each is approached in the direction in which the plan crosses its gap.
+    Each check position is approached in the direction in which the plan crosses its gap.
     """
     gaps = [
         k for k, (here, there) in enumerate(itertools.pairwise(fit)) if here.angle_deg != there.angle_deg
@@ -277,7 +295,7 @@ def _with_checks(fit: list[Position], check: int) -> tuple[Position, ...]:
 
 @dataclass(frozen=True)
 class Blindness:
-    """Uncertainty of a plan's results from a bias that the plan cannot detect.
+    """Uncertainty of a plan's ΔK and Δφ from a bias that the plan cannot determine.
 
     Attributes
     ----------
@@ -296,12 +314,14 @@ class Blindness:
 
 
 def blindness(plan: Plan, bias_mg: float, gravity_mg: float = 1000.0) -> Blindness | None:
-    """Errors of a two-position plan by a bias that it cannot determine; None for other plans.
+    """Return the uncertainty of ΔK and Δφ from a bias that a plan cannot determine.
 
-    In the closed form of the two positions a bias b_x turns the vector (U_x1, U_x2) by
-    b_x (cos α - sin α)/G and lengthens it by b_x (cos α + sin α)/G; b_y does the same with the two
-    factors exchanged. For equal, independent biases of standard deviation b the squares add up to 2
-    whatever α is: u(Δφ) = √2 b/G rad and u(ΔK) = √2 b/G.
+    None for plans that separate the bias: with three or more different angles, or with free attitudes.
+
+    At two positions, the two readings of X are a vector (U_x1, U_x2). A bias b_x turns this vector by b_x
+    (cos α - sin α)/G and lengthens it by b_x (cos α + sin α)/G; b_y turns and lengthens the vector of Y
+    with the two factors exchanged. For equal, independent biases of standard deviation b the squares add up
+    to 2 whatever α is: u(Δφ) = √2 b/G rad and u(ΔK) = √2 b/G.
 
     Parameters
     ----------
@@ -327,7 +347,10 @@ def blindness(plan: Plan, bias_mg: float, gravity_mg: float = 1000.0) -> Blindne
 
 
 def attitude(direction: Sequence[float]) -> str:
-    """Describe a direction of gravity, such as `one that reads +x −z`: the axes with a large component."""
+    """Describe a direction of gravity by the axes with a large component, such as `one that reads +x −z`.
+
+    `direction` is the reading of an ideal sensor in units of G.
+    """
     axes = [f"{'+' if part > 0 else '−'}{'xyz'[k]}" for k, part in enumerate(direction) if abs(part) > 0.3]
     return f"one that reads {' '.join(axes)}"
 
@@ -345,13 +368,13 @@ def extension(plan: Plan, done: int) -> Plan | None:
     plan : Plan
         Current plan.
     done : int
-        Number of its positions that are done.
+        Number of its positions that have a dwell.
 
     Returns
     -------
     Plan or None
         For a completed two-position plan, the four-position plan that begins with its positions; None for
-        any other plan or if positions are missing.
+        any other plan or if dwells are missing.
     """
     if plan.name != "two-position" or done < len(plan):
         return None
@@ -381,8 +404,10 @@ def document_of(made: Plan, made_for: Mapping[str, Any] | None = None) -> dict[s
 
     Parameters
     ----------
+    made : Plan
+        The plan to write.
     made_for : mapping, optional
-        Facts about the search, for people; the program does not read them.
+        Facts for people about the search that found the plan; the program does not read them.
     """
     names = ("angle_deg", "approach", "use", "wait_s")
     document = {
@@ -396,7 +421,7 @@ def document_of(made: Plan, made_for: Mapping[str, Any] | None = None) -> dict[s
 
 
 def write_plan(path: str | Path, made: Plan, made_for: Mapping[str, Any] | None = None) -> None:
-    """Write a plan to a JSON file.
+    """Write a plan to a JSON file, with facts for people about the search that found it (`made_for`).
 
     Raises
     ------
@@ -478,15 +503,17 @@ def find_plan(name: str, positions: int | None = None, check: int = 0) -> Plan:
 
     Parameters
     ----------
-    positions, check : int
-        See `plan`; a file has its own number of positions.
+    positions : int or None
+        Number of angles of a built-in plan, None for its default; must be None for a file.
+    check : int
+        Number of check positions to insert between the others.
 
     Raises
     ------
     DataError
         The file is no plan.
     UsageError
-        An unknown plan, or a number that the plan does not allow.
+        The plan is unknown, or does not allow this number.
     """
     if name in PLAN_NAMES or not (ends_in(name, ".json") or "/" in name or Path(name).is_file()):
         return plan(name, positions, check)
@@ -499,13 +526,16 @@ def find_plan(name: str, positions: int | None = None, check: int = 0) -> Plan:
 K = NormalDist().inv_cdf(1 - POSITION_QUESTIONED / 2)
 
 GAIN_LIMIT = 0.02
-"""Sensitivity ±2 % (CHIP, B: the sibling's sheet); as a rectangular distribution."""
+"""Limit of the relative error of a gain (rectangular distribution): ±2 %, by the sibling's data sheet."""
 ANGLE_LIMIT_DEG = 0.25 + 0.5
-"""Non-orthogonality ±0.25° and axis to frame ±0.5° (CHIP, B)."""
+"""Limit of Δφ in degrees: non-orthogonality ±0.25° and axis to frame ±0.5° (sibling's data sheet)."""
 UNMODELLED_MG = SHIFT_MG / math.sqrt(3)
-"""Standard uncertainty of a reading from effects outside this model: the shift that the watch allows."""
+"""Standard uncertainty in mg of a reading from effects outside this model.
+
+It is the rectangular distribution of the largest shift (`SHIFT_MG`) that the stillness watch allows.
+"""
 UNSTATED_FIXTURE_DEG = 0.5
-"""Assumed uncertainty of a fixture without a stated one: half a division of a scale in degrees."""
+"""Standard uncertainty in degrees assumed for a fixture that states none: half a division of a scale."""
 _RECTANGULAR = 1 / math.sqrt(3)
 
 
@@ -516,13 +546,13 @@ class PriorKnowledge:
     Attributes
     ----------
     bias_mg : float
-        Standard deviation of a bias.
+        Standard deviation of the bias of an axis in mg.
     reading_mg : float
-        Standard uncertainty of the mean of a window.
+        Standard uncertainty of the mean of a window of samples in mg.
     fixture_deg : float or None
-        Standard uncertainty of a stage angle; None if it is not stated.
+        Standard uncertainty of a stage angle in degrees; None if it is not stated.
     gravity_mg : float
-        Local gravity.
+        Local gravity in mg.
     """
 
     bias_mg: float
@@ -533,14 +563,14 @@ class PriorKnowledge:
 
 @dataclass(frozen=True)
 class Off:
-    """Deviation of a reading from the expected stage angle, with its limit.
+    """Deviation of the stage angle that a reading shows from the requested angle, with its limit.
 
     Attributes
     ----------
     off_deg : float
         Angle by gravity minus the requested angle, within ±180°, in the sense of the stage.
     limit_deg : float
-        Largest deviation of a good sensor in this fixture.
+        Largest deviation of a good sensor in this fixture; infinite if it is not known yet.
     """
 
     off_deg: float
@@ -558,8 +588,9 @@ class Expectation:
     Parameters
     ----------
     spread : PriorKnowledge
+        Uncertainties before the first dwell.
     sense : {1, -1}
-        -1 if the stage counts against the convention.
+        1 if the stage counts angles like the plan, −1 if it counts in the opposite direction.
     """
 
     def __init__(self, spread: PriorKnowledge, sense: int = 1) -> None:
@@ -596,9 +627,9 @@ class Expectation:
             self._weighted += row * value / u**2
 
     def off(self, accel_mg: Floats, angle_deg: float) -> Off:
-        """Deviation of a reading in mg from the requested stage angle, with its limit.
+        """Return the deviation of the angle that a reading in mg shows from the requested stage angle.
 
-        The limit is infinite before the first dwell.
+        Before the first dwell the deviation is 0 and its limit infinite.
         """
         if self._start_rad is None:
             return Off(0.0, math.inf)
@@ -613,7 +644,10 @@ class Expectation:
         return Off(-self.sense * math.degrees(residual), math.degrees(limit))
 
     def angle_deg(self, accel_mg: Floats) -> float:
-        """Stage angle in degrees, within ±180°, computed from a reading and the parameters so far."""
+        """Return the stage angle in degrees, within ±180°, that a reading in mg shows.
+
+        The parameters known so far are used; before the first dwell the start angle counts as zero.
+        """
         phi, _ = self._polar(accel_mg)
         if self._start_rad is None:
             return -self.sense * math.degrees(phi)
@@ -627,22 +661,30 @@ class Expectation:
 
 
 def turned_deg(before_mg: Floats, now_mg: Floats, sense: int = 1) -> float:
-    """Angle in degrees, within ±180°, by which the stage turned between two readings in mg."""
+    """Return the angle in degrees, within ±180°, by which the stage turned between two readings in mg.
+
+    `sense` is −1 if the stage counts angles in the opposite direction to the plan.
+    """
     before = math.atan2(float(before_mg[1]), float(before_mg[0]))
     now = math.atan2(float(now_mg[1]), float(now_mg[0]))
     return -sense * math.degrees(wrap_radians(now - before))
 
 
 def _angle_row(psi: float) -> Floats:
-    """Derivatives (6,) of the angle that a reading at angle ψ shows, by the model's parameters.
+    """Return the derivatives (6,) of the angle that a reading shows, by the model's parameters.
 
-    They are the start angle, gains of X and Y, Δφ, and biases of X and Y in units of G.
+    `psi` is the angle atan2(U_y, U_x) of the reading in rad. The parameters are the start angle, gains of X
+    and Y, Δφ, and biases of X and Y in units of G.
     """
     c, s = math.cos(psi), math.sin(psi)
     return np.array([1.0, -s * c, s * c, c * c, -s, c])
 
 
 def _norm_row(psi: float) -> Floats:
-    """Derivatives (6,) of the log length ln |U| of a reading, by the parameters of `_angle_row`."""
+    """Return the derivatives (6,) of ln |U|, the log length of a reading, by the model's parameters.
+
+    `psi` is the angle atan2(U_y, U_x) of the reading in rad. The parameters are the start angle, gains of X
+    and Y, Δφ, and biases of X and Y in units of G.
+    """
     c, s = math.cos(psi), math.sin(psi)
     return np.array([0.0, c * c, s * s, s * c, c, s])

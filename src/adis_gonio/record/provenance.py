@@ -17,19 +17,27 @@ from adis_gonio.model.records import METADATA, Plane, Session
 
 
 def digest_of_file(path: str | Path) -> str:
-    """SHA-256 digest of a file in hexadecimal digits.
+    """Return the SHA-256 digest of a file's content in hexadecimal digits.
 
     Raises
     ------
     OSError
-        It cannot be read.
+        The file cannot be read.
     """
     with Path(path).open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 class Covered(JsonRecord):
-    """Mean, minimum and maximum of a condition (temperature or supply) over the dwells of a session."""
+    """Mean, minimum and maximum of the temperature (°C) or supply (V) over the dwells of a session.
+
+    Attributes
+    ----------
+    mean : float
+        Mean of the means of the dwells.
+    low, high : float
+        Smallest and largest sample.
+    """
 
     mean: float
     low: float
@@ -43,13 +51,15 @@ class Provenance:
     Attributes
     ----------
     sensor : str
-        Variant, as in `Session`.
+        Variant of the sensor, or `generic`.
     plane : {"xy", "none"}
+        Plane in which the stage turned the sensor; "none" for attitudes anywhere in space.
     gravity_mps2 : float
+        Local gravity in m/s².
     counts : bool
         True if readings are counts of unknown scale, False if they are in mg.
     title, serial, operator, stage, laboratory, customer : str
-        Free text, or empty.
+        Texts that the operator entered; empty if not stated.
     source : str
         Name of the file, without its folder.
     sha256 : str
@@ -59,14 +69,15 @@ class Provenance:
     software : str
         Program that made the result.
     temperature_c, supply_v : Covered or None
-        Statistics over all samples; None if not recorded.
+        Temperature and supply over all samples; None unless every dwell recorded it.
     offsets_lsb : tuple of int or None
         Numbers in XACCL_OFF, YACCL_OFF, ZACCL_OFF during the recording; None if the file does not state
         them.
     written_lsb : tuple of int or None
-        Numbers that were written there later; None if nothing was written.
+        Numbers that were written to these registers after the recording; None if nothing was written.
     write_open : bool
-        True if a write was interrupted, so that only the sensor has the present numbers.
+        True if a later write to these registers was interrupted, so that only the sensor has the present
+        numbers.
     gyro_offsets_lsb, gyro_written_lsb, gyro_write_open
         The corresponding facts of XGYRO_OFF, YGYRO_OFF, ZGYRO_OFF.
     """
@@ -99,7 +110,7 @@ _FROM_SESSION = ("sensor", "plane", "gravity_mps2", "title", *METADATA)
 
 
 def provenance_of(session: Session) -> Provenance:
-    """Return the provenance of a session: data source, conditions, software; computed only once."""
+    """Return the provenance of a session's results; it is computed once and kept with the session."""
     return session.once(_provenance)
 
 
@@ -123,15 +134,19 @@ def _provenance(session: Session) -> Provenance:
 
 
 def changed_registers(session: Session) -> list[str]:
-    """Messages about registers that changed during the recording, so that its biases mix two states."""
+    """Return messages about registers that changed during the recording, so that biases mix two states.
+
+    The list is empty if no register changed.
+    """
     doubts = session.facts.get("doubts") or []
     return [str(doubt["message"]) for doubt in doubts if doubt["kind"] == "registers"]
 
 
 def digest_of(session: Session) -> str:
-    """SHA-256 digest in hexadecimal digits of a session's data: sensor, unit, plane and all dwells.
+    """Return the SHA-256 digest of a session's data in hexadecimal digits.
 
-    An archive and the CSV exported from it have the same digest.
+    The digest covers sensor, unit, plane and all dwells. An archive and the CSV exported from it have equal
+    digests.
     """
     digest = hashlib.sha256(f"{session.sensor} {session.accel_unit} {session.plane}".encode())
     for dwell in session.dwells:

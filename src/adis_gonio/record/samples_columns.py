@@ -21,14 +21,14 @@ AXES = ("ax", "ay", "az")
 GYROS = ("gx", "gy", "gz")
 
 Scale = tuple[float, float, float]
-"""Conversion as (factor, divisor, summand); a divisor of 1000 for ms rounds only once."""
+"""Conversion of a number x to x · factor / divisor + summand; a divisor of 1000 for ms rounds only once."""
 SAME: Scale = (1.0, 1.0, 0.0)
 Units = Mapping[str, tuple[str, Scale]]
-"""Spelling in small letters → the format's spelling, and the scale to the format's unit."""
+"""Units of a column: spelling in small letters → the format's spelling, and the scale to its unit."""
 
 
 def number_text(value: float) -> str:
-    """Shortest decimal text that reads back as exactly this float."""
+    """Return the shortest decimal text that reads back as exactly this float."""
     value = float(value)
     return str(int(value)) if value.is_integer() and abs(value) < 1e15 else repr(value)
 
@@ -44,11 +44,11 @@ class SamplesColumn:
     units : Units
         Units that may be stated in a header.
     largest : float
-        Largest magnitude of a number in it.
+        Largest magnitude of a number in the column; a larger number is refused.
     per_dwell : bool
-        True for a column with one value a dwell; other columns have a number in every row.
+        True for a column with one value for each dwell; other columns have a number in every row.
     text : callable
-        Text form of a value.
+        Converts a value to the text of its cell.
     """
 
     aliases: tuple[str, ...] = ()
@@ -58,7 +58,10 @@ class SamplesColumn:
     text: Callable[[Any], str] = number_text
 
     def unit(self, text: str) -> tuple[str, Scale] | None:
-        """Standard spelling and scale of a unit in a header, for this column; None for an unknown unit."""
+        """Return the format's spelling and the scale of a unit in a header; None for an unknown unit.
+
+        An empty text means the format's own unit, so that the spelling is empty and the scale `SAME`.
+        """
         return self.units.get(text.lower().replace(" ", "")) if text else ("", SAME)
 
 
@@ -135,9 +138,11 @@ COLUMNS: dict[str, SamplesColumn] = {
     ),
     "use": SamplesColumn(per_dwell=True, text=str),
 }
-"""Columns by name, in the order of a file that is written."""
+"""Columns of the format by name, in the order in which they are written."""
 
 _ALIASES = {alias: name for name, column in COLUMNS.items() for alias in (*column.aliases, name)}
+_OF_UNIT = {("t", unit): "temp_c" for unit in COLUMNS["temp_c"].units}
+"""Columns of an alias with a unit that the column of the alias alone does not have."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +152,7 @@ class CsvColumn:
     Attributes
     ----------
     name : str
-        One of `COLUMNS`.
+        Name of the column in the format, a key of `COLUMNS`.
     place : int
         Number of the cell in a row, from 0.
     text : str
@@ -155,7 +160,7 @@ class CsvColumn:
     unit : str
         Unit from the header, in the format's spelling once it is known; empty if the header has none.
     plain : bool
-        True if the header has the format's own name.
+        True if the header has the format's own name, which states the unit.
     scale : Scale
         Conversion from that unit to the unit of the format.
     """
@@ -185,13 +190,16 @@ def split_unit(text: str) -> tuple[str, str]:
 
 
 def recognise_column(text: str) -> tuple[str, str, bool] | None:
-    """Column and unit that a header cell means, and True if it is the exact name; None if unknown."""
+    """Return the column of the format and the unit that a header cell means; None if it is unknown.
+
+    The third value is True if the cell is exactly the format's name.
+    """
     text = text.strip()
     if text in COLUMNS:
         return text, "", True
     base, unit = split_unit(text)
     base = _SPACES.sub("_", base.strip(" /").lower()).strip("_")
-    name = _ALIASES.get(base)
+    name = _OF_UNIT.get((base, unit.lower()), _ALIASES.get(base))
     if name is not None:
         return name, unit, base == name and not unit
     stem, _, end = base.rpartition("_")
@@ -204,7 +212,7 @@ def recognise_column(text: str) -> tuple[str, str, bool] | None:
 # -- keys -----------------------------------------------------------------------------------------
 
 _LARGEST = 1e6
-"""Limit of gravity in m/s² and of uncertainties in degrees or mg, as in a session file."""
+"""Largest gravity in m/s², and largest uncertainty in degrees or mg, that a key may state."""
 _LEAST_SIGMA_DEG = 1e-9
 
 
@@ -297,7 +305,7 @@ KEYS: dict[str, Key] = {
     "reading_u_mg": Key(_positive, number_text),
     "decimal": Key(_mark),
 }
-"""Keys in the order of writing: fields of a `Session`, and the decimal mark."""
+"""Keys of the lines `# key: value` in the order of writing: fields of `Session`, and the decimal mark."""
 
 _BEGINS = r"(?=[=+\-@＝＋－＠])"
 _FORMULA = re.compile(r"""([,;|][\s"']*)""" + _BEGINS)

@@ -1,13 +1,13 @@
-"""The head of a samples file: its text, its number format, and which column is which.
+"""The head of a samples file: text encoding, number format, keys, and the meaning of each column.
 
 Text is UTF-8, with or without a byte order mark, or UTF-16, as Excel's "Unicode text" has it. A byte that
 is no UTF-8 is read as Windows-1252, in which older programs write the degree sign and the superscript two;
 digits are the same in both encodings.
 
-Cells are separated by the delimiter that makes most names of the header known. In a file separated by
+The delimiter between cells is the one with which most names of the header are known. In a file separated by
 commas a fraction has a point, as the format requires. In other files the numbers have to prove the decimal
-mark: `0,5` or `1234,5` can only have a decimal comma and `1.2345` only a decimal point, while `1,234` may
-have either. A file without proof is refused, and so is a file that proves both.
+mark (point or comma): `0,5` or `1234,5` can only have a decimal comma and `1.2345` only a decimal point,
+while `1,234` may have either. A file without proof is refused, and so is a file that proves both.
 """
 
 from __future__ import annotations
@@ -50,14 +50,14 @@ _HTML = re.compile(
     rb"(?>\xef\xbb\xbf|\s|<!--.*?-->|<\?xml.*?\?>)*+<(?:!doctype\s+html|html|head|body)\b",
     re.IGNORECASE | re.DOTALL,
 )
-"""The first tag of a page, after comments and an XML declaration."""
+"""Pattern of the first tag of an HTML page, after comments and an XML declaration."""
 LONGEST_LINE = 1 << 19
-"""Limit of characters in a line; rows have hundreds, the certificate of a stage may have 10⁵.
+"""Largest number of characters in a line; rows have hundreds, a stage's certificate may have 10⁵.
 
 A file without line ends would fill the memory.
 """
 MOST_GROWTH, SMALL = 200, 1 << 24
-"""Unpacked bytes for each byte of a gzip file, and unpacked bytes that are always allowed.
+"""Limits of unpacking a gzip file: bytes for each byte of the file, and bytes that are always allowed.
 
 Samples pack to a tenth or a thirtieth of their size, equal rows to a thousandth.
 """
@@ -87,6 +87,7 @@ class Chunk:
     share : float
         Share of the file that has been read, 0 to 1.
     last : bool
+        True for the last chunk of the file.
     cut : bool
         True in the last chunk if its last line has no line end.
     """
@@ -229,7 +230,7 @@ class Dialect:
     delimiter : str
         One of `DELIMITERS`.
     decimal : str
-        Point or comma.
+        Decimal mark, `.` or `,`.
     grouped : bool
         True if the decimal mark is proved, so that the other mark may separate thousands.
     """
@@ -273,16 +274,16 @@ class Dialect:
 
     @property
     def delimiter_in_words(self) -> str:
-        """Word for the delimiter, for messages."""
+        """Name of the delimiter for messages, such as `comma`."""
         return _IN_WORDS.get(self.delimiter, f"'{self.delimiter}'")
 
     def with_decimal(self, mark: str, *, proved: bool) -> Dialect:
-        """Copy with another decimal mark; `proved` states if the file's numbers prove it."""
+        """Return a copy with another decimal mark; `proved` is True if a number or key proves it."""
         return replace(self, decimal=mark, grouped=proved)
 
 
 def header_cells(line: str, delimiter: str) -> list[str]:
-    """Split a header line into cells; between spaces, a unit in brackets stays with its name."""
+    """Split a header line into cells; if spaces separate cells, a unit in brackets stays with its name."""
     if delimiter == SPACE:
         return [cell.strip('"') for cell in _TOKENS.split(line.strip())]
     try:
@@ -295,7 +296,7 @@ def header_cells(line: str, delimiter: str) -> list[str]:
 
 
 def find_decimal_mark(cells: Iterable[str]) -> str:
-    """Decimal mark (point or comma) that some cell proves; empty if every cell is ambiguous."""
+    """Return the decimal mark (`.` or `,`) that some cell proves; empty if every cell is ambiguous."""
     for cell in cells:
         text = cell.strip()
         if ("." not in text and "," not in text) or _UNDECIDED.fullmatch(text):
@@ -311,14 +312,14 @@ def find_decimal_mark(cells: Iterable[str]) -> str:
 
 
 _SEPARATORS = ("\t", ";", ",", "|", ":", "^", "~")
-"""Delimiters that Excel's first line `sep=…` may state."""
+"""Delimiters that a first line `sep=…`, which Excel writes, may state."""
 _EXPECTED = "time_s,position,angle_deg,ax,ay"
 MOST_HEAD_LINES = 10_000
 MOST_HEAD_CHARACTERS = 10_000_000
-"""Limits of lines and characters above the first row."""
+"""Largest numbers of lines and of characters above the first row."""
 MOST_COLUMNS = 1000
 _PREAMBLE_LINES = 200
-"""Lines in which a header is searched; a logger may print other text when it starts."""
+"""Number of lines in which a header is searched; a logger may print other text when it starts."""
 
 
 @dataclass(frozen=True)
@@ -328,16 +329,17 @@ class Head:
     Attributes
     ----------
     path : Path
+        Path of the file.
     line : int
-        Number of the last line of the head; rows follow.
+        Number of the last line of the head, from 1; the rows follow.
     width : int
         Number of cells in the header.
     dialect : Dialect
-        Its decimal mark is still unknown unless `keys` states it.
+        Delimiter; the decimal mark is still to be found in the rows, unless `keys` states it.
     columns : dict of str to CsvColumn
         Columns to read, by the format's names.
     keys : dict of str to object
-        Values that the leading lines state.
+        Values of the lines `# key: value`, by key.
     notes : tuple of str
         Remarks on the leading lines and the header.
     """
@@ -351,7 +353,9 @@ class Head:
     notes: tuple[str, ...]
 
     def settings(self, *, unit_told: bool) -> dict[str, Any]:
-        """Fields of the `Session` that the head gives, by its keys and the units in the header.
+        """Return the fields of a `Session` that the head states by its keys and by units in its header.
+
+        `unit_told` is True if the user has given the unit of the accelerations.
 
         Raises
         ------
@@ -378,8 +382,9 @@ def read_head(path: Path, wanted: Mapping[str, str]) -> Head:
     Parameters
     ----------
     path : Path
+        File to read.
     wanted : mapping of str to str
-        Column of the format → column of the header, from the user.
+        Column of the format → column of the header, as the user assigned them.
 
     Raises
     ------
@@ -419,11 +424,11 @@ class _Top:
     Attributes
     ----------
     comments, skipped : list of (int, str)
-        Lines that begin with `#`, and other lines above the header, with their numbers.
+        Lines that begin with `#`, and other lines above the header, each with its line number.
     line, text : int, str
-        Number and text of the header; 0 and empty if the file has no line.
+        Number and text of the header line; 0 and empty if the file has no line.
     separator : str or None
-        Delimiter stated by `sep=`.
+        Delimiter stated by a line `sep=`; None without such a line.
     """
 
     comments: list[tuple[int, str]] = field(default_factory=list)
@@ -433,7 +438,7 @@ class _Top:
     separator: str | None = None
 
     def without_header(self) -> _Top:
-        """Treat the first line that is no comment as the header, because none was recognised."""
+        """Return this object with the first line that is no comment as its header; none was recognised."""
         if self.skipped:
             self.line, self.text = self.skipped[0]
             self.comments = [comment for comment in self.comments if comment[0] < self.line]
@@ -444,7 +449,8 @@ class _Top:
 def _leading(path: Path, wanted: Mapping[str, str]) -> _Top:
     """Read the lines of a file down to its header.
 
-    The header is the first line without `#` that names a time and two accelerations, within the first
+    The header is the first line without `#` that names a time and two accelerations, or a column that the
+    user assigned (`wanted`: column of the format → column of the header). It is searched only in the first
     lines: a logger prints text when it starts, and a log may begin in the middle of a row. If there is
     none, the first line is taken, so that the error shows it.
     """
@@ -473,7 +479,11 @@ def _leading(path: Path, wanted: Mapping[str, str]) -> _Top:
 
 
 def _names_samples(line: str, separator: str | None, wanted: Mapping[str, str]) -> bool:
-    """True if a line looks like a header: it names a time and two accelerations, or a wanted column."""
+    """Return True if a line looks like a header: it names a time and two accelerations, or a wanted column.
+
+    `separator` is the delimiter that the file states, or None; `wanted` maps a column of the format to a
+    column of the header, as the user assigned them.
+    """
     _, cells = _split(line, separator, wanted)
     if any(_same_name(cell, text.strip()) for cell in cells for text in wanted.values()):
         return True
@@ -483,7 +493,11 @@ def _names_samples(line: str, separator: str | None, wanted: Mapping[str, str]) 
 
 
 def _split(line: str, separator: str | None, wanted: Mapping[str, str]) -> tuple[str, list[str]]:
-    """Find the delimiter that makes most header cells known names; return it and the cells."""
+    """Find the delimiter with which most header cells are known names; return it and the cells.
+
+    `separator` is a delimiter that the file states, which is then used, or None; `wanted` maps a column of
+    the format to a column of the header, as the user assigned them.
+    """
     if separator is not None:
         return separator, header_cells(line, separator)
     named = {text.strip().lower() for text in wanted.values()}
@@ -499,9 +513,10 @@ def _split(line: str, separator: str | None, wanted: Mapping[str, str]) -> tuple
 def _read_keys(
     file: str, lines: Sequence[tuple[int, str]], dialect: Dialect, columns: int
 ) -> tuple[dict[str, Any], list[str]]:
-    """Values of the lines `# key: value`, and remarks on them.
+    """Return the values of the lines `# key: value`, and remarks on them.
 
-    A spreadsheet writes these lines like rows, in the file's dialect and with as many columns.
+    A spreadsheet writes these lines like rows, in the file's dialect and with as many columns as the header
+    (`columns`).
 
     Raises
     ------
@@ -537,7 +552,10 @@ def _read_keys(
 
 
 def _comment_text(line: str, dialect: Dialect, columns: int) -> str:
-    """Text of a comment line without `#` and without quotes and delimiters that a spreadsheet added."""
+    """Return a comment line without `#` and without quotes and delimiters that a spreadsheet added.
+
+    `columns` is the number of cells of the header.
+    """
     if line.startswith('"'):
         try:
             line = dialect.cells(line)[0]
@@ -551,12 +569,22 @@ def _comment_text(line: str, dialect: Dialect, columns: int) -> str:
 
 
 _LONGEST_NAME = 40
-"""Characters of the name of a column; longer text is a sentence."""
+"""Largest number of characters in the name of a column; longer text is a sentence."""
 
 
 @dataclass(frozen=True)
 class _Assignment:
-    """Decides which column of the format each cell of a header means."""
+    """Assigns the cells of a header to the columns of the format.
+
+    Attributes
+    ----------
+    path : Path
+        Path of the file, for messages.
+    line : int
+        Line number of the header.
+    cells : list of str
+        Texts of the header's cells.
+    """
 
     path: Path
     line: int
@@ -582,7 +610,7 @@ class _Assignment:
         return chosen, [*self._ignored(found), *_renamed(chosen), *notes]
 
     def _named_column(self, mine: str, theirs: str) -> tuple[str, CsvColumn]:
-        """Column `mine` of the format, read from the column `theirs` of the file, as the user asked."""
+        """Return column `mine` of the format, read from column `theirs` of the file, as the user asked."""
         known = recognise_column(mine)
         if known is None:
             raise UsageError(f"columns: '{mine}' is no column of the format; known: {', '.join(COLUMNS)}")
@@ -612,16 +640,17 @@ class _Assignment:
                     raise self._fail(f"column '{cell}' occurs twice")
                 raise self._fail(
                     f"both '{other.text}' and '{cell}' may be {column.name}; say which: "
-                    f"--columns {column.name}={cell}"
+                    f"--columns '{column.name}={cell}'"
                 )
             if other is None or column.plain:
                 found[column.name] = column
         return found
 
     def _with_units(self, found: Mapping[str, CsvColumn]) -> tuple[dict[str, CsvColumn], list[str]]:
-        """Columns with standard spellings of their units, and remarks.
+        """Return the columns with standard spellings of their units, and remarks.
 
-        Optional columns of unknown unit are left out; an unknown unit of time or acceleration is an error.
+        `found` has the columns by the format's names. Optional columns of unknown unit are left out; an
+        unknown unit of time or acceleration is an error.
         """
         chosen: dict[str, CsvColumn] = {}
         notes = []
@@ -689,7 +718,7 @@ class _Assignment:
 
 
 def _likely_column(name: str, spare: Sequence[str]) -> str:
-    """Guess which unknown column the user may mean by `name`, for a hint; "…" if none is likely."""
+    """Return the column among the unknown ones (`spare`) that may be `name`; "…" if none is likely."""
     for cell in spare:
         text = split_unit(cell)[0].lower()
         if text.endswith(name[1]) if name in AXES else text.startswith(("t", "z")):
@@ -710,7 +739,7 @@ def _numeric(cell: str) -> bool:
 
 
 def _renamed(chosen: Mapping[str, CsvColumn]) -> list[str]:
-    """Remark that lists the columns with names that differ from the format's; empty if none differs."""
+    """Return a list with a remark on columns renamed from the file's names; empty if there are none."""
     own = [column for column in chosen.values() if column.text.strip().lower() != column.name]
     if not own:
         return []

@@ -1,8 +1,9 @@
 """The samples CSV as a session: its rows as arrays, chunk by chunk, and the dwells in them.
 
 A chunk is converted in bulk. Only if that fails are its rows read one by one: comments, empty rows at the
-end and an incomplete last row are left out, and any other fault is an error that names the row. Columns
-with one value a dwell are kept as runs of equal text, so that memory is used for little but the numbers.
+end and an incomplete last row are left out, and any other irregularity is an error that names the row.
+Columns with one value for each dwell are kept as runs of equal text, so that memory is used for little but
+the numbers.
 
 A file without the column `position` is one continuous recording: its dwells are found by stillness
 (`adis_gonio.record.segmentation`), and `Session.notes` describes them.
@@ -38,9 +39,9 @@ from adis_gonio.record.segmentation import segment_with_notes, shows_a_free_turn
 _WALL_CLOCK = re.compile(
     r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d+)?)?\s*(Z|[+-]\d\d(:?\d\d)?)?", re.ASCII
 )
-"""ISO 8601 with date and time, as loggers write it, with or without Z or an offset."""
+"""Pattern of a time in ISO 8601 with its date, as loggers write it, with or without Z or an offset."""
 _SLOWEST_S = 2.0
-"""Median step of the rows from which a time without a unit may be in ms and is refused."""
+"""Median step of the rows in s from which a time without a unit may be in ms, so that it is refused."""
 
 
 @dataclass(frozen=True)
@@ -50,14 +51,17 @@ class SamplesTable:
     Attributes
     ----------
     head : Head
+        Keys, header and remarks of the file.
     dialect : Dialect
+        Delimiter and decimal mark of the rows.
     series : dict of str to (n,), (n, 2) or (n, 3) float
         Samples by the fields of a `Dwell`, without fields that the file lacks.
     runs : dict of str to list of (int, str)
-        Runs of equal text: first row and text of each.
+        Columns with one value for each dwell: first row and text of each run of equal text.
     lines : list of (int, int)
         Pairs of a row and its line number; the rows up to the next pair follow line by line.
     notes : tuple of str
+        Remarks on the head and on rows that were left out.
     """
 
     head: samples_header.Head
@@ -76,21 +80,24 @@ class SamplesTable:
         return self.head.path
 
     def line_of(self, row: int) -> int:
-        """Line number in the file, from 1, of a row of the table."""
+        """Return the line number in the file, from 1, of a row of the table."""
         at, line = self.lines[bisect_right(self.lines, (row, 1 << 62)) - 1]
         return line + row - at
 
     def fail(self, row: int, message: str) -> DataError:
-        """Make a `DataError` with a message about a row; it names file and line."""
+        """Return a `DataError` with a message about a row; it names file and line."""
         return DataError(f"{self.path.name}, row {self.line_of(row)}: {message}")
 
     def number(self, name: str, text: str) -> float:
-        """Number in a cell of a column that has one value for each dwell, in the format's unit."""
+        """Convert the text of a cell to a number in the format's unit.
+
+        `name` is a column that has one value for each dwell.
+        """
         multiply, divide, add = self.head.columns[name].scale
         return self.dialect.number(text) * multiply / divide + add
 
     def texts(self, name: str, rows: slice) -> Iterator[tuple[int, str]]:
-        """Different successive texts in a column, within some rows, each with the first row of its run.
+        """Yield the successive texts in a column, within some rows, each with the first row of its run.
 
         The column is one with a value for each dwell, such as the position.
         """
@@ -102,7 +109,10 @@ class SamplesTable:
 
 
 class _Reader:
-    """Collects the rows of a samples file in arrays."""
+    """Collects the rows of a samples file in growing arrays.
+
+    `head` has the columns of the file; `dialect` is its delimiter and decimal mark.
+    """
 
     def __init__(self, head: samples_header.Head, dialect: samples_header.Dialect) -> None:
         self.head, self.dialect = head, dialect
@@ -121,12 +131,12 @@ class _Reader:
         self.notes: list[str] = []
         self.n, self.latest_s = 0, -math.inf
         self._began: datetime | None = None
-        """Time of the first row, if the file has times of the wall clock."""
+        """Time of the first row; None unless the file has times of the wall clock."""
         self._repeated, self._first_repeated = 0, 0
         self._joined = ""
-        """Note on marks between thousands, if there are any."""
+        """Note on marks between thousands; empty if there are none."""
         self._waiting: tuple[int, str, str] | None = None
-        """Line that is allowed only at the end: its number, the error elsewhere, the note at the end."""
+        """Line allowed only at the end: its number, the error elsewhere, the note at the end; or None."""
 
     def fail(self, line: int, message: str) -> DataError:
         return DataError(f"{self.head.path.name}, row {line}: {message}")
@@ -146,7 +156,7 @@ class _Reader:
         self._walk(chunk)
 
     def _regular(self, chunk: samples_header.Chunk) -> list[list[str]] | None:
-        """Cells of a chunk by column if all rows have a simple, equal form; None if some row has not.
+        """Return the cells of a chunk by column if all rows have a simple, equal form; else None.
 
         Rows with quotes or comments are not simple.
         """
@@ -166,7 +176,7 @@ class _Reader:
         return columns
 
     def _numbers(self, name: str, cells: list[str]) -> Floats:
-        """Convert the cells of a column to numbers.
+        """Convert the cells of the column `name` to numbers (n,).
 
         Raises
         ------
@@ -204,7 +214,7 @@ class _Reader:
         return (at - self._began).total_seconds()
 
     def _walk(self, chunk: samples_header.Chunk) -> None:
-        """Add a chunk row by row, which is slow but names a wrong cell."""
+        """Add a chunk row by row, which is slow but allows an error to name the wrong cell."""
         kept: list[list[str]] = []
         numbers: list[int] = []
         for number, line in enumerate(chunk.lines, chunk.first):
@@ -229,9 +239,9 @@ class _Reader:
         self._add([(k, numbers[k]) for k in (0, *jumps)], columns, values)
 
     def _cells(self, number: int, line: str) -> list[str] | None:
-        """Cells of a row, as many as the header has; None if the row is incomplete.
+        """Return the cells of a row, as many as the header has; None if the row is incomplete.
 
-        An incomplete row is an error, unless it is the last one.
+        `number` is the line number. An incomplete row is an error, unless it is the last one.
         """
         width = self.head.width
         try:
@@ -293,7 +303,7 @@ class _Reader:
         return values
 
     def _what(self, name: str, cell: str) -> str:
-        """Describe why a cell is not a number."""
+        """Describe why a cell of the column `name` is not a number that can be used."""
         if not cell:
             return "empty"
         try:
@@ -314,7 +324,8 @@ class _Reader:
     def _add(self, lines: list[tuple[int, int]], cells: list[list[str]], values: dict[str, Floats]) -> None:
         """Add rows to the arrays.
 
-        `lines` gives line numbers, `cells` the texts by column place, `values` the numbers by column name.
+        `lines` has pairs of a row (from 0 within these rows) and its line number, `cells` the texts by
+        column place, `values` the numbers by column name.
         """
         for row, line in lines:
             if not self.lines or self._next_line(self.n + row) != line:
@@ -385,14 +396,16 @@ class _Reader:
 
 
 def read_table(path: Path, wanted: dict[str, str]) -> SamplesTable:
-    """Read the rows of a samples CSV; `wanted` assigns columns as in `read_head`.
+    """Read the rows of a samples CSV.
+
+    `wanted` maps a column of the format to a column of the header, as the user assigned them.
 
     Raises
     ------
     DataError
-        See `read_samples_csv`.
+        The file is no samples CSV, or a row has a value that cannot be used; see `read_samples_csv`.
     UsageError
-        See `read_head`.
+        `wanted` names a column that does not exist.
     """
     head = samples_header.read_head(path, wanted)
     reader = _Reader(head, _with_decimal_mark(head))
@@ -417,7 +430,7 @@ def _rows_of(head: samples_header.Head) -> Iterator[samples_header.Chunk]:
 
 
 def _with_decimal_mark(head: samples_header.Head) -> samples_header.Dialect:
-    """The file's dialect with the decimal mark that a key states or that some number proves."""
+    """Return the file's dialect with the decimal mark that a key states or that some number proves."""
     stated = head.keys.get("decimal")
     if stated is not None:
         return head.dialect.with_decimal(stated, proved=True)
@@ -442,7 +455,10 @@ def _with_decimal_mark(head: samples_header.Head) -> samples_header.Dialect:
 
 
 def _proof_in(head: samples_header.Head, chunk: samples_header.Chunk) -> tuple[str, tuple[int, str] | None]:
-    """Decimal mark that a chunk of lines proves, or "", and its first ambiguous number with line number."""
+    """Return the decimal mark that a chunk of lines proves (or "") and its first ambiguous number.
+
+    The number is a pair of line number and text; None if no number is ambiguous or the mark is proved.
+    """
     places = [column.place for name, column in head.columns.items() if name not in ("approach", "use")]
     undecided: tuple[int, str] | None = None
     for number, line in enumerate(chunk.lines, chunk.first):
@@ -478,7 +494,7 @@ def _refuse_unclear_time(table: SamplesTable) -> None:
 
 
 MOST_DWELLS = MOST_POSITIONS
-"""Limit of positions in a file, as in a plan: the memory of a fit grows with their square."""
+"""Largest number of positions in a file, as in a plan: the memory of a fit grows with their square."""
 
 
 def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Session:
@@ -546,7 +562,10 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
 
 
 def _dwell(table: SamplesTable, number: int, rows: slice, **declared: Any) -> Dwell:
-    """Dwell of some rows of the table; its arrays are views, not copies."""
+    """Return the dwell `number` of some rows of the table; its arrays are views, not copies.
+
+    `declared` has other fields of the `Dwell`, such as its angle.
+    """
     return Dwell(
         position=number,
         first_row=table.line_of(rows.start),
@@ -555,7 +574,10 @@ def _dwell(table: SamplesTable, number: int, rows: slice, **declared: Any) -> Dw
 
 
 def _dwells_by_stillness(file: str, recording: Dwell) -> tuple[list[slice], list[str], bool]:
-    """Find the dwells of a continuous recording: their rows, remarks, and True if it is a free turn."""
+    """Find the dwells of a continuous recording: their rows, remarks, and True if it is a free turn.
+
+    `file` is the file's name for messages.
+    """
     try:
         slices, notes = segment_with_notes(recording.time_s, recording.accel, recording.gyro)
     except DataError as error:
@@ -572,7 +594,7 @@ def _dwells_by_stillness(file: str, recording: Dwell) -> tuple[list[slice], list
 
 
 def _dwells_by_position(table: SamplesTable) -> tuple[list[int], list[slice]]:
-    """Number and rows of each dwell; rows without a position are the way from one dwell to the next."""
+    """Return number and rows of each dwell; rows without a position lie between two dwells."""
     numbers: list[int] = []
     slices: list[slice] = []
     seen: dict[int, int] = {}
@@ -619,10 +641,11 @@ class _Remarks:
     Attributes
     ----------
     dwells : int
+        Number of dwells.
     given : list of str
         Columns with a value in any row.
     taken : dict of str to int
-        Number of dwells with a value noted before their first row, by column.
+        Number of dwells whose value was noted before their first row, by column.
     filled, unused : list of str
         Columns with empty cells within a dwell, and columns without a value in any dwell.
     lost : list of str
@@ -637,7 +660,7 @@ class _Remarks:
     lost: list[str] = field(default_factory=list)
 
     def notes(self, *, free: bool) -> tuple[str, ...]:
-        """All remarks on the columns, as text, one line each."""
+        """Return all remarks on the columns, one line each; `free` is True if the file is a free turn."""
         notes = []
         unused = self.given if free else self.unused
         if unused:
@@ -662,7 +685,9 @@ def _per_dwell(
     parse: Callable[[SamplesTable, str], Any],
     remarks: _Remarks,
 ) -> list[Any]:
-    """Values, dwell by dwell, of a column that has one value for each dwell; None without a value.
+    """Return the value of a column for each dwell (`slices` has their rows); None without a value.
+
+    `parse` converts the text of a cell, and `remarks` collects remarks on the column.
 
     Cells of a dwell may be empty if another cell of the dwell has the value. If all of them are empty, the
     last value between this dwell and the dwell before is used: a dwell that is found by stillness begins
@@ -699,7 +724,7 @@ def _per_dwell(
 
 
 def _stated(table: SamplesTable, name: str, rows: slice) -> list[tuple[int, str]]:
-    """Non-empty texts of a column within some rows, each with the first row of its run."""
+    """Return the non-empty texts of a column within some rows, each with the first row of its run."""
     if rows.start >= rows.stop:
         return []
     return [(row, text.strip()) for row, text in table.texts(name, rows) if text.strip()]
@@ -708,7 +733,10 @@ def _stated(table: SamplesTable, name: str, rows: slice) -> list[tuple[int, str]
 def _one_value(
     table: SamplesTable, name: str, texts: list[tuple[int, str]], parse: Callable[[SamplesTable, str], Any]
 ) -> Any:
-    """Value that all texts of a dwell agree on; None if there are no texts."""
+    """Return the value that all texts of a dwell agree on; None if there are no texts.
+
+    `texts` are pairs of row and text; `parse` converts a text to the value.
+    """
     value = None
     for k, (row, text) in enumerate(texts):
         try:

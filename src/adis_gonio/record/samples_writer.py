@@ -30,8 +30,8 @@ from adis_gonio.record.samples_columns import COLUMNS, KEYS, without_formulas
 def write_samples_csv(session: Session, path: str | Path) -> None:
     """Write a session as samples CSV, gzipped if the name ends in `.gz`.
 
-    Numbers are written with the fewest digits that give the same float again. Columns that no dwell has
-    are left out. Samples between two dwells are rows without a position.
+    Numbers are written with the fewest digits that give the same float again. Columns that no dwell has are
+    left out. Samples between two dwells are rows without a position.
 
     Raises
     ------
@@ -56,7 +56,7 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
 
 
 def _leading_lines(values: Mapping[str, Any]) -> list[str]:
-    """Lines `# key: value` for the top of the file; None or an empty text leaves the value blank."""
+    """Return lines `# key: value` for the top of a file; None or an empty text leaves the value blank."""
     texts = {name: "" if value is None else KEYS[name].text(value) for name, value in values.items()}
     return [f"# {name}: {without_formulas(text)}".rstrip() for name, text in texts.items()]
 
@@ -71,7 +71,11 @@ def _all_rows(
     dwells: Sequence[Dwell],
     turns: Mapping[int, Turn],
 ) -> Iterator[tuple[str, ...]]:
-    """Yield the rows of all dwells and of the turns between them, one after another."""
+    """Yield the rows of all dwells and of the turns between them, one after another.
+
+    `names` are the columns of the file, `columns` has the values of each dwell by column, and `turns` has
+    each turn by the number of the dwell after it.
+    """
     series = {name for name in names if not COLUMNS[name].per_dwell}
     for k, dwell in enumerate(dwells):
         if k and dwell.position in turns:
@@ -83,7 +87,11 @@ def _all_rows(
 
 
 def _rows(names: list[str], columns: Mapping[str, NDArray[Any]]) -> Iterator[tuple[str, ...]]:
-    """Yield rows as texts, one for each named column; samples between dwells lack the facts of a dwell."""
+    """Yield rows as texts, one text for each named column.
+
+    `columns` has the values by name. A column that it lacks is left empty: samples between dwells have no
+    angle or approach.
+    """
     count, texts = len(columns["time_s"]), []
     for name in names:
         column = COLUMNS[name]
@@ -97,7 +105,7 @@ def _rows(names: list[str], columns: Mapping[str, NDArray[Any]]) -> Iterator[tup
 
 
 def _between(before: Dwell, turn: Turn, after: Dwell) -> Dwell:
-    """Samples of a turn that lie between two dwells in time."""
+    """Return the samples of a turn between two dwells in time, as a dwell without a declared angle."""
     inside = (turn.time_s > before.time_s[-1]) & (turn.time_s < after.time_s[0])
     series = {n: getattr(turn, n) for n in ("time_s", "accel", "gyro", "temperature_c", "supply_v")}
     cut: dict[str, Any] = {n: None if rows is None else rows[inside] for n, rows in series.items()}
@@ -122,9 +130,20 @@ def template_text(
     gravity_mps2: float = STANDARD_GRAVITY_MPS2,
     fixture_sigma_deg: float | None = None,
 ) -> str:
-    """Text of a CSV file to fill in by hand: keys, their meaning, and a row for each position of a plan.
+    """Return a CSV file to fill in by hand: keys, their meaning, and a row for each position of a plan.
 
     Only times and readings are left empty.
+
+    Parameters
+    ----------
+    sensor : str
+        Variant of the sensor, or `generic`.
+    accel_unit : str
+        Unit of the readings to enter.
+    gravity_mps2 : float
+        Local gravity in m/s².
+    fixture_sigma_deg : float or None
+        Standard uncertainty of a stage angle in degrees; None leaves it blank.
 
     Raises
     ------
@@ -179,9 +198,9 @@ def export_csv(session: Session, path: str | Path) -> None:
     UsageError
         The file exists.
     SessionError
-        It cannot be written.
+        The file cannot be written.
     DataError
-        See `write_samples_csv`.
+        Dwells differ in their columns (only some have gyros), or the session has no dwell.
     """
     with _new_file(path) as temporary:
         write_samples_csv(session, temporary)
@@ -195,7 +214,7 @@ def export_json(session: Session, path: str | Path) -> None:
     UsageError
         The file exists.
     SessionError
-        It cannot be written.
+        The file cannot be written.
     DataError
         A value has no JSON form.
     """
@@ -208,7 +227,7 @@ def export_json(session: Session, path: str | Path) -> None:
 
 
 def session_dict(session: Session) -> dict[str, Any]:
-    """JSON form of a session, in the units of `Session`; an infinite `fixture_sigma_deg` is "free"."""
+    """Return a session in JSON form, in the units of `Session`; a `fixture_sigma_deg` of inf is "free"."""
     stated = {name: getattr(session, name) for name in KEYS if hasattr(session, name)}
     if session.free_attitudes:
         stated["fixture_sigma_deg"] = "free"
@@ -231,7 +250,15 @@ def _dwell_dict(dwell: Dwell) -> dict[str, Any]:
 
 @contextmanager
 def _new_file(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary path; at the end of the block, the file there gets its final, unused name."""
+    """Yield a temporary path; at the end of the block, the file there gets the name `path`.
+
+    Raises
+    ------
+    UsageError
+        `path` exists.
+    SessionError
+        The file cannot be written.
+    """
     path = Path(path)
     if path.exists():
         raise exists_error(path)
@@ -248,16 +275,28 @@ class SamplesRecorder:
     Accelerations are written in LSB of the sensor (of a generic sensor in mg), rates in °/s, temperatures
     in °C, the supply in V. Registers without a column in the format are left out.
 
+    Parameters
+    ----------
+    variant : str
+        Variant of the sensor, or `generic`.
+    gravity_mps2 : float
+        Local gravity in m/s², for the head of the file.
+    title : str
+        Title for the head of the file; empty for a general title.
+
     Attributes
     ----------
     path : Path
+        Path of the file, which ends in .csv or .csv.gz.
+    rows, lost : int
+        Number of scans written so far, and of scans that were lost between them.
     notes : list of str
         Remarks for the reader of the file, written before its first row.
 
     Raises
     ------
     UsageError
-        The file exists, or the scans lack an accelerometer.
+        The file exists or has another ending, or the scans lack an accelerometer.
     """
 
     def __init__(

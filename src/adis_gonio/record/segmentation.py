@@ -1,12 +1,12 @@
 """Dwells of a continuous recording of any length: the stretches in which the sensor was still.
 
 A window of samples is still if the standard deviation of every axis lies between the limits of
-`adis_gonio.record.stillness`. The noise of an axis is the median deviation of its quiet windows, those with
-a deviation of less than twice the 5 % quantile.
+`adis_gonio.record.stillness`. The noise of an axis is the median of the standard deviations in its quiet
+windows, which are windows with less than twice the 5 % quantile of all windows.
 
 Gyros detect a slow turn that the accelerations do not show, but a sensor held by hand moves far above their
-noise without harm. Their limit is therefore ten times their median in windows in which the accelerations
-are still.
+noise without harm. The limit of a gyro's standard deviation is therefore ten times its median in windows in
+which the accelerations are still.
 
 Every run of still windows is trimmed at both ends, which the hand may disturb, and kept if it is long. A
 run is split at steps of its mean (a slip, or a slow turn).
@@ -37,12 +37,12 @@ LEAST_S = 1.0
 
 _GYRO_UPPER = 10.0
 _OFTEN = 0.25
-"""Share of constant windows above which the cause is the converter's resolution and not a fault."""
+"""Share of constant windows above which the converter's resolution is the cause, not stuck data."""
 _LEAST_WINDOW = 8
 _BLOCK = 1 << 16
-"""Rows of a block."""
+"""Number of rows of a block."""
 _FIRST = 20_000
-"""Rows at the beginning that determine the converter's step."""
+"""Number of rows at the beginning that determine the converter's step."""
 
 Flags = NDArray[np.bool_]
 
@@ -56,9 +56,9 @@ class Piece:
     time_s : (n,) float
         Time of each sample, increasing.
     accel : (n, axes) float
-        Accelerometer samples, any unit.
+        Accelerometer samples in any unit.
     gyro : (n, 3) float or None
-        Gyro samples, any unit; all pieces have them or none.
+        Gyro samples in any unit; None for all pieces of a recording without gyros.
     """
 
     time_s: Floats
@@ -75,7 +75,7 @@ class Piece:
 
 
 Reading = Callable[[], Iterable[Piece]]
-"""Reads a recording from its beginning; called once for each pass, and always gives equal samples."""
+"""Function that reads a recording from its beginning; each call gives equal samples."""
 
 
 def segment_with_notes(
@@ -97,6 +97,7 @@ def segment_with_notes(
     list of slice
         Rows of each dwell, in order; empty if the sensor never rests.
     list of str
+        Remarks: number of dwells, noise, stuck data; or why there is no dwell.
 
     Raises
     ------
@@ -116,6 +117,11 @@ def segment_pieces(read: Reading) -> tuple[list[slice], list[str]]:
     ----------
     read : callable
         Returns the pieces of the recording in order; called up to four times.
+
+    Raises
+    ------
+    DataError
+        The samples never change (stuck data).
     """
     extent = _Extent()
     for piece in _blocks(read()):
@@ -179,7 +185,7 @@ def _joined(pieces: list[Piece]) -> Piece:
 
 
 def _overlapping(read: Reading, overlap: int) -> Iterator[tuple[int, Piece]]:
-    """Yield blocks that repeat the last `overlap` rows of the block before, with first row numbers."""
+    """Yield blocks that begin with the last `overlap` rows of the block before, each with its first row."""
     before: Piece | None = None
     row = 0
     for block in _blocks(read()):
@@ -198,6 +204,11 @@ class Quantiles:
 
     A quantile is the mean of the numbers in its bin, so that equal numbers are returned unchanged. Memory
     grows only with the logarithm of the ratio of the largest to the smallest number.
+
+    Attributes
+    ----------
+    zeros : int
+        Number of zeros so far.
     """
 
     def __init__(self) -> None:
@@ -208,7 +219,7 @@ class Quantiles:
 
     @property
     def positive(self) -> int:
-        """Number of values above zero so far."""
+        """Number of numbers above zero so far."""
         return int(self._count.sum())
 
     def feed(self, values: Floats) -> None:
@@ -227,12 +238,12 @@ class Quantiles:
         self._sum[here] += np.bincount(places - low, weights=some, minlength=high - low)
 
     def quantile(self, share: float, *, below: float = np.inf, with_zeros: bool = False) -> float:
-        """Value below which the fraction `share` of the numbers lies.
+        """Return the value below which the fraction `share` of the numbers lies.
 
         Parameters
         ----------
         share : float
-            0 to 1.
+            Fraction from 0 to 1.
         below : float
             Larger numbers are excluded.
         with_zeros : bool
@@ -349,7 +360,17 @@ class _Range:
 
 @dataclass
 class _Extent:
-    """Result of the first pass over a recording: number of rows, time steps, and ranges of the samples."""
+    """Result of the first pass over a recording.
+
+    Attributes
+    ----------
+    rows : int
+        Number of samples.
+    steps : Quantiles
+        Positive time steps between samples, in s.
+    accel, gyro : _Range
+        Ranges of the accelerometers and the gyros; `gyro` is None without gyros.
+    """
 
     rows: int = 0
     steps: Quantiles = field(default_factory=Quantiles)
@@ -369,7 +390,11 @@ class _Extent:
 
 
 def _deviation(samples: Floats, window: int, middle: float, rounding: float) -> Floats:
-    """Standard deviation in each window of samples (n,), (n − window + 1,)."""
+    """Return the standard deviation (n − window + 1,) in each window of samples (n,).
+
+    `middle` is subtracted first, so that the sums lose few digits. A variance below `rounding` counts as
+    zero.
+    """
     if len(samples) < window:
         return np.zeros(0)
     # Differences of running sums give the sums of x and x² over every window.
@@ -384,14 +409,21 @@ def _deviation(samples: Floats, window: int, middle: float, rounding: float) -> 
 
 
 def _deviations(samples: Floats, window: int, extent: _Range) -> Iterator[Floats]:
-    """For each axis of samples (n, axes): standard deviations in all windows, as `_deviation`."""
+    """Yield, for each axis of samples (n, axes), the standard deviations (n − window + 1,) in all windows.
+
+    `extent` is the range of these samples over the recording.
+    """
     for axis in range(extent.axes):
         middle, rounding = float(extent.middle[axis]), float(extent.rounding[axis])
         yield _deviation(samples[:, axis], window, middle, rounding)
 
 
 def _limits(read: Reading, extent: _Range, window: int) -> tuple[Floats, StillnessLimits]:
-    """Second pass: measure the noise (axes,) at rest and derive the limits of stillness."""
+    """Measure the noise (axes,) at rest in a second pass, and derive the limits of stillness.
+
+    `extent` is the range of the accelerations over the recording, `window` the length of a window in
+    samples.
+    """
     spreads = [Quantiles() for _ in range(extent.axes)]
     for _, piece in _overlapping(read, window - 1):
         for spread, deviation in zip(spreads, _deviations(piece.accel, window, extent), strict=True):
@@ -401,9 +433,10 @@ def _limits(read: Reading, extent: _Range, window: int) -> tuple[Floats, Stillne
 
 
 def _own_noise(spread: Quantiles) -> float:
-    """Noise of an axis at rest: median of the standard deviations in its quiet windows.
+    """Return the noise of an axis at rest: median of the standard deviations in its quiet windows.
 
-    It is zero if many windows are constant, because the converter is too coarse.
+    `spread` has the standard deviations of all windows. The noise is zero if many windows are constant,
+    because the converter is too coarse.
     """
     alive = spread.positive
     if not alive or alive < (1 - _OFTEN) * (alive + spread.zeros):
@@ -412,7 +445,10 @@ def _own_noise(spread: Quantiles) -> float:
 
 
 def _turn_limits(read: Reading, extent: _Extent, limits: StillnessLimits) -> Floats:
-    """Third pass: standard deviation (3,) of each gyro above which it turns; empty without gyros."""
+    """Return the standard deviation (3,) of each gyro above which it turns; empty without gyros.
+
+    This is the third pass over the recording; `limits` are the limits of stillness of the accelerations.
+    """
     if extent.gyro is None:
         return np.zeros(0)
     window = limits.window_samples
@@ -431,7 +467,7 @@ def _turn_limits(read: Reading, extent: _Extent, limits: StillnessLimits) -> Flo
 
 
 def _outside(accel: Floats, extent: _Range, limits: StillnessLimits) -> tuple[Flags, Flags]:
-    """For each window (w,): True if some axis moves, and True if some axis shows too little noise."""
+    """Return two flags for each window (w,): some axis moves, and some axis shows too little noise."""
     windows = max(len(accel) - limits.window_samples + 1, 0)
     high, low = np.zeros((2, windows), dtype=np.bool_)
     for axis, deviation in enumerate(_deviations(accel, limits.window_samples, extent)):
@@ -441,7 +477,24 @@ def _outside(accel: Floats, extent: _Range, limits: StillnessLimits) -> tuple[Fl
 
 
 class _Cutter:
-    """Last pass: finds runs of still windows, trims them, and splits them at jumps of the mean."""
+    """Finds runs of still windows in a last pass, trims them, and splits them at jumps of the mean.
+
+    Parameters
+    ----------
+    sizes : _Sizes
+        Length of a window, of the ends to trim, and of the shortest dwell, in samples.
+    limits : StillnessLimits
+        Limits of stillness of the accelerations.
+    extent : _Extent
+        Result of the first pass.
+    turn : (3,) float
+        Standard deviation of each gyro above which it turns; empty without gyros.
+
+    Attributes
+    ----------
+    stuck : list of (float, float)
+        Begin and end in s of each run of windows in which an axis shows too little noise.
+    """
 
     def __init__(self, sizes: _Sizes, limits: StillnessLimits, extent: _Extent, turn: Floats) -> None:
         self._sizes = sizes
@@ -460,7 +513,7 @@ class _Cutter:
         self._latest: tuple[int, Floats] = (0, np.zeros(0))
 
     def take(self, start: int, piece: Piece) -> None:
-        """Process a block that begins at row `start`, 2 windows − 1 rows before the previous end."""
+        """Process a block that begins at row `start`; it repeats 2 · window − 1 rows of the last block."""
         window = self._sizes.window
         if len(piece) < window:
             return
@@ -513,7 +566,10 @@ class _Cutter:
             self._steps.append((start + rows, jump[rows]))
 
     def _close(self, first: int, last: int) -> None:
-        """Turn a finished run of still windows into dwells, split at sudden changes of the mean."""
+        """Turn a finished run of still windows into dwells, split at sudden changes of the mean.
+
+        `first` and `last` are the first rows of the first and the last window of the run.
+        """
         sizes = self._sizes
         start, stop = first + sizes.trim, last + sizes.window - sizes.trim
         cuts = self._cuts(start, stop) if stop - start >= 2 * sizes.least else []
@@ -522,7 +578,10 @@ class _Cutter:
         self._steps = [(rows, jump) for rows, jump in self._steps if rows[-1] > last]
 
     def _cuts(self, start: int, stop: int) -> list[int]:
-        """Rows at which a dwell is split: the largest changes of the mean, at least a window apart."""
+        """Return the rows at which a dwell is split: large changes of the mean, at least a window apart.
+
+        `start` and `stop` are the first row of the dwell and the row behind its last row.
+        """
         window = self._sizes.window
         if not self._steps:
             return []
@@ -540,7 +599,13 @@ class _Cutter:
 
 
 class _Runs:
-    """Finds runs of true flags that are fed in pieces; returns (first, last) of each finished run."""
+    """Finds runs of true flags in a series fed in pieces; a run is (first, last) by number of the flag.
+
+    Attributes
+    ----------
+    open : int or None
+        Number of the first flag of a run that is not finished; None if there is none.
+    """
 
     def __init__(self) -> None:
         self._fed = 0
@@ -560,26 +625,31 @@ class _Runs:
         return found
 
     def end(self) -> list[tuple[int, int]]:
-        """Return the run that is unfinished after the last piece, as a list of at most one."""
+        """Return the run that is unfinished after the last piece, in a list that may be empty."""
         return [] if self.open is None else [(self.open, self._fed - 1)]
 
 
 _HALF_TURN = math.pi
 _MOST_REST = 0.5
-"""Share of the time at rest above which a recording is a series of positions."""
+"""Share of the recording at rest above which it is a series of positions and no free turn."""
 _OUT_OF_PLANE = 0.25
-"""Limit of Z, and of changes of the length of (X, Y), relative to this length, for a turn in the plane."""
+"""Largest reading of Z and largest change of the length of (X, Y) in a turn in the plane.
+
+Both are relative to the median length of (X, Y).
+"""
 
 
 def shows_a_free_turn(recording: Dwell, dwells: Sequence[slice]) -> bool:
-    """True if a continuous recording with gyros is one turn in the plane of X and Y.
+    """Return True if a continuous recording with gyros is one turn in the plane of X and Y.
 
     A free turn is half a turn or more and takes more than half of the time.
 
     Parameters
     ----------
+    recording : Dwell
+        All samples of the recording.
     dwells : sequence of slice
-        Dwells that were found; a hand that changes its grip also causes some.
+        Rows of the dwells that were found; a hand that changes its grip also causes some.
     """
     rest = sum(rows.stop - rows.start for rows in dwells)
     if recording.gyro is None or rest > _MOST_REST * len(recording) or len(recording) < 2 * _LEAST_WINDOW:

@@ -1,4 +1,4 @@
-"""A session file as a `Session` for the fits, with the turns between its dwells or its free turn.
+"""Read a session file as a `Session` for the fits, with the turns between its dwells or its free turn.
 
 Turns between dwells are read on demand, so that a fit without gyros does not need them.
 """
@@ -47,6 +47,7 @@ class ArchivedTurns:
     Attributes
     ----------
     path : Path
+        Session file.
     attempts : tuple of int
         Numbers of the attempts that were the session's dwells when it was read, in order.
     """
@@ -60,7 +61,7 @@ class ArchivedTurns:
         Raises
         ------
         DataError
-            See `ArchiveView`.
+            The file is damaged, truncated or newer than this program.
         """
         if not self.path.is_file():
             return ()
@@ -84,11 +85,12 @@ class ArchivedTurns:
 def _between(
     view: ArchiveView, stored: Sequence[StoredAttempt], before: StoredAttempt, after: StoredAttempt
 ) -> Iterator[Block]:
-    """Scans from the end of one dwell to the beginning of the next dwell, in order.
+    """Yield the scans from the end of the dwell `before` to the beginning of the dwell `after`, in order.
 
-    Attempts in between (interrupted or repeated dwells) are included with all their scans. Attempts of
-    another run than the second dwell's are left out, since their stream is another one; this makes a gap.
-    Whole turns begin and end at a mark: only the last one counts.
+    `stored` are all attempts of the session. Attempts in between (interrupted or repeated dwells) are
+    included with all their scans. Attempts of another run than that of `after` are left out, since they
+    belong to another stream of samples; this makes a gap. Whole turns begin and end at a mark: only the
+    last one counts.
     """
     between = [a for a in stored if before.number < a.number < after.number and a.run == after.run]
     whole = [k for k, attempt in enumerate(between) if attempt.reason == TURNED]
@@ -124,10 +126,10 @@ def _turn(number: int, blocks: list[Block], after: StoredAttempt, turned_deg: fl
 
 
 def recording_of(view: ArchiveView) -> tuple[Dwell | None, str]:
-    """Recording of the last complete free turn, and the reason if it was broken off.
+    """Return the recording of the last complete free turn, and an empty reason.
 
-    If no turn is complete: the longest recording and the reason why it was broken off; None if there is no
-    recording.
+    If no turn is complete: the longest recording and the reason why it was broken off. The recording is
+    None if there is none.
     """
     chains: list[list[StoredAttempt]] = [[]]
     for attempt in view.attempts():
@@ -176,7 +178,7 @@ def read_session(path: str | Path) -> Session:
         The file is missing, of another kind, damaged, truncated or newer than this program, or has no
         complete dwell.
     SessionError
-        It cannot be read here, or has no session yet.
+        The file cannot be read here, or has no session yet.
     """
     with ArchiveView(path) as view, view.snapshot():
         header, plan, stored = view.header(), view.plan(), view.dwells()
@@ -207,7 +209,7 @@ def read_session(path: str | Path) -> Session:
 
 
 def _free_turn(path: str | Path, view: ArchiveView) -> Session:
-    """Session of one continuous turn, with a note of the reason if it was broken off."""
+    """Return the session of one continuous turn, with a note of the reason if it was broken off."""
     recording, reason = recording_of(view)
     if recording is None:
         raise DataError(f"{path}: has no turn yet; resume the session")
@@ -233,7 +235,7 @@ def _free_turn(path: str | Path, view: ArchiveView) -> Session:
 
 
 def _facts(view: ArchiveView) -> JsonDict:
-    """Facts of a session that dwells and free turns have in common: settings, plan, registers, problems."""
+    """Return facts that both sessions of dwells and free turns have, such as settings and plan."""
     header, truth = view.header(), view.last("truth")
     return {
         "url": header.url,
@@ -258,7 +260,10 @@ def _facts(view: ArchiveView) -> JsonDict:
 def _session(
     path: str | Path, header: Header, facts: JsonDict, notes: Sequence[str], **found: Any
 ) -> Session:
-    """Create the session with the metadata of the header and the data in `found`."""
+    """Create the session with the metadata of the header and the data in `found`.
+
+    `found` has keyword arguments of `Session`, such as its dwells.
+    """
     return Session(
         sensor=header.variant,
         accel_unit="mg" if header.variant == GENERIC else "lsb",
@@ -272,7 +277,10 @@ def _session(
 
 
 def describe_later_writes(facts: JsonDict) -> tuple[str, ...]:
-    """Remarks on offsets that were written to the sensor after the recording; empty if there were none."""
+    """Return remarks on offsets that were written to the sensor after the recording; empty without writes.
+
+    `facts` are the facts of the session.
+    """
     if not facts.get("offset_writes") or not facts["registers"]["configured"]:
         return ()
     recorded = facts["registers"]["configured"]
@@ -309,7 +317,7 @@ def _facts_of(attempt: StoredAttempt, scans: Block, dropped: int) -> JsonDict:
 
 
 def _changed_registers(view: ArchiveView) -> list[JsonDict]:
-    """List with one doubt if registers changed between start and end of a session; else empty."""
+    """Return a list with one doubt if registers changed between start and end of a session; else empty."""
     then, now = view.last("registers-configured"), view.last("registers-after")
     changed = changed_settings(then or {}, now or {})
     if not changed:

@@ -1,11 +1,8 @@
-"""Sources of samples, and the settings that they take.
+"""Sources of samples for a session (the chip behind its driver, or any other sensor) and their settings.
 
-Settings of a session: dwell length, settling, and the sensor's configuration.
-
-Sources of samples for a session: the chip behind its driver, or any other sensor.
-
-A session knows its sensor only as a `SampleSource`. `ChipSource` is the source for the driver; a package
-adds other sources by an entry point in the group `adis_gonio.source`: scheme = "module:opener".
+Settings are the dwell length, settling, and the sensor's configuration. A session knows its sensor only as
+a `SampleSource`. `ChipSource` is the source for the driver; a package adds other sources by an entry point
+in the group `adis_gonio.source`: scheme = "module:opener".
 """
 
 from __future__ import annotations
@@ -29,14 +26,14 @@ from adis_gonio.device.sensor.scanning import MASK as DATA_READY_BITS, DataReady
 from adis_gonio.record.blocks import Block
 
 LEAST_SAMPLES = 16
-"""Samples that a dwell needs so that its noise can be estimated."""
+"""Least number of samples in a dwell, so that its noise can be estimated."""
 
 TURN_S = 10.0
 """Estimated duration in s of a turn by hand, until the first turn has been timed."""
 
 
 def expected_each_s(settle_s: float, dwell_s: float) -> float:
-    """Expected duration of one position in s: turning, settling and dwell."""
+    """Return the expected duration of one position in s: turning by hand, settling and dwell."""
     return TURN_S + settle_s + dwell_s
 
 
@@ -50,20 +47,20 @@ class Settings(JsonRecord):
     settle_s : float
         Wait between stillness and the dwell in s, at least the filter's settling time.
     still_timeout_s : float
-        Time to wait for stillness in s before the operator is asked (or the session ends without one).
+        Time to wait for stillness in s before the operator is asked; without an operator the session ends.
     smpl_prd : int
-        SMPL_PRD; 1 is the fastest, 819.2 samples a second.
+        Number in the register SMPL_PRD; 1 is the fastest, 819.2 samples a second.
     filter_m : int
-        M of the Bartlett filter.
+        Exponent M of the Bartlett filter's length, 0 to 6.
     gyro_range_dps : int
-        300, 150 or 75.
+        Range of the gyros in °/s: 300, 150 or 75.
     data_ready : bool or None
         Use of data-ready pulses: None uses them if the bus supports it and the line is wired, True requires
         them, False polls.
     registers : tuple of str
         Registers of a scan; the three accelerometer outputs are required.
     turns : bool
-        Keep the scans of the last minutes before each dwell too.
+        True to archive also the scans of the last minutes before each dwell, in which the sensor turned.
 
     Raises
     ------
@@ -137,7 +134,7 @@ class Measuring(Protocol):
         """Settling time of the sensor's filter in s; 0 if no filter is known."""
 
     def as_dict(self) -> dict[str, Any]:
-        """The configuration in JSON form, as the archive stores it."""
+        """Return the configuration in JSON form, as the archive stores it."""
 
 
 class SampleStream(Iterator[Block], AbstractContextManager[Any], Protocol):
@@ -146,7 +143,7 @@ class SampleStream(Iterator[Block], AbstractContextManager[Any], Protocol):
     Attributes
     ----------
     how : str
-        How the samples are read, as text.
+        Way in which the samples are read (polled or by data-ready), as text.
     """
 
     how: str
@@ -166,11 +163,11 @@ class KnownPart:
     Attributes
     ----------
     name : str
-        The archive's `variant`: a part of the family, or `generic`.
+        Variant of the sensor as the archive stores it: a chip of the family, or `generic`.
     initial_bias_mg : float
-        Typical bias of an axis.
+        Typical bias of an axis in mg.
     step_mg : float
-        Step of the converter; 0 if it is not known.
+        Step of the converter in mg; 0 if it is not known.
     """
 
     name: str
@@ -186,15 +183,17 @@ class SampleSource(Closing):
     Attributes
     ----------
     url : str
-        URL by which it was opened.
+        URL by which the sensor was opened.
     part : KnownPart
+        Properties of the sensor that are known before it is measured.
     stage, world : object or None
-        Stage that moves it and simulated world, if any (see `session_bench.MovableStage` and
-        `session_bench.SimulatedWorld`).
+        Stage that moves the sensor, and simulated world (see `session_bench.MovableStage` and
+        `session_bench.SimulatedWorld`); None without them.
     kept : tuple of str
-        Names of the `Settings` that apply to it; the archive keeps these.
+        Names of the fields of `Settings` that apply to the sensor; the archive keeps these.
     why_polled : str
-        Reason why samples are polled instead of started by data-ready, or empty. Known after `configure`.
+        Reason why samples are polled instead of started by data-ready; empty if they are not polled. Known
+        after `configure`.
     """
 
     url: str
@@ -206,7 +205,7 @@ class SampleSource(Closing):
 
     @abstractmethod
     def now_s(self) -> float:
-        """Present time in s on the sensor's monotonic clock, which also times the samples."""
+        """Return the present time in s on the sensor's monotonic clock, which also times the samples."""
 
     @abstractmethod
     def sleep_s(self, seconds: float) -> None:
@@ -220,7 +219,11 @@ class SampleSource(Closing):
         """
 
     def witness(self, name: str, observe: Callable[[], T]) -> T:
-        """Return `observe()`, a JSON value from outside the sensor; see `SpiBus.witness`."""
+        """Return `observe()`, a JSON value from outside the sensor, such as an answer of the operator.
+
+        A source whose calls are recorded in a file stores the value by `name`; a replay returns the stored
+        value.
+        """
         return observe()
 
     def give_back(self) -> None:
@@ -230,32 +233,34 @@ class SampleSource(Closing):
         """Write a number to an unused register, if any, that a restart of the sensor would erase."""
 
     def settings_held(self, *, checked: bool = False) -> dict[str, int]:
-        """Contents of the registers that shift or scale a sample, and the mark of `mark_restart`.
+        """Return the contents of registers that shift or scale a sample, and the mark of `mark_restart`.
 
-        Empty if the sensor has no registers.
-
-        With `checked` raise `ChipError` if the replies cannot be the sensor's.
+        The contents are numbers by register name; empty if the sensor has no registers. With `checked`
+        raise `ChipError` if the replies cannot be the sensor's.
         """
         return {}
 
     def registers(self) -> dict[str, int]:
-        """Contents of all readable registers by name; empty if the sensor has no registers."""
+        """Return the contents of all readable registers by name; empty if the sensor has no registers."""
         return {}
 
     @abstractmethod
     def identity(self, registers: Mapping[str, Any], measuring: Mapping[str, Any]) -> dict[str, Any]:
-        """Facts about the sensor that must not change before a session is resumed."""
+        """Return facts about the sensor that must be unchanged when a session is resumed.
+
+        `registers` has the contents of its registers by name, `measuring` its configuration in JSON form.
+        """
 
     @abstractmethod
     def expected_noise_mg(self, measuring: Measuring) -> float:
-        """Estimate of a sample's noise at rest in mg; ten times as much counts as motion."""
+        """Return an estimate of a sample's noise at rest in mg; ten times as much counts as motion."""
 
     @abstractmethod
     def samples(self, settings: Settings, block_samples: int) -> SampleStream:
-        """Start a stream of samples from the sensor as `configure` has set it."""
+        """Start a stream of blocks of `block_samples` samples, after `configure` with these settings."""
 
     def status(self) -> chip_settings.Status | None:
-        """Read the faults that the sensor reports, and clear them; None if it cannot report any."""
+        """Read and clear the errors and alarms that the sensor reports; None if it cannot report any."""
         return None
 
     @abstractmethod
@@ -271,11 +276,20 @@ HOLDING_SETTINGS = tuple(
     for row in REGISTERS
     if row.readable and row.writable and row.name not in ("GPIO_CTRL", "SLP_CNT")
 )
-"""Control registers with settings; the two excluded registers have levels of lines and a counter."""
+"""Names of control registers with settings.
+
+GPIO_CTRL and SLP_CNT are excluded, because they have levels of lines and a counter.
+"""
 
 
 class ChipSource(SampleSource):
-    """Source of samples from a chip of this family, by its driver."""
+    """Source of samples from a chip of the ADIS16354's family, by its driver.
+
+    Attributes
+    ----------
+    sensor : Adis16354
+        The driver.
+    """
 
     kept = tuple(Settings.__dataclass_fields__)
 
@@ -290,7 +304,7 @@ class ChipSource(SampleSource):
         self._marked: tuple[str, int] | None = None
 
     def now_s(self) -> float:
-        """Present time in s on the bus's clock."""
+        """Return the present time in s on the bus's clock."""
         return self.sensor.bus.now_s()
 
     def sleep_s(self, seconds: float) -> None:
@@ -298,7 +312,7 @@ class ChipSource(SampleSource):
         self.sensor.bus.sleep_s(seconds)
 
     def witness(self, name: str, observe: Callable[[], T]) -> T:
-        """Observe a value through the bus, which may record or replay it, and return the value."""
+        """Return `observe()` by way of the bus, which may record the value, or replay it, by `name`."""
         return self.sensor.bus.witness(name, observe)
 
     def configure(self, settings: Settings) -> chip_settings.Configuration:
@@ -368,10 +382,9 @@ class ChipSource(SampleSource):
     def mark_restart(self) -> None:
         """Write the number `MARK` to the level of an unused alarm; a restart of the chip erases it.
 
-        If both alarms are in use, a restart shows only in registers that differ from their flash copies.
-
-        Offsets and rate may be equal before and after a restart, if they have the values in the flash.
-        ALM_MAG1 and ALM_MAG2 have no effect while their source in ALM_CTRL is 0 (DS, B).
+        ALM_MAG1 and ALM_MAG2 have no effect while their source in ALM_CTRL is 0 (data sheet, B). If both
+        alarms are in use, nothing is marked, and a restart shows only in registers that differ from their
+        flash copies: offsets and rate may be equal before and after a restart.
         """
         control = BY_NAME["ALM_CTRL"]
         word = self.sensor.read_words([control])[0]
@@ -384,15 +397,18 @@ class ChipSource(SampleSource):
                 return
 
     def _forget_old_mark(self) -> None:
-        """Clear the mark that a killed session left in the alarm level."""
+        """Set an alarm level to 0 if a killed session left the number `MARK` in it."""
         for name in ("ALM_MAG1", "ALM_MAG2"):
             if self.sensor.read(name) == MARK:
                 self.sensor.write(name, 0)
 
     def settings_held(self, *, checked: bool = False) -> dict[str, int]:
-        """Contents of registers that shift or scale a sample (`READING_BITS`), and the marked alarm level.
+        """Return the contents of registers that shift or scale a sample, and of the marked alarm level.
 
-        If both alarms are in use and no register is marked, ALM_CTRL: a restart ends alarms set in RAM.
+        The contents are numbers by register name; of each register only the bits of `READING_BITS` are
+        included. If both alarms are in use, so that no level is marked, ALM_CTRL is included instead: a
+        restart ends alarms set in RAM. With `checked` raise `ChipError` if the replies cannot be the
+        sensor's.
         """
         names = [*READING_BITS, self._marked[0] if self._marked else "ALM_CTRL"]
         words = self.sensor.read_checked(names) if checked else self.sensor.read_words(names)
@@ -400,23 +416,27 @@ class ChipSource(SampleSource):
         return {name: number & READING_BITS.get(name, -1) for name, number in numbers.items()}
 
     def registers(self) -> dict[str, int]:
-        """Contents of all readable registers by name."""
+        """Return the contents of all readable registers by name."""
         return self.sensor.read_all()
 
     def identity(self, registers: Mapping[str, Any], measuring: Mapping[str, Any]) -> dict[str, Any]:
-        """Contents of the control registers by name, without data-ready bits, which depend on wiring."""
+        """Return the contents of the control registers by name, without the data-ready bits.
+
+        Data-ready depends on the wiring, which may change. `registers` has the contents of all registers by
+        name.
+        """
         held = {name: registers.get(name) for name in HOLDING_SETTINGS}
         if held["MSC_CTRL"] is not None:
             held["MSC_CTRL"] &= ~DATA_READY_BITS
         return held
 
     def expected_noise_mg(self, measuring: Measuring) -> float:
-        """Noise of a sample in mg by the data of the variant, behind the present filter."""
+        """Return the noise of a sample in mg by the data of the variant, behind the present filter."""
         filter_m = measuring.filter_m if isinstance(measuring, chip_settings.Configuration) else 0
         return self.sensor.variant.performance.noise_mg * chip_settings.white_noise_gain(filter_m)
 
     def samples(self, settings: Settings, block_samples: int) -> SampleStream:
-        """Start a stream of scans of the registers that the settings name."""
+        """Start a stream of blocks of `block_samples` scans of the registers that the settings name."""
         # The session has set the registers, and the archive has recorded them: the stream leaves them.
         return self.sensor.stream(
             settings.registers,
@@ -426,7 +446,7 @@ class ChipSource(SampleSource):
         )
 
     def status(self) -> chip_settings.Status:
-        """Read STATUS, which clears its bits."""
+        """Return the content of STATUS; reading it clears its bits."""
         return self.sensor.status()
 
     def close(self) -> None:
@@ -440,7 +460,7 @@ def as_source(sensor: Adis16354 | SampleSource) -> SampleSource:
 
 
 def has_frames(url: str) -> bool:
-    """True if the URL names an SPI bus with a chip; False if it names another source of samples."""
+    """Return True if the URL names an SPI bus with a chip, False for another source of samples."""
     return BusUrl.parse(url).scheme not in {point.name for point in entry_points(group=SOURCE_GROUP)}
 
 
@@ -449,13 +469,15 @@ def open_source(url: str, *, variant: str = "adis16354", check: bool = True) -> 
 
     Parameters
     ----------
-    variant, check
-        See `open_sensor`; for the chip only.
+    variant : str
+        Variant of the chip; another sensor ignores it.
+    check : bool
+        True to check that the chip replies, as `open_sensor` does; another sensor ignores it.
 
     Raises
     ------
     UsageError, CannotOpenError
-        See `open_bus`.
+        The URL is wrong, or its device cannot be opened.
     """
     parsed = BusUrl.parse(url)
     for point in entry_points(group=SOURCE_GROUP):
@@ -466,7 +488,10 @@ def open_source(url: str, *, variant: str = "adis16354", check: bool = True) -> 
 
 
 def refuse_chip_options(url: str, given: Mapping[str, object]) -> None:
-    """Raise `UsageError` if options that only the chip has are given for another sensor."""
+    """Raise `UsageError` if options that only the chip has are given for another sensor.
+
+    `given` has the values of these options by name; an empty value counts as not given.
+    """
     names = [name for name, value in given.items() if value]
     if names and not has_frames(url):
         raise UsageError(f"{', '.join(names)}: for the ADIS16354 only; set up {url} by its own means")

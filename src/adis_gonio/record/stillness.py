@@ -1,8 +1,8 @@
 """Stillness of a sensor: limits from its noise, and the live watch that applies them.
 
 The upper limit of the standard deviation within a window is four times the noise: rotation by hand exceeds
-it a hundredfold, the window's own scatter and a building's hum do not. The lower limit catches an axis
-that is stuck. If the noise is below half a step of the converter, a constant word is normal and there is no
+it a hundredfold, the window's own scatter and a building's hum do not. The lower limit catches an axis that
+is stuck. If the noise is below half a step of the converter, a constant word is normal and there is no
 lower limit. Windows of the live watch overlap by half, so that no short motion falls between two of them.
 """
 
@@ -32,7 +32,7 @@ class StillnessLimits:
     Attributes
     ----------
     window_samples : int
-        Length of the window.
+        Length of the window in samples.
     lower, upper : (axes,) float
         Limits in the unit of the samples; `lower` is zero if a constant word is normal.
     """
@@ -52,7 +52,7 @@ def limits_from_noise(noise_sd: Floats, window_samples: int, quantum: Floats | f
     window_samples : int
         Length of the window in samples.
     quantum : float or (axes,) float
-        Step of the converter in the samples' unit; 0 unknown.
+        Step of the converter in the samples' unit; 0 if it is unknown.
     """
     noise = np.asarray(noise_sd, dtype=float)
     step = np.broadcast_to(np.asarray(quantum, dtype=float), noise.shape)
@@ -65,15 +65,22 @@ def limits_from_noise(noise_sd: Floats, window_samples: int, quantum: Floats | f
 WINDOW_S = 0.25
 LEAST_WINDOW = 32
 SETTLINGS_PER_WINDOW = 8
-"""Settling times of the filter in a window: in a shorter window neighbouring samples are correlated."""
+"""Least length of a window in settling times of the filter.
+
+In a shorter window neighbouring samples are correlated.
+"""
 
 SHIFT_MG = 5.0
-"""Shift of the mean since the beginning of a dwell that counts as motion (0.3° at the horizontal); smaller
-changes are kept in the dwell as effects to be found."""
+"""Shift of the mean in mg since the beginning of a dwell that counts as motion (0.3° at the horizontal).
+
+Smaller changes are kept in the dwell as effects to be found.
+"""
 
 BEGIN_RATIO = 1.5
-"""Multiple of the noise below which a dwell may begin, so that ringing after a move has ended. A dwell is
-broken off only above the upper limit."""
+"""Multiple of the noise below which a dwell may begin, so that ringing after a move has ended.
+
+A dwell is broken off only above the upper limit.
+"""
 
 METER_WINDOWS = 8
 METER_RATIO = 1.6
@@ -82,7 +89,7 @@ STUCK_LOOKS = 3
 
 
 def window_samples(measuring: Measuring) -> int:
-    """Number of samples in a window of the stillness watch, from sample rate and filter settling."""
+    """Return the number of samples in a window of the stillness watch for a configuration."""
     return max(
         LEAST_WINDOW,
         round(WINDOW_S * measuring.sample_rate_hz),
@@ -97,12 +104,13 @@ class Look:
     Attributes
     ----------
     end : int
-        Number of samples up to the end of the window, which begins `window_samples` before.
+        Number of samples fed up to the end of the window.
     state : {"still", "moving", "stuck"}
+        State of the sensor in the window; "stuck" if an axis shows no noise.
     why : str
         The axis that moves or is stuck, with numbers; empty if the sensor is still.
     mean_mg, spread_mg : (3,) float
-        Mean and standard deviation of the window.
+        Mean and standard deviation of the samples in the window, in mg.
     shifted : bool
         True if the window is quiet, but its mean has shifted since the dwell began.
     """
@@ -116,7 +124,7 @@ class Look:
 
 
 class _Windows:
-    """Cuts samples that arrive in pieces into windows that overlap by half."""
+    """Cuts samples that arrive in pieces into windows of `length` samples that overlap by half."""
 
     def __init__(self, length: int) -> None:
         self._length = length
@@ -125,7 +133,7 @@ class _Windows:
         self.fed = 0
 
     def feed(self, samples: Floats) -> list[tuple[int, Floats]]:
-        """Windows (length, 3) that these samples complete, each with the sample count at its end."""
+        """Return the windows (length, 3) that these samples complete, with the sample count at each end."""
         self._kept = np.concatenate([self._kept, samples])
         self.fed += len(samples)
         first = self.fed - len(self._kept)
@@ -145,7 +153,7 @@ class NoiseMeter:
     window : int
         Length of a window in samples.
     expected_mg : float
-        Estimate of the variant's noise behind the filter; ten times this estimate counts as motion.
+        Estimate of the noise of a sample behind the filter in mg; ten times this estimate counts as motion.
     """
 
     def __init__(self, window: int, expected_mg: float) -> None:
@@ -194,9 +202,9 @@ class StillnessWatch:
     Parameters
     ----------
     limits : StillnessLimits
-        In mg, from the noise of `NoiseMeter`.
+        Limits in mg, from the noise that `NoiseMeter` measured.
     noise_mg : (3,) float
-        This noise, or the effect of quantization alone if that is larger.
+        This noise in mg, or the effect of quantization alone if that is larger.
     """
 
     def __init__(self, limits: StillnessLimits, noise_mg: Floats) -> None:
@@ -215,7 +223,7 @@ class StillnessWatch:
         return self._windows.fed
 
     def anchor(self, sample: int | None) -> None:
-        """Set the sample number at which a dwell begins; later windows are compared with its first window.
+        """Set the sample number at which a dwell begins; later windows are compared with its first one.
 
         None ends the comparison.
         """
@@ -253,7 +261,7 @@ class StillnessWatch:
 
 
 def stuck_error(axis: str, value_mg: float) -> SessionError:
-    """Make the error for an accelerometer that shows no noise, so that it is stuck."""
+    """Return the error for an accelerometer that shows no noise, so that it is stuck."""
     return SessionError(
         f"accelerometer {axis} is stuck at {value_mg:.1f} mg: a live sensor shows its noise;"
         " check the sensor, its wiring and its supply, then resume the session"

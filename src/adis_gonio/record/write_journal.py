@@ -1,8 +1,9 @@
 """The journal of writes in a session's archive, and the state of a sensor by its journal.
 
-Every step is a record of kind `offsets`, written **before** an action (`planned`, `saving`) or **after** it
-(`written`, `verified`, `saved`, `done`, `set-back`). A power cut therefore finds the journal at most one
-step behind the sensor, and the registers, ENDURANCE and the journal together determine the state:
+The journal records writes to the sensor's offset registers. Every step is a record of kind `offsets`,
+written **before** an action (`planned`, `saving`) or **after** it (`written`, `verified`, `saved`, `done`,
+`set-back`). A power cut therefore finds the journal at most one step behind the sensor, and the registers,
+ENDURANCE (the chip's counter of flash updates) and the journal together determine the state:
 
 | registers | after |
 |---|---|
@@ -26,7 +27,7 @@ from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF
 from adis_gonio.model.records import Session
 
 Numbers = Mapping[str, int]
-"""Offset registers by name, signed, in LSB."""
+"""Contents of offset registers by name, as signed numbers in LSB."""
 
 KIND = "offsets"
 """Kind of the records in the archive that make up the journal."""
@@ -42,8 +43,9 @@ Op = Literal["write", "undo", "autonull"]
 class WriteStep(StrEnum):
     """Steps of a write operation, in their order; `DONE` and `SET_BACK` end the operation.
 
-    Numbers that are in flash already are `SAVED` without `SAVING`. An autonull begins with `SAVING`, since
-    the sensor saves it automatically, and `SAVED` has the numbers found.
+    Numbers that are in flash already are recorded as `SAVED` without `SAVING`. An autonull begins with
+    `SAVING`, since the sensor saves it automatically, and the record of `SAVED` has the numbers that it
+    found.
     """
 
     PLANNED = "planned"
@@ -63,25 +65,26 @@ class Operation(JsonRecord):
     number : int
         Number of the operation, from 1.
     op : {"write", "undo", "autonull"}
+        Kind of the operation; an autonull lets the sensor find the offsets itself.
     old, new : dict of str to int
-        Numbers before the write and numbers to write. An undo has the numbers of the write that it undoes;
-        an autonull has the old numbers until it is `saved`.
+        Register contents before the write and contents to write, by name in LSB. An undo has the numbers of
+        the write that it undoes; in an autonull `new` equals `old` until it is `saved`.
     found : dict of str to int
-        Numbers at its start, or the old numbers if the registers were half written; a write that is broken
-        off restores them.
+        Register contents at its start, or the old numbers if the registers were half written; a write that
+        is broken off restores them.
     save : bool
         True if saving to flash was requested.
     steps : tuple of WriteStep
         Recorded steps.
     endurance : int or None
-        ENDURANCE when saving began.
+        ENDURANCE (counter of flash updates) when saving began; None if it did not begin.
     endurance_after : int or None
-        ENDURANCE when it had ended.
+        ENDURANCE when saving had ended; None if it did not end.
     utc : str
-        Time of the last record.
+        Time of the last record, ISO 8601, UTC.
     beside : dict of str to int
-        Numbers in the offset registers of the other half of the sensor when saving began; a flash update
-        saves them too.
+        Contents of the offset registers of the other half of the sensor (gyros or accelerometers) when
+        saving began; a flash update saves them too.
     """
 
     document_keys = ("number", "op", "utc")
@@ -141,13 +144,16 @@ def operations(entries: Iterable[Mapping[str, Any]]) -> tuple[Operation, ...]:
 
 
 def operations_of(session: Session, names: Sequence[str] = ACCEL_OFF) -> tuple[Operation, ...]:
-    """Write operations on the named registers in a session's archive; empty without a journal."""
+    """Return the operations on the named registers in a session's archive; empty without a journal."""
     known = operations(session.facts.get("offset_writes") or ())
     return tuple(operation for operation in known if operation.concerns(names))
 
 
 def describe_writes(known: Sequence[Operation], recorded: Numbers) -> tuple[str, ...]:
-    """Remarks on offsets written after the recording, at most one each for accelerometers and gyros."""
+    """Return remarks on offsets written after the recording, one at most for accelerometers and for gyros.
+
+    `known` are the operations of the journal, `recorded` the register contents during the recording.
+    """
     own = [tuple(one for one in known if one.concerns(names)) for names in (ACCEL_OFF, GYRO_OFF)]
     said = (*_remarks(own[0], recorded, "biases"), *_remarks(own[1], recorded, "zero rates"))
     return tuple(dict.fromkeys(said))
@@ -170,7 +176,10 @@ def _remarks(known: Sequence[Operation], recorded: Numbers, what: str) -> tuple[
 
 
 def find_undoable(known: Sequence[Operation]) -> Operation | None:
-    """The write that `--undo` would revert: the last write not undone yet; None if there is none."""
+    """Return the operation that `--undo` would revert; None if there is none.
+
+    It is the last write or autonull among the operations `known` that is not undone yet.
+    """
     for operation in reversed(known):
         if operation.op != "undo" and operation.steps[-1] is not WriteStep.SET_BACK:
             return operation
@@ -188,15 +197,16 @@ class HeldOffsets(JsonRecord):
     Attributes
     ----------
     registers : {"untouched", "old", "new", "half", "other"}
-        `untouched` if the journal has no write.
+        Common state of the registers: numbers before or after the last operation, half written, or other
+        numbers; `untouched` if the journal has no operation.
     saved : bool or None
-        True if the flash has the same numbers as the registers by the journal; None if unknown.
+        True if, by the journal, the flash has the numbers of the registers; None if unknown.
     open : bool
         True if an operation was not completed.
     axes : dict of str to str
-        State of each register.
+        State of each register by name, one of the above.
     operation : Operation or None
-        The last operation.
+        The last operation; None if the journal has none.
     text : str
         One line with all of this.
     """
@@ -217,8 +227,12 @@ def held_offsets(
     Parameters
     ----------
     known, others : sequence of Operation
-        Operations on these registers and on the registers of the other half of the sensor; a flash update
-        saves both.
+        Operations on these registers, and on the registers of the other half of the sensor (gyros or
+        accelerometers); a flash update saves both.
+    now : mapping of str to int
+        Present register contents by name.
+    endurance : int
+        Present content of ENDURANCE, the counter of flash updates.
     """
     if not known:
         text = f"this session has not written {join_words(tuple(now))}"
@@ -241,14 +255,19 @@ def held_offsets(
 def flash_untouched(
     known: Sequence[Operation], now: Numbers, endurance: int, others: Sequence[Operation] = ()
 ) -> bool:
-    """True if the flash certainly has the contents from before the first write of the session."""
+    """Return True if the flash certainly has the contents from before the first write of the session.
+
+    `known` are the operations on the registers `now`, `others` the operations on the other half of the
+    sensor; `endurance` is the present content of ENDURANCE.
+    """
     return not known or _in_flash(known, now, endurance, others) in ({}, known[-1].old)
 
 
 def _common_state(now: Numbers, last: Operation, axes: Mapping[str, RegisterState]) -> RegisterState:
-    """Common state of all registers.
+    """Return the common state of all registers after the operation `last`.
 
-    A register that the operation leaves unchanged counts as both old and new.
+    `now` has the register contents, `axes` the state of each register. A register that the operation leaves
+    unchanged counts as both old and new.
     """
     both: list[tuple[RegisterState, Numbers]] = [("new", last.new), ("old", last.old)]
     written = last.op == "write" or (last.op == "autonull" and last.saved)
@@ -270,7 +289,11 @@ def _state(name: str, now: int, old: int, new: int) -> RegisterState:
 def _in_flash(
     known: Sequence[Operation], now: Numbers, endurance: int, others: Sequence[Operation]
 ) -> dict[str, int] | None:
-    """Register contents saved in flash by these operations; {} if none was saved; None if unknown."""
+    """Return the register contents that these operations saved in flash; {} if none did; None if unknown.
+
+    `known` are the operations on the registers `now`, `others` the operations on the other half of the
+    sensor; `endurance` is the present content of ENDURANCE.
+    """
     flash: dict[str, int] | None = {}
     names = tuple(known[-1].old)
     for operation in sorted((*known, *others), key=lambda one: one.number):
@@ -290,9 +313,10 @@ def _in_flash(
 
 
 def _written_since(known: Sequence[Operation], endurance: int) -> str:
-    """Clause for a message if another program has written the flash since the last save.
+    """Return a clause for a message if another program has written the flash since the last save.
 
-    Empty if ENDURANCE has the value that the last save left, and without a save.
+    `known` are the operations of the journal, `endurance` is the present content of ENDURANCE. The clause
+    is empty if ENDURANCE has the value that the last save left, and without a save.
     """
     saves = [one for one in known if one.saved]
     after = max(saves, key=lambda one: one.number).endurance_after if saves else None
@@ -313,7 +337,10 @@ def _words(registers: str, flashed: str, axes: Mapping[str, RegisterState], last
 
 
 def _flash(registers: str, flash: dict[str, int] | None, last: Operation) -> str:
-    """Clause of a sentence that describes the contents of the flash."""
+    """Return the clause of a message that describes if the offsets in the registers are in flash.
+
+    `registers` is "old" or "new" (or another state), `flash` the contents of the flash, None if unknown.
+    """
     held, other = (last.new, last.old) if registers == "new" else (last.old, last.new)
     if flash is None:
         return ", and whether these or the others are in flash is not known"

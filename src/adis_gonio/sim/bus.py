@@ -54,21 +54,21 @@ class SimBus(SpiBus):
     Parameters
     ----------
     settings : WorldSettings
-        The world; by default all hidden parameters are drawn from the seed.
+        Settings of the world; None draws all hidden parameters from the seed.
     seed : int
-        Seed of everything random.
+        Seed of all random numbers.
     part : str or Variant
         `adis16354`, `adis16350` or `adis16355`.
     effects : sequence of (Effect, values)
-        Terms added to the readings.
+        Effects that the readings have in addition, each with the values of its parameters.
     stream : bool
-        Offer `Capability.STREAM` and `Capability.EVENT_COUNTER`.
+        True offers `Capability.STREAM` and `Capability.EVENT_COUNTER`.
     realtime : bool
-        Follow the wall clock.
+        True makes the bus follow the wall clock; False gives it a virtual clock.
     chip : SimulatedChip
-        An existing chip in `world`, instead of a new one.
+        An existing chip in `world`; None makes a new chip.
     world : World
-        An existing world; settings, seed and effects are then ignored.
+        An existing world, for which settings, seed and effects are ignored; None makes a new world.
 
     Attributes
     ----------
@@ -177,8 +177,8 @@ class SimBus(SpiBus):
 class SimStream(FrameStream):
     """A stream of a simulated bus, which scans at each data-ready edge.
 
-    The list runs after each falling edge, followed by one idle frame that fetches the last reply; edges
-    during a run are lost. Scans between two calls are buffered.
+    The list of read frames runs after each falling edge, followed by one idle frame that fetches the last
+    reply; edges during a run are lost. Scans that fall between two calls of the program are buffered.
     """
 
     def __init__(self, bus: SimBus, frames: Words, block_scans: int) -> None:
@@ -236,7 +236,7 @@ class SimStream(FrameStream):
 
 
 class SimStage:
-    """The simulated stage for programs: each move advances the clock of the bus by its duration."""
+    """The simulated stage, moved by a program: each move advances the clock of the bus by its duration."""
 
     def __init__(self, bus: SimBus, stage: Stage) -> None:
         self._bus = bus
@@ -249,26 +249,33 @@ class SimStage:
 
     @property
     def error_deg(self) -> float:
-        """True minus declared angle at the present position, in degrees; a fit does not see it."""
+        """True minus declared angle of the stage at the present position, in degrees.
+
+        A fit does not know this error.
+        """
         return self._stage.error_deg
 
     def move_to(self, angle_deg: float, approach: int = 0) -> None:
         """Turn the stage to a declared angle in degrees; return when it rests.
 
-        It arrives from below if `approach` is +1, from above if -1, or the short way if 0.
+        The stage arrives from below if `approach` is +1, from above if -1, or by the shortest turn if 0.
         """
         with self._bus._lock:
             self._bus._set_now(self.begin_move(angle_deg, approach))
 
     def orient(self, vector: Sequence[float] | Floats) -> None:
-        """Turn the sensor until an ideal one reads along a vector (3,); level with Z up is (0, 0, -1)."""
+        """Turn the sensor until an ideal sensor reads along a vector (3,).
+
+        Level with Z up is (0, 0, -1).
+        """
         with self._bus._lock:
             self._bus._set_now(self.begin_orient(vector))
 
     def turn_about(self, angle_deg: float, axis: Sequence[float] | Floats | None = None) -> None:
-        """Turn the sensor by an angle in degrees about an axis (3,) of it, or about the vertical.
+        """Turn the sensor by an angle in degrees about an axis (3,) in the sensor; None is the vertical.
 
-        See `Stage.turn_about`.
+        Positive angles are right-handed about the axis; about the vertical they are counter-clockwise from
+        above.
         """
         with self._bus._lock:
             about = None if axis is None else np.asarray(axis, np.float64)
@@ -277,23 +284,30 @@ class SimStage:
     def begin_move(self, angle_deg: float, approach: int = 0) -> float:
         """Begin `move_to` and return the time in s at which it ends, without advancing the clock.
 
-        Samples can therefore be recorded during the move.
+        Samples can therefore be recorded during the move. It takes the arguments of `move_to`.
         """
         return self._begin(self._stage.move_to, angle_deg, approach)
 
     def begin_orient(self, vector: Sequence[float] | Floats) -> float:
-        """Begin `orient` and return the time in s at which it ends, without advancing the clock."""
+        """Begin `orient` and return the time in s at which it ends, without advancing the clock.
+
+        `vector` (3,) is the reading of an ideal sensor at the end.
+        """
         return self._begin(self._stage.orient, np.asarray(vector, np.float64))
 
     def begin_turn(self, angle_deg: float) -> float:
         """Begin to turn the sensor about the vertical; return the time in s at which the turn ends.
 
-        Positive angles are counter-clockwise. The clock does not advance, so the turn can be recorded.
+        Positive angles are counter-clockwise, seen from above. The clock does not advance, so the turn can
+        be recorded.
         """
         return self._begin(self._stage.turn_about, angle_deg)
 
     def turn_freely(self, turns: int = 1) -> float:
-        """Begin turns by hand and return the time in s at which they end, without advancing the clock."""
+        """Begin turns by hand, `turns` in number; return the time in s at which they end.
+
+        The clock does not advance.
+        """
         return self._begin(self._stage.turn_freely, turns)
 
     def _begin(self, motion: Callable[..., float], *arguments: object) -> float:
@@ -305,10 +319,10 @@ class SimStage:
 def open_from_url(url: BusUrl) -> SimBus:
     """Open a simulated bus by a URL such as `sim:?seed=1&variant=adis16354&noise_mg=4.7`.
 
-    Options are `seed`, `variant`, `stream` (0 or 1), `realtime` (0 or 1), `effects` (of the catalogue, such
-    as `quadratic:k2_x=2.5;cubic`), `flash` (a file that stores the sensor's flash between two openings),
-    `gyros` (`realistic` draws their faults from the seed, but keeps values given by name) and every name of
-    `WorldSettings`.
+    Options of the URL are `seed`, `variant`, `stream` (0 or 1), `realtime` (0 or 1), `effects` (of the
+    catalogue, such as `quadratic:k2_x=2.5;cubic`), `flash` (a file that stores the sensor's flash between
+    two openings), `gyros` (`realistic` draws their errors from the seed, but keeps values given by name),
+    and every name of `WorldSettings`.
 
     Raises
     ------
@@ -337,7 +351,10 @@ def open_from_url(url: BusUrl) -> SimBus:
 
 
 def _chip(world: World, path: str, seed: int) -> SimulatedChip:
-    """Make a simulated sensor with its flash memory stored in a file."""
+    """Make the simulated sensor of a world with its flash memory stored in the file `path`.
+
+    `seed` marks the file, so that the sensor of another seed is refused.
+    """
     if not path:
         raise UsageError("flash: name a file, such as flash=part.flash")
     kept = FlashFile(Path(path), f"{world.variant.name}, seed {seed}")

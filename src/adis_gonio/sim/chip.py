@@ -78,19 +78,21 @@ _ANY_ALARM = ALARM_BITS[0] | ALARM_BITS[1]
 
 
 def data_ready_enabled(memory: Memory) -> bool:
-    """True if MSC_CTRL makes DIO1 or DIO2 carry the data-ready pulse."""
+    """Return True if MSC_CTRL makes DIO1 or DIO2 carry the data-ready pulse."""
     return bool(_MISC.field("data_ready").of(memory["MSC_CTRL"]))
 
 
 def dio_levels(memory: Memory, *, pulse: bool, status: int) -> tuple[int | None, int | None]:
-    """Levels that the chip drives on DIO1 and DIO2; None for a line that is an input.
+    """Return the levels that the chip drives on DIO1 and DIO2; None for a line that is an input.
 
     Parameters
     ----------
+    memory : Memory
+        Registers of the chip.
     pulse : bool
         True during the data-ready pulse.
     status : int
-        STATUS; an alarm output follows its alarm bits (D: until STATUS is read).
+        Content of STATUS; an alarm output follows its alarm bits (D: until STATUS is read).
     """
     gpio, alarm, misc = memory["GPIO_CTRL"], memory["ALM_CTRL"], memory["MSC_CTRL"]
     result: list[int | None] = [
@@ -105,7 +107,10 @@ def dio_levels(memory: Memory, *, pulse: bool, status: int) -> tuple[int | None,
 
 
 def gpio_word(memory: Memory, external: tuple[int, int]) -> int:
-    """Return GPIO_CTRL as a host reads it: the bit of an input shows the external level of its line."""
+    """Return GPIO_CTRL as a host reads it: the bit of an input shows the external level of its line.
+
+    `external` has the levels on DIO1 and DIO2.
+    """
     word = memory["GPIO_CTRL"]
     for k, level in enumerate(external, 1):
         if not _GPIO.field(f"output{k}").of(word):
@@ -132,18 +137,21 @@ _SPI_FAILED = _STATUS.field("spi").mask
 _FLASH_FAILED = _STATUS.field("flash").mask
 _SUPPLY_LOW = _STATUS.field("supply_low").mask
 FALLING_BITS = _SUPPLY_LOW | _STATUS.field("supply_high").mask | _STATUS.field("over_range").mask
-"""STATUS bits that fall by themselves as soon as their condition has ended (DS p. 20, A)."""
+"""STATUS bits that the chip clears without a read when their condition ends (DS p. 20, A)."""
 _SELF_TEST = BY_NAME["MSC_CTRL"].field("self_test").mask
 SELF_TEST_BITS = {
     f"{axis}{sensor}": _STATUS.field(f"{name}_{axis}_self_test").mask | _STATUS.field("self_test").mask
     for sensor, name in (("accl", "accel"), ("gyro", "gyro"))
     for axis in "xyz"
 }
-"""STATUS bits that the self-test sets for each failed sensor axis, by names such as `xaccl`."""
+"""STATUS bits that the self-test sets for each failed sensor axis, by name of the axis such as `xaccl`."""
 
 
 class State(Enum):
-    """Activity of the chip, which decides how it answers a frame; `DEAD` follows a broken timing rule."""
+    """Activity of the chip, which determines its answer to a frame.
+
+    A violated timing rule leads to the state `DEAD`, in which the chip answers nothing.
+    """
 
     RUNNING = auto()
     STARTING = auto()
@@ -169,30 +177,30 @@ class SimulatedChip:
     part : str or Variant
         `adis16354`, `adis16350` or `adis16355`.
     start_s : float
-        Time of power-on; the chip answers 150 ms later.
+        Time of power-on in s; the chip answers 150 ms later.
     flash : mapping of str to int
-        Register words saved earlier.
+        Register words by name that were saved earlier; other registers have their defaults.
     endurance : int
-        Flash updates so far.
+        Number of flash updates so far.
     floating_word : int
         Word that a host reads while nothing drives the data line; 0xFFFF with the usual pull-up (D).
     self_test_failures : sequence of str
         Sensor axes that fail the internal self-test: `xaccl`, `zgyro`, …
     data_ready_pulse_s : float
-        Width of the data-ready pulse.
+        Width of the data-ready pulse in s.
     update_edge : {"first", "last"}
         Edge of the data-ready pulse at which the outputs change: the pulse begins then, or ends (C).
     status_falls : bool
-        Supply and over-range bits of STATUS fall by themselves; False keeps them until a read, as the
-        other bits.
+        True clears the supply and over-range bits of STATUS when their condition ends; False keeps them
+        until a read, like the other bits.
     electronics : Electronics
-        Effect of the chip on its gyros and accelerometers; by default taken from the surroundings if they
-        bring one (a `World` does), else ideal.
+        Effect of the chip on its gyros and accelerometers; None takes the electronics of the surroundings
+        if they have some (a `World` does), else ideal electronics.
 
     Attributes
     ----------
     variant : Variant
-        Its row of the variants table.
+        Row of the variants table for this chip.
     external_levels : tuple of int, int
         External levels on DIO1 and DIO2, read if the line is an input.
 
@@ -261,7 +269,7 @@ class SimulatedChip:
 
     @property
     def aux_dac_v(self) -> float:
-        """Voltage in V of the auxiliary analog output."""
+        """Voltage in V that the auxiliary analog output (AUX_DAC) gives."""
         return self._dac * 2.5 / 4095
 
     @property
@@ -281,25 +289,29 @@ class SimulatedChip:
 
     @property
     def pending_reply(self) -> int:
-        """Word that the chip would send in the next valid frame; models of a bridge need it early."""
+        """Word that the chip would send in the next valid frame.
+
+        Models of a bridge need it before the frame.
+        """
         if self._state in (State.STARTING, State.RESTORING, State.ASLEEP, State.DEAD):
             return self.floating_word
         return self._reply
 
     def run_to(self, time_s: float) -> None:
-        """Simulate the chip up to a time in s; earlier times do nothing."""
+        """Simulate the chip up to a time in s; a time that is already simulated does nothing."""
         if time_s > self._time_s:
             self._advance(time_s)
 
     def data_ready_edges(self, time_s: float) -> int:
-        """Number of data-ready pulses from power-on to a time in s."""
+        """Return the number of data-ready pulses from power-on to a time in s."""
         self.run_to(time_s)
         return self._edges
 
     def next_update_s(self, after_s: float) -> float | None:
-        """Time in s of the next internal update after `after_s`; None if a frame must come first.
+        """Return the time in s of the next internal update after `after_s`.
 
-        Activities that end before then (a start-up, a flash update) are completed.
+        Return None if only a frame can start the updates again (a sleeping or dead chip). Activities that
+        end before then (a start-up, a flash update) are completed.
         """
         self.run_to(after_s)
         while self._state not in _SAMPLING:
@@ -311,7 +323,7 @@ class SimulatedChip:
         return self._epoch + (count + 1) * self._period
 
     def edge_after_update_s(self, *, rising: bool) -> float:
-        """Time in s from an update to the rising or falling edge of its data-ready pulse.
+        """Return the time in s from an update to the rising or falling edge of its data-ready pulse.
 
         It is negative if the edge comes before the update.
         """
@@ -321,7 +333,10 @@ class SimulatedChip:
         return at_first if begins else at_first + self._pulse_s
 
     def next_edge_s(self, after_s: float, *, rising: bool) -> float | None:
-        """Time in s of the first data-ready edge after `after_s`; None if no edge follows."""
+        """Return the time in s of the first data-ready edge after `after_s`; None if no edge follows.
+
+        `rising` selects the rising edge, otherwise the falling edge counts.
+        """
         update_s = self.next_update_s(after_s)
         if update_s is None:
             return None
@@ -329,7 +344,10 @@ class SimulatedChip:
         return edge_s if edge_s > after_s else edge_s + self._period
 
     def dio(self, time_s: float) -> tuple[int | None, int | None]:
-        """Levels (0 or 1) that the chip drives on DIO1 and DIO2 at a time in s; None for an input."""
+        """Return the levels (0 or 1) that the chip drives on DIO1 and DIO2 at a time in s.
+
+        The level of an input is None.
+        """
         self.run_to(time_s)
         since = time_s - (self._epoch + self._k * self._period)
         if self._update_edge == "last":
@@ -354,11 +372,13 @@ class SimulatedChip:
         word : int
             Word that is shifted in.
         start_s : float
-            Time at which chip select falls; its stall is counted from the last rise.
+            Time at which chip select falls; the stall before it is counted from the last rise.
         clock_hz : float
-            Clock; chip select rises `bits / clock_hz + cs_hold_s` later.
+            SPI clock; chip select rises `bits / clock_hz + cs_hold_s` after its fall.
         bits : int
-            Clocks while chip select is low.
+            Number of clocks while chip select is low.
+        cs_hold_s : float
+            Time from the last clock to the rise of chip select.
 
         Returns
         -------
@@ -368,7 +388,7 @@ class SimulatedChip:
         Raises
         ------
         UsageError
-            The frame lies before the last one.
+            The frame begins before the last frame.
         """
         if start_s < self._last_start or start_s < self._time_s - TOLERANCE_S:
             raise UsageError(
@@ -383,22 +403,31 @@ class SimulatedChip:
         return reply
 
     def frames(self, words: Words, *, start_s: float, frame_s: float, clock_hz: float) -> Words:
-        """Take n frames that start `frame_s` apart; like n calls of `frame`, but faster.
+        """Take n frames that start `frame_s` apart, the first at `start_s`; return the n replies.
+
+        The result is that of n calls of `frame`, but faster.
 
         Parameters
         ----------
         words : (n,) uint16
+            Frames.
+        start_s, frame_s, clock_hz : float
+            Start of the first frame, time between two starts, and SPI clock.
 
         Returns
         -------
         (n,) uint16
+            Word that is shifted out during each frame.
         """
         return self.frames_at(
             words, start_s + np.arange(len(words), dtype=np.float64) * frame_s, clock_hz=clock_hz
         )
 
     def frames_at(self, words: Words, starts_s: Floats, *, clock_hz: float) -> Words:
-        """Take n frames that start at increasing times (n,) in s; return the n replies."""
+        """Take n frames that start at increasing times (n,) in s; return the n replies.
+
+        `clock_hz` is the SPI clock.
+        """
         n = len(words)
         replies = np.empty(n, np.uint16)
         hard = np.append(np.flatnonzero(~_PLAIN_READ[words >> 8]), n)
@@ -415,7 +444,11 @@ class SimulatedChip:
         return replies
 
     def _fast(self, words: Words, starts: Floats, clock_hz: float, out: Words) -> int:
-        """Answer as many leading reads as possible as one array, into `out`; return their number."""
+        """Answer as many leading reads as possible as one array, into `out`; return their number.
+
+        `words` and `starts` are the frames and their start times in s, both (n,). `clock_hz` is the SPI
+        clock.
+        """
         first = float(starts[0])
         if first < max(self._last_start, self._time_s - TOLERANCE_S):
             return 0
@@ -460,9 +493,11 @@ class SimulatedChip:
         rows: Words,
         faulty: NDArray[np.bool_],
     ) -> Words:
-        """Words (n,) that n reads return, with the flags ND (new data) and EA (error or alarm).
+        """Return the words (n,) that n reads return, with the flags ND (new data) and EA (error or alarm).
 
-        `rows` are the outputs of each update, `index` the update that each read sees.
+        `slots` is the register of each read (half its address), `index` the update that each read sees
+        among the rows, `seen` the number of this update since power-on. `rows` are the outputs of each
+        update, `faulty` is True for an update with an error or alarm.
         """
         columns = _COLUMN[slots]
         values: Words = rows[index, columns]
@@ -504,7 +539,11 @@ class SimulatedChip:
         return reply
 
     def _refusal(self, bits: int, clock_hz: float, stall: float, limits: SerialLimits) -> int | None:
-        """Reply to a frame that the chip ignores (not running, or a broken frame); None if it takes it."""
+        """Return the reply to a frame that the chip ignores; None if the chip takes the frame.
+
+        It ignores frames while it is not running, and frames that are broken. `bits` is the number of
+        clocks, `stall` the time in s before the frame, `limits` are the limits of the present speed mode.
+        """
         if self._state in (State.STARTING, State.RESTORING):
             self._state, self._until = State.DEAD, math.inf
         if self._state is State.DEAD:
@@ -565,7 +604,10 @@ class SimulatedChip:
             self._until = now + SLEEP_UNIT_S * (self._memory["SLP_CNT"] & 0xFF)
 
     def _command(self, data: int, now: float) -> None:
-        """Execute a write of COMMAND; if several bits are set, only the first in this order acts (D)."""
+        """Execute a write of `data` to COMMAND at the time `now` in s.
+
+        If several bits are set, only the first in the order of this method acts (D).
+        """
         if data & _COMMAND.field("reset").mask:
             self._start_up(now)
         elif self._state is not State.RUNNING:
@@ -583,9 +625,9 @@ class SimulatedChip:
             self._dac = self._memory["AUX_DAC"]
 
     def _begin_null(self, now: float, average_s: float) -> None:
-        """Start an autonull that averages the gyros for a time in s.
+        """Start an autonull at the time `now` in s that averages the gyros for `average_s`.
 
-        At 0 s it uses the present output of the filter.
+        If `average_s` is 0 it uses the present output of the filter.
         """
         if average_s:
             self._null_sum, self._null_count = np.zeros(3), 0
@@ -630,7 +672,7 @@ class SimulatedChip:
         self._time_s = max(self._time_s, time_s)
 
     def _finish(self, now: float) -> None:
-        """End the present activity at a time in s and begin the activity that follows it."""
+        """End the activity of the chip at the time `now` in s, and begin the activity that follows it."""
         state, self._state, self._until = self._state, State.RUNNING, math.inf
         if state in (State.FLASHING, State.RESTORING):
             self._save()

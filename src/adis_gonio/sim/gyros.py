@@ -1,11 +1,13 @@
-"""Three gyros with their faults: readings, true parameters, die temperatures, realistic draws.
+"""Three gyros with their errors: readings, true parameters, die temperatures, realistic draws.
 
 The convention is defined in `settings.GyroSettings`. The axis of a gyro is misaligned towards the axes of
 the gyros' frame (`gyro_misalignment_…`), and that frame is rotated against the frame of the accelerometers
-(`gyro_triad_…`); the truth states both together, in the accelerometers' frame, as a fit finds them.
+(`gyro_triad_…`); the truth has both rotations together, in the accelerometers' frame, in which a fit finds
+them.
 
-Sources of the drawn faults: CHIP is the known data of the chip. Figures with confidence B are in the data
-sheet of its siblings and are used as the size of the fault. D are estimates for parts of this class.
+Sources of the drawn errors: CHIP is the known data of the chip. Figures with confidence B are in the data
+sheet of its siblings and are used as the size of the error. Figures with confidence D are estimates for
+parts of this class.
 """
 
 from __future__ import annotations
@@ -41,8 +43,9 @@ class Felt:
     gravity_mg, force_mg : (n, 3) float
         Readings of ideal accelerometers from gravity alone, and from gravity and motion.
     dies_c : (n, 3) float
-        Temperature of each gyro.
+        Temperature of each gyro's die in °C.
     supply_v, time_s : (n,) float
+        Supply voltage, and time.
     """
 
     rate_dps: Floats
@@ -73,12 +76,13 @@ class GyroTriad:
     Parameters
     ----------
     settings : WorldSettings
+        Given errors of the gyros.
     figures : Performance
-        Figures of the variant, for settings that are not given.
+        Figures of the variant, for settings that are None.
     bias_dps : (3,) float
-        Biases at 25 °C.
+        Biases (zero rates) at 25 °C.
     walk : Generator
-        Draws the rate walk.
+        Draws the random walk of the biases.
     """
 
     def __init__(
@@ -88,12 +92,18 @@ class GyroTriad:
         self._bias = bias_dps
         self._walk = RateWalk(settings.gyro_rate_walk_dps_per_rt_s, walk)
         self.sensitivity = _sensitivity(settings)
-        """Gains and directions (3, 3) in the accelerometers' frame."""
+        """Gains and directions (3, 3) of the gyros.
+
+        An entry is the reading of one gyro per rate of turn about one axis of the accelerometers' frame.
+        """
         own_g = value_or(settings.gyro_g_dps_per_g, figures.gyro_g_sensitivity_dps_per_g)
         supply = value_or(settings.gyro_supply_dps_per_v, figures.gyro_supply_sensitivity_dps_per_v)
         per_g = [value_or(self._given(f"gyro_g_sensitivity_{pair}_dps_per_g"), own_g) for pair in PAIRS]
         self.per_g = np.array(per_g).reshape(3, 3)
-        """Linear g-sensitivity (3, 3) in °/s/g: the first index is the gyro's."""
+        """Linear g-sensitivity (3, 3) in °/s/g.
+
+        The first index is the gyro, the second the axis of the force.
+        """
         self._per_v = np.array([value_or(self._given(f"gyro_supply_{a}_dps_per_v"), supply) for a in AXES])
         per_g2 = [getattr(settings, f"gyro_g2_sensitivity_{pair}_dps_per_g2") for pair in PAIRS]
         self._per_g2 = np.array(per_g2).reshape(3, 3)
@@ -111,7 +121,7 @@ class GyroTriad:
 
     @property
     def electronics(self) -> Electronics:
-        """Electronics of the chip with these gyros: ranges, saturation, compensation and autonull times."""
+        """Electronics of a chip with these gyros: range gains, saturation, compensations, autonulls."""
         given = self._settings
         return Electronics(
             range_gain={150: given.gyro_range_gain_150, 75: given.gyro_range_gain_75},
@@ -123,7 +133,11 @@ class GyroTriad:
         )
 
     def read(self, felt: Felt) -> Floats:
-        """Gyro readings (n, 3) in °/s, still without flicker, white noise and the effect of the supply."""
+        """Return the gyro readings (n, 3) in °/s.
+
+        Flicker, white noise and the effect of the supply are not included. `felt` has the quantities that
+        act on the gyros.
+        """
         gyro = self._turning(felt) + self._bias
         for k, own in enumerate(np.diagonal(self.per_g)):
             gyro[:, k] += 1e-3 * own * felt.force_mg[:, k]
@@ -141,11 +155,18 @@ class GyroTriad:
         return gyro
 
     def of_supply(self, supply_v: Floats) -> Floats:
-        """Change of the gyro readings (n, 3) in °/s by the deviation of the supply (n,) from 5 V."""
+        """Return the change of the gyro readings (n, 3) in °/s that the supply (n,) causes.
+
+        The readings change with the deviation of the supply from 5 V.
+        """
         return np.asarray((supply_v - REFERENCE_V)[:, None] * self._per_v)
 
     def _turning(self, felt: Felt) -> Floats:
-        """Gyro readings (n, 3) in °/s from the rate of turn alone: scale factors, directions, asymmetry."""
+        """Return the gyro readings (n, 3) in °/s from the rate of turn alone.
+
+        They include scale factors, directions, asymmetry, and the temperature coefficients of the scale
+        factors. `felt` has the quantities that act on the gyros.
+        """
         if np.array_equal(self.sensitivity, np.eye(3)):
             rate = felt.rate_dps
         else:
@@ -157,14 +178,20 @@ class GyroTriad:
         return rate
 
     def _warming(self, time_s: Floats) -> Floats:
-        """Fraction (n,) of the warm-up that remains at n times: 1 at power-on, decaying to 0."""
+        """Return the share (n,) of the warm-up offset that remains at n times in s.
+
+        It is 1 at power-on and decays to 0.
+        """
         on_s = np.maximum(time_s + self._settings.powered_s, 0.0)
         return np.asarray(np.exp(-on_s / self._settings.gyro_warm_up_tau_s))
 
     # -- true parameters ----------------------------------------------------------------------------
 
     def truth(self) -> dict[str, float]:
-        """True gyro parameters at 25 °C and 5 V, long after power-on, by the names that fits use."""
+        """Return the true gyro parameters by the names that fits use.
+
+        They apply at 25 °C and 5 V, long after power-on.
+        """
         gains = np.linalg.norm(self.sensitivity, axis=1)
         # Sines of the misalignments are the components of the unit directions.
         misalignment_deg = np.degrees(np.arcsin(self.sensitivity / gains[:, None]))
@@ -196,7 +223,19 @@ class GyroTriad:
     def truth_at(
         self, time_s: Floats, dies_c: Floats, supply_v: Floats, wander_dps: Floats
     ) -> dict[str, float]:
-        """True gyro parameters, with scale factors and biases averaged over the conditions at n times."""
+        """Return the true gyro parameters, with scale factors and biases averaged over n times.
+
+        Parameters
+        ----------
+        time_s : (n,) float
+            Times, for warm-up and random walk.
+        dies_c : (n, 3) float
+            Temperatures of the dies in °C.
+        supply_v : (n,) float
+            Supply voltage in V.
+        wander_dps : (3,) float
+            Mean flicker of each gyro at these times in °/s.
+        """
         result = self.truth()
         warm = dies_c.mean(axis=0) - REFERENCE_C
         bias = self._bias + wander_dps + self._per_v * (float(np.mean(supply_v)) - REFERENCE_V)
@@ -230,7 +269,10 @@ def _sensitivity(settings: WorldSettings) -> Floats:
 
 _OTHERS = tuple(a + b for a, b in itertools.permutations(AXES, 2))
 _STREAM = 10
-"""Number of the random stream, spawned from a world's seed, from which these faults are drawn."""
+"""Number of the random stream from which the errors of the gyros are drawn.
+
+The stream is spawned from a world's seed.
+"""
 
 
 @dataclass(frozen=True)
@@ -240,16 +282,17 @@ class DrawnFault:
     Attributes
     ----------
     setting : str
-        Name of the setting, with {} in place of the axes.
+        Name of the setting in `WorldSettings`, with {} in place of the axes.
     axes : tuple of str
         Names that replace {}, one for each drawn value.
     law : {"normal", "uniform"}
+        Shape of the distribution.
     size : float
-        Standard deviation, or half the width.
+        Standard deviation of the normal law, or half the width of the uniform law.
     middle : float
         Mean of the distribution.
     most : float
-        Largest deviation from the mean; 0 means three times `size`.
+        Largest deviation of a normal value from the mean; 0 means three times `size`.
     """
 
     setting: str
@@ -263,7 +306,10 @@ class DrawnFault:
 
     @property
     def described(self) -> str:
-        """The distribution as text, such as "normal, 0, σ 0.05"."""
+        """The distribution as text, such as "normal, 0, σ 0.05".
+
+        It has the law, the mean, and the standard deviation or half width.
+        """
         if self.law == "uniform":
             return f"uniform, {self.middle:g} ± {self.size:g}"
         bound = f", at most {self.most:g} away" if self.most else ""
@@ -308,7 +354,10 @@ FIGURES: tuple[DrawnFault, ...] = (
     DrawnFault("die_lag_{}_s", AXES, "uniform", 15.0, _PART, "D", middle=20.0),
     DrawnFault("earth_rate_up_dps{}", _ONE, "uniform", 0.0036, "the earth, up to 60° of latitude", "A"),
 )
-"""Faults in the order in which they are drawn. Noise and bias instability are figures of the variant."""
+"""Errors of the gyros in the order in which they are drawn.
+
+Noise and bias instability are missing, because they are figures of the variant.
+"""
 
 
 def realistic_gyros(rng: np.random.Generator) -> dict[str, float]:
@@ -317,12 +366,12 @@ def realistic_gyros(rng: np.random.Generator) -> dict[str, float]:
     Parameters
     ----------
     rng : Generator
-        Draws them.
+        Random generator that draws the settings.
 
     Returns
     -------
     dict of str to float
-        By name, for `WorldSettings(**realistic_gyros(rng))`.
+        Values by name of the setting, for `WorldSettings(**realistic_gyros(rng))`.
     """
     drawn: dict[str, float] = {}
     for figure in FIGURES:
@@ -331,22 +380,22 @@ def realistic_gyros(rng: np.random.Generator) -> dict[str, float]:
 
 
 def stream_of(seed: int) -> np.random.Generator:
-    """Random generator of the gyro faults that belong to a seed of a simulated sensor."""
+    """Return the random generator of the gyro errors that belong to a seed of a simulated sensor."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAM,)))
 
 
 _STEP_S = 1.0
 _FORGOTTEN = 12.0
-"""Number of time constants after which the initial temperature has no more influence."""
+"""Number of time constants after which the initial temperature of a die has no more influence."""
 
 
 class Dies:
-    """Temperatures of the three gyro dies: each lags the sensor's temperature and has its own excess.
+    """Temperatures of the three gyro dies: each lags the sensor's temperature and differs from it.
 
     Parameters
     ----------
     settings : WorldSettings
-        Those that begin with `die_`, and `powered_s`.
+        Settings of the world, of which those that begin with `die_`, and `powered_s`, are used.
     """
 
     def __init__(self, settings: WorldSettings) -> None:
@@ -362,7 +411,10 @@ class Dies:
         return not (self._gradient_c.any() or self._lag_s.any())
 
     def temperature_c(self, time_s: Floats, part_c: Callable[[Floats], Floats]) -> Floats:
-        """Die temperatures (n, 3) in °C at times (n,) in s; `part_c` gives the sensor's temperature."""
+        """Return the die temperatures (n, 3) in °C at times (n,) in s.
+
+        `part_c` is a function that gives the temperature of the sensor in °C at times in s.
+        """
         result = np.repeat(part_c(time_s)[:, None], 3, axis=1)
         if self.alike:
             return result

@@ -13,7 +13,7 @@ Known facts about hands, and their model here
     stops short of it and creeps up. No two movements are equally fast. A sensor held in the hand also
     turns about the vertical, and strays from the shortest way by degrees.
 
-All courses are sums of smooth functions with exact derivatives, so that rates and accelerations belong to
+All movements are sums of smooth functions with exact derivatives, so that rates and accelerations belong to
 the angle at every time. All figures are estimates (D).
 """
 
@@ -27,7 +27,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.sim.settings import WorldSettings
 
 Course = tuple[Floats, Floats, Floats]
-"""A function of time (n,) with its first and second derivative."""
+"""Values (n,) of a function at n times, with its first and second derivative."""
 
 SEGMENT_DEG = (40.0, 120.0)
 """Smallest and largest angle in degrees that one grip of a hand covers."""
@@ -37,25 +37,28 @@ SUBMOVEMENT_HZ = (0.5, 3.0)
 TREMOR_HZ = (8.0, 12.0)
 SWAY_HZ = (0.05, 0.5)
 RISE_S = 0.5
-"""Time in which the hand takes hold, or lets go."""
+"""Time in s in which the hand takes hold of the sensor, or lets go."""
 _LINES = 12
 
 
 @dataclass(frozen=True)
 class Sines:
-    """Random motion as a sum of sines with random frequency and phase; its rms is 1."""
+    """Random motion as a sum of sines with random frequencies and phases; its rms is 1.
+
+    `omega` (k,) is in rad/s, `phase` (k,) in rad.
+    """
 
     omega: Floats
     phase: Floats
 
     @classmethod
     def drawn(cls, rng: np.random.Generator, band_hz: tuple[float, float]) -> Sines:
-        """Draw sines with random phases and with frequencies in a band, in Hz."""
+        """Draw sines with random phases, and with random frequencies between two limits in Hz."""
         omega = 2 * np.pi * rng.uniform(*band_hz, _LINES)
         return cls(omega, rng.uniform(0, 2 * np.pi, _LINES))
 
     def at(self, time_s: Floats) -> Course:
-        """Value (n,) of the sum of sines at times (n,) in s, and its first two derivatives."""
+        """Return the sum of sines (n,) at times (n,) in s, and its first two derivatives."""
         value, first, second = (np.zeros(len(time_s)) for _ in range(3))
         size = np.sqrt(2 / _LINES)
         for omega, phase in zip(self.omega, self.phase, strict=True):
@@ -74,7 +77,7 @@ class Sines:
 def grips(turn_deg: float, rng: np.random.Generator) -> Floats:
     """Draw the angle turned in each of k successive grips of a hand, (k,) in degrees.
 
-    The angles add up to at least `turn_deg`.
+    The angles are positive and add up to at least `turn_deg`.
     """
     spans: list[float] = []
     while sum(spans) < turn_deg:
@@ -83,15 +86,18 @@ def grips(turn_deg: float, rng: np.random.Generator) -> Floats:
 
 
 def minimum_jerk(time_s: Floats, begin_s: float, length_s: float, span: float) -> Course:
-    """A smooth movement by `span`, at rest before and after (Flash & Hogan 1985); with derivatives."""
+    """Return a smooth movement by `span` at times (n,), with its first two derivatives.
+
+    It begins at `begin_s`, takes `length_s` and is at rest before and after (Flash & Hogan 1985).
+    """
     value, first, second = rise((time_s - begin_s) / length_s)
     return span * value, span / length_s * first, span / length_s**2 * second
 
 
 def hold(time_s: Floats, length_s: float) -> Course:
-    """Firmness of a grip at times (n,) in s, with two derivatives: 1 while the hand holds, 0 otherwise.
+    """Return the firmness of a grip at times (n,) in s, with two derivatives.
 
-    The hand takes hold at 0 s and lets go at `length_s`.
+    It is 1 while the hand holds and 0 otherwise. The hand takes hold at 0 s and lets go at `length_s`.
     """
     up, down = rise(time_s / RISE_S), rise((length_s - time_s) / RISE_S)
     scale = 1 / RISE_S
@@ -101,7 +107,7 @@ def hold(time_s: Floats, length_s: float) -> Course:
 
 
 def rise(x: Floats) -> Course:
-    """Smooth step from 0 at x = 0 to 1 at x = 1 with minimum jerk, and its first two derivatives."""
+    """Return a smooth step from 0 at x = 0 to 1 at x = 1 with minimum jerk, and two derivatives."""
     x = np.clip(x, 0.0, 1.0)
     return (
         x**3 * (10 - 15 * x + 6 * x**2),
@@ -111,7 +117,7 @@ def rise(x: Floats) -> Course:
 
 
 def product(f: Course, g: Course) -> Course:
-    """Product of two functions of time, with its first two derivatives by the product rule."""
+    """Return the product of two functions of time, with two derivatives by the product rule."""
     return f[0] * g[0], f[1] * g[0] + f[0] * g[1], f[2] * g[0] + 2 * f[1] * g[1] + f[0] * g[2]
 
 
@@ -121,9 +127,9 @@ class _Hand:
     Parameters
     ----------
     pieces : list of (float, float, float)
-        Begin and length in s, and signed angle in rad, of each grip.
+        Begin and length in s, and signed angle in rad, of each grip (a piece is one grip).
     length_s : float
-        Time of all pieces.
+        Time from the begin of the first piece to the end of the last one.
     turned_rad : float
         Sum of the angles of the pieces without their signs, for the mean speed.
     """
@@ -146,7 +152,10 @@ class _Hand:
         self._tremor_rad = np.radians(settings.hand_tremor_dps) / np.sqrt(self._tremor.mean_square_rate)
 
     def turned(self, time_s: Floats) -> Course:
-        """Angle (n,) in rad turned at each time, its rate in rad/s and its acceleration in rad/s²."""
+        """Return the angle (n,) in rad turned at each time, with its rate and acceleration.
+
+        The rate is in rad/s, the acceleration in rad/s².
+        """
         course = [np.zeros(len(time_s)) for _ in range(3)]
         for piece in self._pieces:
             _add(course, minimum_jerk(time_s, *piece))
@@ -156,7 +165,7 @@ class _Hand:
         return course[0], course[1], course[2]
 
     def shaking_mg(self, time_s: Floats) -> Floats:
-        """Acceleration (n, 3) in mg by which the hand shakes the sensor."""
+        """Return the acceleration (n, 3) in mg by which the hand shakes the sensor at times (n,) in s."""
         held = self._settings.hand_vibration_mg * hold(time_s, self.length_s)[0]
         return np.stack([held * lines.at(time_s)[0] for lines in self._shaking], axis=1)
 
@@ -167,9 +176,9 @@ class HandTurn(_Hand):
     Parameters
     ----------
     settings : WorldSettings
-        Settings that begin with `hand_`, and `axis_wobble_deg`.
+        Settings of the world, of which those that begin with `hand_`, and `axis_wobble_deg`, are used.
     rng : Generator
-        Draws this hand.
+        Draws the speed, pauses and tremor of this hand.
     turns : int
         Number of turns of `hand_turn_deg`, all within `hand_turn_s`; with `hand_returns` every second turn
         goes back.
@@ -179,6 +188,7 @@ class HandTurn(_Hand):
     total_rad : float
         Signed angle from the beginning to the end.
     length_s : float
+        Duration in s of all turns.
     """
 
     def __init__(self, settings: WorldSettings, rng: np.random.Generator, turns: int = 1) -> None:
@@ -197,7 +207,10 @@ class HandTurn(_Hand):
         self._wobble_phase = rng.uniform(0, 2 * np.pi, 2)
 
     def tilt(self, time_s: Floats, turned: Course) -> tuple[Floats, Floats]:
-        """Tilt (n,) in rad of the X-Y plane out of the vertical at each time, and its rate in rad/s."""
+        """Return the tilt (n,) in rad of the X-Y plane out of the vertical, and its rate in rad/s.
+
+        `turned` is the angle of the turn with its derivatives, see `turned()`.
+        """
         angle, rate, _ = turned
         size = np.radians(self._settings.axis_wobble_deg)
         first, second = self._wobble_phase
@@ -209,9 +222,10 @@ class HandTurn(_Hand):
 
 
 def _grips(settings: WorldSettings, rng: np.random.Generator, turns: int) -> tuple[Floats, Floats]:
-    """For each of k grips: the angle that the hand covers, and the signed angle of the sensor, in degrees.
+    """Return for each of k grips the angle that the hand covers, and the angle that the sensor turns.
 
-    They differ, because the second is scaled to give exact turns.
+    Both are (k,) in degrees, the second is signed. They differ, because the second is scaled so that the
+    grips give exact turns.
     """
     turn_deg = settings.hand_turn_deg
     if not settings.hand_returns:
@@ -223,12 +237,12 @@ def _grips(settings: WorldSettings, rng: np.random.Generator, turns: int) -> tup
 
 
 _SPEED = (0.7, 1.4)
-"""Speed of one movement, relative to the mean."""
+"""Smallest and largest speed of one movement by hand, relative to the mean speed `move_speed_dps`."""
 _SHORTEST_GRIP_S = 0.4
 _REACTION_S = (0.1, 0.4)
 _CORRECTION_S = (0.3, 0.6)
 _SECOND_MISS = 0.2
-"""Error after the first correction, relative to the error before it (1 sigma)."""
+"""Error of the angle after the first correction, relative to the error before it (1 sigma)."""
 
 
 class HandMove(_Hand):
@@ -237,19 +251,20 @@ class HandMove(_Hand):
     Parameters
     ----------
     settings : WorldSettings
-        Settings that begin with `hand_`, and `move_speed_dps`.
+        Settings of the world, of which those that begin with `hand_`, and `move_speed_dps`, are used.
     rng : Generator
-        Draws this movement.
+        Draws the grips, speed and errors of this movement.
     span_rad : float
         Signed angle from rest to rest; not 0.
     one_way : bool
-        The mark must be reached from the side on which the movement begins.
+        True if the mark must be reached from the side on which the movement begins.
     free : bool
-        Only the hand holds the sensor, so that it also turns about the vertical and strays.
+        True if only the hand holds the sensor, so that it also turns about the vertical and strays.
 
     Attributes
     ----------
     span_rad, length_s : float
+        Signed angle in rad, and duration in s.
     twist_rad : float
         Additional turn about the vertical; 0 unless free.
     """
@@ -295,12 +310,13 @@ class HandMove(_Hand):
         Parameters
         ----------
         direction, rate : (n, 3) float
-            Direction of gravity, and rate of turn in rad/s, of the movement alone.
+            Direction of gravity in the sensor, and its rate of turn in rad/s, from the movement alone.
 
         Returns
         -------
         direction, rate : (n, 3) float
-            Including the stray (a turn about an axis of the sensor) and the twist about the vertical.
+            Direction and rate including the stray (a turn about an axis of the sensor) and the twist about
+            the vertical.
         """
         if self._stray_rad:
             stray, straying, _ = product(self._sway.at(time_s), hold(time_s, self.length_s))
@@ -315,7 +331,11 @@ class HandMove(_Hand):
 
 
 def _misses(size_deg: float, rng: np.random.Generator, *, one_way: bool) -> Floats:
-    """Draw the overshoot in degrees after the last grip and after the first correction, (2,)."""
+    """Draw the overshoot in degrees after the last grip and after the first correction, (2,).
+
+    `size_deg` is its standard deviation after the last grip. With `one_way` the hand never passes the mark,
+    so both are negative.
+    """
     drawn = size_deg * rng.standard_normal()
     left = drawn * _SECOND_MISS * rng.standard_normal()
     misses = np.array([drawn, left])
@@ -328,7 +348,10 @@ def _add(course: list[Floats], more: Course, size: float = 1.0) -> None:
 
 
 def _turned_back(vector: Floats, axis: Floats, angle: Floats) -> Floats:
-    """Express vectors (n, 3) of the room in the axes of a sensor turned about `axis` by angles (n,)."""
+    """Return vectors (n, 3), given in the axes of a sensor, in its axes after turns about `axis`.
+
+    `angle` (n,) is the angle in rad by which the sensor was turned about `axis` (3,).
+    """
     sine, cosine = np.sin(angle)[:, None], np.cos(angle)[:, None]
     # The sum is written out, because a matrix product may round differently for another number of rows.
     along = (vector[:, 0] * axis[0] + vector[:, 1] * axis[1] + vector[:, 2] * axis[2])[:, None] * axis

@@ -1,6 +1,6 @@
-"""The registers of the simulated chip: words, flash copies, byte writes, and limits of the serial port.
+"""The registers of the simulated chip: words, flash copies, byte writes, and limits of the SPI port.
 
-The flash of a simulated sensor can live in a file, so that it outlives the process.
+The flash of a simulated sensor can be kept in a file, so that it outlives the process.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from adis_gonio.device.sensor.registers import (
 )
 
 TOLERANCE_S = 1e-9
-"""Tolerance in s for a stall or period that is too short; covers the rounding of times in float64."""
+"""Tolerance in s when a stall or period is compared with its limit; it covers the rounding of float64."""
 
 START_UP_S = 0.150
-"""Start-up, and recovery of a reset, which the data sheet does not give (B; the reset D)."""
+"""Duration in s of start-up (B) and of a reset, which the data sheet does not give (D)."""
 FLASH_S = 0.100
 """Duration of a flash update in s (A)."""
 SELF_TEST_S = 0.035
@@ -36,16 +36,16 @@ PRECISION_S = 30.0
 WAKE_S = 0.003
 """Duration of the recovery from sleep in s (B)."""
 SLEEP_UNIT_S = 0.5
-"""LSB of SLP_CNT (B)."""
+"""Time in s of one LSB of SLP_CNT (B)."""
 BASE_S = (1 / 1638.4, 31 / 1638.4)
-"""Time bases of SMPL_PRD: 0.61035 and 18.921 ms (A)."""
+"""Time bases of SMPL_PRD in s, fast and slow: 0.61035 and 18.921 ms (A)."""
 FIRST_NORMAL = 0x0A
-"""SMPL_PRD from here on, time-base bit included, needs the slow serial port (A)."""
+"""Smallest SMPL_PRD, time-base bit included, at which the SPI port is in normal mode, the slow one (A)."""
 
 
 @dataclass(frozen=True)
 class SerialLimits:
-    """Limits of the serial port in one speed mode of the chip: clock in Hz, times in s."""
+    """Limits of the SPI port in one speed mode of the chip: SPI clock in Hz, times in s."""
 
     name: str
     clock_low_hz: float
@@ -53,10 +53,10 @@ class SerialLimits:
     stall_s: float
     period_s: float
     sleep_cs_s: float
-    """Longest time from the 16th clock to the rise of CS for SLP_CNT to act (B)."""
+    """Longest time in s from the 16th clock to the rise of chip select at which SLP_CNT acts (B)."""
 
     def clock_ok(self, clock_hz: float) -> bool:
-        """True if the chip can follow an SPI clock of this frequency in Hz."""
+        """Return True if the chip can follow an SPI clock of this frequency in Hz in this mode."""
         return self.clock_low_hz * (1 - 1e-9) <= clock_hz <= self.clock_high_hz * (1 + 1e-9)
 
 
@@ -65,12 +65,15 @@ NORMAL = SerialLimits("normal", 10e3, 300e3, 75e-6, 160e-6, 80e-6)
 
 
 def serial_limits(smpl_prd: int) -> SerialLimits:
-    """Limits of the serial port that apply at a value of SMPL_PRD."""
+    """Return the limits of the SPI port that apply at a value of SMPL_PRD."""
     return FAST if smpl_prd & 0xFF < FIRST_NORMAL else NORMAL
 
 
 def update_period_s(smpl_prd: int) -> float:
-    """Time in s between internal updates for a value of SMPL_PRD; the forbidden value 0 acts as 1 (D)."""
+    """Return the time in s between internal updates for a value of SMPL_PRD.
+
+    The forbidden value 0 acts as 1 (D).
+    """
     value = smpl_prd & 0xFF
     if value == 0:
         value = 1
@@ -86,11 +89,11 @@ class Memory:
     Parameters
     ----------
     flash : mapping of str to int
-        Words that were saved before power-on; all other registers have their defaults.
+        Words by register name that were saved before power-on; all other registers have their defaults.
     endurance : int
-        Flash updates so far.
+        Number of flash updates so far.
     saved : callable or None
-        Called with the flash's words and ENDURANCE after each update.
+        Called with the flash's words and ENDURANCE after each flash update; None for no call.
 
     Raises
     ------
@@ -99,7 +102,7 @@ class Memory:
     """
 
     changed: Callable[[], None] = staticmethod(lambda: None)
-    """Called after a register has changed by any way, so that the chip acts on the new content."""
+    """Function called after a register has changed in any way, so that the chip acts on the new content."""
 
     def __init__(
         self,
@@ -126,7 +129,10 @@ class Memory:
         self.changed()
 
     def at(self, address: int) -> int:
-        """16-bit content of the register at an even or odd byte address; 0 if none is readable there."""
+        """Return the 16-bit content of the register at an even or odd byte address.
+
+        The result is 0 if no register is readable there.
+        """
         row = BY_ADDRESS.get(address & ~1)
         return self._words[row.name] if row is not None and row.readable else 0
 
@@ -138,7 +144,7 @@ class Memory:
         Returns
         -------
         Register or None
-            Row that was written; None for read-only and reserved addresses.
+            Register that was written; None for a read-only or reserved address.
         """
         row = BY_ADDRESS.get(address & ~1)
         if row is None or not row.writable:
@@ -178,6 +184,7 @@ class FlashFile:
     Attributes
     ----------
     path : Path
+        The JSON file.
     part : str
         Variant and seed of the sensor; the file of another sensor is refused.
     """
@@ -186,7 +193,9 @@ class FlashFile:
     part: str
 
     def read(self) -> tuple[dict[str, int], int]:
-        """Return the saved register contents by name, and ENDURANCE; a new sensor's if there is no file.
+        """Return the saved register contents by name, and ENDURANCE.
+
+        Without a file these are the contents of a new sensor: nothing saved, and 0.
 
         Raises
         ------

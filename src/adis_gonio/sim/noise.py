@@ -1,4 +1,4 @@
-"""Random processes that give the same values however the times are grouped into calls."""
+"""Random processes whose values do not depend on the grouping of the requested times into calls."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _PAGE = 1024
 
 
 class White:
-    """White noise of several channels, drawn update by update in order."""
+    """White noise of several channels, drawn in order, one value for each update and channel."""
 
     def __init__(self, sigma: Floats, rng: np.random.Generator) -> None:
         self._sigma = np.asarray(sigma, np.float64)
@@ -26,12 +26,12 @@ class White:
 class RateWalk:
     """Random walk of the three gyro biases, which starts from 0 at the first requested time.
 
-    It is drawn on its own time grid and interpolated.
+    The walk is drawn on its own time grid and interpolated.
 
     Parameters
     ----------
     size : float
-        Standard deviation after a second, in °/s.
+        Standard deviation of the walk after a second, in °/s.
     """
 
     _STEP_S = 1 / 16
@@ -43,7 +43,10 @@ class RateWalk:
         self._grid = np.zeros((1, 3))
 
     def at(self, time_s: Floats) -> Floats:
-        """Random walk (n, 3) in °/s at times (n,) in s, which must increase from call to call."""
+        """Return the random walk (n, 3) in °/s at times (n,) in s.
+
+        The times must increase from call to call.
+        """
         if not self._size:
             return np.zeros((len(time_s), 3))
         if self._start_s is None:
@@ -58,7 +61,10 @@ class RateWalk:
         return np.asarray(self._grid[index] + weight * (self._grid[index + 1] - self._grid[index]))
 
     def past_values(self, time_s: Floats) -> Floats:
-        """Values (m, 3) of the walk in °/s at the grid points nearest to earlier times (n,), each once."""
+        """Return the random walk (m, 3) in °/s at the grid points nearest to earlier times (n,) in s.
+
+        Each grid point appears once; before the first call of `at` there are none.
+        """
         if self._start_s is None:
             return np.empty((0, 3))
         index = np.unique(np.rint((time_s - self._start_s) / self._STEP_S).astype(np.int64))
@@ -76,13 +82,13 @@ class Flicker:
     Parameters
     ----------
     floor : (channels,) float
-        Allan deviation of the flat part (bias instability) of each channel.
+        Allan deviation of each channel where it is flat (bias instability), in the unit of the noise.
     start_s : float
-        Earliest time that may be asked for.
+        Earliest time in s that may be asked for.
     step_s : float
-        Step of the grid; the flicker ends above a tenth of the grid's rate.
+        Step of the grid in s; the flicker ends above a tenth of the grid's rate.
     lowest_hz : float
-        Lowest corner; below it the spectrum is flat.
+        Lowest corner frequency in Hz; below it the spectrum is flat.
     """
 
     def __init__(
@@ -108,7 +114,10 @@ class Flicker:
         self._grid = np.empty((0, len(self._sigma)))
 
     def at(self, time_s: Floats) -> Floats:
-        """Flicker noise (n, channels) at times (n,) in s, which must increase from call to call."""
+        """Return the flicker noise (n, channels) at times (n,) in s.
+
+        The times must increase from call to call.
+        """
         place = (time_s - self._origin_s) / self._step_s
         index = np.floor(place).astype(np.int64)
         while len(self._grid) < index[-1] + 2:
@@ -120,7 +129,10 @@ class Flicker:
         return result
 
     def past_values(self, time_s: Floats) -> Floats:
-        """Values (m, channels) of the noise at the grid points nearest to earlier times (n,), each once."""
+        """Return the noise (m, channels) at the grid points nearest to earlier times (n,) in s.
+
+        Each grid point appears once.
+        """
         index = np.unique(np.rint((time_s - self._origin_s) / self._step_s).astype(np.int64))
         return np.asarray(self._grid[index[(index >= 0) & (index < len(self._grid))]], np.float64)
 

@@ -1,12 +1,12 @@
-"""From analog inputs to output words: scaling, filter, offsets, limits, alarms, conditions.
+"""Conversion of analog inputs to output words: scaling, filter, offsets, limits, alarms, STATUS bits.
 
 Choices for behaviour of the chip that is not known (D): the filter works at a resolution of 1/1024 LSB and
-its output is rounded once; offsets are added after it; taps are cleared if range or M changes; an illegal
-range acts as ±300 °/s, M = 7 as 6, and an M below the minimum of the range as this minimum; over-range
-means a sample beyond the nominal range. The compensations of MSC_CTRL[7:6] act on each sample ahead of the
-filter; the compensation of the gyros uses the readings of the chip's own accelerometers. Their size, the
-saturation of the gyros and the gains of the ranges are figures of `Electronics`. CHIP.md describes these
-functions but not how well they work, so all these figures are estimates (D).
+its output is rounded once; offsets are added after it; the filter is emptied if range or M changes; an
+illegal range acts as ±300 °/s, M = 7 as 6, and an M below the minimum of the range as this minimum;
+over-range means a sample beyond the nominal range. The compensations of MSC_CTRL[7:6] act on each sample
+ahead of the filter; the compensation of the gyros uses the readings of the chip's own accelerometers. Their
+size, the saturation of the gyros and the gains of the ranges are figures of `Electronics`. CHIP.md
+describes these functions but not how well they work, so all these figures are estimates (D).
 
 The digital filter is a Bartlett window made of two cascaded boxcars (CHIP.md, A). Samples are integers in
 fixed point, so that sums are exact however a run of samples is divided.
@@ -37,7 +37,7 @@ from adis_gonio.sim.memory import PRECISION_S, Memory
 
 @dataclass(frozen=True)
 class Inputs:
-    """Physical quantities at the chip for n internal updates, with the signs of the registers.
+    """Physical quantities at the chip for n internal updates, with the signs that the registers have.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class Surroundings(Protocol):
     """The surroundings of a chip, which give the physical quantities that it measures."""
 
     def sample(self, time_s: Floats) -> Inputs:
-        """Physical inputs at increasing times (n,) in s; each call continues after the last one.
+        """Return the physical inputs at increasing times (n,) in s; each call continues after the last one.
 
         The values must not depend on how the updates are divided into calls.
         """
@@ -74,7 +74,7 @@ class Surroundings(Protocol):
 
 @dataclass(frozen=True)
 class Electronics:
-    """Properties of a chip's electronics: gains of ranges, saturation, compensations, autonulls.
+    """Properties of a chip's electronics: gains of the gyro ranges, saturation, compensations, autonulls.
 
     Attributes
     ----------
@@ -86,9 +86,10 @@ class Electronics:
         Compensation of the gyros by MSC_CTRL[7], in °/s per g as read by the chip's own accelerometers;
         None uses the figure of the family for each gyro's own axis.
     origin_compensation : float
-        Fraction of the effect of the accelerometers' positions that MSC_CTRL[6] removes.
+        Share of the effect of the accelerometers' positions that MSC_CTRL[6] removes.
     autonull_s, precision_autonull_s : float
-        Averaging times of the autonulls; 0 uses the present output of the filter.
+        Averaging times in s of the autonull and the precision autonull; 0 uses the present output of the
+        filter.
     """
 
     range_gain: dict[int, float] = field(default_factory=dict)
@@ -108,17 +109,17 @@ MOST_M = 6
 
 
 def taps(m: int) -> int:
-    """Number N = 2^m of samples that each of the filter's two moving averages adds up."""
+    """Return the number N = 2^m of samples that each of the filter's two moving averages adds up."""
     return 1 << m
 
 
 def history_rows(m: int) -> int:
-    """Number of earlier samples that the filter's output depends on: 2N − 2."""
+    """Return the number of earlier samples that the filter's output depends on: 2N − 2, N = 2^m."""
     return 2 * taps(m) - 2
 
 
 def bartlett_sums(samples: Integers, m: int) -> Integers:
-    """Moving sums with triangular (Bartlett) weights: N² times the filter's output.
+    """Return moving sums with triangular (Bartlett) weights: N² times the filter's output.
 
     Parameters
     ----------
@@ -147,14 +148,17 @@ def _boxcar(samples: Integers, n: int) -> Integers:
 
 
 OUTPUTS: tuple[Register, ...] = tuple(row for row in REGISTERS if row.flags)
-"""Output registers in order of address: the columns of all arrays here."""
+"""Output registers in order of address, which are the columns of all arrays in this module."""
 GYRO_COLUMNS = slice(1, 4)
 ACCEL_COLUMNS = slice(4, 7)
 
 SUPPLY_LIMITS_V = (4.75, 5.25)
 SELF_TEST_ACCEL_MG = 250.0
 SELF_TEST_GYRO_DPS = 50.0
-"""Answers to the manual self-test (D)."""
+"""Change of a gyro output in °/s under the stimulus of the manual self-test (D).
+
+`SELF_TEST_ACCEL_MG` is the change of an accelerometer output in mg (D).
+"""
 
 FRACTION_BITS = 10
 _ONE = 1 << FRACTION_BITS
@@ -179,16 +183,23 @@ _SUPPLY_HIGH = STATUS.field("supply_high").mask
 
 @dataclass(frozen=True)
 class AlarmSetting:
-    """Decoded setting of one alarm.
+    """Setting of one alarm, decoded from the registers.
 
     Attributes
     ----------
+    bit : int
+        STATUS bit of the alarm.
     column : int
-        Column of its source.
+        Column of `OUTPUTS` that the alarm watches.
+    greater : bool
+        True alarms above the threshold, False below it.
     threshold : int
-        Limit in the format of the source; with `samples`, the limit of its change per sample.
+        Limit in the number format of the watched register; with `samples`, the limit of its change per
+        sample.
     samples : int
         Number of updates over which the mean change per sample is computed; 0 compares the value.
+    filtered : bool
+        True compares filtered data.
     """
 
     bit: int
@@ -201,7 +212,7 @@ class AlarmSetting:
 
 @dataclass(frozen=True)
 class Updates:
-    """Outputs of n internal updates.
+    """Outputs of n internal updates, with a column for each of `OUTPUTS`.
 
     Attributes
     ----------
@@ -271,13 +282,19 @@ class SignalChain:
         self._taken = 0
 
     def null_offset(self, mean_unfiltered: Floats) -> list[int]:
-        """Contents of the three gyro offset registers that cancel mean samples (3,) in 1/1024 LSB."""
+        """Return the contents of the three gyro offset registers that cancel mean gyro samples.
+
+        `mean_unfiltered` is (3,) in 1/1024 LSB.
+        """
         low, high = BY_NAME[GYRO_OFF[0]].range
         scale = _GYRO_OFF_PER_LSB[self.gyro_range_dps]
         return [int(min(max(round(-value * scale / _ONE), low), high)) for value in mean_unfiltered]
 
     def gyro_mean(self) -> Floats:
-        """Latest gyro outputs (3,) of the filter, without the offsets, in 1/1024 LSB."""
+        """Return the latest gyro outputs (3,) of the filter in 1/1024 LSB.
+
+        The offset registers are not added.
+        """
         sums = bartlett_sums(self._samples[_HISTORY - history_rows(self.m) - 1 :], self.m)
         return np.asarray(sums[-1, GYRO_COLUMNS] / taps(self.m) ** 2, np.float64)
 

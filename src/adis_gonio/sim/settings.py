@@ -30,8 +30,9 @@ def _not_negative(default: float | None) -> Any:
 def _by_axis(cls: type[T]) -> type[T]:
     """Make a frozen dataclass, with a placeholder setting expanded to three, six or nine settings.
 
-    A name with `each` has one value for each axis, with `other` one for each axis and another one, with
-    `pair` one for any two axes; the metadata `own` is the default of a pair of one axis with itself.
+    A name with `each` becomes three settings, one for each axis; with `other` six, for each axis and
+    another axis; with `pair` nine, for any two axes; the metadata `own` is the default of a pair of one
+    axis with itself.
     """
     kinds: dict[str, Any] = {}
     for name, kind in cls.__annotations__.items():
@@ -285,7 +286,7 @@ class WorldSettings(GyroSettings):
 
     @classmethod
     def names(cls) -> tuple[str, ...]:
-        """Names of all settings of the simulated world."""
+        """Return the names of all settings of the simulated world."""
         return tuple(entry.name for entry in fields(cls))
 
     @classmethod
@@ -301,11 +302,12 @@ class WorldSettings(GyroSettings):
         Parameters
         ----------
         options : mapping of str to str
-            Name and value.
+            Texts of the values by name of the setting.
         others : tuple of str
-            Names of options that the caller reads; they are skipped, and offered as nearest matches.
+            Names of other options, which the caller reads itself; they are skipped, and offered as nearest
+            matches.
         drawn : mapping of str to float, optional
-            Values of settings that the text omits.
+            Values of settings that the options omit.
 
         Raises
         ------
@@ -328,7 +330,10 @@ class WorldSettings(GyroSettings):
 
 
 def described_settings() -> list[tuple[str, str]]:
-    """Names of the settings in groups, each with its description and defaults, from the docstrings."""
+    """Return the names of the settings in groups, each with its description and defaults.
+
+    The descriptions are taken from the docstrings of the two classes.
+    """
     default = {entry.name: entry.default for entry in fields(WorldSettings)}
     rows: list[tuple[str, str]] = []
     for settings in (WorldSettings, GyroSettings):

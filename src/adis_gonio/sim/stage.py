@@ -1,12 +1,12 @@
-"""The stage on which the sensor is mounted: its direction at any time, and the faults of its mechanics.
+"""The stage on which the sensor is mounted: its direction at any time, and the errors of its mechanics.
 
-In the plane the sensor turns about its horizontal Z axis. The true angle is ψ = α − θ + δ with the
-declared angle θ and the error δ that each move draws (fixture, N(0, σ)) plus half the backlash by the
-direction of approach, less the slip of the sensor in its fixture; X then reads G cos ψ and Y G sin ψ. In
-space the stage turns the sensor until an ideal sensor would read a given unit vector, in units of G.
+In the plane the sensor turns about its horizontal Z axis. The true angle is ψ = α − θ + δ with the declared
+angle θ and the error δ that each move draws (fixture, N(0, σ)) plus half the backlash by the direction of
+approach, minus the slip of the sensor in its fixture; X then reads G cos ψ and Y G sin ψ. In space the
+stage turns the sensor until an ideal sensor would read a given unit vector, in units of G.
 
 A move takes time; the sensor rings after it. The speed of a motor rises and falls as a half sine; a hand
-follows `hand.HandMove`. Turns all around by hand (`hand.HandTurn`) have no declared angle.
+follows `hand.HandMove`. Full turns by hand (`hand.HandTurn`) have no declared angle.
 
 On a table (`turn_about`) the sensor keeps its attitude and turns about an axis; if this axis is vertical,
 the direction of gravity in the sensor does not change.
@@ -26,9 +26,12 @@ from adis_gonio.sim.settings import WorldSettings
 _SHORTEST_MOVE_S = 0.3
 _LEAST_BY_HAND_RAD = 1e-6
 _KNOTS = 33
-"""Points that describe a move: a turn of 180° deviates from its chords by (π²/64)²/8 = 0.3 %."""
+"""Number of points that tabulate a move by half a turn.
+
+With 33 points a turn of 180° deviates from its chords by (π²/64)²/8 = 0.3 %.
+"""
 _HAND_KNOTS = 8
-"""Factor on the number of points for a hand, because its speed is not even."""
+"""Factor by which a move by hand has more points than a move by a motor, because its speed is not even."""
 
 
 @dataclass(frozen=True)
@@ -40,20 +43,20 @@ class Motion:
     direction : (n, 3) float
         Readings of an ideal sensor, in units of local gravity.
     rate_dps : (n, 3) float
-        Rate of turn of the sensor.
+        Rate of turn of the sensor about its axes.
     spin_rad_s2 : (n,) float
         Angular acceleration of the sensor about its Z axis.
     shaking_mg : (n, 3) float
-        Linear vibration from a hand.
+        Linear acceleration of the sensor by a shaking hand.
     ringing_mg : (n,) float
-        Vibration along X and Y after a move.
+        Acceleration along X and Y by the ringing after a move.
     angle_rad, previous_angle_rad : (n,) float
         Declared angle θ, and the declared angle of the previous dwell.
     order, approach : (n,) float
         Number of the dwell, and direction of approach. Moves are counted: the positions before and after
         the first move both have number 0.
     time_in_dwell_s : (n,) float
-        Time since the move ended; 0 during the move.
+        Time since the last move ended; 0 during a move.
     """
 
     direction: Floats
@@ -76,7 +79,8 @@ def _zeros() -> Floats:
 class _Leg:
     """A move of the stage with the rest after it: in the plane by angles, in space by a turn about an axis.
 
-    In space the sensor sees gravity along `along` + cos φ `base` + sin φ `side` while it turns by φ.
+    In space, gravity has in the sensor the direction `along` + cos φ `base` + sin φ `side` while it turns
+    by φ.
     """
 
     start_s: float
@@ -117,13 +121,14 @@ class Stage:
     Parameters
     ----------
     settings : WorldSettings
-        Mechanics.
+        Settings of the mechanics.
     alpha_rad : float
         Angle of the sensor at the stage's zero.
     rng : Generator
-        Draws an error for each move.
+        Draws an angle error for each move.
     hands, moves : Generator, optional
-        Draw the hands that turn the stage all around, and the hands that bring it to its positions.
+        Draw the full turns by hand, and the moves by hand from position to position; None makes new
+        generators.
     """
 
     def __init__(
@@ -154,7 +159,10 @@ class Stage:
 
     @property
     def error_deg(self) -> float:
-        """True minus declared angle (δ) at the present position, in degrees; a fit does not see it."""
+        """True minus declared angle (δ) of the stage at the present position, in degrees.
+
+        A fit does not know this error.
+        """
         return float(np.degrees(self._legs[-1].to_error_rad))
 
     @property
@@ -167,9 +175,13 @@ class Stage:
 
         Parameters
         ----------
+        start_s : float
+            Time at which the move begins.
+        angle_deg : float
+            Declared angle.
         approach : int
             +1 or -1: arrive with the declared angle rising or falling, with an overshoot if necessary; 0:
-            the short way.
+            by the shortest turn.
 
         Raises
         ------
@@ -203,13 +215,15 @@ class Stage:
 
         Parameters
         ----------
+        start_s : float
+            Time at which the turn begins.
         vector : (3,) float
-            Reading of an ideal sensor there, up to a factor; level with Z up is (0, 0, -1).
+            Reading of an ideal sensor at the new attitude, up to a factor; level with Z up is (0, 0, -1).
 
         Raises
         ------
         UsageError
-            No direction, or the last move still runs.
+            The vector is no direction, or the last move still runs.
         """
         wanted = np.asarray(vector, np.float64)
         norm = float(np.linalg.norm(wanted))
@@ -227,6 +241,8 @@ class Stage:
 
         Parameters
         ----------
+        start_s : float
+            Time at which the turns begin.
         turns : int
             Number of turns of `hand_turn_deg`, all within `hand_turn_s`.
 
@@ -254,14 +270,16 @@ class Stage:
     def turn_about(self, start_s: float, angle_deg: float, axis: Floats | None = None) -> float:
         """Begin to turn the sensor about an axis through it; return the time in s at which the turn ends.
 
-        A whole turn leaves the attitude unchanged. Before and after it the sensor is set to a mark, each
-        time with a new error (`mark_sigma_deg`), so that the true angle differs slightly from the declared
-        angle.
+        A whole turn leaves the attitude unchanged. Before and after it the sensor is aligned with a mark,
+        each time with a new error (`mark_sigma_deg`), so that the true angle differs slightly from the
+        declared angle.
 
         Parameters
         ----------
+        start_s : float
+            Time at which the turn begins.
         angle_deg : float
-            Angle of any number of turns; positive is right-handed about the axis.
+            Angle to turn by, which may be several turns; positive is right-handed about the axis.
         axis : (3,) float or None
             Axis in the sensor; None is the vertical, upwards: positive is then counter-clockwise, seen from
             above, as on a level table.
@@ -269,7 +287,8 @@ class Stage:
         Raises
         ------
         UsageError
-            The angle is not finite or no axis is given by three numbers, or the last move still runs.
+            The angle is not finite, the axis is not three numbers that are a direction, or the last move
+            still runs.
         """
         standing = self._standing
         about = -standing if axis is None else np.asarray(axis, np.float64)
@@ -292,7 +311,7 @@ class Stage:
         return self._in_space(leg, self._hand_over(turn))
 
     def at(self, time_s: Floats) -> Motion:
-        """Direction of gravity, rate and conditions of the sensor at increasing times (n,) in s."""
+        """Return direction of gravity, rate and conditions of the sensor at increasing times (n,) in s."""
         index = np.searchsorted(self._starts, time_s, side="right") - 1
         first, last = int(index[0]), int(index[-1])
         if first == last:
@@ -305,9 +324,10 @@ class Stage:
         return Motion(*(np.concatenate([getattr(part, name) for part in parts]) for name in _NAMES))
 
     def course(self) -> tuple[Floats, Floats]:
-        """Times (m,) in s and directions (m, 3) of gravity, dense enough for linear interpolation.
+        """Return times (m,) in s and directions (m, 3) of gravity, dense enough for linear interpolation.
 
-        The sensor rests before the first and after the last of them; without any move there is one, at 0.
+        The sensor rests before the first time and after the last one; without any move there is one time, 0
+        s.
         """
         if self._course is None:
             moves = [leg for leg in self._legs if leg.end_s > leg.start_s]
@@ -338,7 +358,11 @@ class Stage:
         return np.array([np.cos(psi) * np.cos(tilt), np.sin(psi) * np.cos(tilt), np.sin(tilt)])
 
     def _hand_over(self, span_rad: float, *, one_way: bool = False, free: bool = False) -> HandMove | None:
-        """Draw a movement by hand through an angle in rad; None if a motor moves the stage."""
+        """Draw a movement by hand through an angle in rad; None if a motor moves the stage.
+
+        `one_way` is True if the mark must be reached from one side, `free` if only the hand holds the
+        sensor.
+        """
         if not self._settings.hand_moves or abs(span_rad) < _LEAST_BY_HAND_RAD:
             return None
         return HandMove(self._settings, self._movements, span_rad, one_way=one_way, free=free)
@@ -378,7 +402,10 @@ class Stage:
         return self._in_space(leg, self._hand_over(turn, free=True))
 
     def _in_space(self, leg: _Leg, by_hand: HandMove | None) -> float:
-        """Append a turn in space to the trajectory; return the time in s at which it ends."""
+        """Append a turn in space to the trajectory; return the time in s at which it ends.
+
+        `leg` is the turn without its end, `by_hand` the movement by hand, None for a motor.
+        """
         end_s = leg.start_s + self._duration(leg.turn_rad, by_hand)
         self._append(replace(leg, end_s=end_s, by_hand=by_hand))
         return end_s
@@ -446,7 +473,10 @@ class Stage:
         )
 
     def _ringing(self, since: Floats) -> Floats:
-        """Vibration (n,) in mg at times `since` the stop in s: a decaying sine for 20 time constants."""
+        """Return the vibration (n,) in mg after a move: a decaying sine for 20 time constants.
+
+        `since` (n,) is the time in s since the move stopped.
+        """
         settings = self._settings
         if not settings.vibration_mg or not len(since) or since[0] > 20 * settings.vibration_decay_s:
             return np.zeros(len(since))
@@ -459,14 +489,20 @@ class Stage:
 
 
 def _motion(leg: _Leg, time_s: Floats, *course: Floats) -> Motion:
-    """Make the `Motion` of the sensor during and after a move, from its course and the move's facts."""
+    """Make the `Motion` of the sensor during and after a move, from its course and the facts of the move.
+
+    `course` has the leading fields of `Motion` at the times (n,) in s. `leg` is the move.
+    """
     facts = (np.full(len(time_s), float(fact)) for fact in (leg.previous_rad, leg.order, leg.approach))
     since = time_s - leg.end_s if np.isfinite(leg.end_s) else time_s
     return Motion(*(*course, *facts, np.maximum(since, 0.0)))
 
 
 def _course(leg: _Leg, time_s: Floats) -> Course:
-    """Completed fraction (n,) of a move at each time, and its two derivatives; 1 after the end."""
+    """Return the completed share (n,) of a move at each time, and its two derivatives; 1 after the end.
+
+    `leg` is the move; the derivatives are per s and per s².
+    """
     n = len(time_s)
     moving = time_s - leg.end_s < 0
     if not moving.any():

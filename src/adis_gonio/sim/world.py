@@ -1,7 +1,8 @@
-"""The world around the chip: attitude, sensor faults, temperature, supply, noise, effects.
+"""The world around the chip: attitude, sensor errors, temperature, supply, noise, effects.
 
 Readings of the accelerometers (mg, x y z)
-    ideal = G [K_x d_x, K_y (d_x sin Δφ + d_y cos Δφ), K_z (s_z · d)], d the stage's direction; reading =
+    ideal = G [K_x d_x, K_y (d_x sin Δφ + d_y cos Δφ), K_z (s_z · d)], with d the direction of gravity on
+    the stage; reading =
     ideal (1 + tempco (T − 25 °C)) + bias + tempco (T − 25 °C) + effects + flicker + ringing + noise +
     vibration of the table (broadband, one level for each dwell). In the plane d = (cos ψ, sin ψ, 0), which
     is the convention of the samples CSV.
@@ -15,7 +16,7 @@ Not simulated
     nonlinearity unless an effect adds them, noise that depends on temperature, the level part of the
     earth's rotation, thermal gradients between accelerometers. Flicker ends below 3e-5 and above 1.5 Hz.
 
-`GyroSettings` defines the readings of the gyros; `gyros` simulates their faults and die temperatures.
+`GyroSettings` defines the readings of the gyros; `gyros` simulates their errors and die temperatures.
 """
 
 from __future__ import annotations
@@ -42,7 +43,10 @@ WARMING_TAU_S = 60.0
 _HISTORY_STEP_S = 1.0
 _DERIVATIVE_S = 1e-4
 _TABLE_OVER_NOISE = 5.0
-"""Vibration of the table in units of the sensor's noise, if an effect needs one."""
+"""Vibration of the table (rms) in units of the sensor's noise.
+
+It is the default if an effect needs a vibration.
+"""
 
 Values = Mapping[str, float] | Sequence[float] | Floats
 
@@ -53,13 +57,13 @@ class World:
     Parameters
     ----------
     settings : WorldSettings
-        Given values; all other values are drawn from the seed by the figures of the variant.
+        Given values; settings that are None are drawn from the seed by the figures of the variant.
     part : str or Variant
         Variant that provides the figures.
     seed : int
-        Seed of everything random here.
+        Seed of all random numbers.
     effects : sequence of (Effect, values)
-        Terms to add; values by name, or in the order of the effect's parameters.
+        Effects to add to the readings; the values are by name, or in the order of the effect's parameters.
     """
 
     def __init__(
@@ -110,7 +114,7 @@ class World:
         self._levels_mg = np.empty(0)
 
     def _draw(self, rng: np.random.Generator) -> None:
-        """Draw all hidden parameters, even those that are given, so that a given value changes no other."""
+        """Draw all hidden parameters, also those that are given, so that a given value changes no other."""
         figures, given = self.variant.performance, self.settings
         limit = figures.non_orthogonality_deg
         scale = 1 + figures.scale_error_typical * rng.standard_normal(3)
@@ -143,12 +147,18 @@ class World:
         self._sensitivity = sensitivity(self._base())
 
     def _base(self) -> Floats:
-        """Scale factors and skews (6,) of the accelerometers, in the order of `FreeAttitude.parameters`."""
+        """Return the gains and skews (6,) of the accelerometers.
+
+        They are in the order of `FreeAttitude.parameters`.
+        """
         in_space = FreeAttitude(self.gravity_mg)
         return np.array([self._hidden[p.name] / p.per_natural for p in in_space.parameters])
 
     def _by_axis(self, name: str, drawn: Floats) -> Floats:
-        """Values (3,) of a setting for x, y and z: the given value, or else the drawn one."""
+        """Return the values (3,) of a setting for x, y and z: the given value, or else the drawn value.
+
+        `name` is the name of the setting with {} for the axis; `drawn` has the drawn values (3,).
+        """
         given = (getattr(self.settings, name.format(axis)) for axis in AXES)
         return np.array([value_or(value, float(own)) for value, own in zip(given, drawn, strict=True)])
 
@@ -163,22 +173,23 @@ class World:
         """Return the true values of all hidden parameters, by the names that a fit uses.
 
         `delta_k` (1), `delta_phi` (degree), `alpha` (degree), `scale_x…` (the gain, 1 is perfect),
-        `skew_xy…` (degree, 90° minus the angle between the axes), `bias_x…` (mg),
-        `bias_temperature_x…` (mg/°C), `scale_temperature_x…` (1/°C), `lever_x`, `lever_y` (mm), of the
-        gyros `gyro_scale_x…` (the gain about the accelerometer's axis), `gyro_scale_error_x…` (1, gain
-        about the gyro's own axis minus 1), `gyro_misalignment_xy…` (degree, towards the axes of the
-        accelerometers), `gyro_bias_x…` (°/s, without the effect of gravity), `g_sensitivity_xy…` (°/s/g,
-        `g_sensitivity_left_xy…` with MSC_CTRL[7] set), `g2_sensitivity_xy…` (°/s/g²),
-        `gyro_scale_temperature_x…` (1/°C), `gyro_bias_temperature_x…` (°/s/°C), `gyro_asymmetry_x…` (1),
-        `gyro_supply_x…` (°/s/V), `gyro_warm_up_x…` (°/s at power-on) and `gyro_warm_up_tau` (s),
-        `gyro_range_gain_150` and `…_75` (1), `gyro_latency` (s, against the accelerometers), and the
-        parameters of added effects as `effect.parameter` in the effect's units.
+        `skew_xy…` (degree, 90° minus the angle between the axes), `bias_x…` (mg), `bias_temperature_x…`
+        (mg/°C), `scale_temperature_x…` (1/°C), `lever_x`, `lever_y` (mm), of the gyros `gyro_scale_x…` (the
+        gain about the accelerometer's axis), `gyro_scale_error_x…` (1, gain about the gyro's own axis minus
+        1), `gyro_misalignment_xy…` (degree, towards the axes of the accelerometers), `gyro_bias_x…` (°/s,
+        without the effect of gravity), `g_sensitivity_xy…` (°/s/g, `g_sensitivity_left_xy…` with
+        MSC_CTRL[7] set), `g2_sensitivity_xy…` (°/s/g²), `gyro_scale_temperature_x…` (1/°C),
+        `gyro_bias_temperature_x…` (°/s/°C), `gyro_asymmetry_x…` (1), `gyro_supply_x…` (°/s/V),
+        `gyro_warm_up_x…` (°/s at power-on) and `gyro_warm_up_tau` (s), `gyro_range_gain_150` and `…_75`
+        (1), `gyro_latency` (s, against the accelerometers), and the parameters of added effects as
+        `effect.parameter` in the effect's units.
 
         Parameters
         ----------
         time_s : (n,) float or None
-            Times (n,) for the mean temperature and supply of the biases and gains; the biases include the
-            mean flicker and walk at these times. None: 25 °C and 5 V, without flicker and walk.
+            Times in s over which temperature and supply are averaged for the biases and gains; the biases
+            include the mean flicker and random walk at these times. None: 25 °C and 5 V, without flicker
+            and walk.
         """
         result = dict(self._hidden)
         warm, wander = 0.0, np.zeros(6)
@@ -215,7 +226,10 @@ class World:
         return self.gyros.electronics
 
     def temperature_c(self, time_s: Floats) -> Floats:
-        """Temperature (n,) of the sensor in °C: ambient, self-heating, and changes by `bring_to`."""
+        """Return the temperature (n,) of the sensor in °C at times (n,) in s.
+
+        It is the sum of ambient temperature, self-heating, and changes by `bring_to`.
+        """
         given = self.settings
         ambient = given.ambient_c + given.ambient_drift_c_per_h * time_s / 3600
         if given.ambient_swing_c:
@@ -227,11 +241,11 @@ class World:
         return np.asarray(warmth, np.float64)
 
     def die_temperature_c(self, time_s: Floats) -> Floats:
-        """Temperatures (n, 3) of the dies of the three gyros in °C."""
+        """Return the temperatures (n, 3) of the dies of the three gyros in °C at times (n,) in s."""
         return self._dies.temperature_c(time_s, self.temperature_c)
 
     def supply_v(self, time_s: Floats) -> Floats:
-        """Supply voltage (n,) in V, without noise."""
+        """Return the supply voltage (n,) in V at times (n,) in s, without noise."""
         supply = self.settings.supply_v + self.settings.supply_drift_v_per_h * time_s / 3600
         for since_s, change in self._supplied:
             supply = supply + np.where(time_s >= since_s, change, 0.0)
@@ -240,9 +254,10 @@ class World:
     def bring_to(
         self, time_s: float, temperature_c: float | None = None, supply_v: float | None = None
     ) -> None:
-        """Change the sensor's temperature or the supply, from a time that has not been sampled yet.
+        """Change the sensor's temperature or the supply, from the time `time_s` on.
 
-        The temperature changes exponentially (`WARMING_TAU_S`); drifts and swings continue.
+        This time must not have been sampled yet. The temperature approaches `temperature_c` exponentially
+        (`WARMING_TAU_S`); drifts and swings continue. None changes nothing.
         """
         now = np.array([time_s])
         if temperature_c is not None:
@@ -253,7 +268,7 @@ class World:
     # -- inputs of the chip -------------------------------------------------------------------------
 
     def sample(self, time_s: Floats) -> Inputs:
-        """Physical inputs of the chip at increasing times (n,) in s."""
+        """Return the physical inputs of the chip at increasing times (n,) in s."""
         n = len(time_s)
         motion = self.stage.at(time_s)
         temperature = self.temperature_c(time_s)
@@ -304,7 +319,11 @@ class World:
         )
 
     def _read_gyros(self, felt: Felt, conditions: Conditions | None) -> Floats:
-        """Gyro readings (n, 3) in °/s, including the effects that act on gyros."""
+        """Return the gyro readings (n, 3) in °/s, including the effects that act on gyros.
+
+        `felt` has the quantities that act on the gyros; `conditions` are the covariates of the effects,
+        None without effects.
+        """
         gyro = self.gyros.read(felt)
         effects = self._of_part("gyro")
         if conditions is None or not effects:
@@ -315,16 +334,25 @@ class World:
         return gyro
 
     def _of_part(self, part: str) -> list[tuple[Effect, Floats]]:
-        """Effects on the accelerometers or on the gyros; an effect on both counts for its first part."""
+        """Return the effects on a part of the sensor, `accelerometer` or `gyro`, with their values.
+
+        An effect on both counts for its first part.
+        """
         return [(effect, values) for effect, values in self.effects if effect.parts[0] == part]
 
     def _rate_dps(self, motion: Motion) -> Floats:
-        """True rate of turn (n, 3) in °/s, including the vertical component of the earth's rotation."""
+        """Return the true rate of turn (n, 3) in °/s, with the vertical part of the earth's rotation.
+
+        `motion` is the motion of the sensor at these times.
+        """
         up_dps = self.settings.earth_rate_up_dps
         return motion.rate_dps - up_dps * motion.direction if up_dps else motion.rate_dps
 
     def _moving_mg(self, motion: Motion) -> Floats | None:
-        """Acceleration (n, 3) in mg that a shaken or moved sensor reads, without gravity; None if zero."""
+        """Return the readings (n, 3) in mg that shaking and moving add to those of gravity.
+
+        None if all are zero. `motion` is the motion of the sensor at n times.
+        """
         moving = motion.shaking_mg if motion.shaking_mg.any() else None
         if self._lever_m.any():
             by_lever = self._by_lever_mg(motion)
@@ -332,9 +360,10 @@ class World:
         return moving
 
     def _by_places_mg(self, time_s: Floats, motion: Motion) -> Floats:
-        """Readings (n, 3) in mg that arise because each accelerometer is off the axis of rotation.
+        """Return the readings (n, 3) in mg that the positions of the accelerometers cause in a turn.
 
-        Minus the acceleration along the axis of each: ω × (ω × r) + dω/dt × r.
+        Each reading is minus the acceleration of the accelerometer along its axis: ω × (ω × r) + dω/dt × r.
+        `motion` is the motion of the sensor at the times (n,) in s.
         """
         rate = np.radians(motion.rate_dps)
         # Angular acceleration by central differences of the rate.
@@ -350,7 +379,10 @@ class World:
         return felt * (1000.0 / STANDARD_GRAVITY_MPS2)
 
     def _by_lever_mg(self, motion: Motion) -> Floats:
-        """Acceleration readings (n, 3) in mg of a sensor mounted off the stage's axis, during a turn."""
+        """Return the readings (n, 3) in mg of a sensor that is off the stage's axis, without gravity.
+
+        They are zero unless the stage turns. `motion` is the motion of the sensor at n times.
+        """
         spin, lever = np.radians(motion.rate_dps[:, 2]), self._lever_m
         x = lever[0] * spin**2 + lever[1] * motion.spin_rad_s2
         y = lever[1] * spin**2 - lever[0] * motion.spin_rad_s2
@@ -389,7 +421,10 @@ class World:
         return self._flicker.at(time_s)
 
     def _vibration_mg(self, order: Floats) -> Floats:
-        """Rms vibration (n,) of the table in mg during the dwells with these numbers."""
+        """Return the rms vibration (n,) of the table in mg during the dwells with these numbers.
+
+        `order` (n,) has the numbers.
+        """
         if not self._table_mg:
             return np.zeros(len(order))
         missing = int(order.max()) + 1 - len(self._levels_mg)

@@ -675,7 +675,7 @@ def test_gyros_of_the_session_itself_or_for_a_plane_are_refused(
         fit(replace(session, turns_from=None), gyros=calibration)
     with pytest.raises(UsageError, match="give another session"):
         adis_gonio.fit(replace(session, source=str(tmp_path)), gyros=str(tmp_path))
-    with pytest.raises(UsageError, match="part is gyro"):
+    with pytest.raises(UsageError, match="not for part='gyro'"):
         adis_gonio.fit(session, part="gyro", gyros=calibration)
 
 

@@ -19,7 +19,7 @@ from adis_gonio.page.document import Figure, Section, Series, Table, plot, rende
 
 
 def build_page(found: Bringup) -> str:
-    """Render the result of a bring-up as one HTML page without external resources."""
+    """Return the result of a bring-up as one HTML page without external resources."""
     return render(
         "Bring-up",
         found.url,
@@ -151,5 +151,5 @@ def _number(value: float, figure: Measured) -> str:
 
 
 def _plain(text: str) -> str:
-    """Remove `not measured` from the beginning of a text, since the column before shows it."""
+    """Remove `not measured: ` from the beginning of a result's text; another column shows it."""
     return text.removeprefix("not measured: ")

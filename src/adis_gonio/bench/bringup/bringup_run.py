@@ -1,4 +1,4 @@
-"""The run of a bring-up: its steps in order, harmless ones first; every write is undone in any case."""
+"""The run of a bring-up: its steps in order, harmless steps first; every write is undone in any case."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ STEPS: tuple[BringupStep, ...] = (
     StatusBits(),
     FlashCount(),
 )
-"""Steps in order: those that only read, those that lend data-ready, those that write, the flash last."""
+"""Steps in order: steps that only read, steps that enable data-ready, steps that write, the flash last."""
 
 NO_ANSWER = "not measured: {}"
 
@@ -61,13 +61,13 @@ class Permission:
     Attributes
     ----------
     writes : bool
-        Registers may be written; each step asks before.
+        True if registers may be written; each step asks before.
     flash : bool
-        The flash may be written once.
+        True if the flash may be written once.
     lends : bool
-        Data-ready may be enabled while scans run, as a stream does.
+        True if data-ready may be enabled while scans run, as a stream does.
     ask : callable
-        Asks a question; returns True for yes.
+        Asks the operator a question before a write; returns True for yes.
     """
 
     writes: bool = False
@@ -95,14 +95,16 @@ def bring_up(
     variant : str or Variant
         Expected part.
     permission : Permission
-        By default only steps that read or lend data-ready are run.
+        Permitted changes; by default only steps that read, or enable data-ready for a time, are run.
     tell : callable
-        Called with the row of each finished step.
+        Called with the result of each finished step.
+    steps : tuple of BringupStep
+        Steps to run, in order.
 
     Returns
     -------
     Bringup
-        Result with the faults of part and bridge, which are not raised.
+        Results of all steps. They include faults of sensor and bridge, which are not raised.
     """
     return _Run(bus, variant, permission, tell).all(steps)
 
@@ -150,7 +152,7 @@ class _Run:
 
     @contextmanager
     def _until_stopped(self) -> Iterator[None]:
-        """Context that a Ctrl-C of the operator ends, which is then noted."""
+        """Context that ends quietly at a Ctrl-C of the operator; the bring-up is then marked as stopped."""
         try:
             yield
         except KeyboardInterrupt:
@@ -225,7 +227,7 @@ class _Run:
 
 
 def _bridge(bus: ClockCeiling) -> dict[str, Any]:
-    """Facts about the bridge for the document: bus, capabilities, limits, firmware."""
+    """Return facts about the bridge for the JSON document: bus, capabilities, limits, firmware."""
     inner = bus.inner
     facts: dict[str, Any] = {"bus": inner.kind, "capabilities": sorted(inner.capabilities)}
     facts["unbroken_frames"] = inner.unbroken_frames

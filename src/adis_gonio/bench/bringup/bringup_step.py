@@ -1,10 +1,11 @@
-"""Steps of a bring-up: their common bench, their results, and the document with all of them.
+"""Steps of a bring-up: base class, shared sensor and bus, results, and the document of all results.
 
 All limits follow from one probability of a false alarm for a whole board: a good board is to be accused
 less often than once in 10 000. The probability is divided by the largest number of comparisons of a run
 (Bonferroni), so that the comparisons need not be independent. Each limit is a quantile of the distribution
 of the compared figure on a good board: normal for means, chi-square for variances, exponential for the bins
-of a periodogram. Faults that are not random (a stuck line, a lost edge) have no limit: one is enough.
+of a periodogram. A fault that is not random (a stuck line, a lost edge) has no limit: one occurrence is
+enough.
 """
 
 from __future__ import annotations
@@ -37,8 +38,14 @@ class Question(JsonRecord):
 
     Attributes
     ----------
+    name : str
+        Name of the property.
+    text : str
+        The question as a sentence.
     table : str
-        Value in the table.
+        Value in the table of the sensor's properties.
+    source : str
+        Source of this value, such as `DS` (data sheet).
     confidence : str
         A: the data sheet of the sibling and code agree; B: the sibling's sheet only; C: derived or code
         only; D: an estimate; ?: nothing is known.
@@ -122,9 +129,9 @@ class Verdict(StrEnum):
 
     OK = "ok"
     FAULT = "fault"
-    """The board has a fault."""
+    """The board has a defect."""
     DIFFERS = "differs"
-    """The board works, but contradicts a row of the table."""
+    """The board works, but contradicts a value of the table."""
     NOT_MEASURED = "not measured"
 
 
@@ -136,7 +143,7 @@ class Outcome(StrEnum):
     MEASURED = "measured"
     """The table has no value, and one was measured."""
     OPEN = "open"
-    """The observations do not decide between the table and its rivals."""
+    """The observations do not decide between the table's value and another value."""
     NOT_MEASURED = "not measured"
 
 
@@ -145,10 +152,16 @@ class Measured(JsonRecord):
 
     Attributes
     ----------
+    name : str
+        Name of the figure.
+    value : float
+        Measured value.
+    unit : str
+        Unit of the value; "1" for a number without unit.
     u : float or None
-        None for a count or a setting.
+        Standard uncertainty; None for a count or a setting.
     expected : float or None
-        Value by the table or the configuration.
+        Value by the table or the configuration; None if there is none.
     """
 
     document_keys = ("name", "value", "u", "unit", "expected")
@@ -161,7 +174,17 @@ class Measured(JsonRecord):
 
 
 class Answer(JsonRecord):
-    """Answer to one open question about the sensor; `text` is one sentence."""
+    """Answer to one open question about the sensor.
+
+    Attributes
+    ----------
+    outcome : Outcome
+        Kind of the answer.
+    text : str
+        The answer in one sentence.
+    figures : tuple of Measured
+        Figures on which the answer is based.
+    """
 
     outcome: Outcome
     text: str
@@ -170,7 +193,21 @@ class Answer(JsonRecord):
 
 @dataclass(frozen=True)
 class Curve:
-    """Curves of one diagram: values `y` by the name of the curve, abscissas `x`, and labels."""
+    """Curves of one diagram.
+
+    Attributes
+    ----------
+    name, caption : str
+        Title of the diagram, and sentence below it.
+    x_label, y_label : str
+        Labels of the axes.
+    x : sequence of float
+        Abscissas of all curves.
+    y : mapping of str to sequence of float
+        Ordinates of each curve by its name.
+    log : bool
+        True for a logarithmic y axis and lines; False for a linear axis and points.
+    """
 
     name: str
     x_label: str
@@ -186,7 +223,21 @@ def _plain(number: Number) -> Number:
 
 
 class StepResult(JsonRecord, frozen=False):
-    """Result of a bring-up step, which the step fills: verdict, sentence, figures, answers and curves."""
+    """Result of a bring-up step, which the step fills.
+
+    Attributes
+    ----------
+    verdict : Verdict
+        Kind of the result.
+    text : str
+        The result in one sentence.
+    figures : list of Measured
+        Measured figures.
+    answers : dict of str to Answer
+        Answers to open questions, by the question's name.
+    curves : tuple of Curve
+        Diagrams for the report.
+    """
 
     document_keys = ("verdict", "text", "figures")
 
@@ -204,21 +255,29 @@ class StepResult(JsonRecord, frozen=False):
         u: float | None = None,
         expected: float | None = None,
     ) -> Measured:
-        """Add a measured figure; numpy numbers are converted to Python numbers."""
+        """Add a measured figure to the result, and return it.
+
+        `u` is the standard uncertainty (None for a count or a setting), `expected` the value by the table
+        (None if there is none). Numpy numbers are converted to Python numbers.
+        """
         figure = Measured(name, _plain(value), unit, _plain(u), _plain(expected))
         self.figures.append(figure)
         return figure
 
     def answer(self, question: str, outcome: Outcome, text: str, *figures: Measured) -> None:
-        """Record the answer to an open question about the sensor."""
+        """Record the answer to the open question of this name, with the figures on which it is based."""
         self.answers[question] = Answer(outcome, text, figures)
 
     def check(self, question: str, holds: object, text: str, *figures: Measured) -> None:
-        """Record an answer that confirms the table if `holds`, or else contradicts it."""
+        """Record the answer to a question: it confirms the table if `holds`, else contradicts it."""
         self.answer(question, Outcome.CONFIRMS if holds else Outcome.CONTRADICTS, text, *figures)
 
     def settle(self, question: str, text: str, *, differs: bool) -> StepResult:
-        """Record all figures of the step as the answer to its only question; return the result."""
+        """Record all figures of the step as the answer to its only question, and end the step.
+
+        `question` is the question's name; `differs` is True if the answer contradicts the table. Returns
+        the result.
+        """
         self.check(question, not differs, text, *self.figures)
         return self.differs(text) if differs else self.ok(text)
 
@@ -228,19 +287,19 @@ class StepResult(JsonRecord, frozen=False):
         return "; ".join(one.text for one in answers if one.outcome is Outcome.CONTRADICTS)
 
     def ok(self, text: str) -> StepResult:
-        """End the step without a fault."""
+        """End the step without a fault; `text` is its result in one sentence. Returns the result."""
         return self._end(Verdict.OK, text)
 
     def fault(self, text: str) -> StepResult:
-        """End the step with a fault of the board."""
+        """End the step with a fault of the board, described by `text`. Returns the result."""
         return self._end(Verdict.FAULT, text)
 
     def differs(self, text: str) -> StepResult:
-        """End the step with a contradiction of the table."""
+        """End the step with a contradiction of the table, described by `text`. Returns the result."""
         return self._end(Verdict.DIFFERS, text)
 
     def not_measured(self, why: str) -> StepResult:
-        """End a step that could not measure, with the reason."""
+        """End a step that could not measure, with the reason. Returns the result."""
         return self._end(Verdict.NOT_MEASURED, f"not measured: {why}")
 
     def _end(self, verdict: Verdict, text: str) -> StepResult:
@@ -249,7 +308,17 @@ class StepResult(JsonRecord, frozen=False):
 
 
 class Row(JsonRecord):
-    """A bring-up step with its result, as in the JSON document."""
+    """A bring-up step with its result, as in the JSON document.
+
+    Attributes
+    ----------
+    name, does : str
+        Name of the step, and its description in one line.
+    effect : str
+        Kind of change that the step makes to the sensor, a `SideEffect`.
+    result : StepResult
+        Result of the step.
+    """
 
     name: str
     does: str
@@ -263,14 +332,26 @@ class Bringup:
 
     Attributes
     ----------
+    url, variant : str
+        URL of the bus, and variant of the sensor.
+    begun_utc, software : str
+        Time of the beginning (ISO 8601, UTC), and the program.
+    bridge : mapping of str to object
+        Facts about the bridge.
+    registers : mapping of str to int
+        Words of the registers before the bring-up, by name; empty if they were not read.
     rows : tuple of Row
         One row for each step, in order.
     answers : mapping of str to Answer
-        One answer for each of `QUESTIONS`.
+        One answer for each of `QUESTIONS`, by name.
     undone : str
         Sentence on the restored registers.
     undone_ok : bool
         True if every register was read back with its original number.
+    comparisons : int
+        Number of comparisons that were made.
+    false_alarm : float
+        Probability that a good board is accused of anything.
     stopped : bool
         True if the operator ended it early.
     """
@@ -290,7 +371,7 @@ class Bringup:
     stopped: bool = False
 
     def row(self, name: str) -> StepResult:
-        """Find the result of a step by the step's name."""
+        """Return the result of a step by the step's name."""
         return next(row.result for row in self.rows if row.name == name)
 
     @property
@@ -312,7 +393,7 @@ class Bringup:
 
     @property
     def headline(self) -> str:
-        """Summarise the bring-up in one sentence."""
+        """Result of the bring-up in one sentence."""
         faults = [row.name for row in self.rows if row.result.verdict is Verdict.FAULT]
         differs = [row.name for row in self.rows if row.result.verdict is Verdict.DIFFERS]
         left = sum(row.result.verdict is Verdict.NOT_MEASURED for row in self.rows)
@@ -327,7 +408,7 @@ class Bringup:
         return text[0].upper() + text[1:] + "."
 
     def as_dict(self) -> dict[str, Any]:
-        """The document that `adis-gonio bringup --json` prints."""
+        """Return the document that `adis-gonio bringup --json` prints."""
         answers = [question.as_dict() | self.answers[question.name].as_dict() for question in QUESTIONS]
         return {
             "format": FORMAT,
@@ -340,7 +421,7 @@ class Bringup:
 
 
 class ClockCeiling(ForwardingBus):
-    """A bus that forwards to another bus and limits its clock to `ceiling_hz`.
+    """A bus that forwards to another bus and limits the SPI clock to `ceiling_hz`.
 
     A new limit acts from the next `configure` on.
     """
@@ -354,13 +435,23 @@ class ClockCeiling(ForwardingBus):
 
 
 FALSE_ALARM = 1e-4
-"""Probability that a good board is accused of anything."""
+"""Probability that a good board is accused of anything by any comparison."""
 MOST_TESTS = 256
 """Largest number of comparisons in a bring-up."""
 
 
 class AlarmBudget:
-    """Divides the permitted probability of a false alarm among the comparisons of a bring-up."""
+    """Divides the permitted probability of a false alarm among the comparisons of a bring-up.
+
+    Attributes
+    ----------
+    total : float
+        Permitted probability of a false alarm in the whole bring-up.
+    tests : int
+        Largest number of comparisons; each has an equal part of the probability.
+    spent : int
+        Number of comparisons so far.
+    """
 
     def __init__(self, total: float = FALSE_ALARM, tests: int = MOST_TESTS) -> None:
         self.total = total
@@ -368,7 +459,7 @@ class AlarmBudget:
         self.spent = 0
 
     def alpha(self) -> float:
-        """Permitted probability of a false alarm in the next comparison.
+        """Return the permitted probability of a false alarm in the next comparison.
 
         Raises
         ------
@@ -381,25 +472,31 @@ class AlarmBudget:
         return self.total / self.tests
 
     def z(self) -> float:
-        """Limit of |x − μ| / u for the next comparison of a figure with normal errors (two-sided)."""
+        """Return the two-sided limit of |x − μ| / u for the next comparison, with normal errors."""
         from scipy.special import ndtri
 
         return float(-ndtri(self.alpha() / 2))
 
     def variance_ratio(self, dof: float) -> tuple[float, float]:
-        """Lower and upper limit of s²/σ² for the next comparison, with `dof` degrees of freedom."""
+        """Return the lower and upper limit of s²/σ² with `dof` degrees of freedom, for one comparison."""
         from scipy.special import gammainccinv, gammaincinv
 
         tail, shape = self.alpha() / 2, dof / 2
         return float(gammaincinv(shape, tail)) / shape, float(gammainccinv(shape, tail)) / shape
 
     def highest_bin(self, bins: int) -> float:
-        """Limit of the largest of `bins` bins of a periodogram, relative to the mean of the bins."""
+        """Return the limit of the largest of `bins` bins of a periodogram, relative to their mean.
+
+        It is for the next comparison.
+        """
         return math.log(bins / self.alpha())
 
 
 def at_most(errors: int, trials: int, confidence: float = 0.95) -> float:
-    """Upper confidence limit of an error probability after `errors` in `trials` (Clopper and Pearson)."""
+    """Return the upper confidence limit of an error probability after `errors` in `trials`.
+
+    Source: Clopper and Pearson.
+    """
     from scipy.special import betaincinv
 
     return 1.0 if errors >= trials else float(betaincinv(errors + 1, trials - errors, confidence))
@@ -414,7 +511,7 @@ BOARD_CLOCK_U = 5e-3 / np.sqrt(3)
 
 
 LONGEST_S = 40.0
-"""Limit of the time for scans with slow bridges and slow sample rates."""
+"""Largest time in s for scans with slow bridges and slow sample rates."""
 FEWEST = 16
 """Number of scans that is read even if it takes longer than `LONGEST_S`."""
 
@@ -424,7 +521,7 @@ class SideEffect(StrEnum):
 
     READS = "reads"
     LENDS = "lends data-ready"
-    """Enables data-ready while it runs, as a stream does, and restores MSC_CTRL."""
+    """The step enables data-ready while it runs, as a stream does, and restores MSC_CTRL."""
     WRITES = "writes, undone"
     FLASH = "flash write"
 
@@ -435,12 +532,13 @@ class BringupStep(ABC):
     Attributes
     ----------
     name : str
-        Name of its row.
+        Name of the step.
     does : str
         Description of the step in one line.
     effect : SideEffect
+        Kind of change that the step makes to the sensor.
     question : str
-        Question to the operator before a register is written.
+        Question to the operator before a register is written; empty if the step writes none.
     settles : tuple of str
         Names of the questions about the sensor that the step answers.
     """
@@ -453,7 +551,7 @@ class BringupStep(ABC):
 
     @abstractmethod
     def run(self, bench: BringupBench, found: StepResult) -> StepResult:
-        """Run the step, fill its result and return it.
+        """Run the step, fill the result `found` and return it; `bench` has the sensor and earlier findings.
 
         Raises `AdisGonioError` if the sensor or the bridge fails.
         """
@@ -465,16 +563,26 @@ class BringupBench:
 
     Attributes
     ----------
+    bus : ClockCeiling
+        The bus, with a limit of its clock.
+    sensor : Adis16354
+        The sensor.
+    budget : AlarmBudget
+        Gives the limit of each comparison.
     lends : bool
         True if data-ready may be enabled.
     blocked : str
-        Reason why no further step can measure, or empty.
+        Reason why no further step can measure; empty while steps can.
     clock : float
-        Measured period of the update over its nominal period; 1 if unknown.
+        Measured period of the sample update divided by its nominal period; 1 if unknown.
+    clock_known : bool
+        True if `clock` was measured.
     data_ready : bool
         True if edges of data-ready were seen to follow the updates.
     supply_ok : bool
         True if the supply voltage allows a flash update.
+    constants : dict of str to int
+        Words of the constant registers by name, as read by the step `link`; empty before it.
     """
 
     bus: ClockCeiling
@@ -493,13 +601,13 @@ class BringupBench:
         return capability in self.bus.capabilities
 
     def refresh(self) -> None:
-        """Set the clock of the bus to the fastest that the sensor's present mode and the ceiling allow."""
+        """Set the SPI clock to the fastest that the sensor's present mode and the bus's limit allow."""
         self.sensor._follow()
 
     # -- reading --------------------------------------------------------------------------------------
 
     def repeated(self, name: str | Register, count: int) -> tuple[Words, float]:
-        """Read one register in consecutive frames; return the replies (count,) and the time of a frame.
+        """Read one register in consecutive frames; return the replies (count,) and a frame's time in s.
 
         Returns fewer than `count` words if the bridge cannot run that many frames without a pause.
         """
@@ -515,10 +623,11 @@ class BringupBench:
         return replies[1:], self.bus.timing.frame_s if timed else took_s
 
     def scans(self, count: int, names: Sequence[str]) -> tuple[ScanBlock, bool]:
-        """Read at most `count` scans, for at most `LONGEST_S`; return them, and True if they have no gap.
+        """Read at most `count` scans of named registers; return them, and True if they have no gap.
 
-        The bridge streams if data-ready may be enabled and works, else it polls. If there are gaps, the
-        longest run without a gap is returned if it is long enough, else all scans.
+        Reading ends after `LONGEST_S`. The bridge streams if data-ready may be enabled and works, else it
+        polls. If there are gaps, the longest run without a gap is returned if it is long enough, else all
+        scans.
         """
         blocks: list[ScanBlock] = []
         have, begin_s = 0, self.bus.now_s()
@@ -544,7 +653,7 @@ class BringupBench:
         return PolledScans(self.bus, layout, max(4, min(block_scans, round(0.5 / now.sample_period_s))))
 
     def means(self, count: int, names: Sequence[str]) -> Floats:
-        """Means of some registers over `count` scans, in LSB, one per register."""
+        """Return the means of named output registers over `count` scans, in LSB, one for each register."""
         block, _ = self.scans(count, names)
         return np.asarray(block.numbers().mean(axis=0), np.float64)
 
@@ -557,11 +666,11 @@ class BringupBench:
     # -- flags ------------------------------------------------------------------------------------------
 
     def alarm_stands(self) -> bool:
-        """True if a data word read now has the error/alarm flag (EA) set; STATUS is not read."""
+        """Return True if an output word read now has the error/alarm flag (EA) set; STATUS is not read."""
         return bool(self.sensor.read_words(["XACCL_OUT"])[0] & EA)
 
     def status(self) -> int:
-        """Read the register STATUS, which also clears it."""
+        """Read the register STATUS, which also clears it, and return its word."""
         return self.sensor.read("STATUS")
 
     def wait_updates(self, count: int = 4) -> None:
@@ -571,7 +680,7 @@ class BringupBench:
 
 
 def _longest_run(blocks: Sequence[ScanBlock], count: int) -> ScanBlock:
-    """Longest run of scans without a missed update.
+    """Return the longest run of scans without a missed update, at most `count` scans.
 
     A block with gaps at unknown places is not used.
     """
@@ -595,7 +704,7 @@ def _longest_run(blocks: Sequence[ScanBlock], count: int) -> ScanBlock:
 
 
 def writable() -> tuple[Register, ...]:
-    """Registers that are saved before any write and compared after it.
+    """Return the registers that are saved before any write and compared after it.
 
     SLP_CNT sends the sensor to sleep, and the levels of GPIO_CTRL follow the wires: no step writes them.
     """

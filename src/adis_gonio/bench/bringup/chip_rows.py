@@ -1,9 +1,9 @@
-"""Hypotheses on rows of the register table, and their probabilities after recordings.
+"""Hypotheses on rows of the register table, and the probabilities of the hypotheses after recordings.
 
-Each row of `ROWS` has the statement of the table and its rivals, of which the last is always "something
-else". An observation is either a label, the alternative that one event agrees with, or a `RowFigure`, which
-each alternative predicts as an interval. The prior probability of the table's statement follows from its
-confidence. Observations multiply:
+Each row of `ROWS` has alternatives: the statement of the table, other possible statements, and "something
+else". An observation is either a label (the alternative with which one event agrees) or a `RowFigure` (a
+number for which each alternative predicts an interval). The prior probability of the table's statement
+follows from its confidence. Observations multiply:
 
 * labels: each event has the label of the alternative, but one in 10 000 differs (a bit error). If
   something else is true, the events have unknown probabilities with a Dirichlet prior, so that a chip that
@@ -50,16 +50,27 @@ from adis_gonio.device.sensor.settings import (
 
 ELSE = "something else"
 PRIOR = {"A": 0.999, "B": 0.99, "C": 0.9, "D": 0.7}
-"""Probability that a statement of the table is right before any recording, by its confidence."""
+"""Prior probability that a statement of the table is right, by its confidence."""
 ODD_EVENT = FALSE_ALARM
-"""Probability of an event or a figure that its own alternative does not predict."""
+"""Probability of an event or a figure that contradicts the alternative that is true."""
 DECIDED = 0.01
-"""A row is contradicted below this probability, and confirmed above one minus this probability."""
+"""Probability of the table's statement below which it is contradicted.
+
+It is confirmed above one minus this probability.
+"""
 
 
 @dataclass(frozen=True)
 class RowFigure:
-    """A measured number `x` with standard uncertainty `u`, and the intervals that alternatives predict."""
+    """A measured number with the intervals that the alternatives predict for it.
+
+    Attributes
+    ----------
+    x, u : float
+        The number and its standard uncertainty.
+    predicted : mapping of str to (float, float)
+        Lower and upper limit of the number, by alternative.
+    """
 
     x: float
     u: float
@@ -82,11 +93,11 @@ class ChipRow:
     observe : callable
         Yields the observations of a recorded chip.
     alternatives : tuple of str
-        Labels or keys of the figures; the first one is the statement of the table.
+        Names of the possible statements, as in the observations; the first is the statement of the table.
     wide : (float, float)
-        Range of a figure if something else is true.
+        Range of a figure if none of the alternatives is true.
     unit : str
-        Unit of the figures.
+        Unit of the figures; empty for none.
     logarithmic : bool
         True if the figures are natural logarithms.
     """
@@ -141,15 +152,22 @@ class RowFinding(JsonRecord):
 
     Attributes
     ----------
+    name, question : str
+        Name of the row, and the question that it answers.
+    table, source, confidence : str
+        Statement of the table, its source and its confidence (A–D).
+    outcome : Outcome
+        Verdict on the statement of the table.
     best : str
         Most probable alternative.
     observations : int
-        Number of events and figures.
+        Number of observed events and figures.
     log10_odds : float
-        Decimal logarithm of the odds of the table's statement against its best rival.
+        Decimal logarithm of the odds of the table's statement against the most probable other alternative.
     log10_evidence : float
-        The same by the recordings alone, without the confidence of the table.
+        Decimal logarithm of these odds by the recordings alone, without the table's prior probability.
     probabilities : dict of str to float
+        Probability of each alternative after the recordings.
     seen : str
         Summary of the observations.
     """
@@ -169,7 +187,10 @@ class RowFinding(JsonRecord):
 
 
 def _of_labels(names: Sequence[str], labels: Counter[str]) -> Floats:
-    """Log-likelihood of each alternative for the counts of labels (see the module)."""
+    """Return the log-likelihood of each alternative for the counts of labels.
+
+    `names` are the alternatives, "something else" last. The module's text describes the model.
+    """
     keys = [*names[:-1], *sorted({*labels} - {*names[:-1]}), ELSE]
     keys = list(dict.fromkeys(keys))
     counts = np.array([labels[key] for key in keys], np.float64)
@@ -184,7 +205,11 @@ def _of_labels(names: Sequence[str], labels: Counter[str]) -> Floats:
 
 
 def _of_figures(names: Sequence[str], figures: Sequence[RowFigure], wide: tuple[float, float]) -> Floats:
-    """Log-likelihood of each alternative for figures (see the module)."""
+    """Return the log-likelihood of each alternative for figures.
+
+    `names` are the alternatives, "something else" last; `wide` is the range of a figure in that case. The
+    module's text describes the model.
+    """
     flat = 1 / (wide[1] - wide[0])
     density = np.array([[_density(figure, name) for name in names[:-1]] for figure in figures])
     named = np.log((1 - ODD_EVENT) * density + ODD_EVENT * flat).sum(axis=0)
@@ -199,7 +224,10 @@ def _of_figures(names: Sequence[str], figures: Sequence[RowFigure], wide: tuple[
 
 
 def _density(figure: RowFigure, name: str) -> float:
-    """Density of a figure that is uniform in a predicted interval, with a normal error."""
+    """Return the probability density of a figure under the alternative `name`.
+
+    The true number is uniform in the predicted interval, and the error is normal.
+    """
     low, high = figure.predicted[name]
     z = np.array([figure.x - low, figure.x - high]) / figure.u
     if high - low < figure.u:
@@ -236,9 +264,11 @@ def _upper_bits(chip: RecordedChip, _: Variant) -> Iterator[str]:
 
 
 def _contents(cause: str, changed: int = 0xFFFF, flash: bool | None = None) -> Observer:
-    """Labels of register contents after a cause that changes some of the bits `changed`.
+    """Return a function that judges the register contents of a recorded chip after a cause.
 
-    `flash` chooses registers with a flash copy (True) or volatile ones (False).
+    The cause is a write or a command. The function labels each changed content as right, unchanged or
+    something else. `changed` is a mask of bits of which the cause must change one; `flash` chooses
+    registers with a flash copy (True), volatile ones (False) or all (None).
     """
 
     def observe(chip: RecordedChip, _: Variant) -> Iterator[str]:
@@ -263,7 +293,7 @@ def _counts(chip: RecordedChip, _: Variant) -> Iterator[str]:
 
 
 def _saves(chip: RecordedChip, _: Variant) -> Iterator[str]:
-    """Labels of nulls and restores by the change of ENDURANCE, relative to a flash update."""
+    """Yield labels of autonulls and restores by the change of ENDURANCE, relative to a flash update."""
     step = max((change for name, change in chip.counts if name == "flash_update"), default=1)
     for name, change in chip.counts:
         if name != "flash_update" and step:
@@ -287,7 +317,11 @@ def _status_clears(chip: RecordedChip, _: Variant) -> Iterator[str]:
 
 
 def _ends(condition: str) -> Observer:
-    """Labels of conditions that a write ended; nothing if any read clears STATUS, which looks the same."""
+    """Return a function that reports if a bit of STATUS stays or falls when a write ends its condition.
+
+    The function takes a recorded chip; `condition` is `alarm` or `over_range`. It yields nothing if any
+    read clears STATUS, which looks the same.
+    """
 
     def observe(chip: RecordedChip, _: Variant) -> Iterator[str]:
         if "lost" not in chip.error_flags:
@@ -315,7 +349,7 @@ def _new_data(chip: RecordedChip, _: Variant) -> Iterator[str]:
 
 
 def _bursts(chip: RecordedChip) -> Iterator[tuple[RegisterSpan, float, np.ndarray, float]]:
-    """Yield consecutive reads of one register: span, time of a read, flags ND, and nominal period."""
+    """Yield consecutive reads of one register: span, time of a read in s, flags ND, nominal period in s."""
     for span in chip.spans:
         for runs in span.outputs.values():
             for times, words in runs:
@@ -340,7 +374,10 @@ def _periods(chip: RecordedChip, _: Variant) -> Iterator[RowFigure]:
 
 
 def _mean_u(part: Variant, rest: RestStatistics, columns: slice) -> float:
-    """Standard uncertainty of the difference of two means, in LSB: white noise, flicker and rounding."""
+    """Return the standard uncertainty of the difference of two means of readings at rest, in LSB.
+
+    It comes from white noise, flicker and rounding; `columns` chooses accelerometers or gyros.
+    """
     figures, gyros = part.performance, columns.start == 3
     lsb = part.lsb(Kind.GYRO if gyros else Kind.ACCEL, rest.dps)[0]
     white, floor = figures.noise[columns.start] / lsb, figures.floor[columns.start] / lsb
@@ -350,7 +387,11 @@ def _mean_u(part: Variant, rest: RestStatistics, columns: slice) -> float:
 def _offset_steps(
     outputs: Sequence[str], offsets: Sequence[str], columns: slice, rivals: Mapping[str, float]
 ) -> Figures:
-    """Steps of the outputs divided by steps of their offset registers."""
+    """Return a function that yields steps of outputs divided by steps of their offset registers.
+
+    The function takes a recorded chip and its variant. `outputs` and `offsets` name the registers,
+    `columns` chooses their axes, and `rivals` has the ratio that each alternative predicts.
+    """
 
     def observe(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
         for one, two in pairwise(chip.rests):
@@ -372,7 +413,10 @@ def _offset_steps(
 
 
 def _after_filter(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
-    """Share of an offset's step that the first word shows, scaled to 1 after and 0 before the filter."""
+    """Yield the share of an offset's step that the first word after the write shows.
+
+    The share is scaled: 1 if the offset acts after the filter, 0 if it acts before.
+    """
     ratio = float(np.median([figure.x for figure in _accel_steps(chip, part)] or [1.0]))
     level: dict[str, tuple[RegisterSpan, float]] = {}
     for span in chip.spans:
@@ -403,7 +447,7 @@ def _after_filter(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
 
 
 def _levels(chip: RecordedChip, part: Variant) -> dict[int, tuple[float, float]]:
-    """Logarithm of the noise of the accelerometers in LSB, and its degrees of freedom, by M."""
+    """Return the logarithm of the accelerometers' noise in LSB, and its degrees of freedom, by M."""
     found: dict[int, tuple[float, float]] = {}
     floor = part.performance.floor[0] / part.accel_mg_per_lsb
     for rest in chip.rests:
@@ -423,7 +467,7 @@ _GAINS: dict[str, Callable[[int], float]] = {
     "twice the taps": lambda m: white_noise_gain(m + (m > 0)),
     "M + 1 taps": lambda m: _gain_of_taps(m + 1),
 }
-"""Noise gain of the filter by M, for each alternative."""
+"""Noise gain of the filter as a function of its setting M, for each alternative."""
 
 
 def _filter_gain(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
@@ -440,9 +484,10 @@ def _filter_gain(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
 
 
 def _noise(columns: slice) -> Observer:
-    """Logarithm of the noise before the filter, relative to the table's figure.
+    """Return a function that yields the logarithm of the noise before the filter, relative to the table.
 
-    The gain of the filter is the measured gain of the accelerometers, so that M = 0 must be recorded too.
+    The function takes a recorded chip and its variant. The gain of the filter is the measured gain of the
+    accelerometers, so that M = 0 must be recorded too. `columns` chooses accelerometers or gyros.
     """
 
     def observe(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
@@ -461,7 +506,11 @@ def _noise(columns: slice) -> Observer:
 
 
 def _self_test(columns: slice, part_of: Callable[[bool, bool, bool], str]) -> Observer:
-    """Labels of three axes by their answers to both signs of the manual self-test."""
+    """Return a function that labels the answers of three axes to both signs of the manual self-test.
+
+    The function takes a recorded chip and its variant. `columns` chooses the axes; `part_of` gives the
+    label for: answers to +, answers to −, opposite ways.
+    """
 
     def observe(chip: RecordedChip, part: Variant) -> Iterator[str]:
         latest: dict[int, RestStatistics] = {}
@@ -488,7 +537,7 @@ def _of_accel(plus: bool, minus: bool, _: bool) -> str:
 
 
 def _never(chip: RecordedChip, _: Variant) -> Iterator[str]:
-    """No command of this package sends such frames."""
+    """Yield nothing, because no command of this package sends frames that show this property."""
     yield from ()
 
 
@@ -500,7 +549,10 @@ def _edge(chip: RecordedChip, _: Variant) -> Iterator[str]:
 
 
 def _rounding(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
-    """Rate after a precision autonull in LSB of the offsets, positive along the bias before it."""
+    """Yield the remaining rate of each gyro after a precision autonull, in LSB of the offset registers.
+
+    It is positive in the direction of the bias before the autonull.
+    """
     steps = [figure.x for figure in _gyro_steps(chip, part)] or [1.0]
     if abs(float(np.median(steps)) - 1) > 0.1:
         return  # the unit of the residual is not known
@@ -523,9 +575,12 @@ def _rounding(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
 
 
 def _entry(text: str, observe: Observer, *alternatives: str, **figures: Any) -> ChipRow:
-    """Make a row; `text` names a question of the bring-up, or has name, question, source and confidence.
+    """Return a row of hypotheses on one question about the chip.
 
-    `figures` are attributes of the row for its figures: `wide`, `unit`, `logarithmic`.
+    `text` is the name of a question of the bring-up, or name, question, source and confidence separated by
+    ` | `. `observe` yields the observations of a recorded chip, and `alternatives` are the possible
+    statements, the statement of the table first. `figures` are attributes of the row for its figures:
+    `wide`, `unit`, `logarithmic`.
     """
     name, *own = text.split(" | ")
     asked = {question.name: question for question in QUESTIONS}
@@ -595,11 +650,13 @@ ROWS: tuple[ChipRow, ...] = (
     _entry("self_test_outputs | Outputs during the self-test? | estimate | D", _never, "zero, ND 0"),
 )
 # fmt: on
-"""Rows in the order of the report. A new row is one entry here."""
+"""Rows of the table in the order of the report."""
 
 
 def judge_recordings(paths: Iterable[str | Path], part: Variant) -> tuple[RowFinding, ...]:
-    """Judge all rows by some recordings or captures together; each file is a power-on of its own.
+    """Judge all rows by some recordings or captures of a variant together.
+
+    Each file is a power-on of its own.
 
     Raises
     ------
@@ -616,7 +673,7 @@ def judge_recordings(paths: Iterable[str | Path], part: Variant) -> tuple[RowFin
 
 
 def findings_text(findings: Sequence[RowFinding]) -> str:
-    """Table of findings in 80 columns, contradicted rows first, with the observations below each row."""
+    """Return a table of findings in 80 columns, contradicted rows first, with each row's observations."""
     lines = [f"{'row':20}{'the table says':18}{'recorded':18}{'evidence':>8}  verdict"]
     order = [Outcome.CONTRADICTS, Outcome.OPEN, Outcome.CONFIRMS]
     for one in sorted((f for f in findings if f.observations), key=lambda f: order.index(f.outcome)):

@@ -41,9 +41,9 @@ from adis_gonio.device.sensor.registers import (
 from adis_gonio.device.sensor.settings import Status, scales, white_noise_gain
 
 CLOCKS_HZ = (2e6, 1.5e6, 1e6, 750e3, 500e3, 250e3, 125e3, 62.5e3, 31.25e3)
-"""Clocks to try: steps of the bridges within the limits of the chip's modes."""
+"""Clocks to try in Hz: steps of the bridges within the limits of the chip's modes."""
 FASTEST_HZ = {"fast": 2e6, "normal": 300e3}
-"""Highest clock of a mode (DS, A)."""
+"""Highest clock in Hz of each mode (data sheet, A)."""
 READS = 1000
 _PASSES = 3
 
@@ -52,11 +52,11 @@ _CONSTANT = tuple(
     for row in REGISTERS
     if row.readable and not row.flags and row.name not in ("STATUS", "GPIO_CTRL", "SLP_CNT")
 )
-"""Registers with constant content."""
+"""Registers whose content only a write changes."""
 
 
 def legal(row: Register, word: int) -> bool:
-    """True if a register can contain this word: no bit is set outside its number or its fields."""
+    """Return True if a register can contain this word: no bit is set outside its number or its fields."""
     if row.name == "ENDURANCE":
         return word < 1 << 15
     if row.name == "SMPL_PRD":
@@ -140,14 +140,14 @@ def _unsteady(words: Words) -> str:
 
 
 class Timing(BringupStep):
-    """Compares the clock, stall and period of the bridge with the sensor's limits, and times a frame."""
+    """Compares SPI clock, stall and period of the bridge with the sensor's limits, and times a frame."""
 
     name = "timing"
     does = "asks the bridge for both modes' timing and times 500 frames"
     _frames = 500
 
     def run(self, bench: BringupBench, found: StepResult) -> StepResult:
-        """Compare the timing that the bridge reports and the measured time of a frame with the limits."""
+        """Compare the timing that the bridge reports, and the measured time of a frame, with the limits."""
         wrong: list[str] = []
         for mode, asked in (("fast", FAST), ("normal", NORMAL)):
             got = bench.bus.inner.configure(asked)
@@ -181,7 +181,11 @@ def _frame_s(bench: BringupBench, count: int) -> float:
 
 
 def _too_quick(frame_us: float, timing: SpiTiming) -> list[str]:
-    """Message if a frame takes less time than the bridge reports; the error of its clock is allowed for."""
+    """Return a message, in a list, if a frame takes less time than the bridge reports; else an empty list.
+
+    `frame_us` is the measured time of a frame in µs, `timing` the reported timing. The error of the
+    bridge's clock is allowed for.
+    """
     least_us = 1e6 * timing.frame_s
     if frame_us < least_us * (1 - np.sqrt(3) * BOARD_CLOCK_U):
         return [f"a frame takes {frame_us:.1f} µs, the part needs {least_us:.0f}: the stall is not kept"]
@@ -190,6 +194,8 @@ def _too_quick(frame_us: float, timing: SpiTiming) -> list[str]:
 
 @dataclass(frozen=True)
 class _Trial:
+    """Result of reading constant registers at one clock: words read, wrong words and bits, frame time."""
+
     clock_hz: float
     reads: int
     wrong_words: int
@@ -198,7 +204,7 @@ class _Trial:
 
 
 class BitErrors(BringupStep):
-    """Reads constant registers at every clock, slowest first; ends at the first clock with errors.
+    """Reads constant registers at every SPI clock, slowest first; ends at the first clock with errors.
 
     A flipped bit may turn a read into a write, so no clock above a clock with errors is tried. A link is
     good if its error rate is below 1e-10 per bit: then about one board in 100 000 shows an error.
@@ -270,7 +276,10 @@ class BitErrors(BringupStep):
 
 
 def _offered(bench: BringupBench, most_hz: float, limit: SpiTiming) -> list[float]:
-    """Clocks in Hz that the bridge offers within the limits of the sensor's mode, slowest first."""
+    """Return the clocks in Hz that the bridge offers up to `most_hz`, slowest first.
+
+    `limit` is the timing of the sensor's mode, whose stall and period are kept.
+    """
     found = set()
     for asked in CLOCKS_HZ:
         if asked <= most_hz:
@@ -297,7 +306,10 @@ def _judge(clock_hz: float, words: Words, expected: Words, frame_us: float) -> _
 
 
 def _majority(words: Words) -> Words:
-    """Words (registers,) in which each bit has the value that most of the passes read."""
+    """Return the words (registers,) in which each bit has the value that most passes read.
+
+    `words` are the words (passes, registers) that were read.
+    """
     # Bits (passes, registers, 16): a bit is one if it is one in most passes.
     ones = ((words[:, :, np.newaxis] >> np.arange(16, dtype=np.uint16)) & 1).mean(axis=0) > 0.5
     words_of: Words = (ones.astype(np.uint32) << np.arange(16)).sum(axis=1).astype(np.uint16)
@@ -305,16 +317,16 @@ def _majority(words: Words) -> Words:
 
 
 SUPPLY_V = (4.75, 5.25)
-"""Limits of the supply (DS, B), as in STATUS."""
+"""Lower and upper limit of the supply in V (data sheet, B), as in STATUS."""
 TEMPERATURE_C = (-40.0, 85.0)
-"""Range of operation of the siblings (DS, B)."""
+"""Range of operation of the siblings in °C (data sheet, B)."""
 GRAVITY_U = 0.0026 / np.sqrt(3)
-"""Relative standard uncertainty: gravity on earth is within 0.26 % of the standard value."""
+"""Relative standard uncertainty of local gravity: on Earth it is within 0.26 % of the standard value."""
 _SCANS = 256
 
 
 def mean_and_u(numbers: Floats, gain: float = 1.0) -> tuple[Floats, Floats]:
-    """Means (k,) of numbers (n, k) and their standard uncertainties, in LSB.
+    """Return the means (k,) of numbers (n, k) and their standard uncertainties, in LSB.
 
     The filter does not reduce noise at the lowest frequencies, so that the uncertainty of a mean is σ/√n
     with the σ of unfiltered noise: the measured σ divided by `gain`, the noise gain of the filter. A
@@ -364,7 +376,10 @@ class Health(BringupStep):
 
 
 class WhichPart(BringupStep):
-    """Identifies the sensor variant by |a| at rest, the only property that differs."""
+    """Identifies the sensor variant by |a|, the magnitude of the accelerations at rest.
+
+    No other property differs between the variants.
+    """
 
     name = "variant"
     does = (
@@ -409,7 +424,10 @@ class WhichPart(BringupStep):
 
 
 def _tolerance(part: Variant, warm_c: float) -> float:
-    """Relative standard deviation of |a| at rest among good sensors and places on Earth."""
+    """Return the relative standard deviation of |a| at rest among good sensors and places on Earth.
+
+    `warm_c` is the difference of the temperature from 25 °C.
+    """
     figures = part.performance
     return float(
         np.sqrt(
@@ -422,5 +440,5 @@ def _tolerance(part: Variant, warm_c: float) -> float:
 
 
 def _gain(bench: BringupBench) -> float:
-    """Factor by which the present filter reduces the rms of white noise."""
+    """Return the factor by which the sensor's present filter reduces the rms of white noise."""
     return white_noise_gain(BY_NAME["SENS_AVG"].field("m").of(bench.sensor.read("SENS_AVG")))

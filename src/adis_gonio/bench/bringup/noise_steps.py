@@ -34,13 +34,14 @@ _BANDS = 6
 _HANN_WIDTH = 35 / 18
 """Number of bins of a periodogram with Hann's window that count as one independent bin in a mean."""
 _MOST_FLICKER = 0.1
-"""Largest share of flicker, relative to white noise, at the lowest frequency used."""
+"""Largest density of flicker noise, relative to white noise, at the lowest frequency used."""
 
 
 def degrees_of_freedom(count: int, m: int, spacing: float = 1.0) -> float:
-    """Degrees of freedom of the variance of `count` filtered samples, `spacing` samples apart.
+    """Return the degrees of freedom of the variance of `count` filtered samples, `spacing` periods apart.
 
-    The filter (of length parameter `m`) correlates neighbouring samples, which reduces the number.
+    The filter (of setting `m`: two boxcars of 2^m taps) correlates neighbouring samples, which reduces the
+    number.
     """
     # Autocorrelation of the filter at the lags of the samples: each correlated lag costs degrees of
     # freedom.
@@ -53,16 +54,18 @@ def degrees_of_freedom(count: int, m: int, spacing: float = 1.0) -> float:
 
 
 def flicker(floor: Floats, frequency_hz: Floats, rate_hz: float) -> Floats:
-    """Level (n, k) of flicker (1/f) noise in a periodogram, for an Allan deviation of floor (k,).
+    """Return the level (n, k) of flicker (1/f) noise in a periodogram of k axes at n frequencies.
 
-    Its one-sided density is floor² / (2 ln 2 f); white noise has 2 σ² / rate and the level σ² in each bin.
+    `floor` (k,) is the floor of the Allan deviation of each axis, `frequency_hz` has the frequencies (n,),
+    and `rate_hz` is the sample rate. The one-sided density of flicker is floor² / (2 ln 2 f); white noise
+    has 2 σ² / rate and the level σ² in each bin.
     """
     level: Floats = floor**2 / (2 * math.log(2) * frequency_hz[:, None]) * rate_hz / 2
     return level
 
 
 def spectrum(values: Floats) -> tuple[Floats, Floats]:
-    """Frequencies (cycles per sample) and periodogram of k series of n values, with Hann's window.
+    """Return frequencies (cycles per sample) and periodogram of k series of n values, with Hann's window.
 
     White noise of variance σ² has the mean σ² in every bin.
     """
@@ -141,7 +144,23 @@ class Noise(BringupStep):
 
 
 class _Judged:
-    """Noise of the six axes in LSB, converted to noise before the filter, and the deviating axes."""
+    """Noise of the six axes, with the axes that deviate from the variant's figures.
+
+    Attributes
+    ----------
+    sigma, u : (6,) float
+        Standard deviation before the filter in LSB, and its standard uncertainty.
+    level_off : list of bool
+        True for each axis whose noise is not the variant's.
+    shape_off : list of int
+        Axes whose spectrum does not have the shape of the filter.
+    tones : list of (int, float, float)
+        Axis, frequency in Hz and rms in LSB of each single tone.
+    figures : tuple of Measured
+        Further figures of the step.
+    density : tuple of array or None
+        Frequencies, relative spectra and expected shape for the report; None without a spectrum.
+    """
 
     def __init__(self, sigma: Floats, u: Floats) -> None:
         self.sigma = sigma
@@ -153,7 +172,7 @@ class _Judged:
         self.density: tuple[Floats, Floats, Floats] | None = None
 
     def curves(self) -> tuple[Curve, ...]:
-        """The smoothed spectra and the expected spectrum, for the report; empty if there are none."""
+        """Return the smoothed spectra and the expected spectrum for the report; empty without any."""
         if self.density is None:
             return ()
         hz, power, shape = self.density
@@ -173,12 +192,19 @@ class _Judged:
 
 
 def floors(part: Variant, expected: Floats) -> Floats:
-    """Bias instability (6,) of the axes in LSB; `expected` is their white noise in LSB."""
+    """Return the bias instability (6,) of the axes of a variant, in LSB.
+
+    `expected` is the white noise of each axis in LSB by the variant's figures.
+    """
     return np.asarray(part.performance.floor * expected / part.performance.noise)
 
 
 def _by_variance(bench: BringupBench, numbers: Floats, m: int, spacing: float, expected: Floats) -> _Judged:
-    """Judge the noise of scans with gaps by their variance."""
+    """Judge the noise of scans with gaps by their variance.
+
+    `numbers` are the scans (n, 6) in LSB, `m` is the filter setting, `spacing` the mean number of periods
+    between scans, and `expected` the noise (6,) in LSB by the variant's figures.
+    """
     # Over so few octaves the variance of flicker is about twice its floor squared.
     extra = 2 * floors(bench.sensor.variant, expected) ** 2
     variance = np.maximum(numbers.var(axis=0, ddof=1) - 1 / 12 - extra, 1e-9)
@@ -194,7 +220,9 @@ def _by_variance(bench: BringupBench, numbers: Floats, m: int, spacing: float, e
 def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, expected: Floats) -> _Judged:
     """Judge the noise of scans without gaps by their spectrum: level, shape and single tones.
 
-    Only frequencies are used at which white noise exceeds rounding and flicker noise.
+    `numbers` are the scans (n, 6) in LSB, `m` is the filter setting, `rate_hz` the sample rate, and
+    `expected` the noise (6,) in LSB by the variant's figures. Only frequencies are used at which white
+    noise exceeds rounding and flicker noise.
     """
     cycles, power = spectrum(numbers)
     gain = filter_response(m, cycles)
@@ -243,7 +271,10 @@ def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, e
 
 
 def _answer_noise(found: StepResult, names: Sequence[str], off: Sequence[bool]) -> None:
-    """Answer the questions on noise by the first six figures of the step, one for each axis."""
+    """Answer the questions on noise by the first six figures of the step, one figure for each axis.
+
+    `off` is True for each axis whose noise is not the variant's.
+    """
     for question, first, unit in (("accel_noise", 0, "mg"), ("gyro_noise", 3, "°/s")):
         axes = slice(first, first + 3)
         pairs = zip(names[axes], found.figures[axes], strict=True)

@@ -1,4 +1,4 @@
-"""The registers of a chip, followed through the frames of a recording or a capture.
+"""The registers of a chip, followed through the frames of a recording or a capture of its bus.
 
 `RecordedChip` keeps the contents that the register table predicts after each write, command and reset. It
 compares each reply with them and stores the comparisons, which `chip_rows` judges. It writes nothing.
@@ -44,12 +44,20 @@ _BUSY = ("reset", "restore", "flash_update", "autonull", "precision_autonull")
 _SAVING = _BUSY[1:]
 _IS_OUTPUT = np.array([slot in BY_ADDRESS and BY_ADDRESS[slot].flags for slot in range(64)])
 _BATCH_GAP_S = 2e-3
-"""Frames of a capture with longer pauses belong to different batches."""
+"""Pause in s between two frames of a capture above which they belong to different batches."""
 
 
 @dataclass
 class Content:
-    """Predicted content of a register, its content before, and the cause of the change."""
+    """Predicted content of a register.
+
+    Attributes
+    ----------
+    word, before : int
+        Predicted word, and word before the change; `before` is −1 if it is not known.
+    cause : str
+        Cause of the change: `write`, `read` (the word was read) or a command such as `reset`.
+    """
 
     word: int
     before: int
@@ -58,7 +66,17 @@ class Content:
 
 @dataclass(frozen=True)
 class Check:
-    """A word read from a control register; `expected` is None if nothing predicts it."""
+    """A word read from a control register.
+
+    Attributes
+    ----------
+    row : Register
+        The register.
+    word : int
+        The word that was read.
+    expected : Content or None
+        Predicted content; None if nothing predicts it.
+    """
 
     row: Register
     word: int
@@ -67,10 +85,20 @@ class Check:
 
 @dataclass
 class RegisterSpan:
-    """Time between two changes of the registers: contents and words of the outputs, by register.
+    """Time between two changes of the registers.
 
-    Readings have begun to settle at `changed_s`. `verified` has the names of the registers that were read
-    since they changed.
+    Attributes
+    ----------
+    begin_s : float
+        Time in s of the change at its beginning.
+    image : dict of str to int
+        Words of the control registers, by name, as far as they are known.
+    changed_s : float
+        Time in s of the last change that affects readings; from then on they settle.
+    verified : set of str
+        Names of the registers that were read since they changed.
+    outputs : dict of str to list of (times, words)
+        Times in s and words of each output register that was read, by name.
     """
 
     begin_s: float
@@ -81,7 +109,7 @@ class RegisterSpan:
 
     @property
     def period_s(self) -> float:
-        """Nominal period of the update; NaN if SMPL_PRD is not known."""
+        """Nominal period of the sample update in s; NaN if SMPL_PRD is not known."""
         code = self.image.get("SMPL_PRD", 0) & 0xFF
         return sample_period_s(code) if code else math.nan
 
@@ -92,18 +120,21 @@ class RegisterSpan:
         return None if word is None else word & 7
 
     def settings(self, *names: str) -> tuple[int | None, ...]:
-        """Bits of some registers that affect readings."""
+        """Return the bits of some registers that affect readings; None for a register that is not known."""
         return tuple(
             self.image[name] & READING_BITS.get(name, -1) if name in self.image else None for name in names
         )
 
     def first(self, name: str) -> tuple[float, int] | None:
-        """Time in s and number of the first word of an output register."""
+        """Return time in s and number of the first word of an output register; None if it was not read."""
         runs = self.outputs.get(name)
         return (float(runs[0][0][0]), BY_NAME[name].number(int(runs[0][1][0]))) if runs else None
 
     def settled(self, name: str) -> tuple[Floats, Floats]:
-        """Times (n,) in s and numbers (n,) of the updates of an output register after settling."""
+        """Return times (n,) in s and numbers (n,) of the updates of an output register after settling.
+
+        Both are empty if the register was not read or the settings are not known.
+        """
         runs = self.outputs.get(name)
         if not runs or self.m is None or math.isnan(self.period_s):
             return np.empty(0), np.empty(0)
@@ -120,16 +151,20 @@ class RegisterSpan:
 
 @dataclass(frozen=True)
 class RestStatistics:
-    """Means and standard deviations (6,) of accelerometers and gyros in a span, in LSB of the outputs.
+    """Means and standard deviations of accelerometers and gyros at rest, in a span without changes.
 
     Attributes
     ----------
+    span : RegisterSpan
+        The span.
+    mean, sigma : (6,) float
+        Mean and standard deviation of each axis in LSB of the outputs; NaN for gyros that were not read.
     count : int
-        Number of updates.
+        Number of sample updates.
     dof : float
         Degrees of freedom of the variance of one axis.
     m, dps : int
-        Filter setting and range of the gyros.
+        Filter setting and range of the gyros in °/s.
     """
 
     span: RegisterSpan
@@ -154,20 +189,23 @@ class RecordedChip:
     Attributes
     ----------
     checks : list of Check
-        Words of control registers.
+        Words read from control registers, each with its predicted content.
     spans : list of RegisterSpan
+        Times between two changes of the registers, in order.
     after_writes : list of (frame, content, reply before, reply)
-        Word that answers each write.
+        For each write: frame, content after it, reply to the frame before, and reply to the write.
     waits : dict of str to list of (float, bool)
-        By command: times in s after it at which the chip was seen ready (True) or not.
+    By command: times in s after the command at which the chip was seen ready (True) or not.
     counts : list of (command, int)
         Change of ENDURANCE by each command that saves to flash.
     statuses : list of (bool, int)
-        By STATUS word that follows an alarm whose condition has ended: True if it is the first one.
+        For each STATUS word after an alarm whose condition has ended: True if it is the first such word,
+        and the alarm bit.
     error_flags : list of (str)
-        Behaviour of the flag EA: `set`, `missing`, `lost`.
+        Behaviour of the flag EA during an alarm: `set` in all words, `missing`, or `lost` after some words.
     ended : list of (str, bool)
-        Name of a condition that a write ended, and True if its bit stayed until STATUS was read.
+        Name of a condition that a write ended, and True if its bit stayed until STATUS was read; False if
+        it cleared before.
     nulls : list of (int, str)
         Index of the span after each autonull, and its command.
     edges : list of (k, n) int64
@@ -206,7 +244,10 @@ class RecordedChip:
 
     @cached_property
     def rests(self) -> list[RestStatistics]:
-        """Spans with at least 16 updates of the accelerometers, with NaN for gyros that were not read."""
+        """Statistics of the spans with at least 16 updates of the accelerometers.
+
+        Gyros that were not read have NaN.
+        """
         found = []
         for span in self.spans:
             columns = [span.settled(name) for name in (*ACCEL_OUT, *GYRO_OUT)]
@@ -391,7 +432,10 @@ class RecordedChip:
         self._new_span(time_s)
 
     def _conditions(self, row: Register, word: int, time_s: float) -> None:
-        """Note that an alarm begins, or that a write ends a condition of which the flag EA has told."""
+        """Note that an alarm begins, or that a write ends a condition that the flag EA has shown.
+
+        The write changed the content of register `row` to `word` at `time_s`.
+        """
         period_s = self.spans[-1].period_s
         # The condition acts with the next update.
         self._settled_s = time_s + (0.1 if math.isnan(period_s) else 3 * period_s)
@@ -441,9 +485,10 @@ class RecordedChip:
 
 
 def _is_ready(frames: Integers, words: Integers) -> bool | None:
-    """True if a batch shows that the chip answers, False that it does not; None if it shows neither.
+    """Return True if a batch shows that the chip answers, False that it does not; None if neither.
 
-    SENS_AVG and SMPL_PRD are never zero, and different registers do not all have one content.
+    `words` are the replies to `frames`, −1 if not known. SENS_AVG and SMPL_PRD are never zero, and
+    different registers do not all have one content.
     """
     got = words[words >= 0]
     telling = [
@@ -457,7 +502,7 @@ def _is_ready(frames: Integers, words: Integers) -> bool | None:
 
 
 def _in_batches(calls: Iterable[Call]) -> Iterator[Call]:
-    """Yield calls, with the frames of a capture joined to batches."""
+    """Yield the calls of a recording, with single frames of a capture joined to batches."""
     waiting: list[Call] = []
 
     def joined() -> Iterator[Call]:

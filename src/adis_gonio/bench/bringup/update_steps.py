@@ -34,9 +34,9 @@ _NO_EDGE = "no edge arrives: wire DIO1 to the bridge's data-ready input if it is
 _LONGEST_FRAME_US = 20_000.0
 """Largest time between two frames of a scan in µs; the timers of the bridges reach about 50 ms."""
 _BENT = 0.02
-"""Relative error of the times of a bridge while the rate of its clock is being estimated."""
+"""Largest relative error of a bridge's times while the rate of its clock is being estimated."""
 _UNBROKEN_PERIODS = 3
-"""Number of periods that a batch without a pause must span so that its frames can be used as a clock."""
+"""Number of sample periods that an unbroken batch of frames must span to serve as a clock."""
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,10 @@ class Period:
 
 
 def measured_period(bench: BringupBench, expected_s: float, updates: int) -> Period | str:
-    """Measure the period of the sample updates by the flags ND of one register.
+    """Measure the period of the sample updates by the new-data flags (ND) of one register.
 
-    Returns the reason as text if it cannot be measured.
+    `expected_s` is the nominal period, `updates` the number of periods to measure. Returns the reason as
+    text if the period cannot be measured.
 
     The first read after an update carries ND, so that a span between ND flags is a whole number of periods,
     with a uniform error of one read at either end: u = frame sqrt(1/6) / number of periods.
@@ -87,7 +88,8 @@ def measured_period(bench: BringupBench, expected_s: float, updates: int) -> Per
 def _by_clock(bench: BringupBench, expected_s: float, updates: int) -> Period | str:
     """Measure the period of the sample updates by many short reads, timed by the clock of the bus.
 
-    Each read finds at most one update. Returns the reason as text if the period cannot be measured.
+    `expected_s` is the nominal period, `updates` the number of periods to measure. Each read finds at most
+    one update. Returns the reason as text if the period cannot be measured.
     """
     first = last = 0.0
     count, longest = -1, 0.0
@@ -112,12 +114,12 @@ def _by_clock(bench: BringupBench, expected_s: float, updates: int) -> Period | 
 
 
 def nearest_code(period_s: float) -> int:
-    """Value of SMPL_PRD with the nominal period that is nearest to the given one, by ratio."""
+    """Return the value of SMPL_PRD with the nominal period that is nearest to a period, by ratio."""
     return min(_CODES, key=lambda n: abs(math.log(period_s / sample_period_s(n))))
 
 
 class Rate(BringupStep):
-    """Compares the rate of new samples, by their flag ND, with the setting SMPL_PRD."""
+    """Compares the rate of new samples, by their new-data flag ND, with the setting SMPL_PRD."""
 
     name = "sample rate"
     does = "counts new-data flags (ND) of one register that is read without a pause"
@@ -154,7 +156,18 @@ class _Edges:
     Attributes
     ----------
     position : (n,) int
-        Number of the read with ND in each scan; -1 if there is none, -2 if there are several.
+        Number of the read with the new-data flag (ND) in each scan; −1 if there is none, −2 if there are
+        several.
+    lost : int
+        Number of edges without a scan, as the bridge reports it.
+    jitter_us, rate_hz : float
+        Rms deviation of the scans' times from even steps, and their rate.
+    expected : float
+        Number of sample updates in the time of the scans.
+    frame_us : float
+        Time of a frame in µs.
+    reads : int
+        Number of reads in a scan.
     """
 
     position: NDArray[np.int64]
@@ -178,13 +191,13 @@ class _Edges:
 
     @property
     def missed(self) -> int:
-        """Number of edges without a scan, reported by the bridge or seen as gaps in its times."""
+        """Number of edges without a scan, reported by the bridge or seen as gaps in the times of scans."""
         gaps = self.expected - len(self.position)
         return max(self.lost, round(gaps) if gaps > self.slack else 0)
 
     @property
     def usual(self) -> int:
-        """Most frequent position of the read with ND."""
+        """Most frequent position of the read with ND in a scan."""
         values, counts = np.unique(self.position, return_counts=True)
         return int(values[np.argmax(counts)])
 
@@ -211,7 +224,7 @@ class DataReady(BringupStep):
     """Numbers of reads in a scan that are tried: 16 is the limit of the firmware, 8 is usual."""
 
     def run(self, bench: BringupBench, found: StepResult) -> StepResult:
-        """Test both polarities if the bridge starts scans; only count edges if it cannot."""
+        """Test both polarities if the bridge starts scans at edges; only count edges if it cannot."""
         streams, counts = bench.has(Capability.STREAM), bench.has(Capability.EVENT_COUNTER)
         if not (streams or counts):
             return found.not_measured(
@@ -256,7 +269,10 @@ class DataReady(BringupStep):
         return self._judge(bench, period, first, second, found)
 
     def _enable(self, bench: BringupBench, before: int, *, first: bool) -> None:
-        """Enable data-ready on DIO1 so that the bridge uses the first or the second edge of the pulse."""
+        """Enable data-ready on DIO1 so that the bridge uses the first or the second edge of the pulse.
+
+        `before` is the word of MSC_CTRL to change.
+        """
         low = before & ~(_MISC.field("polarity").mask | _MISC.field("line").mask)
         low |= _MISC.field("data_ready").mask
         if bench.bus.edge_rises == first:
@@ -267,7 +283,7 @@ class DataReady(BringupStep):
         bench.bus.exchange_array(write_frames(_MISC, word & _MISC.write_mask, byte_mask=0x00FF))
 
     def _count(self, bench: BringupBench, period_s: float) -> tuple[float, int]:
-        """Count edges for some time; return the expected number of updates and the number of edges."""
+        """Count edges for some time; return the updates expected by `period_s`, and the edges."""
         bench.bus.read_event_counter()
         begin_s = bench.bus.now_s()
         bench.bus.sleep_s(max(0.5, 20 * period_s))
@@ -284,7 +300,7 @@ class DataReady(BringupStep):
         return f"{rate:.0f} edges a second where {1 / period_s:.1f} updates are configured: {rest}"
 
     def _scan(self, bench: BringupBench, period_s: float) -> _Edges:
-        """Record scans of one register, each nearly as long as the period, started at data-ready edges.
+        """Record scans of one register, started at data-ready edges, each nearly as long as the period.
 
         A bridge may be too slow for long scans, so edges count as missed only if short scans miss them too.
         """
@@ -376,7 +392,10 @@ def _positions(words: Words) -> NDArray[np.int64]:
 
 
 def _jitter(time_s: Floats, period_s: float) -> tuple[float, float]:
-    """Rms deviation in µs of times from an evenly spaced series, and the rate of the series in Hz."""
+    """Return the rms deviation in µs of times from even steps, and the rate of the times in Hz.
+
+    `period_s` is the expected step.
+    """
     # Number the edges by rounded periods, then subtract the straight line of even steps.
     steps = np.diff(time_s)
     number = np.concatenate([[0], np.cumsum(np.maximum(np.rint(steps / period_s), 1))])
@@ -385,10 +404,12 @@ def _jitter(time_s: Floats, period_s: float) -> tuple[float, float]:
 
 
 def _delay_us(edges: _Edges, period_s: float, bench: BringupBench) -> tuple[float, float]:
-    """Earliest and latest time in µs from a data-ready edge to the update; negative before the edge.
+    """Return the earliest and latest time in µs from a data-ready edge to the sample update.
 
-    A word is taken at the end of its frame, so that the update lies between the ends of the read with ND
-    and the read before it, which may be the last read of the scan before.
+    `edges` are scans that start at this edge, `period_s` is the sample period. The times are negative if
+    the update comes before the edge. A word is taken at the end of its frame, so that the update lies
+    between the ends of the read with ND and the read before it, which may be the last read of the scan
+    before.
     """
     taken_us = 16e6 / bench.bus.timing.clock_hz
     if edges.usual > 0:
@@ -397,7 +418,11 @@ def _delay_us(edges: _Edges, period_s: float, bench: BringupBench) -> tuple[floa
 
 
 def _pulse(first: _Edges, second: _Edges, period_s: float, bench: BringupBench) -> Answer:
-    """Width of the data-ready pulse, from the delay of the update after each of its two edges."""
+    """Return the width of the data-ready pulse, by the delay of the update after each of its two edges.
+
+    `first` and `second` are scans that start at the first and at the second edge; `period_s` is the sample
+    period.
+    """
     one, two = (_delay_us(edges, period_s, bench) for edges in (first, second))
     low, high = one[0] - two[1], one[1] - two[0]
     if first.usual == second.usual:
@@ -435,9 +460,9 @@ class SamplePeriods(BringupStep):
     _codes = (0x01, 0x04, 0x09, 0x0A, 0x1F, 0x7F, 0x80, 0x83)
 
     def run(self, bench: BringupBench, found: StepResult) -> StepResult:
-        """Compare each measured period with the nominal period of its code.
+        """Compare each measured period with the nominal period of its value of SMPL_PRD.
 
-        The nominal period is the time base (bit 7 of the code) times (N + 1), with N in bits 0 to 6.
+        The nominal period is the time base (bit 7 of the value) times (N + 1), with N in bits 0 to 6.
         """
         off, why = list[str](), ""
         for code in self._codes:

@@ -71,7 +71,11 @@ class Offset(BringupStep):
 
     @staticmethod
     def _behind_filter(bench: BringupBench, held: int, step: int, ratio: float) -> Answer:
-        """Test, with the longest filter, if a change of the offset appears at once or over 127 samples."""
+        """Test, with the longest filter, if a change of the offset appears at once or over 127 samples.
+
+        It is the offset of X: `held` is its number, `step` the change, and `ratio` the change of the output
+        for one LSB of the offset.
+        """
         sensor = bench.sensor
         sensor.write("SENS_AVG", sens_avg_word(300, _MOST_M))
         bench.wait_updates()
@@ -102,7 +106,7 @@ class Offset(BringupStep):
 
 
 def _mean_u(bench: BringupBench, count: int) -> Floats:
-    """Standard uncertainty (6,) in LSB of the means of all six axes over `count` scans.
+    """Return the standard uncertainty (6,) in LSB of the means of all axes over `count` scans.
 
     It is computed from white noise, flicker noise and rounding, with the figures of the sensor variant.
     """
@@ -123,7 +127,7 @@ class SelfTests(BringupStep):
     settles = ("self_test_gyro", "self_test_accel")
 
     def run(self, bench: BringupBench, found: StepResult) -> StepResult:
-        """Measure the change of all six axes by each stimulus.
+        """Measure the change of the outputs of all six axes by each stimulus.
 
         The means are taken without, with +, without, with − and without stimulus.
         """
@@ -183,7 +187,7 @@ def _answer_self_test(found: StepResult, plus: Floats, minus: Floats, limit: Flo
 
 
 class StatusBits(BringupStep):
-    """Tests if bits of STATUS clear when their condition ends, and measures the threshold of over-range."""
+    """Tests if bits of STATUS clear when their condition ends, and measures the over-range threshold."""
 
     name = "status"
     does = "raises an alarm and over-range by registers alone, ends them, and looks at EA and STATUS"
@@ -229,7 +233,7 @@ class StatusBits(BringupStep):
     def _over_range(self, bench: BringupBench, found: StepResult) -> None:
         """Drive one axis over its range by its offset register, and find the threshold by bisection.
 
-        It is the axis along which gravity is largest.
+        The axis is the one along which gravity is largest.
         """
         sensor = bench.sensor
         part = sensor.variant
@@ -296,7 +300,7 @@ class StatusBits(BringupStep):
 
 
 class FlashCount(BringupStep):
-    """Tests if the register ENDURANCE counts a flash update."""
+    """Tests if the register ENDURANCE counts a flash update by one."""
 
     name = "flash count"
     does = "resets the part, so that the registers have the flash's numbers, and saves them: ENDURANCE + 1"

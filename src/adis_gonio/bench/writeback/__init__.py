@@ -1,7 +1,7 @@
 """Write-back of biases and zero rates to the sensor's offset registers, with verification and undo.
 
-The sensor adds an offset register to its output (DS, A), so that the register is set to the negative bias:
-new = number during the recording − bias / LSB.
+The sensor adds an offset register to its output (data sheet, A), so that the register is set to the
+negative bias: new = number during the recording − bias / LSB.
 """
 
 from adis_gonio.bench.writeback.offset_checks import AutonullFound

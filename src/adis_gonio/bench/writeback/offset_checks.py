@@ -1,13 +1,13 @@
 """Verification of a write-back: dwells at rest are compared with the session and with the plan.
 
 A dwell is read by polling, with read frames only, so that no register except the offsets is ever written.
-At a declared angle the session's fit predicts both readings; without an angle, only the length of gravity.
-The comparison includes the uncertainties of the parameters (with their covariance), of the dwell, of the
-angle, of the noise that drifts between the recording and now, and of a different temperature.
+At a declared angle the session's fit predicts both readings; without an angle, only the magnitude of
+gravity. The comparison includes the uncertainties of the parameters (with their covariance), of the dwell,
+of the angle, of the drift between the recording and now, and of a different temperature.
 
 The autonull of the chip takes the present outputs of the gyros for zero rates, so that its offsets include
-their noise and the effect of force in this pose. The session predicts this sum with its uncertainty. If
-they differ by more than both uncertainties allow, one of them is wrong.
+the gyros' noise and the effect of force in this pose. The session predicts this sum with its uncertainty.
+If offsets and prediction differ by more than both uncertainties allow, one of them is wrong.
 """
 
 from __future__ import annotations
@@ -62,15 +62,17 @@ class Rest(JsonRecord):
     Attributes
     ----------
     mean_mg, u_mg : (3,) float
-        Mean reading and its standard uncertainty by noise and rounding.
+        Mean reading in mg and its standard uncertainty by noise and rounding.
     temperature_c, supply_v : float
+        Mean temperature of the X gyro's die (°C) and mean supply (V).
     samples : int
+        Number of samples.
     mean_dps, u_dps : (3,) float or None
-        Mean rates and their standard uncertainties, if the gyros were read.
+        Mean rates in °/s and their standard uncertainties; None if the gyros were not read.
     sample_dps : (3,) float or None
-        Standard deviation of one sample of the gyros.
+        Standard deviation of one sample of the gyros in °/s; None if they were not read.
     temperatures_c : (3,) float or None
-        Temperatures of the gyros' dies, if the gyros were read.
+        Temperatures of the gyros' dies in °C; None if the gyros were not read.
     """
 
     document_keys = ("mean_mg", "u_mg", "temperature_c", "supply_v", "samples", "mean_dps", "u_dps")
@@ -87,7 +89,7 @@ class Rest(JsonRecord):
 
     @property
     def of_gyros(self) -> tuple[Floats, Floats]:
-        """Mean rates (3,) and their standard uncertainties; `UsageError` if no gyros were read."""
+        """Mean rates (3,) in °/s and their standard uncertainties; `UsageError` if no gyros were read."""
         if self.mean_dps is None or self.u_dps is None:
             raise UsageError("the dwell has no gyros")
         return self.mean_dps, self.u_dps
@@ -98,10 +100,12 @@ def measure(sensor: Adis16354, dwell_s: float, patience_s: float, *, gyros: bool
 
     Parameters
     ----------
+    sensor : Adis16354
+        Open sensor; its registers are not written.
     dwell_s : float
         Length of the dwell in s.
     patience_s : float
-        Time to wait for rest, in s, in addition to the time that the watch needs.
+        Time to wait for rest, in s; a bridge that needs longer to measure the noise gets more.
     gyros : bool
         True to read the gyros too.
 
@@ -181,7 +185,11 @@ def _means(scans: ScanBlock, now: Configuration) -> Rest:
 
 
 def _mean(values: Floats, lsb: float, now: Configuration) -> tuple[Floats, Floats, Floats]:
-    """Means (3,) of samples (n, 3), their standard uncertainties, and standard deviations of a sample."""
+    """Return means (3,) of samples (n, 3), their standard uncertainties, and deviations of a sample.
+
+    The deviations (3,) are standard deviations; `lsb` is the step of the samples, `now` the sensor's
+    configuration.
+    """
     deviation = values.std(axis=0, ddof=1)
     # The filter does not reduce noise at the lowest frequencies: use the noise of unfiltered samples.
     spread = deviation / white_noise_gain(now.filter_m)
@@ -190,12 +198,14 @@ def _mean(values: Floats, lsb: float, now: Configuration) -> tuple[Floats, Float
 
 
 SIGMAS = 4.0
-"""Limit of a difference in standard uncertainties: a good part is accused once in 16 000 comparisons."""
+"""Largest difference in standard uncertainties: a good sensor fails once in 16 000 comparisons."""
 SET_ANEW_U_DEG = 0.05
-"""Standard uncertainty of an angle that is set again, if the session states none: a session of a few
-positions cannot estimate it, and a vernier cannot be read better."""
+"""Standard uncertainty in degrees of an angle that is set again, if the session states none.
+
+A session of a few positions cannot estimate it, and a vernier cannot be read better.
+"""
 LEAST_SHARE = 0.5
-"""Smallest share of gravity in the session's plane for a comparison of its length."""
+"""Smallest share of gravity in the session's plane with which the magnitude of gravity is compared."""
 
 
 class Agreement(JsonRecord):
@@ -208,9 +218,9 @@ class Agreement(JsonRecord):
     names : tuple of str
         Name of each figure, such as `X`.
     measured, expected, u : (k,) float
-        `u` is the standard uncertainty of the difference.
+        Measured figures, expected figures, and the standard uncertainty of each difference.
     unit : str
-        `mg` or `dps`.
+        Unit of the figures: `mg` or `dps`.
     """
 
     document_keys = ("what", "names", "measured", "expected", "u", "agrees")
@@ -244,6 +254,15 @@ class Agreement(JsonRecord):
 
 class _FittedSensor:
     """The sensor by the fit of a session: predicts readings, with the uncertainty of fit and dwell.
+
+    Parameters
+    ----------
+    session, result : Session, FitResult
+        The session and its fit.
+    plan : WritePlan
+        Plan whose present offsets the prediction takes into account.
+    rest : Rest
+        Dwell with which the predictions are compared.
 
     Raises
     ------
@@ -283,7 +302,7 @@ class _FittedSensor:
         )
 
     def at_angle(self, angle_rad: float) -> Agreement:
-        """Compare the readings at a declared angle with the readings that the fit predicts."""
+        """Compare the dwell's readings at a declared angle with the readings that the fit predicts."""
 
         def left(values: Floats, mean: Floats) -> Floats:
             return np.asarray(mean[:2] - self._ideal_mg(values, angle_rad) - self._bias_mg(values))
@@ -318,7 +337,7 @@ class _FittedSensor:
         return Agreement(what, ("|g|",), value, np.array([gravity]), u)
 
     def bias_found(self, angle_rad: float) -> tuple[Floats, Floats]:
-        """Biases (2,) in mg that the dwell gives with the fit's gains and angles, and their u."""
+        """Return the biases (2,) in mg that the dwell gives with the gains and angles of the fit, and u."""
 
         def left(values: Floats, mean: Floats) -> Floats:
             return np.asarray(mean[:2] - self._ideal_mg(values, angle_rad))
@@ -326,25 +345,31 @@ class _FittedSensor:
         return self._propagated(left, self._fixture_u(angle_rad))
 
     def _base(self, values: Floats) -> Floats:
-        """Convert values of the known parameters to the parameters of the model, in natural units."""
+        """Convert values of the fitted parameters to the parameters of the model, in natural units."""
         held = dict(zip(self.known, values, strict=True))
         return np.array(
             [held[p.name] / p.per_natural if p.name in held else p.nominal for p in self.model.parameters]
         )
 
     def _bias_mg(self, values: Floats) -> Floats:
-        """Biases (axes,) in mg with the present numbers in the offset registers."""
+        """Return the biases (axes,) in mg with the present numbers in the offset registers.
+
+        `values` has a value for each fitted parameter of the model.
+        """
         held = dict(zip(self.known, values, strict=True))
         found = [held.get(name, 0.0) for name in BIASES[: self.model.axes]]
         return np.asarray(np.array(found) + self.moved_mg)
 
     def _ideal_mg(self, values: Floats, angle_rad: float) -> Floats:
-        """Readings (2,) in mg by gravity alone, without bias, at a declared angle."""
+        """Return the readings (2,) in mg by gravity alone, without bias, at a declared angle.
+
+        `values` has a value for each fitted parameter of the model.
+        """
         ideal: Floats = self.model.ideal(self._base(values), np.zeros(1), np.array([-angle_rad]))[0]
         return ideal
 
     def _fixture_u(self, angle_rad: float) -> Floats:
-        """Contribution of the declared angle to the standard uncertainty of the readings (2,) in mg."""
+        """Return the part of the declared angle in the standard uncertainty of the readings (2,), in mg."""
         more = SET_ANEW_U_DEG if self.session.fixture_sigma_deg is None else 0.0
         sigma = math.radians(math.hypot(self.result.fixture_sigma_deg or 0.0, more))
         tangent = self.model.tangent(self._base(self.values), np.zeros(1), np.array([-angle_rad]))
@@ -353,7 +378,11 @@ class _FittedSensor:
     def _propagated(
         self, function: Callable[[Floats, Floats], Floats], more_u: Floats
     ) -> tuple[Floats, Floats]:
-        """Value (k,) of a function of fitted parameters and mean reading, and its standard uncertainty."""
+        """Return the value (k,) of a function of fitted parameters and mean reading, and its u.
+
+        `function` takes the values of the parameters and the mean reading; `more_u` (k,) is a further
+        standard uncertainty, from the declared angle.
+        """
         mean = self.rest.mean_mg
         by_parameter = _slopes(lambda v: function(v, mean), self.values)
         by_reading = _slopes(lambda m: function(self.values, m), mean[: self.model.axes])
@@ -364,25 +393,30 @@ class _FittedSensor:
 
 
 def _slopes(function: Callable[[Floats], Floats], at: Floats) -> Floats:
-    """Derivatives ∂f/∂x (k, p) by central differences; all f here are smooth over the step of 1e-4."""
+    """Return the derivatives ∂f/∂x (k, p) of a function at a point by central differences.
+
+    All functions here are smooth over the step of 1e-4.
+    """
     return central_differences(function, at, 1e-4 * np.maximum(1.0, np.abs(at)))
 
 
 PRECISE_S = 30.0
-"""Averaging time of a precision autonull (DS, A: about 30 s)."""
+"""Averaging time of a precision autonull in s (data sheet, A: about 30 s)."""
 
 
 class AutonullFound(JsonRecord):
-    """Zero rates (3,) in °/s in the present pose, found by the chip's autonull and by the session.
+    """Zero rates (3,) in °/s in the present pose, by the chip's autonull and by the session.
 
     Both are for the offsets during the recording.
 
     Attributes
     ----------
     new : dict of str to int
-        Numbers that the chip wrote to its registers.
+        Numbers that the chip wrote to its offset registers, by name.
     chip_dps, u_chip_dps : (3,) float
+        Zero rates by the autonull, and their standard uncertainties.
     session_dps, u_session_dps : (3,) float
+        Zero rates by the session, and their standard uncertainties.
     force_dps : (3,) float
         Contribution of force in this pose to the zero rates of the session.
     """
@@ -447,13 +481,17 @@ def compare_autonull(
 
     Parameters
     ----------
+    part : Gyros
+        Gyros of the session.
+    plan : WritePlan
+        Plan of their offsets, which has the numbers during the recording.
     rest : Rest
         A dwell in this pose, with gyros.
     nulled : mapping of str to int
         Numbers that the chip wrote to its registers.
     samples : float or None
-        Updates that a precision autonull averages; None for the quick autonull, which takes one filtered
-        sample.
+        Number of samples that a precision autonull averages; None for the quick autonull, which takes one
+        filtered sample.
 
     Raises
     ------
@@ -480,7 +518,7 @@ def compare_autonull(
 
 GYRO_NAMES = tuple(axis.upper() for axis in AXES)
 TEMPCO_DPS_PER_C = 0.02
-"""Temperature coefficient of a zero rate if the session does not determine it (D, as the catalogue)."""
+"""Assumed temperature coefficient of a zero rate in °/s/°C if the session does not determine it (D)."""
 
 
 class Accelerometers:
@@ -488,8 +526,12 @@ class Accelerometers:
 
     Parameters
     ----------
+    session : Session
+        The session.
+    method : str or None
+        Method of its fit; None for the best method for the session.
     angle_deg : float or None
-        Declared angle of the sensor.
+        Declared angle of the sensor now; None if it is not known.
     """
 
     registers, others, unit = ACCEL_OFF, GYRO_OFF, "mg"
@@ -504,13 +546,13 @@ class Accelerometers:
         return fit(self.session, self._method)
 
     def plan(self, now: Numbers) -> WritePlan:
-        """Plan the numbers for the offset registers (see `plan_offsets`)."""
+        """Plan the new numbers for the offset registers; `now` has the present numbers."""
         return plan_offsets(self.session, self.result, now)
 
     def expected(self, plan: WritePlan, rest: Rest) -> Agreement:
-        """Compare a dwell at rest with the readings that the fit predicts, at the present offsets.
+        """Compare a dwell at rest with the readings that the fit predicts, at the plan's present offsets.
 
-        At the declared angle both readings are compared; without an angle, the length of gravity.
+        At the declared angle both readings are compared; without an angle, the magnitude of gravity.
 
         Raises
         ------
@@ -538,7 +580,7 @@ class Accelerometers:
         return Agreement("the write moved the outputs by", names, moved, planned, u)
 
     def found(self, plan: WritePlan, rest: Rest) -> tuple[Floats, Floats] | None:
-        """Biases (2,) in mg measured by a dwell at the declared angle, and their standard uncertainties.
+        """Return the biases (2,) in mg by a dwell at the declared angle, and their standard uncertainties.
 
         Returns None without a declared angle.
         """
@@ -548,7 +590,7 @@ class Accelerometers:
 
     @property
     def _angle_rad(self) -> float | None:
-        """Declared angle in rad; None if the fit does not determine the start angle of the plane."""
+        """Declared angle in rad; None if it or the start angle of the plane is not known."""
         if self.angle_deg is None or self.session.plane != "xy" or "alpha" not in self.result:
             return None
         return math.radians(self.angle_deg)
@@ -581,13 +623,14 @@ class Gyros:
         return made
 
     def plan(self, now: Numbers) -> WritePlan:
-        """Plan the numbers for the offset registers (see `plan_gyro_offsets`)."""
+        """Plan the new numbers for the offset registers; `now` has the present numbers."""
         return plan_gyro_offsets(self.session, self.gyro, now, self._found.doubts)
 
     def expected(self, plan: WritePlan, rest: Rest) -> Agreement:
-        """Compare the rates of a dwell with the zero rates that the session predicts.
+        """Compare the mean rates of a dwell with the zero rates that the session predicts.
 
-        The prediction is for the pose, the temperature and the supply of the dwell.
+        The prediction is for the pose, the temperature and the supply of the dwell, and the plan's present
+        offsets.
         """
         mean, u = rest.of_gyros
         moved = np.array([(axis.now - axis.recorded) * axis.lsb for axis in plan.axes])
@@ -608,13 +651,16 @@ class Gyros:
         return Agreement("the write moved the gyros by", GYRO_NAMES, second - first, planned, u, "dps")
 
     def found(self, plan: WritePlan, rest: Rest) -> tuple[Floats, Floats] | None:
-        """Zero rates (3,) in °/s by a dwell, without the effect of force, and their u."""
+        """Return the zero rates (3,) in °/s by a dwell, without the effect of force, and their u.
+
+        The plan is not used.
+        """
         mean, u = rest.of_gyros
         force, of_force = self.by_force(rest)
         return mean - force, np.hypot(u, of_force)
 
     def zero(self, rest: Rest) -> tuple[Floats, Floats]:
-        """Zero rates (3,) in °/s that the session predicts for a dwell, and their standard uncertainties.
+        """Return the zero rates (3,) in °/s that the session predicts for a dwell, and their u.
 
         They are for the offsets during the recording.
         """
@@ -624,11 +670,11 @@ class Gyros:
         return read.rate_dps, read.u_dps
 
     def by_force(self, rest: Rest) -> tuple[Floats, Floats]:
-        """Contribution of force to the zero rates (3,) in °/s of a dwell, and its standard uncertainty."""
+        """Return the contribution of force to the zero rates (3,) in °/s of a dwell, and its u."""
         return self.gyro.force_part(rest.mean_mg / 1000)
 
     def wander(self, rest: Rest) -> float:
-        """Standard uncertainty in °/s of a zero rate due to changes since the session.
+        """Return the standard uncertainty in °/s of a zero rate due to changes from the session to a dwell.
 
         The changes are drift in time, and temperature and supply if the calibration does not include them.
         """
@@ -645,7 +691,16 @@ class Gyros:
 def part_of(
     session: Session, *, gyros: bool, method: str | None = None, angle_deg: float | None = None
 ) -> Accelerometers | Gyros:
-    """Return the object that plans and checks the offsets of a session: of its gyros or its accelerometers.
+    """Return the object that plans and checks the offsets of a session's gyros or accelerometers.
+
+    Parameters
+    ----------
+    gyros : bool
+        True for the gyros, False for the accelerometers.
+    method : str or None
+        Method of the fit of the accelerometers; None for the best method.
+    angle_deg : float or None
+        Declared angle of the sensor now; None if it is not known.
 
     Raises
     ------

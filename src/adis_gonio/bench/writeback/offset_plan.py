@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from adis_gonio.fitting import FitResult
 
 UNITS = {"mg": "mg", "dps": "°/s"}
-"""Units for messages."""
+"""Unit in messages by the unit's name in JSON."""
 BIASES = tuple(f"bias_{axis}" for axis in AXES)
 
 
@@ -42,9 +42,10 @@ class AxisPlan:
     Attributes
     ----------
     axis, register : str
-        `x` and `XACCL_OFF`.
+        Axis such as `x`, and its offset register such as `XACCL_OFF`.
     bias, u : float
-        Bias (zero rate) by the fit and its standard uncertainty, at the number `recorded`.
+        Bias (zero rate) by the fit and its standard uncertainty, with the number `recorded` in the
+        register; `u` is NaN if it is not known.
     recorded, now, new : int
         Number in the register during the recording, present number, and planned number.
     lsb : float
@@ -82,7 +83,7 @@ class AxisPlan:
         return self.bias + (self.new - self.recorded) * self.lsb
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form of the plan for one axis."""
+        """Return the plan for one axis in JSON form."""
         row, unit = BY_NAME[self.register], self.unit
         return {
             "axis": self.axis,
@@ -110,7 +111,7 @@ class WritePlan(JsonRecord):
     session : str
         File of the session.
     variant, method : str
-        Part, and method of the fit.
+        Variant of the sensor, and method of the fit.
     axes : tuple of AxisPlan
         Axes with a bias that the session determines.
     doubts : tuple of str
@@ -137,7 +138,7 @@ class WritePlan(JsonRecord):
 
     @property
     def carried_out(self) -> WritePlan:
-        """Copy of the plan for the state after the write: the planned numbers are the present ones."""
+        """Copy of the plan for the state after the write: the planned numbers are the present numbers."""
         return replace(self, axes=tuple(replace(axis, now=axis.new) for axis in self.axes))
 
     @property
@@ -147,12 +148,12 @@ class WritePlan(JsonRecord):
 
 
 def recorded_offsets(session: Session, names: Sequence[str] = ACCEL_OFF) -> dict[str, int]:
-    """Numbers that three offset registers had during the recording of a session.
+    """Return the numbers that three offset registers had during the recording of a session.
 
     Raises
     ------
     SessionError
-        The session does not have them: it was not recorded by `calibrate`, or not from a chip.
+        The session does not have these numbers: it was not recorded by `calibrate`, or not from a chip.
     """
     registers = (session.facts.get("registers") or {}).get("configured")
     if session.sensor not in VARIANTS or not registers or any(name not in registers for name in names):
@@ -168,13 +169,15 @@ def plan_offsets(session: Session, result: FitResult, now: Numbers | None = None
 
     Parameters
     ----------
+    result : FitResult
+        Fit of the session.
     now : mapping of str to int or None
         Present numbers in the registers; None for the numbers during the recording.
 
     Raises
     ------
     SessionError
-        The session gives no bias (two positions), or does not have the registers.
+        The session gives no bias (two positions), or does not have the contents of the registers.
     """
     recorded = recorded_offsets(session)
     held = recorded if now is None else now
@@ -205,8 +208,8 @@ def plan_gyro_offsets(
     Raises
     ------
     SessionError
-        The session does not have the registers, or a zero rate is out of the range of its register, which
-        means that the gyro is broken or was not at rest.
+        The session does not have the contents of the registers, or a zero rate is out of the range of its
+        register, which means that the gyro is broken or was not at rest.
     """
     recorded = recorded_offsets(session, GYRO_OFF)
     held = recorded if now is None else now
@@ -232,7 +235,11 @@ def _plan(
     method: str,
     doubts: Sequence[str],
 ) -> WritePlan:
-    """Make the plan from biases with their standard uncertainties, `found` by name of the register."""
+    """Return the plan from biases with their standard uncertainties, `found` by name of the register.
+
+    `recorded` and `held` have the numbers during the recording and now; `doubts` are reasons to doubt the
+    fit.
+    """
     axes = []
     for name, (bias, u) in found.items():
         row = BY_NAME[name]
@@ -249,7 +256,7 @@ def _plan(
 
 
 def _lacks(session: Session, result: FitResult) -> list[str]:
-    """List the reasons why the fitted model does not describe the session."""
+    """Return the reasons why the fitted model does not describe the session; empty if it does."""
     lacks = []
     if result.extra_mg > 0:
         lacks.append(
@@ -265,7 +272,7 @@ def _lacks(session: Session, result: FitResult) -> list[str]:
 
 
 def _unsure(axis: AxisPlan) -> list[str]:
-    """Reason why the bias of an axis is too uncertain to be written, as a list; else an empty list."""
+    """Return a list with the reason why an axis's bias is too uncertain to write; empty if it is not."""
     unit = UNITS[axis.unit]
     name = f"bias_{axis.axis}" if axis.unit == "mg" else f"gyro_bias_{axis.axis}"
     if axis.u != axis.u:
@@ -276,31 +283,37 @@ def _unsure(axis: AxisPlan) -> list[str]:
 
 
 def offsets_recorded(session: Session, names: Sequence[str] = ACCEL_OFF) -> Floats:
-    """Offsets (3,) in mg that the sensor added to its outputs during the recording.
+    """Return the offsets (3,) in mg that the sensor added to its outputs during the recording.
 
     Parameters
     ----------
     names : sequence of str
-        Offset registers; of the gyros (`GYRO_OFF`) the offsets are in °/s.
+        Offset registers; for the registers of the gyros (`GYRO_OFF`) the offsets are in °/s.
 
     Raises
     ------
     SessionError
-        The session does not have the registers (a CSV, a generic sensor).
+        The session does not have the contents of the registers (a CSV, a generic sensor).
     """
     return _in_units(session, recorded_offsets(session, names), names)
 
 
 def offsets_in_force(session: Session, names: Sequence[str] = ACCEL_OFF) -> Floats:
-    """Offsets (3,) that the sensor adds now, after the last write-back of a session, by its archive.
+    """Return the offsets (3,) that the sensor adds now, after the last write-back of a session.
 
-    If nothing was written, these are the recorded offsets. Offsets that were not saved last until the
-    part's power is switched off. Registers and units as in `offsets_recorded`.
+    They are known from the session's archive. If nothing was written, these are the recorded offsets.
+    Offsets that were not saved last until the sensor's power is switched off.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Offset registers: of the accelerometers (offsets in mg) or of the gyros (offsets in °/s).
 
     Raises
     ------
     SessionError
-        See `offsets_recorded`; or a write was interrupted, so that only the sensor has the present offsets.
+        The session does not have the contents of the registers (a CSV, a generic sensor), or a write was
+        interrupted, so that only the sensor has the present offsets.
     """
     known = operations_of(session, names)
     if known and known[-1].open:
@@ -310,14 +323,15 @@ def offsets_in_force(session: Session, names: Sequence[str] = ACCEL_OFF) -> Floa
 
 
 def bias_left_mg(session: Session, result: FitResult) -> dict[str, float]:
-    """Biases of the sensor in mg with its present offsets, by name (`bias_x` …).
+    """Return the biases of the sensor in mg with its present offsets, by name (`bias_x` …).
 
-    If the session records no write to the offset registers, these are the biases of the fit.
+    `result` is the fit of the session. If the session records no write to the offset registers, these are
+    the biases of the fit.
 
     Raises
     ------
     SessionError
-        A write was interrupted (see `offsets_in_force`).
+        A write was interrupted, so that only the sensor has the present offsets.
     """
     found = {name: result[name].value for name in BIASES if name in result}
     if not operations_of(session):

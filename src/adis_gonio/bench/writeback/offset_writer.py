@@ -52,18 +52,28 @@ from adis_gonio.record.write_journal import (
 
 
 class Logbook:
-    """Journal of a write-back: each entry is on the disk when `note` returns."""
+    """Journal of one operation of a write-back: each entry is on the disk when `note` returns.
+
+    Parameters
+    ----------
+    archive : Archive
+        Open file of the session.
+    operation : Operation
+        The operation (write, undo or autonull); its steps are updated.
+    now_s : callable
+        Returns the time in s on the bus's clock.
+    """
 
     def __init__(self, archive: Archive, operation: Operation, now_s: Callable[[], float]) -> None:
         self._archive, self.operation, self._now_s = archive, operation, now_s
 
     @property
     def steps(self) -> tuple[WriteStep, ...]:
-        """Steps of the write-back that are recorded so far."""
+        """Steps of the operation that are recorded so far."""
         return self.operation.steps
 
     def note(self, step: WriteStep, **facts: Any) -> None:
-        """Write a step of the write-back to the archive.
+        """Write a step of the operation to the archive, with facts such as `endurance`.
 
         Raises
         ------
@@ -85,7 +95,7 @@ def load(path: Path) -> Session:
     SessionError
         The file is no archive, which the journal needs, or the session is not from the chip.
     DataError
-        See `read_session`.
+        The file is missing, damaged or newer than this program, or has no complete dwell.
     """
     if path.is_file() and not is_archive(path):
         raise SessionError(
@@ -106,7 +116,7 @@ class WriteSettings:
     Attributes
     ----------
     save : bool
-        Save to flash when the write is verified.
+        True to save to flash when the write is verified.
     angle_deg : float or None
         Declared angle of the sensor; a stage that the program can move goes there. With None and such a
         stage the first angle of the session is used; without a stage only the magnitude of gravity is
@@ -116,9 +126,9 @@ class WriteSettings:
     method : str or None
         Method of the fit; None for the best method for the session.
     doubtful : bool
-        Write even if there are doubts about the fit.
+        True to write even if there are doubts about the fit.
     gyros : bool
-        Write the zero rates of the gyros instead of the biases of the accelerometers.
+        True to cancel the zero rates of the gyros instead of the biases of the accelerometers.
     """
 
     save: bool = False
@@ -137,18 +147,18 @@ class WriteResult:
     Attributes
     ----------
     standing : HeldOffsets
-        Present state of the sensor.
+        Present state of the sensor's offset registers, compared with the journal.
     endurance_before, endurance_after : int
-        Numbers of flash writes.
+        Content of ENDURANCE, the counter of flash updates, before and after the write-back.
     checks : tuple of Agreement
         Comparisons, which all agree.
     bias, bias_u : tuple of float
-        Biases (x, y) by the dwell after the write alone, if its angle is known; zero rates (x, y, z) of
-        gyros.
+        Biases (x, y) by the dwell after the write alone, and their standard uncertainties; of gyros zero
+        rates (x, y, z). Empty if the angle is not known or no such dwell was recorded.
     unit : str
         Unit of the biases: `mg` or `dps`.
     autonull : AutonullFound or None
-        Comparison of the chip's autonull, if requested.
+        Comparison of the chip's autonull with the session; None without an autonull.
     """
 
     standing: HeldOffsets
@@ -161,7 +171,7 @@ class WriteResult:
     autonull: AutonullFound | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form of the result."""
+        """Return the result in JSON form."""
         null = {} if self.autonull is None else {"autonull": self.autonull.as_dict()}
         return {
             "state": self.standing.as_dict(),
@@ -181,16 +191,18 @@ class OffsetWriter:
     Parameters
     ----------
     sensor : Adis16354
-        Open; stays open afterwards.
+        Open sensor; it stays open.
     path : path
         Session file; the journal is written to it.
+    settings : WriteSettings or None
+        Options; None for the defaults.
     tell : callable
         Called with one line for each step.
 
     Raises
     ------
     DataError, SessionError
-        The file is no session file, has no registers, or began with another sensor.
+        The file is no session file, has no contents of registers, or began with another sensor.
     """
 
     def __init__(
@@ -219,16 +231,16 @@ class OffsetWriter:
 
     @property
     def known(self) -> tuple[Operation, ...]:
-        """Earlier writes in the journal to the registers that this object writes."""
+        """Earlier operations in the journal on the registers that this object writes."""
         return operations_of(self.session, self._part.registers)
 
     @property
     def others(self) -> tuple[Operation, ...]:
-        """Earlier writes in the journal to the registers that this object does not write."""
+        """Earlier operations in the journal on the offset registers that this object does not write."""
         return operations_of(self.session, self._part.others)
 
     def standing(self) -> HeldOffsets:
-        """Determine the state of the sensor's offsets from its registers, ENDURANCE and the journal."""
+        """Return the state of the sensor's offsets, from its registers, ENDURANCE and the journal."""
         now, endurance = self._read()
         return held_offsets(self.known, now, endurance, self.others)
 
@@ -238,8 +250,9 @@ class OffsetWriter:
         Raises
         ------
         SessionError
-            The session gives no bias; the registers have unexplained numbers; the sensor at rest does not
-            agree with the session; or there are doubts about the fit and `doubtful` is not set.
+            The session gives no bias; the registers have numbers that session and journal do not explain;
+            the sensor at rest does not agree with the session; or there are doubts about the fit and the
+            option `doubtful` is not set.
         ChipError
             The supply is out of range, or the flash is to be written and is worn out.
         FitError
@@ -332,7 +345,7 @@ class OffsetWriter:
         Raises
         ------
         SessionError
-            There is no write to undo, or the registers have unexplained numbers.
+            There is no write to undo, or the registers have numbers that the journal does not explain.
         VerifyError, ChipError, BusError
             The undo was interrupted; it can be repeated.
         """
@@ -369,7 +382,7 @@ class OffsetWriter:
         Parameters
         ----------
         precise : bool
-            Average over some 30 s instead of one filtered sample.
+            True to average over some 30 s instead of one filtered sample.
 
         Raises
         ------
@@ -425,7 +438,12 @@ class OffsetWriter:
     def _verify(self, plan: WritePlan) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Compare a dwell after the write with the dwell before it and with the session.
 
-        Returns the remaining biases and their u; both are empty without a declared angle.
+        Returns the remaining biases or zero rates and their u; both are empty without a declared angle.
+
+        Raises
+        ------
+        VerifyError
+            The outputs did not change as planned.
         """
         if self._before is None:
             raise UsageError("make a plan first: plan() takes the dwell before")
@@ -451,7 +469,7 @@ class OffsetWriter:
         return tuple(value.tolist()), tuple(u.tolist())
 
     def _save(self, journal: Logbook, numbers: dict[str, int]) -> None:
-        """Save the registers to flash; they are read immediately before and after it."""
+        """Save the registers to flash; check before and after it that they have these numbers."""
         self._require_supply(self.sensor.quantity("SUPPLY_OUT").value)
         now, endurance = self._read()
         _require(now, numbers, "changed by themselves before they were saved")
@@ -464,7 +482,7 @@ class OffsetWriter:
 
     @contextlib.contextmanager
     def _reporting_state(self) -> Iterator[None]:
-        """Add the state of the sensor to the message of an error, and print it after Ctrl-C."""
+        """Context that adds the sensor's state to the message of an error, and prints it after Ctrl-C."""
         try:
             yield
         except BaseException as error:
@@ -474,7 +492,10 @@ class OffsetWriter:
             raise
 
     def _restore(self, journal: Logbook, why: str) -> None:
-        """Undo the write after an error or Ctrl-C, unless the new offsets are already in flash."""
+        """Undo the write after an error or Ctrl-C, unless the new offsets are already in flash.
+
+        `why` is the reason for the journal.
+        """
         # Two blocks: a second Ctrl-C in the first block must not prevent the restoring in the second.
         with contextlib.suppress(KeyboardInterrupt, AdisGonioError):
             self._keep_what_is_saved(journal)
@@ -511,7 +532,7 @@ class OffsetWriter:
         return WriteResult(standing, endurance, after, tuple(self._checks), *bias, self._part.unit)
 
     def _state_text(self) -> str:
-        """Describe the present state of the sensor, if it can be read."""
+        """Return a text on the present state of the sensor's offsets, or that it cannot be read."""
         try:
             self.session = load(self.path)
             return self.standing().text
@@ -535,7 +556,7 @@ class OffsetWriter:
         return rest
 
     def _read(self) -> tuple[dict[str, int], int]:
-        """Read the offset registers and ENDURANCE.
+        """Read the offset registers and ENDURANCE; return the numbers by name, and the count.
 
         Both are read twice, since a dip of the supply may falsify one reading.
         """
@@ -546,7 +567,7 @@ class OffsetWriter:
         return {name: numbers[name] for name in names}, numbers["ENDURANCE"]
 
     def _beside(self) -> dict[str, int]:
-        """Read the offsets of the sensors not written here (gyros or accelerometers).
+        """Read the other offset registers (of the gyros if accelerometers are written, or the reverse).
 
         A flash update saves these registers too.
         """
@@ -559,7 +580,7 @@ class OffsetWriter:
         return all(now[name] == number for name, number in numbers.items())
 
     def _require_explained(self, now: dict[str, int]) -> None:
-        """Raise `SessionError` if a register differs from session and journal."""
+        """Raise `SessionError` if a register has a number that session and journal do not explain."""
         recorded, known = recorded_offsets(self.session, self._part.registers), self.known
         standing = held_offsets(known, now, 0)
         written = set(known[-1].new) if known and standing.registers in ("old", "new", "half") else set()

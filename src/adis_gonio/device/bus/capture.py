@@ -34,6 +34,7 @@ class LogicCapture:
     Parameters
     ----------
     path : str or Path
+        The VCD file.
 
     Attributes
     ----------
@@ -91,7 +92,10 @@ class LogicCapture:
 
 
 def _read_header(path: Path, file: TextIO) -> tuple[float, Mapping[str, str]]:
-    """Read a VCD header; return the time unit in s, and the signal of each identifier code."""
+    """Read a VCD header; return the time unit in s, and the name of the signal by identifier code.
+
+    `path` is the name of the file, for messages.
+    """
     text = ""
     for line in file:
         text += line
@@ -119,7 +123,12 @@ def _read_header(path: Path, file: TextIO) -> tuple[float, Mapping[str, str]]:
 def _frame(
     number: int, begin_s: float, end_s: float, bits: list[tuple[str, str]], clocks_s: list[float]
 ) -> Call:
-    """Make the call of one frame, with the clock in Hz; a frame without 16 clocks has an error."""
+    """Make the `Call` of one captured frame; a frame without exactly 16 clocks has an error.
+
+    `number` is the number of the frame in the capture, `begin_s` and `end_s` are the times at which chip
+    select fell and rose, `bits` holds the levels of MOSI and MISO at each rising clock edge, `clocks_s` the
+    times of these edges.
+    """
     words = [int("".join(column) or "0", 2) for column in zip(*bits, strict=True)] or [0, 0]
     clock_hz = (len(clocks_s) - 1) / (clocks_s[-1] - clocks_s[0]) if len(clocks_s) > 1 else 0.0
     error = None

@@ -60,16 +60,16 @@ class Capability(StrEnum):
     """Optional function of a bus, in addition to `exchange`."""
 
     STREAM = "stream"
-    """Runs a list of read frames at each data-ready edge and delivers the replies in blocks."""
+    """The bus can run a list of read frames at each data-ready edge and deliver the replies in blocks."""
     HARD_RESET = "hard-reset"
-    """Can pull the chip's RST line."""
+    """The bus can pull the chip's RST line."""
     EVENT_COUNTER = "event-counter"
-    """Counts data-ready edges in hardware, so that lost samples can be proved."""
+    """The bus counts data-ready edges in hardware, so that lost samples can be proved."""
 
 
 @dataclass(frozen=True)
 class SpiTiming:
-    """SPI timing of a bus: maximum clock, minimum stall between frames, minimum period of frames."""
+    """SPI timing of a bus: maximum clock in Hz, minimum stall between frames and minimum period in µs."""
 
     clock_hz: float
     stall_us: float
@@ -92,11 +92,12 @@ class FrameBlock:
     Attributes
     ----------
     words : (n, k) uint16
-        Reply that belongs to each of the k frames of the list, for n scans (pipelining undone).
+        Reply to each of the k frames of the stream's list, for n scans; the pipelining is undone.
     time_s : (n,) float
         Time of each scan's trigger on the bus's clock.
     lost : int
-        Triggers between the previous block and the end of this one that gave no scan.
+        Number of triggers between the end of the previous block and the end of this block that gave no
+        scan.
     """
 
     words: Words
@@ -115,7 +116,7 @@ class SpiBus(Closing):
     url: str = ""
     capabilities: frozenset[Capability] = frozenset()
     edge_rises: bool = False
-    """True if the rising edge of data-ready starts a scan of a stream, False for the falling edge."""
+    """True if a rising edge of data-ready starts a scan of a stream; False if a falling edge does."""
     unbroken_frames: int | None = None
     """Largest number of frames that the bus runs without a pause; None if there is no limit."""
 
@@ -128,7 +129,7 @@ class SpiBus(Closing):
 
     @property
     def kind(self) -> str:
-        """Class of the bus, for a report."""
+        """Name of the class of this bus, for a report."""
         return type(self).__name__
 
     @property
@@ -161,7 +162,10 @@ class SpiBus(Closing):
         return [int(reply) for reply in self.exchange_array(_as_words(frames))]
 
     def exchange_array(self, frames: Words) -> Words:
-        """Send a batch of frames (n,) uint16 and return the replies (n,), faster than `exchange` does."""
+        """Send a batch of frames and return the replies; faster than `exchange`.
+
+        Both arrays are (n,) uint16. It raises the errors of `exchange`.
+        """
         if frames.dtype != np.uint16 or frames.ndim != 1:
             raise UsageError("frames must be a one-dimensional array of uint16")
         reserved = np.flatnonzero(frames & RESERVED_BIT)
@@ -175,7 +179,10 @@ class SpiBus(Closing):
             return self._checked(self._exchange(frames), frames.size)
 
     def _checked(self, replies: Words, count: int) -> Words:
-        """Return the replies as uint16; raise `ProtocolError` unless they are `count` 16-bit words."""
+        """Return the replies of `_exchange` as uint16, after a check of their number and range.
+
+        Raises `ProtocolError` unless they are `count` 16-bit words.
+        """
         if isinstance(replies, np.ndarray) and replies.dtype == np.uint16 and replies.shape == (count,):
             return replies
         try:
@@ -200,7 +207,7 @@ class SpiBus(Closing):
     # -- time -----------------------------------------------------------------------------------
 
     def now_s(self) -> float:
-        """Present time in s on the monotonic clock of this bus, which may be virtual."""
+        """Return the present time in s on the monotonic clock of this bus, which may be virtual."""
         return time.monotonic()
 
     def sleep_s(self, seconds: float) -> None:
@@ -210,14 +217,16 @@ class SpiBus(Closing):
     def witness(self, name: str, observe: Callable[[], T]) -> T:
         """Return `observe()`, a JSON value from outside the bus, such as an answer of the operator.
 
-        A recording bus keeps the value, and a replay returns the kept value instead.
+        A recording bus records the value under `name`, and a replay returns the recorded value instead.
         """
         return observe()
 
     # -- optional capabilities --------------------------------------------------------------------
 
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
-        """Start a stream that runs the read frames once at each data-ready edge (`Capability.STREAM`).
+        """Start a stream that runs the read frames `frames` once at each data-ready edge.
+
+        It needs `Capability.STREAM`; a block of the stream holds about `block_scans` scans.
 
         Raises
         ------
@@ -239,7 +248,7 @@ class SpiBus(Closing):
             self._pull_reset()
 
     def read_event_counter(self) -> int:
-        """Number of data-ready edges since the last call (needs `Capability.EVENT_COUNTER`).
+        """Return the number of data-ready edges since the last call (needs `Capability.EVENT_COUNTER`).
 
         Some counters have 16 bits, so call it at least once a minute.
         """
@@ -248,10 +257,11 @@ class SpiBus(Closing):
             return self._count_edges()
 
     def count_events(self) -> tuple[int, float]:
-        """Data-ready edges since the last call, and the time of counting in s, to compute their rate.
+        """Return the number of data-ready edges since the last call, and the time of counting in s.
 
-        The time is on the clock of the bridge if it has one, else on the clock of the host, which does not
-        know the delay of the answer: use only differences.
+        Two calls give the rate of data-ready. The time is on the clock of the bridge if it has one, else on
+        the clock of the host, which includes the unknown delay of the answer: use only differences of
+        times.
         """
         return self.read_event_counter(), self.now_s()
 
@@ -270,7 +280,10 @@ class SpiBus(Closing):
         """Release the device; `close` calls this at most once."""
 
     def _start_stream(self, frames: Sequence[int], block_scans: int) -> FrameStream:
-        """Start a stream of valid read frames and return it; called with the lock held."""
+        """Start a stream of valid read frames and return it; called with the lock held.
+
+        A block of the stream has about `block_scans` scans.
+        """
         raise NotImplementedError
 
     def _pull_reset(self) -> None:
@@ -278,7 +291,7 @@ class SpiBus(Closing):
         raise NotImplementedError
 
     def _count_edges(self) -> int:
-        """Number of data-ready edges since the last call; called with the lock held."""
+        """Return the number of data-ready edges since the last call; called with the lock held."""
         raise NotImplementedError
 
     def _require_open(self) -> None:

@@ -56,25 +56,36 @@ CHANNELS = 11
 FRAME_BYTES = 2
 
 CLOCKS_HZ = (12e6, 6e6, 3e6, 1.5e6, 750e3, 375e3, 187.5e3, 93.75e3)
-"""SPI clocks by their code."""
+"""SPI clocks of the CP2130 in Hz; the index of a clock is its code."""
 
 CS_LOW_FOR_A_WHOLE_COMMAND = True
-"""[M] Chip select stays low for one bulk command, and the chip's own "CS toggle" works per byte: so a
-frame is one WriteRead of two bytes with the toggle off. If a scope shows CS rising between the two bytes,
-change the delay mask in `Cp2130Bus._set_up`."""
+"""Chip select stays low for one bulk command; not confirmed by a document.
+
+The chip's own "CS toggle" works per byte: so a frame is one WriteRead of two bytes with the toggle off. If
+a scope shows CS rising between the two bytes, change the delay mask in `Cp2130Bus._set_up`.
+"""
 
 CPHA_BIT, CPOL_BIT, PUSH_PULL_BIT = 5, 4, 3
-"""[M] Bits of the SPI word; bits 2:0 are the clock code."""
+"""Positions of three bits in the SPI configuration byte; not confirmed by a document.
+
+Bits 2:0 of the byte are the clock code.
+"""
 
 EVENT_PIN = 4
-"""GPIO.4, the only pin that can count."""
+"""GPIO.4, the only pin that can count edges."""
 COUNTER_MODES = (4, 5, 6, 7)
-"""[M] Modes of the event counter that count: edges rising and falling, pulses negative and positive.
-The function of the pin is programmed at the factory or once by its owner (OTP), never by this package."""
+"""Modes of the event counter that count; not confirmed by a document.
+
+They count edges rising and falling, pulses negative and positive. The function of the pin is programmed at
+the factory or once by its owner (OTP), never by this package.
+"""
 
 PIN_BITS = (3, 4, 5, 6, 7, 8, 10, 11, 12, 13, 14)
-"""[M] Bits of GPIO.0 to GPIO.10 in a word of pins. The answer about chip selects has a word of channels,
-which count from bit 0, and a word of pins: the pins that are an active chip select."""
+"""Bits of GPIO.0 to GPIO.10 in a word of pins; not confirmed by a document.
+
+The answer about chip selects has a word of channels, which count from bit 0, and a word of pins: the pins
+that are an active chip select.
+"""
 
 
 class ControlRequest(IntEnum):
@@ -90,7 +101,7 @@ class ControlRequest(IntEnum):
 
 
 _OPEN_DRAIN = 1
-"""Electrical mode of a GPIO pin."""
+"""Value of a GPIO pin's mode byte for an open-drain output."""
 _THIS_ONE_ONLY = 2
 _WRITE_READ = 2
 _HEADER = struct.Struct("<HBBI")
@@ -99,24 +110,27 @@ _SELECTS = struct.Struct(">HH")
 
 
 def clock_code(clock_hz: float) -> int | None:
-    """Code of the fastest SPI clock that is not above `clock_hz`; None if all clocks are faster."""
+    """Return the code of the fastest SPI clock not above `clock_hz`; None if all clocks are faster."""
     return next((code for code, clock in enumerate(CLOCKS_HZ) if clock <= clock_hz), None)
 
 
 def spi_word(code: int) -> int:
-    """SPI configuration byte of a channel with a clock code: mode 3, push-pull chip select."""
+    """Return the SPI configuration byte of a channel for a clock code: mode 3, push-pull chip select."""
     return 1 << CPHA_BIT | 1 << CPOL_BIT | 1 << PUSH_PULL_BIT | code
 
 
 def parse_spi_words(data: bytes) -> tuple[int, ...]:
-    """SPI configuration bytes of all channels, from the reply to `GET_SPI_WORD`."""
+    """Return the SPI configuration bytes of all channels, from the reply to `GET_SPI_WORD`."""
     if len(data) != CHANNELS:
         raise ProtocolError(f"CP2130: {len(data)} SPI words instead of {CHANNELS}")
     return tuple(data)
 
 
 def parse_selects(data: bytes) -> tuple[frozenset[int], frozenset[int]]:
-    """Channels with enabled chip select, and pins that carry one, from the reply to `GET_CHIP_SELECT`."""
+    """Return the channels with enabled chip select, and the pins that carry one.
+
+    `data` is the reply to `GET_CHIP_SELECT`.
+    """
     if len(data) != _SELECTS.size:
         raise ProtocolError(f"CP2130: chip selects of {len(data)} bytes instead of {_SELECTS.size}")
     channels, pins = _SELECTS.unpack(data)
@@ -127,19 +141,19 @@ def parse_selects(data: bytes) -> tuple[frozenset[int], frozenset[int]]:
 
 
 def frame_command(frame: int) -> bytes:
-    """Bulk command that sends a 16-bit frame and receives the reply at the same time."""
+    """Return the bulk command that sends a 16-bit frame and receives the reply at the same time."""
     return _HEADER.pack(0, _WRITE_READ, 0, FRAME_BYTES) + frame.to_bytes(FRAME_BYTES, "big")
 
 
 def parse_frame(data: bytes) -> int:
-    """16-bit word that the chip sent during a frame."""
+    """Return the 16-bit word that the chip sent during a frame, from the bulk reply of two bytes."""
     if len(data) != FRAME_BYTES:
         raise ProtocolError(f"CP2130: {len(data)} bytes came in for a frame of {FRAME_BYTES}")
     return int.from_bytes(data, "big")
 
 
 def parse_counter(data: bytes) -> tuple[int, int]:
-    """Mode and count of the event counter, from the reply to `GET_EVENT_COUNTER`.
+    """Return mode and count of the event counter, from the reply to `GET_EVENT_COUNTER`.
 
     The count has 16 bits and wraps.
     """
@@ -165,9 +179,9 @@ class Cp2130Bus(host.UsbBus):
     usb_error : type
         Class of the errors of `device`.
     claim : callable
-        Claims the interface again after a port reset.
+        Called to claim the interface again after a port reset.
     endpoints : tuple of int
-        Bulk endpoints out and in.
+        Addresses of the bulk endpoints out and in.
     options : UsbOptions
         The SPI channel has the number of the pin `cs`. RST is driven open-drain. The event counter is
         GPIO.4, which must be configured in the board's OTP.
@@ -220,7 +234,10 @@ class Cp2130Bus(host.UsbBus):
         return SpiTiming(CLOCKS_HZ[code], timing.stall_us, timing.period_us)
 
     def _set_up(self, code: int) -> None:
-        """Set the SPI channel to mode 3 at a clock, without delays, and enable its chip select alone."""
+        """Set the SPI channel to mode 3 without delays, and enable its chip select alone.
+
+        `code` is the code of the SPI clock.
+        """
         word, channel = spi_word(code), self._options.cs
         self._out(ControlRequest.SET_SPI_WORD, bytes((channel, word)))
         self._out(ControlRequest.SET_SPI_DELAY, bytes((channel, *[0] * 7)))
@@ -256,7 +273,7 @@ class Cp2130Bus(host.UsbBus):
         return parse_counter(self._in(ControlRequest.GET_EVENT_COUNTER, 3))
 
     def _count_edges(self) -> int:
-        """Number of data-ready edges since the last call or the last port reset."""
+        """Return the number of data-ready edges since the last call or the last port reset."""
         self._settle()
         _, count = self._counter()
         # The counter is never set back, so that a read that fails loses nothing.
@@ -287,7 +304,10 @@ class Cp2130Bus(host.UsbBus):
         return round(self._options.timeout_s * 1000)
 
     def _call(self, what: str, transfer: Callable[..., Any], *arguments: object) -> Any:
-        """Call a method of the device; convert its errors to errors of a bus."""
+        """Call a method of the USB device and convert its errors to errors of a bus.
+
+        `what` names the operation in the message. `transfer` is the method, with its arguments.
+        """
         try:
             return transfer(*arguments)
         except self._usb_error as error:
@@ -354,7 +374,7 @@ def open_from_url(url: BusUrl, *, backend: Any = None, clock: host.Clock = host.
     Parameters
     ----------
     backend : usb.backend.IBackend
-        In place of libusb.
+        Backend of pyusb to use instead of libusb; None is libusb.
     clock : Clock
         The bus's clock.
 
@@ -402,7 +422,10 @@ def open_from_url(url: BusUrl, *, backend: Any = None, clock: host.Clock = host.
 
 
 def find_devices(*, backend: Any = None) -> list[Device]:
-    """List the connected CP2130 boards with the URL of each."""
+    """List the connected CP2130 boards with the URL of each.
+
+    `backend` is a backend of pyusb to use instead of libusb; None is libusb.
+    """
     usb = _load()
     return _devices(usb, _boards(usb, backend))
 
@@ -417,7 +440,7 @@ def _load() -> Any:
 
 
 def _libusb() -> Any:
-    """Backend of pyusb: the libusb of package libusb-package, or else the libusb of the system."""
+    """Return a backend of pyusb: the libusb of package libusb-package, or else the libusb of the system."""
     try:
         import libusb_package
     except ImportError:
@@ -439,9 +462,10 @@ def _boards(usb: Any, backend: Any) -> list[Any]:
 
 
 def _endpoints(usb: Any, url: str, device: Any) -> tuple[int, int]:
-    """Addresses of the bulk endpoints to and from the board, from its USB descriptors.
+    """Return the addresses of the bulk endpoints to and from the board.
 
-    They are 0x01 and 0x82, or 0x02 and 0x81 if the board's OTP gives reading the higher priority.
+    They are read from the USB descriptors: 0x01 and 0x82, or 0x02 and 0x81 if the board's OTP gives reading
+    the higher priority.
     """
     interface = usb.util.find_descriptor(
         device.get_active_configuration(), bInterfaceNumber=_INTERFACE, bAlternateSetting=0
@@ -459,7 +483,7 @@ def _endpoints(usb: Any, url: str, device: Any) -> tuple[int, int]:
 
 
 def _serial(usb: Any, board: Any) -> str | None:
-    """Serial number of a board, which must be opened to read it; None without permission."""
+    """Return the serial number of a board, which must be opened to read it; None without permission."""
     try:
         return str(board.serial_number or "")
     except (usb.core.USBError, ValueError, NotImplementedError):

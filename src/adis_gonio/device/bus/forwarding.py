@@ -29,7 +29,7 @@ class ForwardingBus(SpiBus):
 
     @property
     def kind(self) -> str:
-        """Class of the inner bus."""
+        """Name of the class of the inner bus, for a report."""
         return self.inner.kind
 
     @property
@@ -48,7 +48,7 @@ class ForwardingBus(SpiBus):
         return bool(getattr(self.inner, "virtual_time", False))
 
     def now_s(self) -> float:
-        """Time in s on the clock of the inner bus."""
+        """Return the time in s on the clock of the inner bus."""
         return self.inner.now_s()
 
     def sleep_s(self, seconds: float) -> None:
@@ -56,7 +56,10 @@ class ForwardingBus(SpiBus):
         self.inner.sleep_s(seconds)
 
     def witness(self, name: str, observe: Callable[[], T]) -> T:
-        """Observe a value through the inner bus, which may record or replay it, and return the value."""
+        """Return `observe()`, a value named `name`, through the inner bus.
+
+        The inner bus may record or replay the value.
+        """
         return self.inner.witness(name, observe)
 
     def hard_reset(self) -> None:
@@ -64,15 +67,18 @@ class ForwardingBus(SpiBus):
         self.inner.hard_reset()
 
     def read_event_counter(self) -> int:
-        """Data-ready edges that the inner bus has counted since the last call."""
+        """Return the number of data-ready edges, counted by the inner bus, since the last call."""
         return self.inner.read_event_counter()
 
     def count_events(self) -> tuple[int, float]:
-        """Data-ready edges since the last call, and the time in s, from the inner bus."""
+        """Return data-ready edges since the last call, and the time in s, from the inner bus."""
         return self.inner.count_events()
 
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
-        """Start a stream of the inner bus."""
+        """Start a stream of the read frames `frames` on the inner bus.
+
+        A block of the stream holds about `block_scans` scans.
+        """
         return self.inner.stream(frames, block_scans=block_scans)
 
     def _exchange(self, frames: Words) -> Words:

@@ -22,21 +22,24 @@ T = TypeVar("T")
 Listing = Callable[[Sequence[T]], list[Device]]
 
 RULES_FILE = "70-adis-gonio.rules"
-"""Name of the rules, here and in /etc/udev/rules.d; below 73, where uaccess tags are acted upon."""
+"""Name of the udev rules file, in this package and in /etc/udev/rules.d.
+
+The number is below 73, at which uaccess tags are applied.
+"""
 
 
 def udev_rules() -> str:
-    """Text of the udev rules file of this package."""
+    """Return the text of the udev rules file of this package."""
     return files("adis_gonio.device.bus").joinpath(RULES_FILE).read_text(encoding="utf-8")
 
 
 def udev_rule(words: str) -> str:
-    """First udev rule that contains all the given words, such as `hidraw 04d8`.
+    """Return the first udev rule with all the given words, such as `hidraw 04d8`.
 
     Raises
     ------
     LookupError
-        No rule does.
+        No rule contains all the words.
     """
     for line in udev_rules().splitlines():
         if not line.startswith("#") and line and all(word in line for word in words.split()):
@@ -45,7 +48,7 @@ def udev_rule(words: str) -> str:
 
 
 SAFE_TIMING = SpiTiming(clock_hz=250e3, stall_us=75.0, period_us=160.0)
-"""Slow enough for both of the chip's modes; every bus starts with it."""
+"""SPI timing that is slow enough for both modes of the chip, normal and fast; every bus starts with it."""
 
 RESET_PULSE_S = 0.001
 """Duration in s of the low pulse on RST; the chip needs microseconds, a bridge's pin may take 1 ms."""
@@ -55,7 +58,7 @@ class Clock:
     """The monotonic clock of this computer; tests give a bus a virtual one."""
 
     def now_s(self) -> float:
-        """Present monotonic time in s."""
+        """Return the present monotonic time in s."""
         return time.monotonic()
 
     def sleep_s(self, seconds: float) -> None:
@@ -84,7 +87,7 @@ class Pace:
             self._clock.sleep_s(left)
 
     def done(self, timing: SpiTiming) -> None:
-        """Record that a frame has just ended."""
+        """Record that a frame, sent with this timing, has just ended."""
         self._over_s = self._clock.now_s()
         self._start_s = self._over_s - FRAME_BITS / timing.clock_hz
 
@@ -95,7 +98,7 @@ class HostBus(SpiBus):
     Parameters
     ----------
     url : str
-        For messages.
+        URL of the bus, used in messages.
     clock : Clock
         The bus's clock.
     """
@@ -108,7 +111,7 @@ class HostBus(SpiBus):
         self._resources = contextlib.ExitStack()
 
     def now_s(self) -> float:
-        """Present time in s on the monotonic clock of this bus."""
+        """Return the present time in s on the monotonic clock of this bus."""
         return self._clock.now_s()
 
     def sleep_s(self, seconds: float) -> None:
@@ -116,7 +119,10 @@ class HostBus(SpiBus):
         self._clock.sleep_s(seconds)
 
     def take_over(self, opened: contextlib.ExitStack) -> Self:
-        """Add resources to release when the bus is closed; return the bus."""
+        """Add resources to release when the bus is closed; return the bus.
+
+        `opened` is the stack of these resources.
+        """
         self._resources = opened.pop_all()
         return self
 
@@ -125,7 +131,10 @@ class HostBus(SpiBus):
 
 
 class UrlOptions:
-    """Options of a bus URL, with checks; an unknown option is an error that suggests a known one."""
+    """Options of a bus URL, read with checks.
+
+    An unknown option is an error that suggests a known one.
+    """
 
     def __init__(self, url: BusUrl, names: Sequence[str]) -> None:
         self.url = url
@@ -134,16 +143,16 @@ class UrlOptions:
                 raise UsageError(f"'{url.text}': no option is called '{name}'; {suggest(name, names)}")
 
     def text(self, name: str, default: str = "") -> str:
-        """Return an option as text."""
+        """Return the option `name` as text; `default` if the URL lacks it."""
         return self.url.options.get(name, default)
 
     def number(self, name: str, default: int, low: int, high: int) -> int:
-        """Return an option as a whole number from `low` to `high`."""
+        """Return the option `name` as a whole number from `low` to `high`; `default` if not given."""
         found = self.number_or_none(name, low, high)
         return default if found is None else found
 
     def number_or_none(self, name: str, low: int, high: int) -> int | None:
-        """Return an option as a whole number from `low` to `high`; None if the URL lacks it."""
+        """Return the option `name` as a whole number from `low` to `high`; None if not given."""
         text = self.url.options.get(name)
         if text is None:
             return None
@@ -152,11 +161,11 @@ class UrlOptions:
         return int(text)
 
     def switch(self, name: str, *, default: bool = False) -> bool:
-        """Return an option that is written 0 or 1 as a bool."""
+        """Return the option `name`, which is 0 or 1, as a bool; `default` if not given."""
         return bool(self.number(name, int(default), 0, 1))
 
     def one_of(self, name: str, choices: Sequence[str]) -> str:
-        """Return an option that is one of the words in `choices`; the first is the default."""
+        """Return the option `name`, one of the words `choices`; the first word if not given."""
         word = self.text(name, choices[0])
         if word not in choices:
             raise UsageError(f"'{self.url.text}': {name} is one of {', '.join(choices)}")
@@ -172,11 +181,11 @@ class UsbOptions:
     cs : int
         Pin that is chip select.
     reset_gpio : int or None
-        Pin on the chip's RST.
+        Pin that is wired to the chip's RST; None if none is.
     event_counter : bool
         True if data-ready is wired to the pin that counts.
     timeout_s : float
-        Time for one transfer; a chip needs less than 2 ms.
+        Longest time for one transfer; a chip needs less than 2 ms.
     """
 
     cs: int = 0
@@ -187,6 +196,8 @@ class UsbOptions:
     @classmethod
     def of(cls, options: UrlOptions, pins: int, event_pin: int, event_name: str) -> UsbOptions:
         """Read the options from a URL of a bridge with `pins` pins.
+
+        `event_pin` is the number of the only pin that can count edges, `event_name` its name in messages.
 
         Raises
         ------
@@ -242,11 +253,14 @@ class UsbBus(HostBus):
 
     @abstractmethod
     def _frame(self, frame: int) -> int:
-        """Send a frame and return the reply."""
+        """Send one 16-bit frame and return the 16-bit reply."""
 
     @abstractmethod
     def _note_failure(self, error: BaseException) -> bool:
-        """Note the recovery that a failed frame needs; return True if it can be done now."""
+        """Note the recovery that is needed after a frame failed with `error`.
+
+        Return True if the recovery can be done now.
+        """
 
     @abstractmethod
     def _recover(self) -> None:
@@ -259,7 +273,7 @@ def choose(url: BusUrl, what: str, fits: Sequence[T], boards: Sequence[T], devic
     Parameters
     ----------
     what : str
-        Name of such a board, for the message that none is connected.
+        Name of this kind of board, for the message that none is connected.
     fits, boards : sequence
         Boards that fit, and all connected boards.
     devices : callable
@@ -283,7 +297,7 @@ def choose(url: BusUrl, what: str, fits: Sequence[T], boards: Sequence[T], devic
 def no_permission(url: str, what: str, rule: str) -> CannotOpenError:
     """Make the error for missing permission; its message gives the udev rule that helps.
 
-    `rule` has words that identify the rule, as in `udev_rule`.
+    `what` is the device file. `rule` has words that identify the rule, see `udev_rule`.
     """
     return CannotOpenError(
         f"{url}: no permission for {what}: run 'adis-gonio devices --udev | sudo tee"
@@ -293,17 +307,20 @@ def no_permission(url: str, what: str, rule: str) -> CannotOpenError:
 
 
 def busy(url: str, what: str) -> CannotOpenError:
-    """Make the error for a device that another program is using."""
+    """Make the error for a device, called `what` in the message, that another program is using."""
     return CannotOpenError(f"{url}: {what} is busy: close the other program that uses it")
 
 
 def gone(url: str) -> CannotOpenError:
-    """Make the error for a device that was unplugged."""
+    """Make the error for a device that was unplugged after opening."""
     return CannotOpenError(f"{url}: the device is gone: plug it in and open the bus again")
 
 
 def missing(url: str, what: str, others: Sequence[Device] = ()) -> CannotOpenError:
-    """Make the error for a device that is not connected; its message lists the connected devices."""
+    """Make the error for a device that is not connected; its message lists the connected devices `others`.
+
+    `what` is the kind of device.
+    """
     there = f"connected: {', '.join(d.url for d in others)}" if others else "see 'adis-gonio devices'"
     return CannotOpenError(f"{url}: no {what} is connected; {there}")
 
@@ -339,5 +356,5 @@ def claimed(path: str, url: str) -> Iterator[None]:
 
 
 def readable_and_writable(path: str) -> bool:
-    """True if the file may be read and written, or if it does not exist."""
+    """Return True if the file may be read and written, or if it does not exist."""
     return not Path(path).exists() or os.access(path, os.R_OK | os.W_OK)

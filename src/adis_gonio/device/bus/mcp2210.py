@@ -84,20 +84,28 @@ SLOWEST_HZ = 1_500
 FRAME_BYTES = 2
 
 STARTS_WITHOUT_DATA = True
-"""[M] The answer that accepts a transfer carries no data, even if the bytes were already clocked; the next
-answer has the data. From the maker's example; a board that differs causes the error "data before the
-transfer has started"."""
+"""The answer that accepts a transfer carries no data; not confirmed by a document.
+
+The data come with the next answer, even if the bytes were already clocked. This follows from the maker's
+example; a board that differs causes the error "data before the transfer has started".
+"""
 
 EVENT_PIN = 6
-"""GP6, the only pin that can count."""
+"""GP6, the only pin that can count events."""
 COUNT_RISING_EDGES = 0b010
-"""[M] Chip settings, bits 3:1: events that GP6 counts."""
+"""Value of bits 3:1 of the chip settings that makes GP6 count rising edges.
+
+It is not confirmed by a document.
+"""
 EVENT_MODE_MASK = 0b1110
 
 
 ECHO = 2
-"""[M] Byte of the answer to an EEPROM read that repeats the address. It is the only part of a harmless
-request that this chip repeats, so it marks a place in the order of answers."""
+"""Index of the byte in the answer to an EEPROM read that repeats the address; not confirmed by a document.
+
+It is the only part of a harmless request that this chip repeats, so it marks a place in the order of
+answers.
+"""
 
 
 class Command(IntEnum):
@@ -118,7 +126,10 @@ class Command(IntEnum):
 
 
 DONE, NOT_OWNED, BUSY = 0x00, 0xF7, 0xF8
-"""Status of a command, the second byte of its answer: done, or refused for another master or a transfer."""
+"""Status of a command, the second byte of its answer.
+
+The command was done, refused for another SPI master, or refused for a transfer that is still running.
+"""
 STATUS_WORDS = {
     NOT_OWNED: "another master has the SPI bus",
     BUSY: "the SPI engine is busy",
@@ -137,7 +148,7 @@ class Engine(IntEnum):
 
 
 class Designation(IntEnum):
-    """Function that is assigned to a pin."""
+    """Function of a pin of the MCP2210: GPIO, chip select, or the dedicated function."""
 
     GPIO = 0
     CS = 1
@@ -150,17 +161,20 @@ _WORD = struct.Struct("<H")
 
 
 def request(command: Command, body: bytes = b"") -> bytes:
-    """HID report of 64 bytes with a command to the device, without a report id."""
+    """Return the HID report of 64 bytes that carries a command to the device, without a report id.
+
+    `body` has the bytes after the command byte; zeros fill the rest.
+    """
     return (bytes([command]) + body).ljust(REPORT, b"\0")
 
 
 def status_of(answer: bytes, command: Command) -> int:
-    """Status byte of the answer to a command, after checks of the answer.
+    """Return the status byte of the answer to a command, after checks of the answer.
 
     Raises
     ------
     ProtocolError
-        Not 64 bytes, or the answer to another command.
+        The answer has not 64 bytes or belongs to another command.
     """
     if len(answer) != REPORT:
         raise ProtocolError(f"MCP2210: an answer of {len(answer)} bytes instead of {REPORT}")
@@ -170,17 +184,17 @@ def status_of(answer: bytes, command: Command) -> int:
 
 
 def status_words(status: int) -> str:
-    """Meaning of a status byte in words, for messages."""
+    """Return the meaning of a status byte in words, for messages."""
     return STATUS_WORDS.get(status, f"status 0x{status:02X}")
 
 
 def data_of(answer: bytes, command: Command) -> bytes:
-    """Content of the answer to a command that was done: its bytes from the fifth on.
+    """Return the content of the answer to a command that was done: its bytes from the fifth on.
 
     Raises
     ------
     ProtocolError
-        As `status_of`, or the command was refused.
+        The answer has not 64 bytes or belongs to another command, or the command was refused.
     """
     if status := status_of(answer, command):
         raise ProtocolError(f"MCP2210: {command.name} is refused: {status_words(status)}")
@@ -188,12 +202,15 @@ def data_of(answer: bytes, command: Command) -> bytes:
 
 
 def word_of(answer: bytes, command: Command) -> int:
-    """Content of an answer with one 16-bit word: a count of events, or one bit for each pin."""
+    """Return the content of an answer with one 16-bit word: a count of events, or one bit for each pin.
+
+    `command` is the command that is answered.
+    """
     return int(_WORD.unpack_from(data_of(answer, command))[0])
 
 
 def mark(number: int) -> bytes:
-    """Harmless report whose answer repeats a number (u8), to find its place among late answers.
+    """Return a harmless report whose answer repeats a number (u8), to find its place among late answers.
 
     It reads a byte of the EEPROM, which is discarded.
     """
@@ -201,12 +218,12 @@ def mark(number: int) -> bytes:
 
 
 def is_mark(answer: bytes, number: int) -> bool:
-    """True if an answer belongs to the report `mark(number)`."""
+    """Return True if an answer belongs to the report `mark(number)`."""
     return len(answer) == REPORT and answer[0] == Command.READ_EEPROM and answer[ECHO] == number
 
 
 class ChipSettings(NamedTuple):
-    """Settings of the nine pins in RAM (commands 0x20, 0x21): functions, outputs, directions, flags."""
+    """Settings of the nine pins in RAM (commands 0x20, 0x21): functions, levels, directions, flags."""
 
     designations: bytes
     outputs: int
@@ -222,12 +239,15 @@ class ChipSettings(NamedTuple):
         return settings
 
     def request(self) -> bytes:
-        """Report of the command `SET_CHIP` with these settings."""
+        """Return the report of the command `SET_CHIP` with these settings."""
         return request(Command.SET_CHIP, bytes(3) + _CHIP.pack(*self))
 
 
 class SpiSettings(NamedTuple):
-    """SPI settings in RAM (commands 0x40, 0x41); the three delays have steps of 100 µs."""
+    """SPI settings in RAM (commands 0x40, 0x41): bit rate, chip-select levels, delays, length, mode.
+
+    The three delays have steps of 100 µs.
+    """
 
     bit_rate_hz: int
     idle_cs: int
@@ -240,7 +260,7 @@ class SpiSettings(NamedTuple):
 
     @classmethod
     def for_frames(cls, clock_hz: float, cs: int) -> SpiSettings:
-        """Settings for frames of two bytes in SPI mode 3 with chip select on pin `cs`.
+        """Make the settings for frames of two bytes in SPI mode 3 with chip select on pin `cs`.
 
         The delays are zero, because the host times the frames. The chip divides 12 MHz; the rate is the
         fastest possible one not above `clock_hz`.
@@ -255,12 +275,15 @@ class SpiSettings(NamedTuple):
         return cls._make(_SPI.unpack_from(data_of(answer, Command.GET_SPI)))
 
     def request(self) -> bytes:
-        """Report of the command `SET_SPI` with these settings."""
+        """Return the report of the command `SET_SPI` with these settings."""
         return request(Command.SET_SPI, bytes(3) + _SPI.pack(*self))
 
 
 def transfer(data: bytes = b"") -> bytes:
-    """Report that starts an SPI transaction with `data`, or fetches the received bytes if it is empty."""
+    """Return the report that starts an SPI transaction with `data`.
+
+    Without data the report fetches received bytes.
+    """
     return request(Command.TRANSFER, bytes([len(data), 0, 0]) + data)
 
 
@@ -287,7 +310,7 @@ class Progress(NamedTuple):
 
     @classmethod
     def of_poll(cls, answer: bytes) -> Progress:
-        """Create the state from the answer to a transfer without data.
+        """Create the state from the answer to a transfer without data, which asks for the received bytes.
 
         While the engine clocks, it refuses such a transfer with status 0xF8 (data sheet DS22288A, figure
         3-23); this counts as `Engine.STARTED`.
@@ -298,12 +321,18 @@ class Progress(NamedTuple):
 
 
 WRITE_S = 2.5
-"""Time for a write: longer than hidapi's own second on libusb, so that no write is pending there, and half
-of the kernel's time on hidraw. A board takes a report within 1 ms, but a busy host may be slow."""
+"""Time limit in s of a write.
+
+It is longer than hidapi's own limit of 1 s on libusb, so that no write is pending there, and half of the
+kernel's limit on hidraw. A board takes a report within 1 ms, but a busy host may be slow.
+"""
 AT_ONCE_S = 0.5
-"""A write that fails later than this was not accepted by the device; without a device it fails at once."""
+"""Time in s after which a write that fails was not accepted by the device.
+
+A write without a device fails at once.
+"""
 LONGEST_WRITE_S = 6.0
-"""The kernel has cancelled a write by then."""
+"""Time in s after which the kernel has certainly cancelled a write."""
 
 
 class TimedWrites:
@@ -314,7 +343,7 @@ class TimedWrites:
     device : hid.device
         Open device; `close` also closes it.
     timeout_s : float
-        Time for a write, including a pending write before it.
+        Longest time for a write, including a pending write before it.
     """
 
     def __init__(self, device: Any, timeout_s: float = WRITE_S) -> None:
@@ -338,12 +367,15 @@ class TimedWrites:
         return sent
 
     def read(self, size: int, timeout_ms: int = 0, /) -> list[int]:
-        """Return a report, or nothing after the time-out; raise `OSError` if the device is unplugged."""
+        """Return a report of at most `size` bytes, or an empty list after the time-out.
+
+        Raises `OSError` if the device is unplugged.
+        """
         report: list[int] = self._device.read(size, timeout_ms)
         return report
 
     def set_nonblocking(self, on: int, /) -> int:
-        """Make reads without a time-out return at once, also without data."""
+        """Make reads without a time-out return at once even if no data have arrived, if `on` is 1."""
         return int(self._device.set_nonblocking(on))
 
     def close(self) -> None:
@@ -361,7 +393,7 @@ class TimedWrites:
 
 _TRIES = 2
 _MOST_LATE = 64
-"""Most foreign answers that are discarded before an error."""
+"""Largest number of answers to other commands that are discarded before an error is raised."""
 
 
 class Mcp2210Bus(UsbBus):
@@ -370,8 +402,9 @@ class Mcp2210Bus(UsbBus):
     Parameters
     ----------
     device : hid.device or TimedWrites
+        The open device; the bus closes it.
     options : UsbOptions
-        RST is driven low or left floating; GP6 counts events.
+        Pins and time-out. RST is driven low or left floating; GP6 counts events.
 
     Raises
     ------
@@ -454,7 +487,7 @@ class Mcp2210Bus(UsbBus):
             self.sleep_s(RESET_PULSE_S)
 
     def _count_edges(self) -> int:
-        """Number of data-ready edges on pin GP6 since the last call."""
+        """Return the number of data-ready edges on pin GP6 since the last call."""
         self._settle()
         return self._word(Command.EVENTS)
 
@@ -488,7 +521,10 @@ class Mcp2210Bus(UsbBus):
         return word_of(self._ask(command), command)
 
     def _ask(self, command: Command, report: bytes | None = None) -> bytes:
-        """Send a command and return its answer; after an error the device counts as unsettled."""
+        """Send a command and return its answer; after an error the device counts as unsettled.
+
+        `report` is the HID report of the command; None is a report without further bytes.
+        """
         try:
             return self._converse(command, report if report is not None else request(command))
         except BaseException:
@@ -561,7 +597,7 @@ def open_from_url(url: BusUrl, *, hid: Any = None, clock: Clock = WALL) -> Mcp22
     Parameters
     ----------
     hid : module
-        In place of hidapi's; its writes must not block.
+        Module to use instead of hidapi, whose writes must not block; None is hidapi.
     clock : Clock
         The bus's clock.
 
@@ -596,12 +632,18 @@ def open_from_url(url: BusUrl, *, hid: Any = None, clock: Clock = WALL) -> Mcp22
 
 
 def find_devices(*, hid: Any = None) -> list[Device]:
-    """List the connected MCP2210 boards with the URL of each."""
+    """List the connected MCP2210 boards with the URL of each.
+
+    `hid` is a module to use instead of hidapi; None is hidapi.
+    """
     return _devices(_boards(hid or _load(_BACKENDS[0])))
 
 
 def _load(backend: str) -> Any:
-    """Import the hidapi module for a backend; on Linux the package has two, for hidraw and libusb."""
+    """Import the hidapi module for a backend, `hidraw` or `libusb`.
+
+    On Linux the package has one module for each. Raises `NotInstalledError` without hidapi.
+    """
     names = ["hidraw", "hid"] if sys.platform == "linux" and backend == "hidraw" else ["hid"]
     for name in names:
         with contextlib.suppress(ImportError):
@@ -647,7 +689,7 @@ def _serial(board: dict[str, Any]) -> str:
 
 
 def _node(path: str) -> str:
-    """Device file of a hidapi path: the path itself, or for libusb the node of its USB port."""
+    """Return the device file of a hidapi path: the path itself, or for libusb the node of its USB port."""
     if path.startswith("/"):
         return path
     from pathlib import Path

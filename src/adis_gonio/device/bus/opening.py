@@ -13,7 +13,7 @@ from adis_gonio.device.bus.contract import SpiBus
 
 ENTRY_POINT_GROUP = "adis_gonio.bus"
 SOURCE_GROUP = "adis_gonio.source"
-"""Entry points of sources of samples without frames (see `adis_gonio.record.source`)."""
+"""Entry-point group of sources that deliver samples without SPI frames (see `adis_gonio.record.source`)."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ Opener = Callable[[BusUrl], SpiBus]
 
 
 def bus_schemes() -> tuple[str, ...]:
-    """URL schemes of the installed packages, from their entry points of group `adis_gonio.bus`."""
+    """Return the URL schemes of all installed buses, from the entry points of group `adis_gonio.bus`."""
     return tuple(sorted({point.name for point in entry_points(group=ENTRY_POINT_GROUP)}))
 
 
@@ -68,7 +68,7 @@ def open_bus(url: str) -> SpiBus:
     Parameters
     ----------
     url : str
-        For instance `sim:?seed=1`. `bus_schemes()` lists the schemes that are installed.
+        URL of the bus, for instance `sim:?seed=1`. `bus_schemes()` lists the schemes that are installed.
 
     Raises
     ------
@@ -105,7 +105,7 @@ DEVICE_GROUP = "adis_gonio.devices"
 
 
 class Device(JsonRecord):
-    """A device that can be opened: its URL and a description, each as one printable line."""
+    """A device that can be opened as a bus: its URL and a description, each one printable line."""
 
     url: str
     description: str
@@ -118,8 +118,8 @@ class Device(JsonRecord):
 def find_devices() -> list[Device]:
     """List the devices of all installed buses (entry points of group `adis_gonio.devices`).
 
-    A bus without its library is listed with the extra that it needs, and a finder that fails with the name
-    of its function, so that a mistake in one package does not hide the devices of the others.
+    A bus without its library is listed with the extra that it needs, and a failed finder function with its
+    name, so that a mistake in one package does not hide the devices of the others.
     """
     devices: list[Device] = []
     for point in sorted(entry_points(group=DEVICE_GROUP), key=lambda point: point.name):
@@ -145,7 +145,10 @@ def _found(point: EntryPoint) -> list[Device]:
 
 
 def _blamed(point: EntryPoint, error: Exception) -> str:
-    """One line that names the failed function, its package and its error."""
+    """Return one line that names the failed finder function, its package and its error.
+
+    `point` is the entry point of the function.
+    """
     package = f" of package '{point.dist.name}'" if point.dist is not None else ""
     what = " ".join(str(error).split())
     return f"{point.value}{package} failed: {type(error).__name__}{': ' if what else ''}{what}"

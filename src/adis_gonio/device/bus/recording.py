@@ -52,18 +52,18 @@ _TIMES, _BLOCK = struct.Struct("<dd"), struct.Struct("<ddqII")
 
 
 _EXPECTED = frozenset({"exchange", "configure", "stream", "block", "end_stream", "hard_reset"})
-"""Calls that a strict replay must repeat; looks at clocks and counters may be fewer or more."""
+"""Calls that a strict replay must repeat; reads of clocks and counters may differ in number."""
 
 T = TypeVar("T")
 
 
 class RecordKind(IntEnum):
-    """Kinds of records."""
+    """Kinds of records in a file of recorded bus calls."""
 
     HEADER = 1
     """JSON object with url, timing, capabilities, edge_rises and unbroken_frames of the recorded bus."""
     CLOCK = 2
-    """Time in s (float64) that the clock showed to a caller."""
+    """Time in s (float64) that the bus returned to a caller of `now_s`."""
     EXCHANGE = 3
     """Begin and end in s (float64), n frames (uint16), n replies (uint16)."""
     BLOCK = 4
@@ -86,13 +86,14 @@ class Call:
     begin_s, end_s : float
         Times of call and return on the clock of the bus.
     frames : (n,) uint16 or None
-        Frames that were sent: a batch, or the list of a stream.
+        Frames that were sent, a batch or the list of a stream; None for a call without frames.
     arguments : list
         Other arguments, as JSON values.
     result : object
-        Replies (n,) of an exchange, a `FrameBlock`, or the JSON value that the call returned.
+        Replies (n,) of an exchange, a `FrameBlock`, or the JSON value that the call returned (None if it
+        returned nothing).
     error : AdisGonioError or None
-        Error that the call raised.
+        Error that the call raised; None if it succeeded.
     """
 
     number: int
@@ -126,7 +127,10 @@ class _Writer:
         self._write(MAGIC)
 
     def add(self, kind: RecordKind, *content: bytes) -> None:
-        """Append one record; do nothing after a failure or after `close`."""
+        """Append one record; do nothing after a failure or after `close`.
+
+        `kind` is its kind, and `content` the parts of its content, in order.
+        """
         body = b"".join(content)
         record = _HEAD.pack(kind, len(body)) + body
         with self._lock:
@@ -134,7 +138,11 @@ class _Writer:
                 self._write(record + _CRC.pack(zlib.crc32(record)))
 
     def call(self, name: str, begin_s: float, end_s: float, **facts: Any) -> None:
-        """Append a record of kind `CALL`."""
+        """Append a record of kind `CALL`.
+
+        `facts` are further entries of its JSON object, such as the result. `begin_s` and `end_s` are the
+        times of the call and of its return.
+        """
         self.add(RecordKind.CALL, _to_json({"call": name, "begin": begin_s, "end": end_s} | facts))
 
     def _write(self, record: bytes) -> None:
@@ -223,7 +231,7 @@ class RecordingBus(ForwardingBus):
         return _stand_in(_describe(helper), call)
 
     def witness(self, name: str, observe: Callable[[], T]) -> T:
-        """Return `observe()` and record it, unless it is empty or false."""
+        """Return `observe()` and record it under `name`, unless it is empty or false."""
         value = self.inner.witness(name, observe)
         if value:
             now = self.inner.now_s()
@@ -231,29 +239,32 @@ class RecordingBus(ForwardingBus):
         return value
 
     def now_s(self) -> float:
-        """Time in s on the clock of the inner bus."""
+        """Return the time in s on the clock of the inner bus, and record it."""
         now = self.inner.now_s()
         self.writer.add(RecordKind.CLOCK, _CLOCK.pack(now))
         return now
 
     def sleep_s(self, seconds: float) -> None:
-        """Wait for some seconds on the clock of the inner bus."""
+        """Wait for some seconds on the clock of the inner bus; record the call."""
         self._record("sleep_s", lambda: self.inner.sleep_s(seconds), arguments=[float(seconds)])
 
     def hard_reset(self) -> None:
-        """Reset the chip by the RST line of the inner bus."""
+        """Reset the chip by the RST line of the inner bus; record the call."""
         self._record("hard_reset", self.inner.hard_reset)
 
     def read_event_counter(self) -> int:
-        """Data-ready edges that the inner bus has counted since the last call."""
+        """Return the data-ready edges that the inner bus has counted since the last call; record them."""
         return self._record("read_event_counter", self.inner.read_event_counter)
 
     def count_events(self) -> tuple[int, float]:
-        """Data-ready edges since the last call, and the time in s, from the inner bus."""
+        """Return the edges since the last call and the time in s from the inner bus; record both.
+
+        The edges are data-ready edges, the time is when they were counted.
+        """
         return self._record("count_events", self.inner.count_events)
 
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
-        """Start a stream of the inner bus and record its blocks."""
+        """Start a stream of the read frames `frames` on the inner bus and record its blocks."""
 
         def start() -> FrameStream:
             return self.inner.stream(frames, block_scans=block_scans)
@@ -292,7 +303,10 @@ class RecordingBus(ForwardingBus):
         document: Callable[[T], Any] = lambda value: value,
         **facts: Any,
     ) -> T:
-        """Run one call of the inner bus and record it; `document` converts its result to a JSON value."""
+        """Run `action`, one call of the inner bus, and record it as the call `name`.
+
+        `document` converts the result to a JSON value; `facts` are further entries of the record.
+        """
         begin_s = self.inner.now_s()
         try:
             result = action()
@@ -304,11 +318,17 @@ class RecordingBus(ForwardingBus):
 
 
 _HELPERS = ("stage", "world")
-"""Attributes of a bus that a session calls: a stage that moves by program, and a simulated world."""
+"""Names of the attributes of a bus that a session calls.
+
+They are a stage that moves by program, and a simulated world.
+"""
 
 
 def _describe(helper: object) -> dict[str, Any] | None:
-    """Names of the public methods of an object, and its settings if it has any; None without an object."""
+    """Return the names of the public methods of an object, and its settings.
+
+    The settings are None if the object has none; the result is None without an object.
+    """
     if helper is None:
         return None
     kind = type(helper)
@@ -318,7 +338,10 @@ def _describe(helper: object) -> dict[str, Any] | None:
 
 
 def _stand_in(described: dict[str, Any] | None, call: Callable[..., Any]) -> Any:
-    """Make an object with the described methods; each of them calls `call(name, *arguments)`."""
+    """Make an object with the methods and settings that `_describe` returned; None if that is None.
+
+    Each of its methods calls `call(name, *arguments)`.
+    """
     if described is None:
         return None
     named = {name: lambda _, *given, name=name: call(name, *given) for name in described["methods"]}
@@ -369,11 +392,12 @@ class BusRecording:
     Parameters
     ----------
     path : str or Path
+        The recording.
 
     Attributes
     ----------
     header : dict
-        Facts about the recorded bus.
+        JSON object of the header record, see `RecordKind.HEADER`.
     damage : str
         Reason why reading ended before the end of the file; empty if all records could be read. It is known
         when the calls have been iterated.
@@ -406,7 +430,10 @@ class BusRecording:
                 yield _call(number, kind, content)
 
     def _records(self) -> Iterator[tuple[int, bytes]]:
-        """Yield kind and content of each undamaged record; set `damage` if some bytes remain."""
+        """Yield kind and content of each undamaged record.
+
+        Set `damage` if bytes that are no whole record remain.
+        """
         data, at, number = self._data, len(MAGIC), 0
         while at + _HEAD.size + _CRC.size <= len(data):
             kind, size = _HEAD.unpack_from(data, at)
@@ -420,7 +447,7 @@ class BusRecording:
 
 
 def _call(number: int, kind: int, content: bytes) -> Call:
-    """Decode the content of one record."""
+    """Decode the content of one record of the given number and kind."""
     if kind == RecordKind.CLOCK:
         (now,) = _CLOCK.unpack(content)
         return Call(number, "clock", now, now, result=now)
@@ -448,7 +475,7 @@ def _call(number: int, kind: int, content: bytes) -> Call:
 
 
 def _rebuild(name: str, message: str) -> AdisGonioError:
-    """Make an error of the class with this name; `BusError` if this version does not know it."""
+    """Make an error of the class called `name`, or a `BusError` if this version does not know the class."""
     kind = getattr(errors, name, None)
     if isinstance(kind, type) and issubclass(kind, AdisGonioError):
         return kind(message)
@@ -463,15 +490,15 @@ class ReplayBus(SpiBus):
     path : str or Path
         The recording.
     strict : bool
-        Raise `ProtocolError` at the first call that differs from the recording. Otherwise the next recorded
-        call with the same name and frames answers, and the calls before it are skipped.
+        True raises `ProtocolError` at the first call that differs from the recording. False: the next
+        recorded call with the same name and frames answers, and the calls before it are skipped.
 
     Raises
     ------
     DataError
         The file cannot be read or is no recording.
     ProtocolError
-        In a call: no further record answers it. An error that was recorded is raised again.
+        A call has no further record that answers it. An error that was recorded is raised again.
     """
 
     replayed = True
@@ -496,20 +523,23 @@ class ReplayBus(SpiBus):
 
     @property
     def kind(self) -> str:
-        """Class of the recorded bus."""
+        """Name of the class of the recorded bus, for a report."""
         return self._kind
 
     def now_s(self) -> float:
-        """Time in s that the recorded clock showed here; otherwise the end of the last recorded call."""
+        """Return the recorded time in s if the next record is a look at the clock.
+
+        Otherwise return the time of the last answer.
+        """
         self._now_s = self.witness("clock", lambda: self._now_s)
         return self._now_s
 
     def sleep_s(self, seconds: float) -> None:
-        """Return at once."""
+        """Return at once, without waiting."""
         self.witness("sleep_s", lambda: None)
 
     def witness(self, name: str, observe: Callable[[], T]) -> T:
-        """Return the value that was recorded here; otherwise `observe()`."""
+        """Return the recorded value if the next record is called `name`; otherwise return `observe()`."""
         with self._lock:
             if self._next < len(self._calls) and self._calls[self._next].name == name:
                 self._next += 1
@@ -521,14 +551,17 @@ class ReplayBus(SpiBus):
         return _stand_in(described, lambda method, *_: self.answer(f"{name}.{method}").result)
 
     def count_events(self) -> tuple[int, float]:
-        """Recorded number of data-ready edges since the last call, and the time in s."""
+        """Return the recorded data-ready edges since the last call, and the recorded time in s."""
         with self._lock:
             self._require(Capability.EVENT_COUNTER)
             count, time_s = self.answer("count_events").result
             return count, time_s
 
     def answer(self, name: str, frames: Words | None = None) -> Call:
-        """Return the recorded call that answers a call; raise its error if it failed then."""
+        """Return the next recorded call with this name and these frames; raise its recorded error.
+
+        It raises `ProtocolError` if no further record fits, or if a strict replay meets another call first.
+        """
         for at in range(self._next, len(self._calls)):
             call = self._calls[at]
             if call.name == name and np.array_equal(_or_empty(call.frames), _or_empty(frames)):
@@ -542,7 +575,8 @@ class ReplayBus(SpiBus):
                     f" {_hexadecimal(frames)}"
                 )
         raise ProtocolError(
-            f"{self._path}: no further record answers {name} {_hexadecimal(frames)}{self._damage}"
+            f"{self._path}: no further record answers this call ({name} {_hexadecimal(frames)}".rstrip()
+            + f"); repeat the recorded command with its options{self._damage}"
         )
 
     def _exchange(self, frames: Words) -> Words:
@@ -570,7 +604,7 @@ def _or_empty(frames: Words | None) -> Words:
 
 
 def _hexadecimal(frames: Words | None) -> str:
-    """Frames as text, at most eight of them."""
+    """Return the first eight frames in hexadecimal, followed by their number if there are more."""
     shown = " ".join(f"{frame:04X}" for frame in _or_empty(frames)[:8])
     return shown if frames is None or len(frames) <= 8 else f"{shown} … ({len(frames)} frames)"
 

@@ -72,7 +72,7 @@ class Transfer(ctypes.Structure):
 
 TRANSFER_SIZE = ctypes.sizeof(Transfer)
 MOST_TRANSFERS = ((1 << _SIZE_BITS) - 1) // TRANSFER_SIZE
-"""Transfers that fit the size field of an ioctl number: 511."""
+"""Largest number of transfers that the size field of an ioctl number can hold: 511."""
 
 _SPI = ord("k")
 WR_MODE32 = _ioc(_WRITE, _SPI, 5, 4)
@@ -80,12 +80,15 @@ RD_MODE32 = _ioc(_READ, _SPI, 5, 4)
 MODE_3 = MODE_BITS = 0b11
 LSB_FIRST, THREE_WIRE, LOOP = 0x08, 0x10, 0x20
 BENT_FRAMES = LSB_FIRST | THREE_WIRE | LOOP
-"""Flags of the mode that change the bits of a frame or their source. The other flags define the drive of CS
-and belong to the kernel: since 5.4 it sets SPI_CS_HIGH if CS is a GPIO of any polarity."""
+"""Flags of the SPI mode that change the bits of a frame or their source, and so must be zero.
+
+The other flags define the drive of CS and belong to the kernel: since 5.4 it sets SPI_CS_HIGH if CS is a
+GPIO of any polarity.
+"""
 
 
 def message(count: int) -> int:
-    """Number of the ioctl SPI_IOC_MESSAGE for `count` transfers."""
+    """Return the number of the ioctl SPI_IOC_MESSAGE for `count` transfers."""
     return _ioc(_WRITE, _SPI, 0, count * TRANSFER_SIZE)
 
 
@@ -99,7 +102,7 @@ class _LineAttribute(ctypes.Structure):
 
 
 class LineRequest(ctypes.Structure):
-    """Linux struct gpio_v2_line_request, with the fields of its configuration included."""
+    """Linux struct gpio_v2_line_request, a request for GPIO lines, with its configuration included."""
 
     _fields_ = (
         ("offsets", ctypes.c_uint32 * 64),
@@ -116,19 +119,19 @@ class LineRequest(ctypes.Structure):
 
 
 class LineValues(ctypes.Structure):
-    """Linux struct gpio_v2_line_values."""
+    """Linux struct gpio_v2_line_values, levels of GPIO lines."""
 
     _fields_ = (("bits", ctypes.c_uint64), ("mask", ctypes.c_uint64))
 
 
 class ChipInfo(ctypes.Structure):
-    """Linux struct gpiochip_info."""
+    """Linux struct gpiochip_info, name and number of lines of a GPIO chip."""
 
     _fields_ = (("name", ctypes.c_char * 32), ("label", ctypes.c_char * 32), ("lines", ctypes.c_uint32))
 
 
 class LineInfo(ctypes.Structure):
-    """Linux struct gpio_v2_line_info."""
+    """Linux struct gpio_v2_line_info, name and use of a GPIO line."""
 
     _fields_ = (
         ("name", ctypes.c_char * 32),
@@ -150,7 +153,10 @@ ATTRIBUTE_VALUES = 2
 
 
 def open_drain_line(offset: int) -> LineRequest:
-    """Request to the kernel for one GPIO line as an open-drain output, at first released."""
+    """Make the request to the kernel for one GPIO line as an open-drain output that is at first released.
+
+    `offset` is the number of the line on its GPIO chip.
+    """
     request = LineRequest()
     request.offsets[0] = offset
     request.consumer = b"adis-gonio reset"
@@ -177,16 +183,16 @@ class Kernel:
         self._fcntl = fcntl
 
     def open(self, path: str) -> int:
-        """Open a device file for reading and writing; return its descriptor."""
+        """Open a device file for reading and writing; return its file descriptor."""
         return os.open(path, os.O_RDWR | os.O_CLOEXEC)
 
     def ioctl(self, fd: int, request: int, argument: Any) -> int:
-        """Call ioctl(2) with a ctypes object that the kernel reads and writes."""
+        """Call ioctl(2) with a ctypes object that the kernel reads and writes; return its result."""
         result: int = self._fcntl.ioctl(fd, request, argument, True)
         return result
 
     def lock(self, fd: int) -> None:
-        """Lock the file by flock(2), exclusively and without waiting."""
+        """Lock the file of a descriptor by flock(2), exclusively and without waiting."""
         self._fcntl.flock(fd, self._fcntl.LOCK_EX | self._fcntl.LOCK_NB)
 
     def close(self, fd: int) -> None:
@@ -195,11 +201,14 @@ class Kernel:
 
 
 CS_HIGH_US = 10.0
-"""[M] CS-high time between two transfers with cs_change: the default of the kernel's SPI core
-(`_spi_transfer_cs_change_delay`). A controller driver with its own loop may differ."""
+"""CS-high time in µs between two transfers with cs_change; not confirmed by a document.
+
+It is the default of the kernel's SPI core (`_spi_transfer_cs_change_delay`); a controller driver with its
+own loop may differ.
+"""
 
 SLOWEST_HZ = 10_000
-"""Slowest clock that fills a period; below it frames are sent one by one."""
+"""Slowest clock in Hz that may fill a frame period; below it frames are sent one by one."""
 
 _GONE = (errno.ENODEV, errno.ESHUTDOWN, errno.ENXIO)
 
@@ -210,15 +219,15 @@ class SpidevBus(host.HostBus):
     Parameters
     ----------
     system : Kernel
-        System calls.
+        Object that makes the system calls.
     fd : int
         The open device file.
     url : str
-        For messages.
+        URL of the bus, used in messages.
     cs_high_us : float
         Time that the kernel keeps CS high between the transfers of a message.
     reset_fd : int or None
-        Requested GPIO line on the chip's RST, open-drain.
+        Descriptor of the requested open-drain GPIO line on the chip's RST; None if none is wired.
     clock : Clock
         The bus's clock.
 
@@ -258,7 +267,11 @@ class SpidevBus(host.HostBus):
         return SpiTiming(float(int(self._clock_for(timing))), timing.stall_us, timing.period_us)
 
     def _clock_for(self, timing: SpiTiming) -> float:
-        """Clock in Hz at which frames in one message keep the period; else the requested clock."""
+        """Return the clock in Hz at which frames in one message keep the period of `timing`.
+
+        It is the requested clock if the kernel cannot keep the stall or the clock would be below
+        `SLOWEST_HZ`.
+        """
         if timing.stall_us > self._cs_high_us:
             return timing.clock_hz
         left_us = timing.period_us - self._cs_high_us
@@ -266,7 +279,7 @@ class SpidevBus(host.HostBus):
         return min(timing.clock_hz, filling) if filling >= SLOWEST_HZ else timing.clock_hz
 
     def _fills(self, timing: SpiTiming) -> bool:
-        """True if frames in one kernel message keep stall and period without waits by the host."""
+        """Return True if frames in one kernel message keep stall and period without waits by the host."""
         frame_us = FRAME_BITS / timing.clock_hz * 1e6 + self._cs_high_us
         return self._cs_high_us >= timing.stall_us and frame_us >= timing.period_us
 
@@ -366,7 +379,7 @@ def open_from_url(
     Parameters
     ----------
     system : Kernel
-        System calls, in place of Linux's.
+        Object that makes the system calls; None uses Linux.
     clock : Clock
         The bus's clock.
     folder : str
@@ -412,7 +425,10 @@ def open_from_url(
 
 
 def find_devices(*, folder: str = "/dev") -> list[Device]:
-    """List the SPI device files (spidev) of this computer."""
+    """List the SPI device files (spidev) of this computer.
+
+    `folder` is the folder of the device files.
+    """
     devices = []
     for path in sorted(Path(folder).glob("spidev*")):
         denied = (
@@ -423,7 +439,10 @@ def find_devices(*, folder: str = "/dev") -> list[Device]:
 
 
 def _find_line(system: Kernel, url: str, line: str, folder: str) -> tuple[str, int]:
-    """Find a GPIO line by `gpiochipN:OFFSET` or by its name; return the path of its chip and its offset."""
+    """Find a GPIO line by `gpiochipN:OFFSET` or by its name; return the path of its chip and its offset.
+
+    `folder` is the folder of the device files.
+    """
     written = _LINE.fullmatch(line)
     if written:
         return f"{folder}/{written[1]}", int(written[2])

@@ -83,7 +83,10 @@ DEFAULT_SCAN = (*ACCEL_OUT, *GYRO_OUT, "XTEMP_OUT", "SUPPLY_OUT")
 """Registers of a scan by default: accelerometers, gyros, one temperature, supply."""
 
 START_UP_S = 0.3
-"""Wait in s after power-on and reset; 150 ms typical (DS, B), the recovery of a reset is not given."""
+"""Wait in s after power-on and after a reset.
+
+Start-up takes 150 ms typically (DS, B); the data sheet gives no time for a reset.
+"""
 FLASH_UPDATE_S = 0.15
 """Wait in s after starting a flash update; it takes about 100 ms (DS, A)."""
 SELF_TEST_S = 0.06
@@ -93,25 +96,27 @@ PRECISION_AUTONULL_S = 35.0
 WAKE_S = 0.005
 """Wait in s for the recovery from sleep; it takes 3 ms (DS, B)."""
 FLASH_LIFE = 10_000
-"""Number of flash writes for which the chip is made (DS, A)."""
+"""Number of flash writes that the chip is made for (DS, A)."""
 ENDURANCE_WRAP = 32_768
 
 MOST_READINGS = 4
-"""Largest number of readings of a register; two successive readings must agree."""
+"""Largest number of times that `read_checked` reads the registers until two successive readings agree."""
 
 _STUCK_WORDS = frozenset({0x0000, 0xFFFF})
-"""Replies if the data line is stuck: all zeros or all ones."""
+"""Replies that show a stuck data line: all zeros or all ones."""
 
 PLAUSIBLE = 0.15
-"""Tolerance of |a| at rest relative to 1 g for a variant: it allows ±2 % of scale and a bias of tens of mg;
-the next variant differs by a factor of 5.4."""
+"""Tolerance of the acceleration at rest, relative to 1 g, for a declared variant.
+
+It allows ±2 % of scale and a bias of tens of mg; the next variant differs by a factor of 5.4.
+"""
 CHECK_SCANS = 32
 MANUAL_SCANS = 64
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """Content of a register, as an integer and as a value with unit."""
+    """Content of a register, as an integer (`number`) and as a value with unit."""
 
     register: Register
     number: int
@@ -128,17 +133,17 @@ def open_sensor(url: str, *, variant: str = "adis16354", check: bool = True) -> 
     Parameters
     ----------
     url : str
-        Such as `sim:?seed=1` (see `open_bus`).
+        URL of the bus, such as `sim:?seed=1` (see `open_bus`).
     variant : str
-        `adis16354`, `adis16350` or `adis16355`.
+        Sensor type: `adis16354`, `adis16350` or `adis16355`.
     check : bool
-        Check on opening that the chip answers and that the acceleration at rest is 1 g for this variant. No
-        other check exists, because the chip has no identification register.
+        True checks on opening that the chip answers and that the acceleration at rest is 1 g for this
+        variant. No other check exists, because the chip has no identification register.
 
     Raises
     ------
     UsageError, NotInstalledError, CannotOpenError
-        As `open_bus`.
+        The bus cannot be opened, see `open_bus`.
     SilentChipError, VariantError
         The check failed.
     """
@@ -158,11 +163,11 @@ class Adis16354(Closing):
     bus : SpiBus
         Bus of the sensor; `close` also closes it.
     variant : str or Variant
-        Part of the family.
+        Sensor type, see `registers.VARIANTS`.
     check : bool
-        See `open_sensor`.
+        True checks on opening that the chip answers and measures 1 g at rest for this variant.
     update_edge : {"first", "last"}
-        Edge of the data-ready pulse at the update (see `data_ready.UPDATE_EDGE`).
+        End of the data-ready pulse at which new data are ready (see `scanning.UPDATE_EDGE`).
     """
 
     def __init__(
@@ -221,7 +226,7 @@ class Adis16354(Closing):
         Parameters
         ----------
         number : int
-            Value, signed if the register is.
+            Integer to write, signed if the register is signed.
 
         Raises
         ------
@@ -246,7 +251,10 @@ class Adis16354(Closing):
             self._follow()
 
     def write_fields(self, name: str | Register, **fields: int) -> None:
-        """Change the given bit fields of a register; its other bits are unchanged."""
+        """Change the given bit fields of a register to the given values; its other bits are unchanged.
+
+        Raises `UsageError` if a value does not fit its field.
+        """
         row = register(name)
         word = self.read(row) & row.write_mask
         for field_name, value in fields.items():
@@ -266,7 +274,7 @@ class Adis16354(Closing):
         Raises
         ------
         SilentChipError
-            As `read_checked`: a stuck line gives no values.
+            The data line is stuck, so that it gives no values.
         """
         smpl_prd, sens_avg, msc_ctrl = self.read_checked(["SMPL_PRD", "SENS_AVG", "MSC_CTRL"])
         found = Configuration.from_words(smpl_prd, sens_avg, msc_ctrl)
@@ -282,9 +290,9 @@ class Adis16354(Closing):
         Raises
         ------
         SilentChipError
-            SENS_AVG reads zeros or ones.
+            SENS_AVG reads zeros or ones, so the data line is stuck.
         VerifyError
-            The readings differ each time.
+            No two successive readings agree.
         """
         rows = [BY_NAME["SENS_AVG"], *registers(names), BY_NAME["SENS_AVG"]]
         before: list[int] = []
@@ -305,7 +313,10 @@ class Adis16354(Closing):
         )
 
     def endurance(self) -> int:
-        """Read ENDURANCE, the count of flash updates (0 to 32767). Errors as `read_checked`."""
+        """Read ENDURANCE, the count of flash updates (0 to 32767).
+
+        Raises `SilentChipError` or `VerifyError` if the reading is not reliable, see `read_checked`.
+        """
         return BY_NAME["ENDURANCE"].number(self.read_checked(["ENDURANCE"])[0])
 
     def configure(
@@ -321,16 +332,21 @@ class Adis16354(Closing):
     ) -> Configuration:
         """Change the given settings of the chip and wait until the filter has settled.
 
+        A setting that is None is unchanged. Returns the configuration as read back.
+
         Parameters
         ----------
         sample_rate_hz : float
-            0.413 to 819.2; the nearest possible rate is taken. Or `smpl_prd`, the register's number.
+            Sample rate, 0.413 to 819.2; the nearest possible rate is taken.
+        smpl_prd : int
+            Content of SMPL_PRD, as an alternative to the rate.
         filter_m : int
-            0 to 6: two boxcars of 2^M taps.
+            Filter size M, 0 to 6: two boxcars of 2^M taps.
         gyro_range_dps : int
-            300, 150 (needs M >= 2) or 75 (needs M >= 4).
+            Full scale of the gyros: 300, 150 (needs M >= 2) or 75 (needs M >= 4).
         data_ready, linear_g, origin : bool
-            MSC_CTRL[2], [7], [6].
+            Data-ready output (MSC_CTRL[2]), compensation of the gyros for acceleration (MSC_CTRL[7]), and
+            compensation of the accelerometers for their positions (MSC_CTRL[6]): True on, False off.
 
         Raises
         ------
@@ -370,19 +386,24 @@ class Adis16354(Closing):
     ) -> ScanStream:
         """Return an iterator of new scans, by the best method of the bus (see `sensor.scanning`).
 
-        If the bus can, it streams at each data-ready edge; else scans are polled, and missed updates are
-        counted by the event counter of the bus, or by time without one.
+        A bus with streams makes a scan at each data-ready edge; otherwise scans are polled, and missed
+        updates are counted by the event counter of the bus, or by time without one.
 
         If the bus can use data-ready and MSC_CTRL does not enable it, it is enabled on DIO1 and restored
         when the stream is closed; if no edge arrives then, as without the wire, scans are polled.
 
         Parameters
         ----------
+        names : sequence of str or Register
+            Registers of a scan, of which at least one is an output register.
+        block_scans : int
+            Number of scans in a block.
         leave_registers : bool
-            Write nothing: use data-ready only if it is already enabled.
+            True writes no register: data-ready is used only if it is already enabled.
         data_ready : bool or None
-            True uses data-ready as set, without a check for edges (a `DataReadyLoan` has checked); False
-            polls. Neither writes a register.
+            True uses data-ready as the chip has it, without a check for edges (a `DataReadyLoan` has
+            checked); False polls; neither writes a register. None checks for edges and uses data-ready if
+            they arrive.
 
         Raises
         ------
@@ -433,7 +454,7 @@ class Adis16354(Closing):
     def lend_data_ready(self, names: Sequence[str | Register] = DEFAULT_SCAN) -> DataReadyLoan | None:
         """Enable data-ready for streams of these registers; the returned loan restores the old setting.
 
-        Returns None if the bus cannot use it. Errors as `DataReadyLoan`.
+        Returns None if the bus cannot use data-ready. Raises the errors of `DataReadyLoan`.
         """
         if not USED_BY & self.bus.capabilities:
             return None
@@ -448,7 +469,11 @@ class Adis16354(Closing):
         data_ready: bool | None = None,
         block_scans: int = 256,
     ) -> ScanBlock:
-        """Read `count` scans of new data, writing no register; other arguments as in `stream`."""
+        """Read `count` scans of new data from the named registers, without writing a register.
+
+        `data_ready` is True to use data-ready without a check, False to poll, None to check for edges
+        first; `block_scans` is the number of scans that are read at a time.
+        """
         if count < 1:
             raise UsageError(f"count is {count}: take 1 or more")
         blocks: list[ScanBlock] = []
@@ -481,7 +506,7 @@ class Adis16354(Closing):
         ChipError
             The self-test did not end.
         SilentChipError, VerifyError
-            As `read_checked`: zeros on a line that is stuck low are not a passed test.
+            The reading is not reliable: zeros from a data line that is stuck low are not a passed test.
         """
         row = BY_NAME["MSC_CTRL"]
         busy = row.field("self_test").mask
@@ -500,7 +525,7 @@ class Adis16354(Closing):
         Raises
         ------
         VerifyError
-            What was read back differs.
+            MSC_CTRL reads back another value.
         """
         means, noise = {}, np.zeros(6)
         settling_s = self.configuration().settling_s
@@ -535,14 +560,15 @@ class Adis16354(Closing):
     ) -> Offsets:
         """Write offsets (x, y, z) that the chip adds to its outputs; volatile until `save_to_flash`.
 
-        Returns the new offsets: the requested values, rounded to an LSB.
+        `accel_mg` and `gyro_dps` are None if these offsets shall not change. Returns the new offsets: the
+        requested values, rounded to an LSB.
 
         Raises
         ------
         UsageError
             Not three values, or a value outside the range of the register; nothing was written.
         VerifyError
-            What was read back differs.
+            An offset register reads back another value.
         """
         writes: list[tuple[Register, int]] = []
         for names, values, what in ((ACCEL_OFF, accel_mg, "accel_mg"), (GYRO_OFF, gyro_dps, "gyro_dps")):
@@ -565,12 +591,12 @@ class Adis16354(Closing):
         return self.offsets()
 
     def save_to_flash(self, *, force: bool = False) -> int:
-        """Save all registers that have a flash copy; return the count of flash updates afterwards.
+        """Save the registers that have a flash copy to flash; return the count of flash updates afterwards.
 
         Raises
         ------
         ChipError
-            The flash is worn (10 000 writes) and `force` is not set; nothing was written.
+            The flash is worn (10 000 writes) and `force` is False; nothing was written.
         VerifyError
             The endurance counter did not go up by one.
         StatusError
@@ -581,9 +607,8 @@ class Adis16354(Closing):
     def autonull(self, *, force: bool = False) -> Offsets:
         """Let the chip cancel its present gyro outputs while it is at rest; return the new offsets.
 
-        It ends in a flash update.
-
-        The duration is not given by the maker; the wait covers the filter and the flash update.
+        The autonull ends in a flash update; `force` allows it on a worn flash. The maker does not give its
+        duration; the wait covers the filter and the flash update.
         """
         wait = self.configuration().settling_s + START_UP_S + FLASH_UPDATE_S
         self._flash_command("autonull", wait, "the autonull", force=force)
@@ -592,7 +617,8 @@ class Adis16354(Closing):
     def precision_autonull(self, *, force: bool = False) -> Offsets:
         """Let the chip measure and cancel its gyro biases for 30 s at rest; return the new offsets.
 
-        It ends in a flash update; only a reset stops it.
+        The precision autonull ends in a flash update, which `force` allows on a worn flash; only a reset
+        stops it.
         """
         what = "the precision autonull"
         self._flash_command("precision_autonull", PRECISION_AUTONULL_S, what, force=force)
@@ -601,7 +627,7 @@ class Adis16354(Closing):
     def restore_factory(self, *, force: bool = False) -> Offsets:
         """Set the six offset registers to zero by the factory restore; return them as read back.
 
-        The restore ends in a flash update.
+        The restore ends in a flash update; `force` allows it on a worn flash.
 
         Raises
         ------
@@ -629,8 +655,8 @@ class Adis16354(Closing):
         Raises
         ------
         UsageError
-            Unknown alarm or source; a threshold outside the source's range; or a threshold for a change of
-            less than half an LSB a sample.
+            The alarm or its source is unknown; a threshold is outside the source's range; or a threshold
+            for a change is less than half an LSB a sample.
         """
         if number not in (1, 2):
             raise UsageError(f"alarm {number} does not exist: 1 or 2")
@@ -762,27 +788,29 @@ class Adis16354(Closing):
 
 
 _TRIES = 4
-"""A Ctrl-C or a single failure of the bus must not prevent the restoration."""
+"""Number of attempts to restore registers, so that one Ctrl-C or bus failure does not prevent it."""
 
 
 class Undo:
-    """Remembers register contents; `put_back` restores the changed ones and verifies them.
+    """Restores the registers of a sensor after they were changed.
+
+    It records their contents; `put_back` writes changed contents back and verifies them.
 
     Parameters
     ----------
     sensor : Adis16354
-        Open.
+        The open sensor.
     rows : sequence of Register
         Writable registers to record.
     before : mapping of str to int or None
-        Words by name to restore; None records the present words.
+        Words by register name to restore; None records the present words.
 
     Attributes
     ----------
     before : dict of str to int
         Words to restore, limited to the writable bits.
     left : tuple of str
-        Registers that `put_back` could not restore.
+        Names of the registers that `put_back` could not restore.
     """
 
     def __init__(
@@ -801,7 +829,7 @@ class Undo:
         Raises
         ------
         KeyboardInterrupt
-            The operator interrupted it; raised after the restoration.
+            The operator interrupted the restoration; the error is raised after it.
         """
         interrupted = False
         self.left = tuple(row.name for row in self.rows)

@@ -1,8 +1,8 @@
-"""Frames of a recording or capture as rows: register, decoded word, and broken rules of timing.
+"""Frames of a recording or capture as rows: register, decoded word, and violations of the SPI timing.
 
-The rules come from the data sheet (DS; sources in `registers`): the clock, stall and period that the
+The timing rules come from the data sheet (DS; sources in `registers`): the clock, stall and period that the
 mode of SMPL_PRD needs, and silence after a reset, a restore, a flash update or a precision autonull. The
-mode is known from the first access to SMPL_PRD on; before that no rule of timing is checked.
+mode is known from the first access to SMPL_PRD on; before that no timing rule is checked.
 """
 
 from __future__ import annotations
@@ -18,17 +18,20 @@ from adis_gonio.device.sensor import registers
 from adis_gonio.device.sensor.settings import Configuration
 
 BUSY_S = {"reset": 0.15, "restore": 0.15, "flash_update": 0.1, "precision_autonull": 30.0}
-"""Time in s after a command during which the chip must not be addressed: the start-up time after a reset
-and a restore (DS, B), 100 ms of a flash update (A), 30 s of a precision autonull (B)."""
+"""Time in s for which the chip must not be addressed after a command.
+
+It is the start-up time after a reset and a restore (DS, B), 100 ms after a flash update (A), 30 s after a
+precision autonull (B).
+"""
 FASTEST_FAST_HZ, FASTEST_NORMAL_HZ = 2e6, 300e3
-"""Highest SPI clock in both modes (DS, A)."""
+"""Highest SPI clock in Hz in fast mode and in normal mode (DS, A)."""
 
 TOLERANCE = 0.01
-"""Relative error that a measured time may have, because a logic analyser samples in steps."""
+"""Relative tolerance of a measured time or clock, because a logic analyser samples in steps."""
 
 
 class FrameRow(JsonRecord):
-    """One frame, or one other call of the bus.
+    """One frame of a recording or capture, or one other call of the bus, as a row.
 
     Attributes
     ----------
@@ -39,13 +42,14 @@ class FrameRow(JsonRecord):
     action : str
         `read`, `write`, or the name of another call.
     register : str
-        Register that the frame addresses; `+1` marks its high byte.
+        Register that the frame addresses; `+1` marks its high byte; empty for another call.
     frame, word : int or None
-        The frame, and the word that answers it, which the chip shifts out during the next frame.
+        The frame, and the word that answers it, which the chip shifts out during the next frame; None for
+        another call or an unknown word.
     value : str
         Decoded word, or a description of the call.
     problem : str
-        Recorded error, or broken rule of timing; otherwise empty.
+        Recorded error, or violated timing rule; otherwise empty.
     """
 
     record: int
@@ -59,14 +63,14 @@ class FrameRow(JsonRecord):
 
 
 class FrameLog:
-    """Converts the calls of a recording to rows.
+    """Converts the calls of a recording or capture to rows, one for each frame.
 
     Parameters
     ----------
     part : Variant
         Variant that decodes the words.
     scans : bool
-        Make a row for each word of a stream; otherwise a row for each block.
+        True makes a row for each word of a stream, False for each block of a stream.
     """
 
     def __init__(self, part: registers.Variant, *, scans: bool = False) -> None:
@@ -80,7 +84,7 @@ class FrameLog:
         self._ended: tuple[float, float] | None = None
 
     def rows(self, calls: Iterable[Call]) -> Iterator[FrameRow]:
-        """Yield the rows of calls in their order; looks at the clock have none."""
+        """Yield the rows of calls in their order; calls that only read the clock have no row."""
         for call in calls:
             if call.name == "exchange":
                 yield from self._exchanged(call)
@@ -112,7 +116,10 @@ class FrameLog:
             yield self._frame_row(call.number, time_s, frame, problem, word)
 
     def _captured(self, call: Call) -> Iterator[FrameRow]:
-        """Yield the row of the previous frame, which the reply of a captured frame completes."""
+        """Yield the row of the previous captured frame, which the reply of this frame completes.
+
+        `call` is the captured frame.
+        """
         assert call.frames is not None
         if self._before is not None:
             yield self._frame_row(*self._before, int(call.result[0]))
@@ -165,7 +172,10 @@ class FrameLog:
         return f"{row.number(word) * lsb + zero:.6g} {unit}{flags}"
 
     def _follow_write(self, row: registers.Register | None, high: bool, byte: int, time_s: float) -> None:
-        """Update the known mode and the time of silence by a written byte."""
+        """Update the known mode and the end of the silence after a command, from a written byte.
+
+        `row` is the written register (None if unknown), `high` is True for its high byte.
+        """
         if row is None or high:
             return
         if row.name == "SMPL_PRD":
@@ -193,7 +203,11 @@ class FrameLog:
 
 
 def _written_fields(row: registers.Register | None, high: bool, frame: int) -> str:
-    """Names of the commands or fields that a written byte sets, in brackets."""
+    """Return the names of the commands or fields that a written byte sets, in brackets.
+
+    The text is empty if the byte sets none. `row` is the register (None if unknown), `high` is True for its
+    high byte, `frame` the frame that writes it.
+    """
     if row is None or row.kind is not registers.Kind.FIELDS:
         return ""
     shifted = (frame & 0xFF) << (8 if high else 0)
@@ -202,7 +216,10 @@ def _written_fields(row: registers.Register | None, high: bool, frame: int) -> s
 
 
 def _addressed(frame: int) -> tuple[registers.Register | None, bool]:
-    """Register that a frame addresses, and True if it addresses the high byte."""
+    """Return the register that a frame addresses, and True if it addresses the high byte.
+
+    The register is None if no register has the address.
+    """
     address = frame >> 8 & 0x3F
     return registers.BY_ADDRESS.get(address & ~1), bool(address & 1)
 

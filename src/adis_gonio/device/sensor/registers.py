@@ -1,14 +1,13 @@
 """Variants of the sensor, and the table of its registers.
 
-The table of variants: one row contains all differences between the parts of the family.
-
-The register table of the ADIS16350 family, one row for each register, and read and write frames.
+The table of variants has all differences between the parts of the family, one row for each part. The
+register table of the ADIS16350 family has one row for each register. Functions make read and write frames.
 
 Sources: DS is the data sheet of the ADIS16350/ADIS16355, Rev. B. The confidence rates the validity of a row
 for the ADIS16354 (`CONFIDENCES`).
 
-A frame is bit 15 write, bit 14 zero, bits 13:8 byte address, bits 7:0 data (DS, A). Replies are
-pipelined: the word of frame k is shifted out during frame k + 1. Only `write_frames` sets the write bit.
+A frame is bit 15 write, bit 14 zero, bits 13:8 byte address, bits 7:0 data (DS, A). Replies are pipelined:
+the word of frame k is shifted out during frame k + 1. Only `write_frames` sets the write bit.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ CONFIDENCES: dict[Confidence, str] = {
     "C": "derived, or code only",
     "D": "an estimate",
 }
-"""Evidence for a row of the table, by letter."""
+"""Evidence for a row of the register table, by the letter of its confidence."""
 
 
 class Access(StrEnum):
@@ -45,7 +44,7 @@ class Access(StrEnum):
 
 
 class Kind(StrEnum):
-    """Meaning of a register's content; the variant gives the LSB that belongs to it."""
+    """Meaning of a register's content, such as an acceleration; with the variant it determines the LSB."""
 
     ACCEL = "accel"
     GYRO = "gyro"
@@ -61,7 +60,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True)
 class Field:
-    """A bit field of a control register: name, highest and lowest bit, meaning."""
+    """A bit field of a control register: name, numbers of its highest and lowest bit, meaning."""
 
     name: str
     high: int
@@ -87,7 +86,7 @@ class Field:
 
 @dataclass(frozen=True)
 class Register:
-    """A register of the chip: address, data format, access and meaning.
+    """A register of the chip: address, data format, access, meaning, and the source of these facts.
 
     Attributes
     ----------
@@ -136,12 +135,12 @@ class Register:
         return self.access is not Access.READ
 
     def number(self, word: int) -> int:
-        """Decode a word read from the register: flags and unused bits removed, sign extended."""
+        """Return the integer in a word of the register: flags and unused bits removed, sign extended."""
         data = word & self.data_mask
         return data - (1 << self.bits) if self.signed and data >> (self.bits - 1) else data
 
     def word(self, number: int) -> int:
-        """Encode an integer as the word to write; `UsageError` if it does not fit."""
+        """Return the word to write for an integer; `UsageError` if the register cannot hold the integer."""
         low, high = self.range
         if not low <= number <= high:
             raise UsageError(f"{self.name} takes {low} to {high}, not {number}")
@@ -246,9 +245,12 @@ COMMAND    3E u16 w  fields       009F 0000 0000 A commands, each starts by writ
     1     restore            factory restore: zero the six offsets
     0     autonull           null the gyros
 """
-"""A line for each register: name, byte address (hexadecimal), width of its number (`s` signed, `u` not),
-access, kind, writable bits, bits with a flash copy, default (all hexadecimal), confidence, and meaning.
-Indented lines are its bit fields: bits, name, meaning."""
+"""Text with a line for each register.
+
+A line has name, byte address (hexadecimal), width of its number (`s` signed, `u` not), access, kind,
+writable bits, bits with a flash copy, default (all hexadecimal), confidence, and meaning. Indented lines
+are its bit fields: bits, name, meaning.
+"""
 _OUTPUTS = (Kind.SUPPLY, Kind.GYRO, Kind.ACCEL, Kind.TEMPERATURE, Kind.AUX_ADC)
 
 
@@ -283,13 +285,17 @@ READING_BITS: dict[str, int] = {
     "SENS_AVG": 0x0707,
     "MSC_CTRL": 0x03C0,
 }
-"""Bits that shift or scale a reading: offsets, rate, range, filter, compensations and manual self-test."""
+"""Bits that shift or scale a reading: offsets, rate, range, filter, compensations and manual self-test.
+
+They are bit masks by register name; -1 is all bits.
+"""
 
 
 def changed_settings(then: Mapping[str, int], now: Mapping[str, int]) -> dict[str, tuple[int, int]]:
-    """Registers of `READING_BITS` that differ between two readings, each with old and new content.
+    """Return the registers of `READING_BITS` whose contents differ between two times.
 
-    A register that is missing on one side is not compared.
+    `then` and `now` are the contents by register name; each result is the pair of old and new bits. A
+    register that is missing on one side is not compared.
     """
     pairs = {
         name: (then[name] & bits, now[name] & bits)
@@ -305,7 +311,10 @@ WRITE = 1 << 15
 
 
 def register(name: str | Register) -> Register:
-    """Return the register with this name, in any case (also `SENS/AVG`); `UsageError` suggests a name."""
+    """Return the register with this name, in any case (also `SENS/AVG`).
+
+    An unknown name raises `UsageError`, which suggests a similar name.
+    """
     if isinstance(name, Register):
         return name
     key = name.strip().upper().replace("/", "_")
@@ -320,44 +329,55 @@ def register(name: str | Register) -> Register:
 
 
 def registers(names: Iterable[str | Register]) -> tuple[Register, ...]:
-    """Return the registers with these names."""
+    """Return the registers with these names; `UsageError` for an unknown name."""
     return tuple(register(name) for name in names)
 
 
 IDLE = 0x0000
-"""Idle frame: a harmless read of ENDURANCE. Never idle with ones: 0xFFFF looks like a write to COMMAND."""
+"""Idle frame: a harmless read of ENDURANCE.
+
+Never use ones: 0xFFFF looks like a write to COMMAND.
+"""
 
 FAST = SpiTiming(clock_hz=1_000_000, stall_us=9.0, period_us=40.0)
-"""Fast mode, SMPL_PRD <= 0x09: up to 2 MHz, frame period at least 40 µs, stall at least 9 µs (DS, A)."""
+"""SPI timing in fast mode, SMPL_PRD <= 0x09 (DS, A).
+
+The chip allows up to 2 MHz, with a frame period of at least 40 µs and a stall of at least 9 µs.
+"""
 
 NORMAL = SpiTiming(clock_hz=250_000, stall_us=75.0, period_us=160.0)
-"""Normal mode, SMPL_PRD >= 0x0A: up to 300 kHz, period at least 160 µs, stall at least 75 µs (DS, A).
+"""SPI timing in normal mode, SMPL_PRD >= 0x0A (DS, A).
 
-It also keeps the limits of fast mode, so it is safe if the mode is unknown."""
+The chip allows up to 300 kHz, with a frame period of at least 160 µs and a stall of at least 75 µs. This
+timing also keeps the limits of fast mode, so it is safe if the mode is unknown.
+"""
 
 FAST_UP_TO = 0x09
-"""Largest SMPL_PRD, time-base bit included, that runs in fast mode (DS, A)."""
+"""Largest SMPL_PRD, time-base bit included, at which the chip runs in fast mode (DS, A)."""
 
 
 def timing_for(smpl_prd: int) -> SpiTiming:
-    """SPI timing that the chip needs at a value of SMPL_PRD; the whole byte counts, not N alone."""
+    """Return the SPI timing that the chip needs at a value of SMPL_PRD.
+
+    The whole byte counts, including the time-base bit.
+    """
     return FAST if (smpl_prd & 0xFF) <= FAST_UP_TO else NORMAL
 
 
 def read_frame(register: Register) -> int:
-    """16-bit frame that reads this register."""
+    """Return the 16-bit frame that reads this register; `UsageError` if it is write-only."""
     if not register.readable:
         raise UsageError(f"{register.name} cannot be read")
     return (register.address & 0x3F) << 8
 
 
 def read_frames(registers: Sequence[Register]) -> Words:
-    """Frames (k,) uint16 that read k registers; each reply comes one frame later than its request."""
+    """Return the frames (k,) uint16 that read k registers; each reply comes one frame after its request."""
     return np.array([read_frame(register) for register in registers], np.uint16)
 
 
 def write_frames(register: Register, word: int, *, byte_mask: int = 0xFFFF) -> Words:
-    """Frames (k,) uint16 that write a register: low byte first, then high byte.
+    """Return the frames (k,) uint16 that write a register: low byte first, then high byte.
 
     Bytes in which the register has no writable bit are left out, and so are bytes outside `byte_mask`
     (0x00FF low, 0xFF00 high).
@@ -365,7 +385,7 @@ def write_frames(register: Register, word: int, *, byte_mask: int = 0xFFFF) -> W
     Raises
     ------
     UsageError
-        The register is read-only, or `word` sets bits that it has not.
+        The register is read-only, or `word` sets a bit that the register cannot write.
     """
     if not register.writable:
         raise UsageError(f"{register.name} is read-only")
@@ -383,36 +403,36 @@ def write_frames(register: Register, word: int, *, byte_mask: int = 0xFFFF) -> W
 
 
 GYRO_LSB_DPS: dict[int, float] = {300: 0.07326, 150: 0.03663, 75: 0.018315}
-"""°/s per LSB by range in °/s (DS, A)."""
+"""Rate of turn in °/s of one LSB of a gyro output, by gyro range in °/s (DS, A)."""
 
 RANGE_CODE: dict[int, int] = {300: 4, 150: 2, 75: 1}
-"""SENS_AVG[10:8] by range in °/s (DS, A)."""
+"""Content of SENS_AVG[10:8] by gyro range in °/s (DS, A)."""
 
 LEAST_M: dict[int, int] = {300: 0, 150: 2, 75: 4}
-"""Least filter setting M that a range allows (DS, A)."""
+"""Smallest filter size M that a gyro range in °/s allows (DS, A)."""
 
 
 @dataclass(frozen=True)
 class Performance:
-    """Typical errors of a sensor, for the simulator; for the ADIS16354 all are estimates (D).
+    """Typical errors of a sensor, for the simulator; for the ADIS16354 all are estimates (confidence D).
 
     Attributes
     ----------
     noise_mg, bias_instability_mg, initial_bias_mg : float
-        Noise of an unfiltered sample (rms), floor of the Allan deviation, and standard deviation of the
-        bias, in mg.
+        Noise of an unfiltered accelerometer sample (rms), floor of the Allan deviation, and standard
+        deviation of the bias between sensors, in mg.
     noise_density_pole_hz : float
         Pole of the analog front end in Hz.
     scale_error_typical : float
-        Standard deviation of a sensitivity's relative error.
+        Standard deviation of the relative error of an axis's sensitivity.
     non_orthogonality_deg : float
-        Limit of the angle between axes, in degrees.
+        Largest deviation of the angle between two axes from 90°, in degrees.
     bias_tempco_mg_per_c, scale_tempco_ppm_per_c : float
-        Temperature coefficients.
+        Temperature coefficients of bias and sensitivity of an accelerometer.
     gyro_noise_dps : float
         Noise of an unfiltered gyro sample (rms) in °/s.
     gyro_g_sensitivity_dps_per_g, gyro_supply_sensitivity_dps_per_v : float
-        Sensitivity of a gyro to acceleration and supply.
+        Sensitivity of a gyro's zero rate to acceleration and to the supply voltage.
     gyro_instability_dps : float
         Floor of the gyros' Allan deviation in °/s.
     """
@@ -432,23 +452,26 @@ class Performance:
 
     @property
     def noise(self) -> Floats:
-        """White noise (rms) of an unfiltered sample of the six axes: (6,), three in mg and three in °/s."""
+        """White noise (rms) of an unfiltered sample: (6,), accelerometers in mg, gyros in °/s."""
         return np.array([self.noise_mg] * 3 + [self.gyro_noise_dps] * 3)
 
     @property
     def floor(self) -> Floats:
-        """Floor of the Allan deviation of the six axes: (6,), three in mg and three in °/s."""
+        """Floor of the Allan deviation of the six axes: (6,), accelerometers in mg, gyros in °/s."""
         return np.array([self.bias_instability_mg] * 3 + [self.gyro_instability_dps] * 3)
 
     @property
     def skew_u_rad(self) -> float:
-        """Standard uncertainty in rad of an unmeasured skew, uniform within ± the non-orthogonality."""
+        """Standard uncertainty in rad of an unmeasured skew.
+
+        The skew is taken as uniform within ± the non-orthogonality.
+        """
         return math.radians(self.non_orthogonality_deg) / math.sqrt(3)
 
 
 @dataclass(frozen=True)
 class Variant:
-    """A sensor type of the family, with its scales and typical errors."""
+    """A sensor type of the family, with its scales, their source and confidence, and its typical errors."""
 
     name: str
     accel_mg_per_lsb: float
@@ -463,9 +486,9 @@ class Variant:
         return 1000.0 / self.accel_mg_per_lsb
 
     def lsb(self, kind: Kind, gyro_range_dps: int = 300) -> tuple[float, float, str]:
-        """For a kind of register: size of an LSB, value at number zero, and unit.
+        """Return for a kind of register: size of an LSB, value at number zero, and unit.
 
-        The value in the unit is `zero + lsb * number`.
+        The value in the unit is `zero + lsb * number`. `gyro_range_dps` matters only for gyros.
         """
         if kind is Kind.GYRO:
             return GYRO_LSB_DPS[gyro_range_dps], 0.0, "°/s"
@@ -504,7 +527,10 @@ VARIANTS: dict[str, Variant] = {
 
 
 def variant(name: str | Variant) -> Variant:
-    """Return the variant with this name (`adis16354`, also `16354`); `UsageError` lists the known ones."""
+    """Return the variant with this name (`adis16354`, also `16354`).
+
+    An unknown name raises `UsageError`, which lists the known variants.
+    """
     if isinstance(name, Variant):
         return name
     key = name.strip().lower()

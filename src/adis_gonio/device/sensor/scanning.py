@@ -1,33 +1,30 @@
 """Scans of registers: at data-ready edges, or polled.
 
-The chip's data-ready line: enabled for a stream or a session, and checked before use.
-
-An input may show edges even if nothing or something else drives it. The line is therefore used only if the
-bridge counts about one edge for each update, and if no update falls into the scans that start at the edge.
-Without edges, as without the wire, scans are polled.
+The module enables the chip's data-ready line for a stream or a session, and checks it before use. An input
+may show edges even if nothing or something else drives it. The line is therefore used only if the bridge
+counts about one edge for each update, and if no update falls into the scans that start at the edge. Without
+edges, as without the wire, scans are polled.
 
 ND in the words of one scan does not show an update during the scan: every register has one update between
 two reads, at any place in the scan. A trial therefore reads the first register of the scan once more at its
-end. At an edge before the update the first read finds new data and the last read none; if the update
-comes within the scan it is the opposite.
-
-Successive scans, by the best method of the bus.
+end. At an edge before the update the first read finds new data and the last read none; if the update comes
+within the scan it is the opposite.
 
 One iterator of `ScanBlock` has two implementations:
 
 * the bus streams at each data-ready edge (`Capability.STREAM`, and data-ready enabled);
 * polling: the list of reads runs again and again, and the chip's ND bit marks new words. Missed updates
-follow
-  from the time between scans; if the bus counts data-ready edges, they correct the count to the chip's own
-  clock, which may differ from the nominal rate.
+  follow from the time between scans; if the bus counts data-ready edges, they correct the count to the
+  chip's
+  own clock, which may differ from the nominal rate.
 
-Polling without tearing. An update may fall between two reads of one pass, so that the pass mixes two
-updates. In each *column*, however, ND shows if an update came since the last read: an update sets ND, and
-the read of that register clears it. If as many successive reads as there are columns find no new data, the
-latest new words of all columns therefore belong to one update, independent of pauses between the reads
-before. They are one row. New words that are followed by others before such a silence are not used, and the
-number of missed updates follows from the time. If a bus needs more than half a period for a pass this is
-not possible, and each pass is a scan.
+Polling without tearing. An update may fall between two reads of one pass through the list, so that the pass
+mixes two updates. In each *column*, however, ND shows if an update came since the last read: an update sets
+ND, and the read of that register clears it. If as many successive reads as there are columns find no new
+data, the latest new words of all columns therefore belong to one update, independent of pauses between the
+reads before. They are one row. New words that are followed by others before such a silence are not used,
+and the number of missed updates follows from the time. If a bus needs more than half a period for a pass
+this is not possible, and each pass is a scan.
 """
 
 from __future__ import annotations
@@ -53,39 +50,52 @@ if TYPE_CHECKING:
     from adis_gonio.device.sensor.driver import Adis16354
 
 USED_BY = frozenset({Capability.STREAM, Capability.EVENT_COUNTER})
-"""Capabilities that need data-ready."""
+"""Capabilities of a bus that make use of data-ready."""
 
 UpdateEdge = Literal["first", "last"]
 
 UPDATE_EDGE: UpdateEdge = "first"
-"""Edge of the pulse at which the outputs are new. The pulse announces new data (MSC_CTRL[2], A); the choice
-of its first edge is inferred, without support in data sheet or code (C). `edge_at_update` checks it, and
-`DataReadyLoan` takes the other edge if the declared one is wrong."""
+"""End of the data-ready pulse at which new outputs are ready, by default.
+
+The pulse announces new data (MSC_CTRL[2], A); the choice of its first edge is inferred, without support in
+data sheet or code (C). `edge_at_update` checks it, and `DataReadyLoan` takes the other edge if the declared
+one is wrong.
+"""
 
 _PERIODS = 2.5
-"""Minimum duration of the count in updates, so that two edges fall into it."""
+"""Shortest time for which `edges_arrive` counts edges, in sample periods.
+
+Two edges fall into this time.
+"""
 _COUNT_S = 0.1
-"""Minimum duration of the count."""
+"""Shortest time in s for which `edges_arrive` counts edges."""
 _RATE_TOLERANCE = 0.25
-"""Tolerance of the rate of edges relative to the rate of updates. The chip's clock is off by some percent,
-and the host times a bridge without its own clock."""
+"""Tolerance of the rate of data-ready edges, relative to the sample rate.
+
+The chip's clock is off by some percent, and the host times a bridge without its own clock.
+"""
 _EDGES_TOLERANCE = 1.5
-"""Tolerance in edges for the two ends of the count."""
+"""Tolerance of the number of data-ready edges, in edges, for the two ends of the count."""
 _TRIAL_SCANS = (4, 32)
-"""Smallest and largest number of trial scans."""
+"""Smallest and largest number of scans in the trial of `edge_at_update`."""
 _LEADS_SHARE = 0.9
-"""Minimum share of trial scans without an update in them for a correct edge, which has all."""
+"""Smallest share of trial scans without an update at which the edge counts as correct.
+
+A correct data-ready edge has no update in any scan of a trial.
+"""
 _MOST_BEFORE = 30
-"""Most registers of a trial before the repeated one; the list of a bridge has 32."""
+"""Largest number of registers in a trial before the repeated one; the list of a bridge has 32."""
 
 _ROW = BY_NAME["MSC_CTRL"]
 _POLARITY = _ROW.field("polarity").mask
 MASK = _ROW.field("data_ready").mask | _POLARITY | _ROW.field("line").mask
-"""Bits of MSC_CTRL that belong to data-ready."""
+"""Bits of MSC_CTRL for the data-ready output: enable, polarity and line."""
 
 
 def edges_arrive(bus: SpiBus, period_s: float) -> bool:
-    """True if one data-ready edge comes for each update, or if the bus cannot count; False without edges.
+    """Return True if data-ready edges come, one for each update, or if the bus cannot count them.
+
+    Return False if no edge comes.
 
     Takes 0.1 s or 2.5 updates of `period_s`, whichever is longer.
 
@@ -110,9 +120,10 @@ def edges_arrive(bus: SpiBus, period_s: float) -> bool:
 
 
 def edge_at_update(bus: SpiBus, table: Sequence[Register], period_s: float) -> bool:
-    """True if no update of the sensor happens during scans that start at the data-ready edge.
+    """Return True if no update of the sensor happens during scans that start at the data-ready edge.
 
-    Takes 0.1 s or 4 updates, whichever is longer.
+    `table` has the registers of a scan, `period_s` is the sample period. Takes 0.1 s or 4 updates,
+    whichever is longer.
     """
     least, most = _TRIAL_SCANS
     scans = min(max(least, math.ceil(_COUNT_S / period_s)), most)
@@ -128,7 +139,7 @@ def edge_at_update(bus: SpiBus, table: Sequence[Register], period_s: float) -> b
 
 
 def wrong_edge_error(bus: SpiBus) -> ChipError:
-    """Make the error for data-ready edges that do not mark updates: updates fall into their scans."""
+    """Make the error for data-ready edges that do not mark updates, since updates fall into their scans."""
     return ChipError(
         f"{bus.url}: the sensor's updates fall into scans that start at the data-ready edges (bit ND of a"
         " register read twice): the edges are not the updates', or MSC_CTRL[1] selects the wrong end of the"
@@ -139,13 +150,13 @@ def wrong_edge_error(bus: SpiBus) -> ChipError:
 class DataReadyLoan:
     """Enables data-ready on DIO1, the line wired to the bridges, until the old setting is restored.
 
-    The polarity is chosen so that the edge used by the bus comes at the update. Only the low byte
-    of MSC_CTRL is written, and only its three bits of data-ready change.
+    The polarity is chosen so that the edge used by the bus comes at the update. Only the low byte of
+    MSC_CTRL is written, and only its three bits of data-ready change.
 
     Parameters
     ----------
     sensor : Adis16354
-        Sensor with the line.
+        Sensor that drives the line.
     table : sequence of Register
         Registers of the scans.
     edge : {"first", "last"}
@@ -161,7 +172,7 @@ class DataReadyLoan:
     Raises
     ------
     VerifyError
-        A value read back differs.
+        MSC_CTRL reads back another value.
     ChipError
         Edges arrive, but not at the chip's updates. MSC_CTRL is restored.
     """
@@ -192,9 +203,10 @@ class DataReadyLoan:
         self._ours = self._before
 
     def _find_edge(self, table: Sequence[Register], period_s: float) -> None:
-        """Select the end of the pulse at which updates happen: the declared one, or else the other.
+        """Select the end of the pulse at which updates happen: the declared end, or else the other.
 
-        Raises `ChipError` if neither end fits.
+        Raises `ChipError` if updates happen at neither end. Does nothing if the bus cannot stream. `table`
+        has the registers of a scan, `period_s` is the sample period.
         """
         if Capability.STREAM not in self._sensor.bus.capabilities:
             return  # nothing starts at an edge
@@ -224,30 +236,44 @@ class DataReadyLoan:
 
 
 SILENT_PERIODS = 20
-"""Successive missing updates after which the chip counts as silent."""
+"""Number of successive missing updates after which the chip counts as silent."""
 
 ALIGNABLE = 0.45
-"""Longest pass, in periods of the update, with a silence between two updates: as many reads without new
-data as a pass has, after as many with new data, and a margin of a tenth."""
+"""Longest pass through the list of registers, in sample periods, at which polling can separate updates.
+
+Between two updates it leaves time for a pass of reads with new data, for as many reads without new data,
+and for a margin of a tenth.
+"""
 
 LONGEST_EXCHANGE_S = 1.0
-"""Longest exchange: a slow sample rate means more exchanges, so that a stop acts soon."""
+"""Longest exchange of a polled stream in s; short exchanges let a stop act soon."""
 
 STUCK_HIGH = 0xFFFF
 STUCK_SCANS, STUCK_REGISTERS = 8, 3
-"""Number of scans and of output registers with all ones that prove a stuck data line: by chance three
-registers would read -1 LSB together, with an error flag, although gravity acts."""
+"""Number of scans and of output registers with all ones that prove a stuck data line.
+
+By chance three registers would have to read -1 LSB together, with an error flag, although gravity acts.
+"""
 
 LEAST_PASSES = 4
-"""Minimum passes in a batch, and passes kept for the next batch: an update and its silence take three."""
+"""Smallest number of passes in a batch, and number of passes kept for the next batch.
+
+An update and the silence after it take three passes.
+"""
 
 
 JUDGED_SCANS = 32
 FRESH_SHARE = 0.75
-"""Number of latest scans that are judged, and minimum share of them that must have new data."""
+"""Smallest share of the latest scans that must have new data.
+
+`JUDGED_SCANS` is the number of these scans.
+"""
 
 COUNTER_SLACK = 2.0
-"""Tolerance between edges and scans: some updates come between a scan and the reading of the counter."""
+"""Tolerance between counted edges and scans, in updates.
+
+Some updates come between a scan and the reading of the counter.
+"""
 
 
 @dataclass(frozen=True)
@@ -256,11 +282,12 @@ class ScanLayout:
 
     Attributes
     ----------
-    table : registers of a scan
+    table : sequence of Register
+        Registers of a scan.
     variant, gyro_range_dps
-        Variant and gyro range that decode the words.
+        Name of the variant and gyro range in °/s that decode the words; the range is None if unknown.
     period_s : float
-        Time between two updates of the chip.
+        Time in s between two updates of the chip.
     at_end : callable
         Called once, when the stream has stopped.
     """
@@ -278,7 +305,7 @@ class ScanStream(Closing):
     Attributes
     ----------
     how : str
-        Description of the method.
+        Description of the method, streaming or polling, for a report.
     """
 
     how: str = ""
@@ -310,7 +337,7 @@ class ScanStream(Closing):
         Raises
         ------
         BusError, VerifyError
-            The bus failed, so that data-ready may still be enabled.
+            The bus failed or a register reads back another value, so that data-ready may still be enabled.
         """
         if not self._closed:
             self._closed = True
@@ -371,9 +398,9 @@ class StreamedScans(ScanStream):
         return replace(self._block(block.words[new], block.time_s[new], block.lost), dropped=dropped)
 
     def _refuse_stuck_line(self, words: Words) -> None:
-        """Raise `SilentChipError` if the latest scans are all ones, as from a stuck data line.
+        """Raise `SilentChipError` if the latest scans are all ones, which a stuck data line causes.
 
-        All ones look like new data.
+        All ones look like new data. `words` (n, k) are the scans that have just arrived.
         """
         if self._flags.sum() < STUCK_REGISTERS:
             return
@@ -476,7 +503,10 @@ class PolledScans(ScanStream):
             self._missed += ahead - self._ahead
 
     def _poll(self) -> tuple[Words, Floats]:
-        """Read the registers several times; return the words and their times in s, both (passes, k)."""
+        """Read all registers of the scan several times.
+
+        Return the words and their times in s, both (passes, k).
+        """
         # The reply to the last frame of a pass comes with the first of the next, so passes need no idle
         # frame between them, only one at the very end.
         scan_s = max(self._period_s, self._pass_s)
@@ -510,9 +540,10 @@ class PolledScans(ScanStream):
         return replies[1:].reshape(shape), times[:-1].reshape(shape)
 
     def _match(self, words: Words, times: Floats) -> ScanBlock:
-        """Assemble new words into scans of one update each; a long gap without new data ends a scan.
+        """Assemble new words into scans of one update each.
 
-        A gap is more reads than there are columns.
+        `words` and `times` are (passes, k) from polling. A gap of more reads without new data than there
+        are columns ends a scan.
         """
         held = len(self._open[0])
         words, times = np.concatenate([self._open[0], words]), np.concatenate([self._open[1], times])
@@ -541,7 +572,10 @@ class PolledScans(ScanStream):
         return self._counted(words[passes, columns], times[passes, columns][:, 0])
 
     def _counted(self, words: Words, time_s: Floats) -> ScanBlock:
-        """Block of the scans, with the number of missed updates computed from the gaps in time."""
+        """Make a block of the scans, with the number of missed updates computed from the gaps in time.
+
+        `words` is (n, k), `time_s` (n,).
+        """
         if not len(time_s):
             return self._block(words, time_s, 0)
         before = time_s[0] - self._period_s if self._last_s is None else self._last_s

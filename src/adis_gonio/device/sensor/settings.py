@@ -1,8 +1,7 @@
 """Settings of the sensor, and decoding of its words.
 
-Configuration, offsets, alarms and status as data, and the digital filter of the sensor.
-
-Words of many scans to numbers and units, vectorised.
+Configuration, offsets, alarms and status as data; the digital filter of the sensor; and the conversion of
+the words of many scans to numbers and units, vectorised.
 """
 
 from __future__ import annotations
@@ -38,18 +37,24 @@ from adis_gonio.device.sensor.registers import (
 
 
 def filter_weights(m: int) -> Floats:
-    """Weights of the chip's filter: two cascaded moving averages over 2^M samples (DS, A)."""
+    """Return the weights of the chip's filter of size M (DS, A).
+
+    The filter is two cascaded moving averages over 2^M samples.
+    """
     box = np.full(1 << min(m, 6), 1.0 / (1 << min(m, 6)))
     return np.convolve(box, box)
 
 
 def white_noise_gain(m: int) -> float:
-    """Factor by which the filter reduces the rms of white noise: 1, 0.612, 0.415 … (DS, A)."""
+    """Return the factor by which the filter reduces the rms of white noise (DS, A).
+
+    It is 1, 0.612, 0.415 … for sizes M = 0, 1, 2 …
+    """
     return float(np.sqrt(np.sum(filter_weights(m) ** 2)))
 
 
 def filter_response(m: int, frequency: Floats) -> Floats:
-    """Power response |H|² of the filter at frequencies in cycles a sample."""
+    """Return the power response |H|² of the filter of size M at frequencies in cycles a sample."""
     taps = 1 << m
     with np.errstate(invalid="ignore", divide="ignore"):
         box = np.sin(np.pi * frequency * taps) / (taps * np.sin(np.pi * frequency))
@@ -57,9 +62,9 @@ def filter_response(m: int, frequency: Floats) -> Floats:
 
 
 def rounding_covariance(m: int, sigma: float) -> Floats:
-    """Autocovariance (lags,) of the error by rounding filtered noise to whole LSB, in LSB².
+    """Return the autocovariance (lags,) in LSB² of the error that rounding adds to filtered noise.
 
-    It is zero beyond these lags.
+    The readings are rounded to whole LSB; the autocovariance is zero beyond these lags.
 
     A slow signal is rounded the same way for several samples: the error is not white. With ρ the signal's
     correlation and σ its rms in LSB the error's is Σ exp(−4π²n²σ²(1 − ρ)) / (2π²n²) (Widrow and Kollár,
@@ -67,8 +72,10 @@ def rounding_covariance(m: int, sigma: float) -> Floats:
 
     Parameters
     ----------
+    m : int
+        Size M of the filter.
     sigma : float
-        Rms before the filter, in LSB.
+        Rms of the white noise before the filter, in LSB.
     """
     weights = filter_weights(m)
     rho = np.correlate(weights, weights, "full")[len(weights) - 1 :]
@@ -80,14 +87,16 @@ def rounding_covariance(m: int, sigma: float) -> Floats:
 
 
 def rounding_spectrum(m: int, sigma: float, frequency: Floats) -> Floats:
-    """Power (n,) in a periodogram from the error by rounding filtered noise to whole LSB, in LSB².
+    """Return the power (n,) in LSB² that rounding to whole LSB adds to a periodogram of filtered noise.
 
     Parameters
     ----------
+    m : int
+        Size M of the filter.
     sigma : float
-        As in `rounding_covariance`.
+        Rms of the white noise before the filter, in LSB.
     frequency : (n,) float
-        In cycles a sample.
+        Frequencies in cycles a sample.
     """
     error = rounding_covariance(m, sigma)
     level: Floats = (
@@ -98,22 +107,28 @@ def rounding_spectrum(m: int, sigma: float, frequency: Floats) -> Floats:
 
 FAST_BASE_S = 0.61035e-3
 SLOW_BASE_S = 18.921e-3
-"""Time bases of SMPL_PRD (DS, A)."""
+"""Slow time base of SMPL_PRD in s, used if bit 7 is set (DS, A).
+
+`FAST_BASE_S` is the fast time base in s, used otherwise.
+"""
 
 ANALOG_POLE_HZ = 350.0
-"""-3 dB of the analog front end (DS, A)."""
+"""Frequency in Hz at which the analog front end of the sensor has -3 dB (DS, A)."""
 
 _RANGE_OF_CODE = {code: dps for dps, code in RANGE_CODE.items()}
 
 
 def sample_period_s(smpl_prd: int) -> float:
-    """Time in s between internal updates: time base times (N + 1) (DS, A)."""
+    """Return the time in s between internal updates at a value of SMPL_PRD.
+
+    It is the time base times (N + 1) (DS, A).
+    """
     base = SLOW_BASE_S if smpl_prd & 0x80 else FAST_BASE_S
     return base * ((smpl_prd & 0x7F) + 1)
 
 
 def smpl_prd_for(sample_rate_hz: float) -> int:
-    """Value of SMPL_PRD that gives the sample rate nearest to the requested one.
+    """Return the value of SMPL_PRD that gives the sample rate nearest to the requested rate.
 
     Raises
     ------
@@ -128,15 +143,16 @@ def smpl_prd_for(sample_rate_hz: float) -> int:
 
 
 def filter_settling_samples(filter_m: int) -> int:
-    """Number of samples until the filter of size M has settled: 2 * 2^M - 1 (DS, A)."""
+    """Return the number of samples until the filter of size M has settled: 2 * 2^M - 1 (DS, A)."""
     return int(2 * 2**filter_m - 1)
 
 
 def low_pass_3db_hz(filter_m: int, sample_rate_hz: float) -> float:
-    """Frequency in Hz at which the filter halves the power (−3 dB column of the data sheet's table; DS, A).
+    """Return the frequency in Hz at which the filter halves the power (DS, A).
 
-    Two boxcars of N = 2^M taps pass (sin(N x) / (N sin x))² of an amplitude, with x = π f / rate. Without
-    them (M = 0) only the analog pole remains.
+    It is the −3 dB column of the data sheet's table. Two boxcars of N = 2^M taps pass (sin(N x) / (N sin
+    x))² of an amplitude, with x = π f / rate. Without the filter (M = 0) only the pole of the analog front
+    end remains.
     """
     if filter_m == 0:
         return ANALOG_POLE_HZ
@@ -158,16 +174,16 @@ class Configuration:
     Attributes
     ----------
     smpl_prd : int
-        SMPL_PRD[7:0].
+        Content of SMPL_PRD[7:0], which sets the sample rate.
     filter_m : int
         M of the Bartlett filter: two boxcars of 2^M taps.
     gyro_range_dps : int or None
         Full scale of the gyros: 300, 150 or 75 °/s; None if SENS_AVG has an undefined code.
     data_ready : bool
-        Data-ready pulses on a DIO line.
+        True if the chip gives data-ready pulses on a DIO line.
     linear_g, origin : bool
-        True if the chip compensates the gyros for acceleration (MSC_CTRL[7]), and the positions of the
-        accelerometers (MSC_CTRL[6]).
+        True if the chip compensates the gyros for acceleration (MSC_CTRL[7]), and if it compensates the
+        accelerometers for their positions in the package (MSC_CTRL[6]).
     """
 
     smpl_prd: int
@@ -179,7 +195,7 @@ class Configuration:
 
     @classmethod
     def from_words(cls, smpl_prd: int, sens_avg: int, msc_ctrl: int) -> Configuration:
-        """Decode the configuration from the contents of the three registers."""
+        """Decode the configuration from the contents of SMPL_PRD, SENS_AVG and MSC_CTRL."""
         sens, misc = BY_NAME["SENS_AVG"], BY_NAME["MSC_CTRL"]
         return cls(
             smpl_prd & 0xFF,
@@ -202,21 +218,22 @@ class Configuration:
 
     @property
     def settling_s(self) -> float:
-        """Time in s until the filter's output has settled after a change."""
+        """Time in s until the output of the filter has settled after a change of its input."""
         return filter_settling_samples(self.filter_m) * self.sample_period_s
 
     def as_dict(self) -> dict[str, Any]:
-        """The configuration in JSON form."""
+        """Return the configuration in JSON form, with the sample rate in Hz."""
         return asdict(self) | {"sample_rate_hz": self.sample_rate_hz}
 
 
 def compensations(configuration: Mapping[str, Any]) -> tuple[str, ...]:
-    """Compensations that the chip applies to its readings, as text.
+    """Return the compensations that the chip applies to its readings, one text each.
 
     Parameters
     ----------
     configuration : mapping
-        JSON form of a `Configuration`; another source has no known compensations.
+        JSON form of a `Configuration`. The configuration of another sensor lacks these entries and gives no
+        text.
     """
     known = {
         "linear_g": "gyros for linear acceleration (MSC_CTRL[7])",
@@ -226,7 +243,7 @@ def compensations(configuration: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def sens_avg_word(gyro_range_dps: int, filter_m: int) -> int:
-    """Content of SENS_AVG for a gyro range and a filter size M.
+    """Return the content of SENS_AVG for a gyro range in °/s and a filter size M.
 
     Raises
     ------
@@ -246,7 +263,7 @@ def sens_avg_word(gyro_range_dps: int, filter_m: int) -> int:
 
 
 class Offsets(JsonRecord):
-    """The six offset registers in °/s and mg; the chip adds each to the output of its axis.
+    """Contents of the six offset registers in °/s and mg; the chip adds each to the output of its axis.
 
     The LSB of the accelerometers' offsets on the ADIS16354 has confidence C: check it once on hardware.
     """
@@ -257,18 +274,18 @@ class Offsets(JsonRecord):
 
 @dataclass(frozen=True)
 class Status:
-    """Content of STATUS at the time of reading, which cleared it."""
+    """Content of STATUS at the time of reading, which cleared the register."""
 
     word: int
 
     @property
     def flags(self) -> Mapping[str, bool]:
-        """All bits of STATUS by their names in the register table."""
+        """True or False for each bit of STATUS, by its name in the register table."""
         return {field.name: bool(field.of(self.word)) for field in BY_NAME["STATUS"].fields}
 
     @property
     def messages(self) -> tuple[str, ...]:
-        """Faults and alarms that are set, one line of text each."""
+        """Meanings of the errors and alarms that are set in STATUS, one line of text each."""
         return tuple(field.meaning for field in BY_NAME["STATUS"].fields if field.of(self.word))
 
     def __str__(self) -> str:
@@ -277,7 +294,7 @@ class Status:
 
 @dataclass(frozen=True)
 class SelfTest:
-    """Result of the internal self-test, from the STATUS bits 5 and 15:10."""
+    """Result of the internal self-test, from STATUS bit 5 (error) and bits 15:10 (one for each axis)."""
 
     status: Status
 
@@ -306,9 +323,12 @@ class ManualSelfTest:
     Attributes
     ----------
     accel_positive_mg, accel_negative_mg : tuple of 3 float
+        Change of the mean accelerometer outputs (x, y, z) under the positive and the negative stimulus.
     gyro_positive_dps, gyro_negative_dps : tuple of 3 float
+        Change of the mean gyro outputs (x, y, z) under the positive and the negative stimulus.
     accel_noise_mg, gyro_noise_dps : tuple of 3 float
-        Standard deviation of a sample at rest; a change of the mean by four of them is an answer.
+        Standard deviation of a sample at rest; a change of the mean by four standard deviations is an
+        answer.
     """
 
     accel_positive_mg: tuple[float, float, float]
@@ -344,7 +364,7 @@ class ManualSelfTest:
         return tuple(found)
 
     def as_dict(self) -> dict[str, Any]:
-        """The result in JSON form."""
+        """Return the result in JSON form."""
         return asdict(self) | {"passed": self.passed, "failures": list(self.failures)}
 
 
@@ -361,7 +381,7 @@ ALARM_SOURCES: dict[str, int] = {
         start=1,
     )
 }  # fmt: skip
-"""Code of ALM_CTRL by the register that an alarm watches (DS, B)."""
+"""Code of ALM_CTRL that selects the register watched by an alarm, by register name (DS, B)."""
 
 
 @dataclass(frozen=True)
@@ -373,13 +393,15 @@ class Alarm:
     source : str
         Register that is watched, such as `XACCL_OUT`.
     threshold : float
-        In mg, °/s, °C or V; with `rate_samples` that much a sample.
+        Limit of the value in mg, °/s, °C or V; with `rate_samples` limit of its change in that unit a
+        sample.
     above : bool
         True alarms above the threshold, False below.
     rate_samples : int
-        0 compares the value; 1 to 255 compares its mean change a sample over so many samples (DS p. 20, B).
+        0 compares the value; 1 to 255 is the number of samples over which its mean change a sample is
+        compared (DS p. 20, B).
     filtered : bool
-        Compare filtered data; ALM_CTRL[4], shared by both alarms.
+        True compares filtered data; ALM_CTRL[4], shared by both alarms.
     """
 
     source: str
@@ -390,7 +412,10 @@ class Alarm:
 
 
 _IN_CACHE = 32_768
-"""Words in one step: long enough for numpy's inner loops, short enough for the cache."""
+"""Number of words decoded in one step.
+
+It is long enough for numpy's inner loops and short enough for the cache.
+"""
 
 
 def decode_numbers(table: Sequence[Register], words: Words) -> NDArray[np.int32]:
@@ -398,12 +423,15 @@ def decode_numbers(table: Sequence[Register], words: Words) -> NDArray[np.int32]
 
     Parameters
     ----------
-    table : k registers
+    table : sequence of k Register
+        Register of each column.
     words : (n, k) uint16
+        Words as read.
 
     Returns
     -------
     (n, k) int32
+        Integers.
     """
     width = words.shape[1]
     masks, signs = _masks_and_signs(tuple((row.bits, row.signed) for row in table))
@@ -426,9 +454,10 @@ def decode_numbers(table: Sequence[Register], words: Words) -> NDArray[np.int32]
 
 @lru_cache(maxsize=64)
 def _masks_and_signs(layout: tuple[tuple[int, bool], ...]) -> tuple[Words, Words]:
-    """Data masks and sign bits for the words of as many scans as are decoded at a time.
+    """Return data masks and sign bits for the words of as many scans as are decoded in one step.
 
-    (word & mask ^ sign) - sign masks the flags off and extends the sign; sign is 0 for unsigned registers.
+    `layout` has number of bits and signedness of each column. (word & mask ^ sign) - sign masks the flags
+    off and extends the sign; sign is 0 for unsigned registers.
     """
     mask = np.array([(1 << bits) - 1 for bits, _ in layout], np.uint16)
     sign = np.array([1 << bits - 1 if signed else 0 for bits, signed in layout], np.uint16)
@@ -439,7 +468,9 @@ def _masks_and_signs(layout: tuple[tuple[int, bool], ...]) -> tuple[Words, Words
 def scales(
     table: Sequence[Register], part: Variant, gyro_range_dps: int | None
 ) -> tuple[Floats, Floats, tuple[str, ...]]:
-    """For each of k registers: value of an LSB (k,), value at number zero (k,), and unit.
+    """Return for each of k registers: value of an LSB (k,), value at number zero (k,), and unit.
+
+    `part` is the sensor type, `gyro_range_dps` the range of the gyros, None if unknown.
 
     Raises
     ------
@@ -473,13 +504,14 @@ class ScanBlock:
     time_s : (n,) float
         Time of each scan on the bus's clock, in s.
     lost : int
-        Missed updates of the chip from the end of the previous block to the end of this one.
+        Number of missed updates of the chip from the end of the previous block to the end of this one.
     variant, gyro_range_dps
-        Variant and gyro range that decode the words.
+        Name of the variant and gyro range in °/s that decode the words; the range is None if unknown.
     missed : (n,) int or None
-        Missed updates just before each scan, if known.
+        Number of missed updates just before each scan; None if unknown.
     dropped : int
-        Omitted scans: a word lacked ND, so that the edge that started the scan was not an update.
+        Number of omitted scans, in which a word lacked ND, so that the edge that started the scan was not
+        an update.
     """
 
     registers: tuple[str, ...]
@@ -500,26 +532,26 @@ class ScanBlock:
         return registers(self.registers)
 
     def numbers(self) -> NDArray[np.int32]:
-        """Decoded register contents (n, k) as signed integers, without flags and unused bits."""
+        """Return the decoded register contents (n, k) as signed integers, without flags and unused bits."""
         return decode_numbers(self.table, self.words)
 
     def values(self) -> Floats:
-        """Measured values (n, k) in the units of `units` (mg, °/s, °C, V)."""
+        """Return the measured values (n, k) in the units of `units` (mg, °/s, °C, V)."""
         lsb, zero, _ = scales(self.table, variant(self.variant), self.gyro_range_dps)
         values: Floats = zero + lsb * self.numbers()
         return values
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Unit of the values in each column."""
+        """Unit of the values in each column, such as mg."""
         return scales(self.table, variant(self.variant), self.gyro_range_dps)[2]
 
     def column(self, name: str) -> Floats:
-        """Measured values (n,) of one register in its unit."""
+        """Return the measured values (n,) of one register in its unit."""
         return self.select((name,)).values()[:, 0]
 
     def select(self, names: Sequence[str]) -> ScanBlock:
-        """Copy of the block with only the named registers."""
+        """Return a copy of the block with only the named registers; `UsageError` if one was not scanned."""
         try:
             columns = [self.registers.index(name) for name in names]
         except ValueError:
@@ -528,7 +560,10 @@ class ScanBlock:
         return replace(self, registers=tuple(names), words=self.words[:, columns])
 
     def first(self, count: int) -> ScanBlock:
-        """Copy of the first `count` scans, with the share of `lost` that belongs to them."""
+        """Return a copy of the first `count` scans, with the missed updates before them.
+
+        If the places of the missed updates are unknown, the copy keeps them all.
+        """
         missed = None if self.missed is None else self.missed[:count]
         return replace(
             self,
@@ -540,17 +575,17 @@ class ScanBlock:
 
     @property
     def accel_mg(self) -> Floats:
-        """Acceleration (n, 3) in mg (thousandths of 9.80665 m/s²)."""
+        """Acceleration (n, 3) along X, Y and Z in mg (thousandths of 9.80665 m/s²), as read."""
         return self.select(ACCEL_OUT).values()
 
     @property
     def gyro_dps(self) -> Floats:
-        """Rates of turn (n, 3) in °/s."""
+        """Rate of turn (n, 3) about X, Y and Z in °/s."""
         return self.select(GYRO_OUT).values()
 
     @property
     def temperature_c(self) -> Floats:
-        """Mean (n,) in °C of the die temperatures that were scanned."""
+        """Mean (n,) in °C of those die temperatures (one for each gyro) that were scanned."""
         names = tuple(name for name in TEMP_OUT if name in self.registers)
         mean: Floats = self.select(names or TEMP_OUT).values().mean(axis=1)
         return mean
@@ -574,7 +609,7 @@ class ScanBlock:
 
 
 def join(blocks: Sequence[ScanBlock]) -> ScanBlock:
-    """Join successive blocks of equal registers to one block."""
+    """Join successive blocks of the same registers; missed updates and omitted scans add up."""
     first = blocks[0]
     missed = [block.missed for block in blocks if block.missed is not None]
     return replace(

@@ -1,7 +1,7 @@
-"""The command line: thin commands over the packages below.
+"""The command line: thin commands over the other packages.
 
-Results go to standard output, everything else to standard error. Exit status: 0 done; 1 the job failed;
-2 wrong usage. Every failure is one line.
+Results go to standard output, everything else to standard error. Exit status: 0 done; 1 the job failed; 2
+wrong usage. Every failure is one line.
 """
 
 from __future__ import annotations
@@ -58,7 +58,10 @@ GROUPS = {
 COMMANDS = {name: home for group in GROUPS.values() for name, home in group.items()}
 
 _COMPUTING = frozenset({"fit", "trace", "report", "export", "paper", "plan", "fleet", "allan"})
-"""Commands that only compute: Ctrl-C can end them anywhere, because they have nothing to undo."""
+"""Names of the commands that only compute.
+
+Ctrl-C can end them anywhere, because they have nothing to undo.
+"""
 
 
 @click.group(cls=LazyGroup, groups=GROUPS, context_settings={"help_option_names": ["-h", "--help"]})
@@ -72,7 +75,10 @@ def app() -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; return the exit status."""
+    """Run the command line; return the exit status.
+
+    `arguments` are the words after the program's name; None takes the arguments of the process.
+    """
     words = sys.argv[1:] if arguments is None else arguments
     computing = words[:1] and words[0] in _COMPUTING
     try:
@@ -107,7 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _recording_hint(error: AdisGonioError) -> str:
-    """Advice to record the frames of the command, if the error came from a device; else empty."""
+    """Return advice to record the frames of the command, if the error came from a device; else empty."""
     if not isinstance(error, BusTimeoutError | ProtocolError | ChipError):
         return ""
     return " (to report it: repeat it with record:run.rec: before the URL and attach run.rec)"
@@ -119,7 +125,7 @@ def _fail(message: str, status: int) -> int:
 
 
 def run() -> None:
-    """Entry point of the `adis-gonio` program."""
+    """Run the `adis-gonio` program and end the process with its exit status."""
     replace_missing_letters()
     status = 130
     # The exit status is decided here: a late Ctrl-C must not turn it into a death by signal.

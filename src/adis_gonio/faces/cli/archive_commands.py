@@ -1,4 +1,4 @@
-"""`archive`, `history`, `due` and `fleet`: many sessions together."""
+"""The commands `archive`, `history`, `due` and `fleet`, which work on many sessions together."""
 
 from __future__ import annotations
 
@@ -23,14 +23,18 @@ if TYPE_CHECKING:
 _HEAD = ("serial", "operator", "stage", "date", "plan", "ΔK", "Δφ / °", "angle / °", "effects", "file")
 _HISTORY_WIDTH = 80
 _MOST_ROWS = 40
-"""Rows of a table of `fleet` on the terminal."""
+"""Largest number of rows in a table of `fleet` on the terminal."""
 
 
 @contextmanager
 def _indexed(
     places: Sequence[Path], index_path: Path | None, *, trace: bool
 ) -> Iterator[tuple[Store, Scan]]:
-    """Open the index file, add all sessions in the folders, and report problems of the file."""
+    """Open the index file, add all sessions in the folders, and report problems of the index file.
+
+    `places` are the folders (none: the current one); `index_path` is None for the usual place of the index;
+    `trace` is True if new sessions are also traced.
+    """
     from adis_gonio.fleet.fleet_run import scan
     from adis_gonio.fleet.store import Store
 
@@ -44,7 +48,10 @@ def _indexed(
 
 
 def _records_of(store: Store, serial: str) -> list[SessionRecord]:
-    """Records of a sensor, sorted by time; `UsageError` with similar serial numbers if there are none."""
+    """Return the records of a sensor, sorted by time.
+
+    Raises `UsageError` with similar serial numbers if the sensor has no session.
+    """
     from adis_gonio.fleet.sensor_history import alike, known_serial
 
     known = store.serials()
@@ -301,7 +308,10 @@ def fleet_command(
 
 @contextmanager
 def _journal(path: Path | None) -> Iterator[Store]:
-    """Open the store in which results are kept as they come; after Ctrl-C, report their number."""
+    """Open the store in which results are kept as they come; after Ctrl-C, report their number.
+
+    `path` is its file; None keeps the results in memory.
+    """
     from adis_gonio.fleet.store import IN_MEMORY, Store
 
     with Store(path or IN_MEMORY, strict=True) as store:

@@ -1,4 +1,4 @@
-"""`bringup` and `write`: the commands that check a board and write its registers."""
+"""The commands `bringup` and `write`, which check a board and write its registers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def _report_files(output: Path) -> tuple[Path, Path]:
-    """Paths of the HTML page and the JSON document, which have one stem."""
+    """Return the paths of the HTML page and the JSON document, which differ only in their ending."""
     if output.suffix.lower() not in ("", ".html", ".json"):
         raise UsageError(f"{output}: bringup writes a page and a JSON: name it {output.stem}.html")
     return output.with_suffix(".html"), output.with_suffix(".json")
@@ -257,7 +257,7 @@ def _undo(writer: OffsetWriter, *, yes: bool) -> dict[str, Any]:
 
 
 def _ask_to_write(writer: OffsetWriter, plan: WritePlan) -> str:
-    """Ask the operator if the plan is to be carried out; return `write`, `back` or `leave`."""
+    """Ask the operator if the plan is to be carried out; return `write`, `back` (restore) or `leave`."""
     if writer.standing().registers == "half":
         question = "An earlier write was not finished: finish it (f), set it back (b), or leave it (Enter)"
         return {"f": "write", "b": "back"}.get(_prompt(question)[:1], "leave")
@@ -268,7 +268,7 @@ def _ask_to_write(writer: OffsetWriter, plan: WritePlan) -> str:
 
 
 def at_a_terminal() -> bool:
-    """True if standard input is a terminal, so that somebody can answer questions."""
+    """Return True if standard input is a terminal, so that an operator can answer questions."""
     return sys.stdin.isatty()
 
 
@@ -284,7 +284,7 @@ def _prompt(question: str) -> str:
 
 
 def _print_plan(plan: WritePlan) -> None:
-    """Show a plan for offset registers with one row for each axis."""
+    """Show a plan for offset registers as a table with one row for each axis, and its doubts."""
     from adis_gonio.bench.writeback.offset_plan import UNITS
 
     head = ("register", "now", "new", "moves the output", "bias now", "u", "bias after")

@@ -1,4 +1,4 @@
-"""`calibrate`: the bench session, by the screen or by plain prompts."""
+"""The command `calibrate`: the bench session, by the screen or by plain prompts."""
 
 from __future__ import annotations
 
@@ -184,7 +184,11 @@ def calibrate_command(
 def _run(
     url: str, output: Path, *, plain: bool, resume: bool, advisor: TraceAdvisor | None, **options: Any
 ) -> bool:
-    """Run the session on the screen or by plain prompts; return True if it is complete."""
+    """Run the session on the screen or by plain prompts; return True if it is complete.
+
+    `options` are further options of the command. `resume` is True for the session of an earlier run;
+    `advisor` is None without a trace.
+    """
     from adis_gonio.faces.cli.line_prompts import PlainBench, choose_face
     from adis_gonio.faces.free_hands import FREE_RATE_HZ, free_hands
     from adis_gonio.record.source import open_source
@@ -212,7 +216,11 @@ def _run(
 
 
 def _show_result(session: Session, advisor: TraceAdvisor | None, *, complete: bool, as_json: bool) -> None:
-    """Show the fit of a session, the scale factors of its gyros, and its trace if requested."""
+    """Show the fit of a session, the scale factors of its gyros, and its trace if requested.
+
+    The trace is requested if `advisor` is not None. `complete` is True if all positions were measured;
+    `as_json` prints a JSON document instead of text.
+    """
     from adis_gonio.faces.cli.fit_commands import print_answer, print_gains
     from adis_gonio.faces.cli.trace_commands import print_loop, print_trace
     from adis_gonio.fitting import fit
@@ -242,7 +250,10 @@ def _show_result(session: Session, advisor: TraceAdvisor | None, *, complete: bo
 
 
 def _status(session: Session, *, complete: bool) -> int:
-    """Return the exit status, and report dwells that the operator kept although a guard objected."""
+    """Return the exit status, and report dwells that the operator kept although a guard objected.
+
+    The status is 0 if the session is complete without doubts, otherwise 1.
+    """
     doubts = session.facts["doubts"]
     for doubt in doubts:
         sure = "cannot" if doubt["attempt"] is not None else "may not"
@@ -260,7 +271,7 @@ def _status(session: Session, *, complete: bool) -> int:
 def _trace(session: Session, advisor: TraceAdvisor) -> TraceResult | None:
     """Return the advisor's last trace if it covered all dwells, else trace again.
 
-    Returns None if no trace is possible.
+    Return None if no trace is possible.
     """
     from adis_gonio.tracing.trace import trace
 
@@ -275,7 +286,7 @@ def _trace(session: Session, advisor: TraceAdvisor) -> TraceResult | None:
 
 
 def _is_complete(path: Path) -> bool:
-    """True if all positions are done and no extension of the plan can be offered."""
+    """Return True if all positions of a session are done and no extension of the plan can be offered."""
     from adis_gonio.record.archive import ArchiveView
     from adis_gonio.record.plans import extension
 
@@ -285,7 +296,7 @@ def _is_complete(path: Path) -> bool:
 
 
 def _given_flags(*names: str) -> dict[str, bool]:
-    """Map the flag of each parameter (such as `--plan`) to True if it was on the command line."""
+    """Map the flag of each named parameter (such as `--plan`) to True if it was on the command line."""
     context = click.get_current_context()
     flags = {option.name: option.opts[-1] for option in context.command.params}
     default = click.core.ParameterSource.DEFAULT
@@ -307,19 +318,32 @@ def _runner(
     turns: int | None,
     **options: Any,
 ) -> SessionRunner:
-    """Make the runner of a new or resumed session from the options of the command."""
+    """Make the runner of a new or resumed session from the options of the command.
+
+    `plan_name` is None for the default plan; `advisor` is None without a trace; `options` are the further
+    options.
+    """
     from adis_gonio.bench.gyro_turns import ALL_THERMOMETERS
     from adis_gonio.bench.runner import SessionRunner
     from adis_gonio.device.sensor.driver import DEFAULT_SCAN
     from adis_gonio.faces.cli.line_prompts import on_terminal
+    from adis_gonio.record.archive import ArchiveView
     from adis_gonio.record.plans import GYRO_TURNS
     from adis_gonio.record.session_reader import FREE_TURN
 
     if resume:
         if plan_name is not None or positions is not None or turns is not None:
-            raise UsageError(
-                "--resume goes on with the session's own plan: leave --plan, --positions and --turns out"
-            )
+            with ArchiveView(output) as view:
+                own = view.plan()
+            same = plan_name or own.name
+            asked, _ = _choose_plan(same, positions, check, duration_s, turns)
+            if (asked.name, asked.turns, asked.positions) != (
+                own.name, own.turns, own.positions[: len(asked)],
+            ):  # fmt: skip
+                raise UsageError(
+                    f"{output} has the plan {own.name} with {len(own)} positions: leave --plan,"
+                    " --positions and --turns out"
+                )
         if options["poll"]:
             raise UsageError("--resume gets its scans as the session did before: leave --poll out")
         return SessionRunner.resume(sensor, output, auto=auto, extend=extend, advisor=advisor)
@@ -365,9 +389,10 @@ def _gravity_and_fixture(
     height: float,
     **_: Any,
 ) -> tuple[float, float | StageCurve | None]:
-    """Local gravity in m/s², and the uncertainty of a stage angle in degrees or the stage's certificate.
+    """Return local gravity in m/s², and the uncertainty of a stage angle.
 
-    A simulated bench states both if they are not given, as the operator of a real bench knows them.
+    The uncertainty is in degrees, or the stage's certificate, or None if it is not given. A simulated bench
+    states both values if they are not given, as the operator of a real bench knows them.
     """
     from adis_gonio.model.records import normal_gravity_mps2
 
@@ -385,9 +410,9 @@ def _gravity_and_fixture(
 
 
 def _metadata(options: dict[str, Any], *, ask: bool) -> dict[str, str]:
-    """Operator, serial number, stage, laboratory and customer from the options.
+    """Return operator, serial number, stage, laboratory and customer from the options.
 
-    A missing one of the first three is asked for if somebody sits at a terminal.
+    If `ask` is true, the operator is asked for a missing one of the first three.
     """
     written = {name: options[name] for name in ("laboratory", "customer")}
     for name, what in _METADATA.items():
@@ -401,7 +426,10 @@ def _metadata(options: dict[str, Any], *, ask: bool) -> dict[str, str]:
 def _choose_plan(
     name: str | None, positions: int | None, check: int, duration_s: float | None, turns: int | None
 ) -> tuple[Plan, float | None]:
-    """Return the plan that the options name, and the longest recording in s of a free turn."""
+    """Return the plan that the options name, and the longest recording in s of a free turn.
+
+    The length is None for other plans.
+    """
     from adis_gonio.bench import gyro_turns, recorder
     from adis_gonio.plan import find_plan
     from adis_gonio.record.plans import DEFAULT_PLAN

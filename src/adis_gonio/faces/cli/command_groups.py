@@ -11,7 +11,7 @@ import click
 
 
 class Home(NamedTuple):
-    """Module of a command (it defines `NAME_command`) and the command's sentence in the help."""
+    """Module of a command (it defines `NAME_command`), and the one-line help of the command."""
 
     module: str
     help: str
@@ -23,7 +23,7 @@ class LazyGroup(click.Group):
     Parameters
     ----------
     groups : mapping
-        Commands by name, by the heading of their group in the help.
+        For each heading of the help the `Home` of each command, by the command's name.
     """
 
     def __init__(self, *args: Any, groups: Mapping[str, Mapping[str, Home]], **more: Any) -> None:
@@ -67,8 +67,8 @@ class SectionedCommand(click.Command):
     Parameters
     ----------
     sections : mapping of str to str
-        Flags, separated by spaces, by the heading of their section. An option in two sections is listed in
-        the first. The options in no section come last.
+        For each heading of the help the flags of its section, separated by spaces. An option in two
+        sections is listed in the first. The options in no section come last.
     """
 
     def __init__(self, *args: Any, sections: Mapping[str, str], **more: Any) -> None:

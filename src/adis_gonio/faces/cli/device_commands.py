@@ -1,4 +1,4 @@
-"""`devices`, `registers`, `selftest` and `serve`: the driver from the shell."""
+"""The commands `devices`, `registers`, `selftest`, `serve` and `frames`: the driver from the shell."""
 
 from __future__ import annotations
 
@@ -258,7 +258,10 @@ def registers_command(
 
 
 def _parse_number(sensor: Adis16354, row: Register, text: str) -> int:
-    """Parse the number for a register: `0x…`, a decimal number, or a quantity with its unit."""
+    """Parse the number for a register: `0x…`, a decimal number, or a quantity with its unit.
+
+    Raises `UsageError` if the text is none of these or the unit is not the register's unit.
+    """
     match = _VALUE.fullmatch(text.strip())
     if not match:
         raise UsageError(f"{row.name}={text}: write a number, 0x…, or a quantity such as -57.3mg")
@@ -279,7 +282,11 @@ def _parse_number(sensor: Adis16354, row: Register, text: str) -> int:
 def _show_registers(
     rows: list[tuple[Register, Any]], wanted: Mapping[str, OffsetWord], *, fields: bool, as_json: bool
 ) -> None:
-    """Show registers with their physical values; None means that a register was not read."""
+    """Show registers with their physical values; None means that a register was not read.
+
+    `wanted` has the offsets of a calibration by register name; `fields` also shows the bit fields.
+    `as_json` prints a JSON document instead of a table.
+    """
     if as_json:
         documents = []
         for row, quantity in rows:

@@ -1,4 +1,4 @@
-"""`fit` and `allan`: parameters and noise of a recorded session."""
+"""The commands `fit` and `allan`: parameters and noise of a recorded session."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def print_answer(
     *,
     everything: bool = False,
 ) -> None:
-    """Show the answer, its parameters in full and the other methods by a line each.
+    """Show the answer of a fit: its parameters in full, and one line for each other method.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def print_answer(
     shown : collection of str
         Warnings that were printed already.
     everything : bool
-        Show all methods in full.
+        True shows all methods in full.
     """
     screen = show.console(most=show.WIDTH)
     for line in answer.doubt_lines(screen.width):
@@ -184,7 +184,10 @@ def _parameter_table(answer: Answer, truth: Mapping[str, float] | None) -> Table
 
 
 def _print_scores(screen: Console, answer: Answer, *, everything: bool) -> None:
-    """Show the scores of the methods; with `everything`, show each method in full."""
+    """Show the scores of the methods; with `everything`, show each method in full.
+
+    A score is the error on the dwells of the session; each dwell is left out of the fit that predicts it.
+    """
     from adis_gonio.fitting.answer import method_tables
 
     head, rows = answer.score_rows()
@@ -202,7 +205,7 @@ def _print_scores(screen: Console, answer: Answer, *, everything: bool) -> None:
 
 
 def print_gains(session: Session) -> None:
-    """Show the scale factors of the gyros, by the moves between dwells, if the session gives any."""
+    """Show the scale factors of the gyros from the moves between dwells, if the session gives any."""
     from adis_gonio.fitting.gyros.gyro_fit import gains_of
 
     gains = gains_of(session)
@@ -220,7 +223,11 @@ def _print_monte_carlo(screen: Console, run: MonteCarlo) -> None:
 def show_gyro_fit(
     session: Session, method: str | None, *, as_json: bool, calibration: Path | None = None
 ) -> None:
-    """Fit the gyros of a session and show the result."""
+    """Fit the gyros of a session and show the result.
+
+    `method` is None for the only method; `calibration` is the file of the accelerometers' calibration, None
+    for none. `as_json` prints a JSON document instead of text.
+    """
     from adis_gonio.faces.api import fit
 
     accelerometers = None

@@ -1,4 +1,4 @@
-"""`export` and `paper`: coefficients for other programs, and the reproduction of the seed paper."""
+"""The commands `export` and `paper`: coefficients for other programs, and study of the seed paper."""
 
 from __future__ import annotations
 

@@ -35,11 +35,11 @@ if TYPE_CHECKING:
     from adis_gonio.record.plans import Position
 
 Actions = dict[str, Callable[[], None]]
-"""Action of each key; Enter is an empty text."""
+"""Action of each key; the Enter key is an empty text."""
 
 
 def on_terminal() -> bool:
-    """True if standard input is a terminal, at which somebody types."""
+    """Return True if standard input is a terminal, at which an operator types."""
     asks = getattr(sys.stdin, "isatty", None)
     return asks is not None and asks()
 
@@ -56,7 +56,7 @@ class Lines:
             self._file = None
 
     def next(self, *, wait: bool) -> str | None:
-        """Return the next line, or None if `wait` is false and there is none yet.
+        """Return the next line of standard input, or None if `wait` is false and no line has arrived.
 
         Without a file descriptor that can be polled, it always waits. `EOFError` follows the last line.
         """
@@ -79,7 +79,7 @@ class Lines:
 
 @dataclass
 class _Question:
-    """A question that waits for an answer: its text, and the action of each key."""
+    """A question that waits for an answer: its text, the action of each key, and if it also takes notes."""
 
     text: str
     keys: Actions
@@ -193,7 +193,7 @@ class PlainBench:
             self._say(f"    {line}")
 
     def _put(self, text: str, question: words.Question) -> None:
-        """Open a question of the runner with the keys of its answers."""
+        """Open a question of the runner, shown as `text`, with the keys of its answers."""
 
         def answering(name: str) -> Callable[[], None]:
             return lambda: self._runner.answer(name)
@@ -217,10 +217,10 @@ class PlainBench:
         takes_notes: bool = True,
         wait: bool = False,
     ) -> None:
-        """Open a question.
+        """Open a question with the text `text` and the action of each key.
 
-        If `wait` is set or the sensor's clock is simulated, the answer is waited for. A recording gives its
-        own answers.
+        The answer is waited for if `wait` is set or the sensor's clock is simulated. A replayed recording
+        gives its own answers. If `takes_notes` is set, the operator may also type notes.
         """
         if self._runner.replayed:
             self._say(text)
@@ -238,7 +238,10 @@ class PlainBench:
         print(f"{text}: ", end="", file=sys.stderr, flush=True)  # noqa: T201
 
     def _listen(self, *, wait: bool) -> None:
-        """Read a line and use it as the answer to the open question; do nothing if there is no line."""
+        """Read a line and use it as the answer to the open question; do nothing if there is no line.
+
+        `wait` is True to wait for a line.
+        """
         question, self._asking = self._question, wait
         if question is None:
             return
@@ -263,7 +266,10 @@ class PlainBench:
         self._prompt(question.text)
 
     def _obey(self, line: str, key: str, rest: str, question: _Question) -> None:
-        """Carry out a line that is no answer: a note, a drawing, help, or a move of a simulated part."""
+        """Carry out a line that is no answer: a note, a drawing, help, or a move of a simulated part.
+
+        `key` is the first word of the line, `rest` the remaining text.
+        """
         if key == words.NOTE.letter and question.takes_notes:
             text = self._rest_of(rest, "  note")
             self._runner.note(text)
@@ -282,7 +288,7 @@ class PlainBench:
             self._say(f"  '{line}' is no answer: press Enter, or one of {known} (? lists them)")
 
     def _rest_of(self, text: str, asked: str) -> str:
-        """Text that follows a key on its line; asked for if there is none."""
+        """Return the text that follows a key on its line; if it is empty, prompt for it by `asked`."""
         if text:
             return text
         self._prompt(asked)
@@ -347,7 +353,10 @@ class PlainBench:
 def _progress_of(
     event: events.Watching | events.DwellProgress | events.Waiting | events.TurnProgress,
 ) -> tuple[str, str, float | None, float | None]:
-    """Content of the progress line: activity, note, elapsed time and length in s."""
+    """Return the content of the progress line: activity, note, elapsed time in s and total length in s.
+
+    Both times are None while the runner waits for stillness.
+    """
     if isinstance(event, events.Watching):
         note = f"spread {max(event.spread_mg):.2f} mg"
         if event.limit_mg is not None:
@@ -381,7 +390,7 @@ def choose_face(
     Parameters
     ----------
     runner : SessionRunner
-        Not run yet.
+        Runner of the session, which has not started.
     prompts : Face
         Plain prompts for the same runner.
     plain : bool

@@ -1,4 +1,4 @@
-"""`stream` and `angle`: the readings of a sensor as they come."""
+"""The commands `stream` and `angle`: the readings of a sensor as they come."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ NOTES = {
     "calibration": "the calibration does not fit",
     "gyro_calibration": "the gyros' calibration does not fit",
 }
-"""Text for each note of the smoothed angle."""
+"""Text for each note that the smoothed angle may carry, by the name of the note."""
 
 
 @option.command(
@@ -135,9 +135,11 @@ def _open_stream(
     variant: str,
     no_check: bool,
 ) -> tuple[str, float, Callable[[int], SampleStream]]:
-    """Open a sensor; return its variant, its rate in Hz, and a function that starts the stream.
+    """Open a sensor; return its variant, its sample rate in Hz, and a function that starts the stream.
 
-    The function takes the number of scans in a block.
+    The function takes the number of scans in a block. `stack` closes the sensor; `names` are the registers
+    to scan, separated by commas, None for the default ones; the other arguments are the options of
+    `stream`, None if not given.
     """
     asked: dict[str, object] = {
         "--registers": names,
@@ -176,9 +178,11 @@ class ShownStream:
     Parameters
     ----------
     scans_a_line : int
+        Number of scans that one printed line summarises.
     recorder : SamplesRecorder or None
+        Recorder of every scan; None does not record.
     lines : bool
-        False keeps the blocks for `print_document` instead of printing lines.
+        True prints lines; False keeps the blocks for `print_document` instead of printing lines.
     """
 
     def __init__(self, scans_a_line: int, recorder: SamplesRecorder | None, *, lines: bool) -> None:
@@ -191,7 +195,10 @@ class ShownStream:
         self._scans = self._lost = self._dropped = self._alarms = 0
 
     def run(self, stream: SampleStream, seconds: float | None) -> None:
-        """Read blocks and show their values until the time is over, the stream ends, or Ctrl-C."""
+        """Read blocks and show their values until the time is over, the stream ends, or Ctrl-C.
+
+        `seconds` is the time to show; None has no limit.
+        """
         begin: float | None = None
         end = False
         with Interrupt() as interrupt:
@@ -240,7 +247,7 @@ class ShownStream:
         click.echo(self._columns.line(self._waiting, since_s))
 
     def print_totals(self) -> None:
-        """Print the number of scans, the number of lost scans, and the recorded file."""
+        """Print the number of scans, the number of lost scans, and the recorded file if any."""
         recorder = self._recorder
         where = "" if recorder is None else f", {counted(recorder.rows, 'row')} in {recorder.path}"
         more = f", {self._dropped} left out without new data (ND)" if self._dropped else ""
@@ -281,7 +288,7 @@ class Columns:
     shown : int
         Number of values shown, from the left.
     cell, time_cell : int
-        Widths.
+        Widths in characters of a value and of the time.
     spread : bool
         True if the standard deviation is shown next to the mean.
     note : str
@@ -320,7 +327,10 @@ class Columns:
         return cls(heads, min(room, len(short)), cell, _MEANS_TIME, spread=False, note=note)
 
     def line(self, blocks: Sequence[Block], since_s: float) -> str:
-        """Format the scans of some blocks as one line, with the time of the last scan."""
+        """Format the scans of some blocks as one line of means, with the time of the last scan.
+
+        `since_s` is the time of the stream's first scan, subtracted from the printed time.
+        """
         values = np.concatenate([block.values() for block in blocks])
         time_s = float(blocks[-1].time_s[-1]) - since_s
         cells = [
@@ -405,7 +415,7 @@ def angle_command(
 
 
 def _show_angles(angles: Iterator[LiveAngle], line: _AngleLine, last_s: float) -> bool:
-    """Show angles until the time is over or the samples end; return False after Ctrl-C."""
+    """Show angles until the time `last_s` is reached or the samples end; return False after Ctrl-C."""
     with Interrupt() as interrupt:
         for reading in interrupt.steps(angles):
             line.show(reading)
@@ -415,7 +425,7 @@ def _show_angles(angles: Iterator[LiveAngle], line: _AngleLine, last_s: float) -
 
 
 class _AngleLine:
-    """Printer of angles: on a terminal one line that changes in place, else one line for each angle."""
+    """Printer of live angles: on a terminal one line that changes in place, else a line for each angle."""
 
     def __init__(self, *, as_json: bool) -> None:
         self._as_json = as_json
@@ -442,7 +452,10 @@ class _AngleLine:
 
 
 def format_angle(reading: LiveAngle, width: int | None = None) -> str:
-    """Format an angle as one line; details at its end are left out if it would exceed `width`."""
+    """Format an angle as one line; details at its end are left out if it would exceed `width`.
+
+    Without a width (None) the line has all details.
+    """
     smoothed = reading.smoothed
     by_gravity = reading.angle_deg if reading.corrected_deg is None else reading.corrected_deg
     main, u_deg = by_gravity, reading.u_deg

@@ -25,7 +25,7 @@ Option = Callable[[F], F]
 FILE = click.Path(path_type=Path)
 POSITIVE = click.FloatRange(min=0, min_open=True)
 UNITS = f"[{'|'.join(ACCEL_UNITS)}]"
-"""Units of acceleration in the help of a command."""
+"""Text that lists the units of acceleration, for the help of a command."""
 _OVERRIDDEN = (
     *("gravity_mps2", "fixture_sigma_deg", "angles", "reverse", "accel_unit", "sensor", "columns"),
     *("laboratory", "customer"),
@@ -45,6 +45,8 @@ def command(
 
     Parameters
     ----------
+    name : str
+        Name of the command.
     first : str
         The flags that an operator needs first, separated by spaces; without any, the help lists all options
         in one section.
@@ -86,7 +88,10 @@ def parse_fixture(text: str) -> float:
 
 
 def parse_stage(text: str) -> float | StageCurve:
-    """Parse the uncertainty of a declared angle, or read the stage's certificate from `dcc:FILE`."""
+    """Parse the uncertainty in degrees of a declared angle, or read a certificate.
+
+    The text `dcc:FILE` reads the stage's certificate from a file.
+    """
     if str(text).startswith("dcc:"):
         from adis_gonio.handover.certificate import read_stage_curve
 
@@ -95,7 +100,7 @@ def parse_stage(text: str) -> float | StageCurve:
 
 
 def parse_unit(text: str) -> str:
-    """Parse one of `ACCEL_UNITS`; `m/s²` and `m/s^2` also mean `mps2`."""
+    """Parse a unit of acceleration, one of `ACCEL_UNITS`; `m/s²` and `m/s^2` also mean `mps2`."""
     name = {"m/s²": "mps2", "m/s^2": "mps2"}.get(str(text).strip().lower(), str(text))
     if name not in ACCEL_UNITS:
         raise click.BadParameter(f"'{text}' is no unit: give {', '.join(ACCEL_UNITS)}")
@@ -103,7 +108,7 @@ def parse_unit(text: str) -> str:
 
 
 def _parse_columns(text: str) -> dict[str, str]:
-    """Parse `name=column,…`: map each column of the format to a column of the file."""
+    """Parse `name=column,…`: map each column of the samples format to a column of the user's file."""
     columns: dict[str, str] = {}
     for pair in text.split(","):
         mine, equals, theirs = (part.strip() for part in pair.partition("="))
@@ -121,7 +126,8 @@ _ANGLE = re.compile(r"(\d+)(?:-(\d+))?\s*(\+?=)\s*(\S+)")
 def _parse_angles(text: str) -> tuple[AngleChange, ...]:
     """Parse changes of declared angles from `position=degrees,…`.
 
-    `first-last+=degrees` adds to several positions; `first-last=reverse` turns them the other way.
+    `first-last+=degrees` adds to several positions; `first-last=reverse` states that the stage turned the
+    other way.
     """
     from adis_gonio.record.loading import REVERSE, AngleChange
 
@@ -150,12 +156,12 @@ def _number(text: str) -> float | None:
 
 
 def file(*names: str, help: str, **more: Any) -> Option[Any]:
-    """Return an option that names a file."""
+    """Return an option that names a file; `more` goes to `click.option`."""
     return click.option(*names, type=FILE, help=help, **{"metavar": "FILE", **more})
 
 
 def check_session_name(path: Path) -> None:
-    """Raise `UsageError` if the ending of a session file promises another format."""
+    """Raise `UsageError` if the ending of a session file is the ending of another format."""
     from adis_gonio.base.output import ends_in
 
     if ends_in(path, ".csv", ".gz", ".json", ".html", ".svg", ".xml", ".h", ".txt", ".parquet"):
@@ -180,10 +186,10 @@ def output(
     Parameters
     ----------
     paths : callable
-        Files that the command writes for the given value, if it is not just the given file.
+        Returns the files that the command writes for the given path; by default only that path.
     at_once : bool
-        With `--force`, remove an existing file before the command begins; otherwise it stays until the new
-        one is complete.
+        True: `--force` removes an existing file before the command begins. False: the file stays until the
+        new file is complete.
     name : str
         Name of the command's argument.
     """
@@ -215,12 +221,12 @@ def flag(*names: str, help: str) -> Option[Any]:
 
 
 def with_default(*names: str, default: Any, help: str, **more: Any) -> Option[Any]:
-    """Return an option that shows its default in the help."""
+    """Return an option that shows its default in the help; `more` goes to `click.option`."""
     return click.option(*names, default=default, show_default=True, help=help, **more)
 
 
 def dwell(default_s: float = 10.0) -> Option[Any]:
-    """Return the option `--dwell` for the length of a dwell."""
+    """Return the option `--dwell` for the length of a dwell in s, with this default."""
     help = "Length of a dwell."
     return with_default("--dwell", "dwell_s", type=float, default=default_s, metavar="SECONDS", help=help)
 
@@ -228,24 +234,30 @@ def dwell(default_s: float = 10.0) -> Option[Any]:
 def fixture(
     name: str = "fixture_deg", metavar: str = "DEGREES", help: str = "", **more: Any
 ) -> Option[Any]:
-    """Return the option `--fixture` for the uncertainty of a stage angle."""
+    """Return the option `--fixture` for the standard uncertainty of a stage angle in degrees.
+
+    `name` is the argument of the command; empty `help` takes the usual help text.
+    """
     help = help or "Standard uncertainty of a stage angle in degrees."
     return click.option("--fixture", name, metavar=metavar, help=help, **{"type": parse_fixture, **more})
 
 
 def gravity(help: str = "Local gravity in m/s² (default 9.80665).", **more: Any) -> Option[Any]:
-    """Return the option `--gravity` for local gravity."""
+    """Return the option `--gravity` for local gravity in m/s²."""
     return click.option("--gravity", "gravity_mps2", type=parse_gravity, metavar="M/S²", help=help, **more)
 
 
 def part(default: str = "accelerometer", help: str = "Part of the sensor to use.") -> Option[Any]:
-    """Return the option `--sensor-part`, which selects accelerometer or gyro."""
+    """Return the option `--sensor-part`, which selects accelerometer or gyro.
+
+    `default` is the preselected part.
+    """
     parts = click.Choice(sorted(("accelerometer", "gyro"), key=lambda part: part != default))
     return with_default("--sensor-part", "part", type=parts, default=default, help=help)
 
 
 def time_limit(help: str) -> Option[Any]:
-    """Return the option `--time-limit` in seconds."""
+    """Return the option `--time-limit` in seconds, with this help text."""
     return click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help=help)
 
 
@@ -341,7 +353,8 @@ def _parse_risk(text: str) -> float:
 def tolerance(help: str) -> Option[Any]:
     """Return a decorator with the options `--tolerance`, `--rule` and `--risk`.
 
-    The command gets them as one argument, `tolerance`, which is None without `--tolerance`.
+    `help` is the help text of `--tolerance`. The command gets the values as one argument, `tolerance`,
+    which is None without `--tolerance`.
     """
     options = (
         click.option("--tolerance", type=_parse_tolerance, metavar="ANGLE", help=help),
@@ -382,7 +395,7 @@ def tolerance(help: str) -> Option[Any]:
 
 
 def overrides(function: F) -> F:
-    """Decorate a command with the options that correct a file.
+    """Decorate a command with the options that correct the statements of a session file.
 
     The command gets their values as one argument, `overrides`.
     """
@@ -408,7 +421,10 @@ def overrides(function: F) -> F:
 
 
 def measuring_settings(*, rate_hz: float | None, **more: Any) -> Settings:
-    """Make the settings of a session; `rate_hz` is the value of `--rate`."""
+    """Make the settings of a session; `rate_hz` is the value of `--rate`, None for the fastest rate.
+
+    `more` are further fields of the settings.
+    """
     from adis_gonio.device.sensor.settings import smpl_prd_for
     from adis_gonio.record.source import Settings
 
@@ -416,7 +432,10 @@ def measuring_settings(*, rate_hz: float | None, **more: Any) -> Settings:
 
 
 def load(path: Path, overrides: Overrides) -> Session:
-    """Load a session from a file; progress is shown on standard error if it takes long."""
+    """Load a session from a file, with corrections of the file's statements by `overrides`.
+
+    Progress is shown on standard error if loading takes long.
+    """
     from adis_gonio.faces.cli.show import report_progress
     from adis_gonio.record.loading import load_session
 

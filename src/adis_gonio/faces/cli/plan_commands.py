@@ -1,4 +1,4 @@
-"""`plan`, `template` and `simulate`: a session before it is measured."""
+"""The commands `plan`, `template` and `simulate`: a session before it is measured."""
 
 from __future__ import annotations
 
@@ -210,7 +210,10 @@ def template_command(
 
 
 def _list_option(name: str, rows: Callable[[], list[tuple[str, str]]], help: str) -> option.Option[Any]:
-    """Return an option that prints a list and ends instead of running the command."""
+    """Return an option that prints a list and ends the program instead of running the command.
+
+    `rows` returns the name and the description of each entry.
+    """
 
     def print_list(context: click.Context, option: click.Parameter, wanted: bool) -> None:
         if wanted:
@@ -335,7 +338,10 @@ def simulate_command(*, output: Path, date: datetime | None, **options: Any) -> 
 
 
 def _simulate_twin(path: Path, output: Path, seed: int) -> None:
-    """Simulate the digital twin of a session and write it as a samples CSV."""
+    """Simulate the digital twin of a session and write it as a samples CSV.
+
+    `seed` is the seed of the random numbers.
+    """
     from adis_gonio.base.budget import current
     from adis_gonio.handover.digital_twin import simulate_like
     from adis_gonio.record.loading import explain_refusal, load_session

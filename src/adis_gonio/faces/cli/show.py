@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 WIDTH = 100
-"""Widest text in columns; longer lines are hard to read."""
+"""Largest width in columns of running text, since longer lines are hard to read."""
 
 
 def console(*, stderr: bool = False, most: int = 0) -> Console:
@@ -36,6 +36,8 @@ def console(*, stderr: bool = False, most: int = 0) -> Console:
 
     Parameters
     ----------
+    stderr : bool
+        True writes to standard error instead of standard output.
     most : int
         Largest width in columns; 0 for no limit.
     """
@@ -51,7 +53,7 @@ def console(*, stderr: bool = False, most: int = 0) -> Console:
 
 
 def print_indented(screen: Console, text: str, indent: int = 2, style: str = "") -> None:
-    """Print a text, wrapped to the screen, with all of its lines indented."""
+    """Print a text, wrapped to the screen, with all of its lines indented by `indent` columns."""
     from rich.padding import Padding
     from rich.text import Text
 
@@ -59,9 +61,10 @@ def print_indented(screen: Console, text: str, indent: int = 2, style: str = "")
 
 
 def say(text: str, *, err: bool = True, hang: int = 0) -> None:
-    """Print a line for people, on standard error by default; a terminal gets it folded to its width.
+    """Print a line for people, folded to the width of a terminal.
 
-    Lines after the first are indented by `hang`.
+    `err` prints it on standard error, otherwise on standard output. Lines after the first are indented by
+    `hang` columns.
     """
     screen = console(stderr=err, most=WIDTH)
     if screen.is_terminal and len(text) >= screen.width:
@@ -73,7 +76,7 @@ def say(text: str, *, err: bool = True, hang: int = 0) -> None:
 
 
 LEAST_TEXT = 16
-"""Smallest width of a folded column of text."""
+"""Smallest width in columns of a folded column of text."""
 
 
 def table_of(
@@ -89,10 +92,14 @@ def table_of(
 
     Parameters
     ----------
+    head : sequence of str
+        Headings of the columns.
+    rows : iterable of sequence of str
+        Cells of each row.
     texts : container of int
         Indices of the columns of text, aligned left; the others hold numbers, aligned right.
     bold : container of str
-        First cells of the rows in bold.
+        First cells of those rows that are printed in bold.
     number, text : mapping, optional
         Further options of rich for the columns of numbers and of text.
     """
@@ -114,6 +121,10 @@ def print_table(
 
     Parameters
     ----------
+    head : sequence of str
+        Headings of the columns.
+    rows : sequence of sequence of str
+        Cells of each row.
     texts : container of int
         Indices of the columns of text, which may be folded; the others hold numbers.
     """
@@ -131,7 +142,10 @@ def print_table(
 
 
 def check_page(output: Path | None) -> None:
-    """Raise an error if an HTML page is wanted and its figures cannot be drawn."""
+    """Raise `NotInstalledError` if an HTML page is wanted and its figures cannot be drawn.
+
+    `output` is the file of the page; None means that no page is wanted.
+    """
     if output is not None:
         from adis_gonio.page.document import require_matplotlib
 
@@ -153,18 +167,24 @@ def report_written(path: Path | str, content: str = "") -> None:
 
 
 def json_text(document: Any, *, ascii_only: bool = False) -> str:
-    """Format a document as JSON; numbers that are not finite become null."""
+    """Return a document as JSON text; numbers that are not finite become null.
+
+    `ascii_only` writes other letters as escape sequences.
+    """
     return json.dumps(finite(document), ensure_ascii=ascii_only, indent=2, allow_nan=False)
 
 
 def print_json(document: Any) -> None:
-    """Write a JSON document to standard output, in pure ASCII unless its encoding is a UTF."""
+    """Write a JSON document to standard output, in pure ASCII unless the output's encoding is a UTF."""
     unicode = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().startswith("utf")
     click.echo(json_text(document, ascii_only=not unicode))
 
 
 def report_times_s() -> Iterator[float]:
-    """Times in s since the beginning at which progress is logged, at growing intervals."""
+    """Yield the times in s since the begin of the work at which progress is logged.
+
+    The intervals grow.
+    """
     yield from (1.0, 10.0, 30.0, 60.0, 120.0)
     yield from (300.0 * k for k in count(1))
 
@@ -177,7 +197,7 @@ class Work:
     what : str
         Description, such as `tracing 24 dwells of today.session`.
     changed : callable, optional
-        Called after each change.
+        Called after each change of the description.
     """
 
     def __init__(self, what: str, changed: Callable[[Work], None] | None = None) -> None:
@@ -207,7 +227,7 @@ class Work:
         return time.monotonic() - self._begun
 
     def __str__(self) -> str:
-        """Description of the work, its stage and the finished share, without the time."""
+        """Return the description of the work, its stage and the finished share, without the time."""
         share = "" if self._share is None else f"{100 * self._share:.0f} %"
         stage = ", ".join(part for part in (self._stage, share) if part)
         return f"{self.what}: {stage}" if stage else self.what
@@ -217,8 +237,8 @@ class Work:
 def report_progress(what: str) -> Iterator[None]:
     """Context that reports the progress of the computation inside it on standard error.
 
-    A terminal gets one line that changes, a log gets lines at growing intervals; work of less than a second
-    leaves no line in a log.
+    `what` is the description of the computation. A terminal gets one line that changes, a log gets lines at
+    growing intervals; work of less than a second leaves no line in a log.
     """
     from adis_gonio.base.budget import Budget, within
 

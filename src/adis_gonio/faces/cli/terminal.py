@@ -34,11 +34,11 @@ ASCII_FORMS = {
     "─": "-", "━": "-", "│": "|", "┘": "+", "└": "+", "╱": "/", "╸": "-", "╺": "-", "•": "*", "ß": "ss",
     "●": "o", "○": "o", "▶": ">", "◀": "<", "▲": "^", "▼": "v", "✓": "ok", "✗": "x",
 }  # fmt: skip
-"""ASCII text for letters that a character set may lack; none of it can end a JSON string."""
+"""ASCII text for each letter that a character set may lack; none of it can end a JSON string."""
 
 
 def ascii_form(letter: str) -> str:
-    """Return ASCII text in place of a letter: from the table, else its base letter, else `?`."""
+    """Return ASCII text that replaces a letter: from `ASCII_FORMS`, else its base letter, else `?`."""
     if letter in ASCII_FORMS:
         return ASCII_FORMS[letter]
     plain = unicodedata.normalize("NFKD", letter).encode("ascii", "ignore").decode("ascii")
@@ -46,22 +46,26 @@ def ascii_form(letter: str) -> str:
 
 
 LONGEST_MESSAGE = 600
-"""Characters of a message. The program's own messages are shorter; only text from a file can exceed it."""
+"""Largest number of characters of a message.
+
+The program's own messages are shorter; only text from a file can exceed it.
+"""
 
 
 def format_message(text: str) -> str:
     """Return a message as one printable line of about `LONGEST_MESSAGE` characters.
 
-    A longer message loses its middle, because the file is named at its beginning and the cure at its end.
+    A longer message loses its middle, because it names the file at its beginning and the remedy at its end.
     """
     line, half = one_line(text), LONGEST_MESSAGE // 2
     return line if len(line) <= LONGEST_MESSAGE else f"{line[:half]}…{line[-half:]}"
 
 
 def replace_missing_letters() -> None:
-    """Make standard output and standard error write ASCII forms of letters that their character set lacks.
+    """Make standard output and standard error replace letters that their character set lacks.
 
-    A stream without `reconfigure`, such as a test's replacement, stays as it is.
+    The replacements are ASCII forms, see `ascii_form`. A stream without `reconfigure`, such as a test's
+    replacement, stays as it is.
     """
     codecs.register_error(_ERRORS, _replace_letters)
     codecs.register(_find_codec)
@@ -110,7 +114,7 @@ def _find_codec(name: str) -> codecs.CodecInfo | None:
 
 
 class Interrupt:
-    """Context in which Ctrl-C sets `asked` and interrupts the work only inside `waiting`.
+    """Context in which Ctrl-C sets `asked` to True and interrupts the work only inside `waiting`.
 
     A second Ctrl-C always interrupts. In a thread that gets no signals, nothing changes.
     """
@@ -131,7 +135,7 @@ class Interrupt:
 
     @contextmanager
     def waiting(self) -> Iterator[None]:
-        """Context in which Ctrl-C may interrupt a step; the step must leave no partial result behind.
+        """Context in which Ctrl-C may interrupt a step; the step must leave no partial result.
 
         Raises
         ------
@@ -163,11 +167,11 @@ class Interrupt:
 
 
 class RepeatedInterrupt:
-    """Context that raises Ctrl-C again every `AGAIN_S` until the block ends.
+    """Context that raises Ctrl-C again every `AGAIN_S` seconds until the block ends.
 
     Python loses the exception of a signal handler if the caller cannot pass it on, for example the import
-    of a compiled module or a destructor; the work would then run to its end. Only for work without steps to
-    undo, because a second Ctrl-C would interrupt the undoing.
+    of a compiled module or a destructor; the work would then run to its end. Use it only for work without
+    steps to undo, because a second Ctrl-C would interrupt the undoing.
     """
 
     AGAIN_S = 0.5

@@ -1,4 +1,7 @@
-"""`trace` and `report`: the effects behind the residual of a session, on the terminal and as a page."""
+"""The commands `trace` and `report`: the effects behind the residual of a session.
+
+The terminal or a page shows them.
+"""
 
 from __future__ import annotations
 
@@ -97,7 +100,10 @@ def _print_heading(screen: Console, text: str) -> None:
 
 
 def _print_list(screen: Console, heading: str, items: Sequence[str], numbered: bool = False) -> None:
-    """Print a list under a heading, with hanging indent; nothing is printed for an empty list."""
+    """Print a list under a heading, with hanging indent; nothing is printed for an empty list.
+
+    `numbered` puts numbers before the items instead of dots.
+    """
     from rich.table import Table
 
     if not items:
@@ -195,9 +201,7 @@ def loop_lines(summary: Mapping[str, Any]) -> list[str]:
 def print_loop(session: Session, result: TraceResult) -> None:
     """Show the result before and after the further positions that the trace proposed, and why it ended.
 
-    Nothing is printed if the advisor was never asked.
-
-    Nothing is printed if no position was ever proposed.
+    Nothing is printed if the trace proposed no position.
     """
     from rich.table import Table
     from rich.text import Text
@@ -245,7 +249,7 @@ def _join(names: list[str]) -> str:
 
 
 def _confounded_groups(summary: Mapping[str, Any]) -> str:
-    """The first groups of effects that the session cannot distinguish, one per line."""
+    """Return the first groups of effects that the session cannot distinguish, one per line."""
     from adis_gonio.model.effects import catalogue
 
     known = catalogue()
@@ -287,7 +291,11 @@ def report_command(
 
 
 def _report_page(session: Session, time_limit: float | None, tolerance: Tolerance | None) -> str:
-    """Build the HTML report of a session from all fits, the trace and the digital twin."""
+    """Build the HTML report of a session from all fits, the trace and the digital twin.
+
+    `time_limit` ends the trace after this time in s, None never; `tolerance` adds a statement of
+    conformity.
+    """
     from adis_gonio.base.budget import current, with_progress
     from adis_gonio.fitting import applicable_methods, fit
     from adis_gonio.handover.calibration_report import build_page, views
@@ -316,7 +324,7 @@ def _report_page(session: Session, time_limit: float | None, tolerance: Toleranc
 
 
 def _twin_sections(session: Session, traced: TraceResult) -> list[Section]:
-    """Section of the report on the digital twin, as a list; empty if no twin is possible."""
+    """Return the section of the report on the digital twin, as a list; empty if no twin is possible."""
     from adis_gonio.handover.digital_twin import twin_section
     from adis_gonio.page.document import Section
 

@@ -1,16 +1,13 @@
 """The sensor as an IIO device: its channels and attributes, and the samples of its buffers.
 
-One thread reads the sensor, and a hub distributes its scans to the open buffers of many clients.
+One thread reads the sensor, and a hub distributes its scans to the open buffers of many clients. The thread
+streams while a client listens, and runs jobs in between. A bus that streams takes no other exchange, so a
+job ends the stream, runs, and the stream begins again. `state` and `newest` therefore keep the values of
+the attributes, so that reading them needs no job during a stream.
 
-The thread streams while a client listens, and runs jobs in between. A bus that streams takes no other
-exchange, so a job ends the stream, runs, and the stream begins again. `state` and `newest` therefore keep
-the values of the attributes, so that reading them needs no job during a stream.
-
-The sensor as an IIO device: its channels, their attributes, the XML, and scans as bytes.
-
-Units as in Linux' IIO ABI: m/s², rad/s, milli-degree Celsius, millivolt; value = (raw + offset) *
-scale. Axes and signs are the sensor's own: level with Z up, Z reads -9.8 m/s². Nothing here accesses a
-sensor; `SensorState` contains the values of the attributes.
+The channels, their attributes, the XML and the format of scans need no sensor; `SensorState` contains the
+values of the attributes. Units as in Linux' IIO ABI: m/s², rad/s, milli-degree Celsius, millivolt; value =
+(raw + offset) * scale. Axes and signs are the sensor's own: level with Z up, Z reads -9.8 m/s².
 """
 
 from __future__ import annotations
@@ -42,22 +39,24 @@ T = TypeVar("T")
 _Job = tuple[Callable[[Adis16354], Any], "Future[Any]", bool]
 
 BLOCK_S = 0.04
-"""Length of a block of scans, the longest delay of a scan in addition to the delay of the bus."""
+"""Length of a block of scans in s, the longest delay of a scan in addition to the delay of the bus."""
 
 MOST_BLOCK = 256
 
 
 @dataclass(frozen=True)
 class FreshScans:
-    """New scans for the clients.
+    """New scans of the sensor for the clients.
 
     Attributes
     ----------
     numbers : (n, k) int32
+        Decoded content of each of the k registers.
     time_ns : (n,) int64
-        Time since 1970, by the host's clock at the begin of the stream and by the bus's clock after it.
+        Time of each scan in ns since 1970, by the host's clock at the begin of the stream and by the bus's
+        clock after it.
     lost : int
-        Updates of the sensor that were missed before and between these scans.
+        Number of updates of the sensor that were missed before and between these scans.
     """
 
     numbers: NDArray[np.int32]
@@ -66,23 +65,24 @@ class FreshScans:
 
 
 class Sampler:
-    """Thread that alone uses the sensor while it is served: streams scans and runs jobs.
+    """Thread that alone uses the sensor while it is served; it streams scans and runs jobs.
 
     Parameters
     ----------
     sensor : Adis16354
-        Open; stays open afterwards.
+        The open sensor, which stays open afterwards.
     names : sequence of str
         Output registers of a scan.
     on_scans, on_failure : callable
-        Called from the thread of the sampler, which ends after a failure.
+        Called with new scans, and with the error that ends the thread; both run in the thread of the
+        sampler.
 
     Attributes
     ----------
     state : SensorState
-        Values from the registers.
+        Configuration and offsets that were read from the registers.
     newest : mapping of str to int, or None
-        Numbers of the newest scan during a stream.
+        Decoded contents of the newest scan by register name during a stream; None without a stream.
     """
 
     def __init__(
@@ -123,10 +123,14 @@ class Sampler:
             self._wake.set()
 
     def submit(self, job: Callable[[Adis16354], T], *, changes: bool = False) -> Future[T]:
-        """Queue a job that uses the sensor; the thread runs it between two scans.
+        """Queue a job that uses the sensor; return the future of its result.
+
+        The thread runs the job between two scans.
 
         Parameters
         ----------
+        job : callable
+            Called with the sensor.
         changes : bool
             True if the job writes registers, so that `state` has to be read again.
         """
@@ -213,7 +217,7 @@ class Sampler:
 
 
 def state_of(sensor: Adis16354) -> SensorState:
-    """Read configuration and offsets of the sensor, from which attributes are computed."""
+    """Read configuration and offsets of the sensor, from which the values of attributes are computed."""
     rows = register_table.registers([*register_table.ACCEL_OFF, *register_table.GYRO_OFF])
     words = sensor.read_words(rows)
     offsets = {row.name: row.number(word) for row, word in zip(rows, words, strict=True)}
@@ -226,7 +230,7 @@ class ScanQueue:
     Parameters
     ----------
     capacity : int
-        Most scans in the queue.
+        Largest number of scans in the queue.
 
     Attributes
     ----------
@@ -253,7 +257,7 @@ class ScanQueue:
         return dropped
 
     def take(self, most: int) -> bytes:
-        """Remove the oldest scans, at most `most`, and return them as bytes."""
+        """Remove the oldest scans from the queue, at most `most`, and return them as bytes."""
         return b"".join(part.tobytes() for part in self._remove(min(most, self._held)))
 
     def _remove(self, count: int) -> list[NDArray[np.void]]:
@@ -270,18 +274,18 @@ class ScanQueue:
 
 
 QUEUE_S = 30.0
-"""Length of a client's queue in time; all channels at full rate fill it with 0.6 MB."""
+"""Length of a client's queue in s; all channels at full rate fill it with 0.6 MB."""
 
 CLIENT_BLOCKS = 4
-"""Least capacity of the queue in buffers of the client's size, the default of the kernel."""
+"""Smallest capacity of a client's queue, in buffers of the client's size; the default of the kernel."""
 
 MOST_QUEUED = 1 << 18
-"""Most scans in a client's queue, even if it asks for more."""
+"""Largest number of scans in a client's queue, even if the client asks for more."""
 
 
 @dataclass(eq=False)
 class Buffer:
-    """An open buffer of a client: the format of its scans, and their queue.
+    """An open buffer of a client: the format of its scans, and the queue of scans that wait for it.
 
     Attributes
     ----------
@@ -302,14 +306,14 @@ class Hub:
     want : callable
         Called with True when a buffer opens, and with False when the last one closes.
     queue_s : float
-        Least length of a client's queue in time.
+        Smallest length of a client's queue in s.
 
     Attributes
     ----------
     failure : Exception or None
-        Error that ended the sampling; buffers then get no more scans.
+        Error that ended the sampling, after which buffers get no more scans; None while it works.
     clients : int
-        Connections, counted by the server.
+        Number of connections, set by the server.
     """
 
     def __init__(self, want: Callable[[bool], object], queue_s: float = QUEUE_S) -> None:
@@ -322,7 +326,11 @@ class Hub:
         self._lost_by_clients = 0
 
     def open(self, scan_format: ScanFormat, samples: int, rate_hz: float) -> Buffer:
-        """Open a buffer for a client; it gets all scans from now on."""
+        """Open a buffer for a client; it gets all scans from now on.
+
+        `samples` is the size of the client's buffer in scans, `rate_hz` the sample rate; both determine the
+        size of the queue.
+        """
         capacity = min(MOST_QUEUED, max(CLIENT_BLOCKS * samples, round(self._queue_s * rate_hz), 16))
         buffer = Buffer(scan_format, ScanQueue(capacity))
         self._buffers.add(buffer)
@@ -350,7 +358,10 @@ class Hub:
             buffer.news.set()
 
     def counts(self) -> Mapping[str, int]:
-        """Values of the debug attributes: number of clients, and of scans lost by sensor and clients."""
+        """Return the values of the debug attributes.
+
+        They are the number of clients, and the numbers of scans lost by sensor and clients.
+        """
         return {
             "clients": self.clients,
             "scans_lost_by_sensor": self._lost_by_sensor,
@@ -367,7 +378,7 @@ OFFSET_OF: dict[str, str] = dict(
         strict=True,
     )
 )
-"""Offset register for the calibbias of an output register."""
+"""Offset register that is the calibbias of each output register."""
 
 _IDS = {
     **{f"{axis}ACCL_OUT": f"accel_{axis.lower()}" for axis in "XYZ"},
@@ -385,13 +396,13 @@ _SI: dict[register_table.Kind, float] = {
     register_table.Kind.SUPPLY: 1000.0,
     register_table.Kind.AUX_ADC: 1000.0,
 }
-"""IIO's unit per unit of this program: mg → m/s², °/s → rad/s, °C → m°C, V → mV."""
+"""Factor from the unit of this program to IIO's unit: mg → m/s², °/s → rad/s, °C → m°C, V → mV."""
 
 _RATES_OF = (1, 2, 3, 4, 5, 7, 9, 0x0A, 0x0F, 0x13, 0x1F, 0x3F, 0x7F, 0x80, 0x81, 0x83, 0x87, 0x8F, 0xFF)
-"""SMPL_PRD of the offered rates; a client's rate is rounded to the nearest rate of the part."""
+"""Contents of SMPL_PRD of the offered rates; a client's rate is rounded to the nearest possible rate."""
 
 FILTERS = range(7)
-"""M of the filter."""
+"""Possible filter sizes M."""
 
 
 @dataclass(frozen=True)
@@ -401,6 +412,7 @@ class SensorState:
     Attributes
     ----------
     configuration : Configuration
+        Sample rate, filter and range.
     offsets : mapping of str to int
         Content of each of the six offset registers.
     """
@@ -416,9 +428,9 @@ class Channel:
     Attributes
     ----------
     index : int
-        Index in a scan, and bit of the mask.
+        Index of the channel in a scan, and its bit in a mask of channels.
     register : Register or None
-        None for the time.
+        Output register; None for the time.
     """
 
     index: int
@@ -431,7 +443,7 @@ class Channel:
 
     @property
     def label(self) -> str:
-        """Suffix of the channel's name in file names of the kernel; often empty."""
+        """Suffix of the channel's name in file names of the kernel; empty for most channels."""
         return _LABELS.get(self.register.name, "") if self.register else ""
 
     @property
@@ -443,7 +455,7 @@ class Channel:
 
     @property
     def dtype(self) -> str:
-        """Numpy type of a sample, such as `<i2`."""
+        """Numpy type of a sample of the channel, such as `<i2`."""
         if self.register is None:
             return "<i8"
         return "<i2" if self.register.signed else "<u2"
@@ -462,7 +474,7 @@ class Channel:
         return tuple(names)
 
     def filename(self, attribute: str) -> str:
-        """Name of the file in which the kernel would have an attribute.
+        """Return the name of the file in which the kernel would have an attribute of the channel.
 
         All axes of a kind share the attributes of the filter.
         """
@@ -475,7 +487,7 @@ class Channel:
 DEVICE_ATTRIBUTES = ("sampling_frequency", "sampling_frequency_available", "current_timestamp_clock")
 DEBUG_ATTRIBUTES = ("clients", "scans_lost_by_sensor", "scans_lost_by_clients")
 WRITABLE = ("calibbias", "filter_low_pass_3db_frequency", "sampling_frequency")
-"""Attributes that a client may write if writes are allowed."""
+"""Names of the attributes that a client may write if writes are allowed."""
 
 
 class ServedDevice:
@@ -484,6 +496,7 @@ class ServedDevice:
     Parameters
     ----------
     part : Variant
+        Sensor type.
     names : sequence of str
         Output registers in the order of the scan.
     description : str
@@ -492,7 +505,7 @@ class ServedDevice:
     Raises
     ------
     UsageError
-        A register that is no output, or a duplicate.
+        A register is no output, or is given twice.
     """
 
     def __init__(self, part: register_table.Variant, names: Sequence[str], description: str) -> None:
@@ -515,7 +528,7 @@ class ServedDevice:
         return 8 * math.ceil(len(self.channels) / 32)
 
     def knows(self, device: str) -> bool:
-        """True if `device` is the id or name of this device."""
+        """Return True if `device` is the id or name of this device."""
         return device in (DEVICE_ID, self.part.name)
 
     def channel(self, name: str) -> Channel:
@@ -528,12 +541,15 @@ class ServedDevice:
     # -- values of attributes ---------------------------------------------------------------------
 
     def scale_and_offset(self, row: register_table.Register, state: SensorState) -> tuple[float, float]:
-        """Scale in IIO's unit per LSB, and the offset added to the raw number before scaling."""
+        """Return the scale in IIO's unit per LSB, and the offset added to the raw number before scaling.
+
+        `row` is the output register of a channel.
+        """
         lsb, zero, _ = scales([row], self.part, state.configuration.gyro_range_dps or 300)
         return float(lsb[0]) * _SI[row.kind], float(zero[0] / lsb[0])
 
     def channel_value(self, channel: Channel, name: str, state: SensorState) -> str:
-        """Value of a channel's attribute as text, except `raw`; `Refused` if there is none."""
+        """Return the value of a channel's attribute as text, except `raw`; `Refused` if there is none."""
         row = channel.register
         if row is None or name not in channel.attributes:
             raise Refused(Errno.ENOENT, f"{channel.id} has no attribute {name}")
@@ -553,7 +569,7 @@ class ServedDevice:
                 raise Refused(Errno.ENOENT, f"{name} is a reading")
 
     def device_value(self, name: str, state: SensorState) -> str:
-        """Value of an attribute of the device as text; `Refused` if there is none."""
+        """Return the value of an attribute of the device as text; `Refused` if there is none."""
         match name:
             case "sampling_frequency":
                 return _text(state.configuration.sample_rate_hz)
@@ -567,7 +583,7 @@ class ServedDevice:
     # -- the context ------------------------------------------------------------------------------
 
     def xml(self, state: SensorState) -> str:
-        """Describe the device as XML in the format of libiio."""
+        """Return a description of the device as XML in the format of libiio."""
         lines = [
             '<?xml version="1.0" encoding="utf-8"?>',
             _DTD,
@@ -592,7 +608,7 @@ class ServedDevice:
 
 
 def filter_for(frequency_hz: float, state: SensorState) -> int:
-    """Setting M of the filter with the nearest −3 dB frequency, on a logarithmic scale.
+    """Return the filter size M with the nearest −3 dB frequency, on a logarithmic scale.
 
     Raises
     ------
@@ -616,13 +632,13 @@ def _text(value: float) -> str:
 class ScanFormat:
     """The channels that a client has enabled, and the layout of its scans.
 
-    As in the kernel and libiio, each sample is aligned to its own size, and the size of a scan is a
-    multiple of its largest sample.
+    Each sample is aligned to its own size, and the size of a scan is a multiple of its largest sample; the
+    kernel and libiio have this layout.
 
     Attributes
     ----------
     mask : str
-        Mask as the client wrote it.
+        Mask of the channels as the client wrote it.
     """
 
     channels: tuple[Channel, ...]
@@ -632,7 +648,7 @@ class ScanFormat:
     def of_mask(cls, device: ServedDevice, mask: str) -> ScanFormat:
         """Make the format for a mask of channels.
 
-        `Refused` is raised for a wrong length, no channel or an unknown channel.
+        `Refused` is raised for a mask of a wrong length, without a channel or with an unknown channel.
         """
         if len(mask) != device.mask_digits:
             raise Refused(Errno.EINVAL, f"a mask has {device.mask_digits} digits here")
@@ -660,7 +676,7 @@ class ScanFormat:
         )
 
     def pack(self, numbers: NDArray[np.int32], time_ns: NDArray[np.int64]) -> NDArray[np.void]:
-        """Pack numbers (n, channels of the device) and times (n,) into scans (n,)."""
+        """Pack numbers (n, channels of the device) and times (n,) into scans (n,) of this format."""
         scans = np.zeros(len(numbers), self.dtype)
         for channel in self.channels:
             scans[channel.id] = time_ns if channel.register is None else numbers[:, channel.index]

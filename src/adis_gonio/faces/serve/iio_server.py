@@ -24,16 +24,19 @@ from adis_gonio.faces.serve.iiod_protocol import Errno, Parser, Refused, Request
 T = TypeVar("T")
 
 PORT = 30431
-"""Port of iiod."""
+"""Default TCP port of iiod."""
 
 MOST_CLIENTS = 64
-"""Most connections; a context of libiio has one, and one more for each open buffer."""
+"""Largest number of connections.
+
+A context of libiio has one connection, and one more for each open buffer.
+"""
 
 IDLE_S = 60.0
-"""Time without a request after which a connection without a buffer gives way to a new connection."""
+"""Time in s without a request after which a connection without a buffer gives way to a new one."""
 
 SEND_BUFFER = 1 << 15
-"""Bytes in the system's send buffer: more than a second of all channels at full rate."""
+"""Size in bytes of the system's send buffer: more than a second of all channels at full rate."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,7 @@ class AttributePort:
     Attributes
     ----------
     allow_writes : bool
-        False: every write is refused with EPERM.
+        If False, every write is refused with EPERM.
     debug : callable
         Returns the values of the debug attributes.
     """
@@ -54,7 +57,10 @@ class AttributePort:
     debug: Callable[[], Mapping[str, int]]
 
     def names(self, target: Target) -> tuple[str, ...]:
-        """Names of the attributes of a device or channel; `Refused` if there is no such target."""
+        """Return the names of the attributes of a device or channel; `Refused` if it does not exist.
+
+        `target` is the device or channel.
+        """
         if not self.device.knows(target.device):
             raise Refused(Errno.ENODEV, f"no device {target.device}")
         match target.kind:
@@ -70,7 +76,10 @@ class AttributePort:
                 raise Refused(Errno.ENXIO, "a sensor has no outputs")
 
     async def read(self, target: Target, name: str) -> str:
-        """Read an attribute as text; `Refused` if there is none, or the sensor fails."""
+        """Read an attribute as text; `Refused` if there is none, or the sensor fails.
+
+        `name` is the name of the attribute, `target` its device or channel.
+        """
         if name not in self.names(target):
             raise Refused(Errno.ENOENT, f"no attribute {name}")
         if target.kind == "debug":
@@ -87,7 +96,11 @@ class AttributePort:
         return self.device.channel_value(channel, name, self.sampler.state)
 
     async def write(self, target: Target, name: str, value: bytes) -> None:
-        """Write an attribute; `Refused` if that is not allowed, or the value is not possible."""
+        """Write an attribute; `Refused` if that is not allowed, or the value is not possible.
+
+        `name` is the name of the attribute, `target` its device or channel, `value` the text from the
+        client.
+        """
         if name not in self.names(target):
             raise Refused(Errno.ENOENT, f"no attribute {name}")
         if name not in iio_device.WRITABLE:
@@ -133,13 +146,13 @@ def _number(value: bytes) -> float:
 
 
 MOST_PENDING = 32
-"""Requests that a client may send ahead; further bytes wait in the network."""
+"""Largest number of requests that a client may send ahead; further bytes wait in the network."""
 
 MOST_SENT = 1024
-"""Scans in one piece of an answer."""
+"""Largest number of scans in one piece of an answer."""
 
 VERSION = (0, 24, "gonio-1")
-"""Version of libiio with this protocol, and a tag of seven letters."""
+"""Version of libiio with this protocol, and a tag of seven letters that names this server."""
 
 _READ = 1 << 16
 
@@ -153,7 +166,7 @@ class ClientSession:
     Attributes
     ----------
     sent, lost : int
-        Scans that were sent, and scans that were lost because the client was too slow.
+        Number of scans that were sent, and of scans that were lost because the client was too slow.
     """
 
     def __init__(
@@ -235,7 +248,7 @@ class ClientSession:
                 return
 
     async def _answer(self, request: Request) -> bytes:
-        """Carry out a request and return the answer; `Refused` is raised to answer with an error."""
+        """Carry out a request and return the answer; `Refused` is raised to answer with an error number."""
         match request:
             case iiod_protocol.Version():
                 return iiod_protocol.version(*VERSION)
@@ -322,7 +335,10 @@ class ClientSession:
             self._buffer = None
 
     async def _send_scans(self, buffer: iio_device.Buffer, size: int) -> bytes:
-        """Send `size` bytes of scans in pieces as they come; return the bytes that end the answer."""
+        """Send `size` bytes of scans from a buffer in pieces as they come.
+
+        Return the bytes that end the answer.
+        """
         scan_size = buffer.format.dtype.itemsize
         wanted, first = size // scan_size, True
         while wanted:
@@ -340,7 +356,10 @@ class ClientSession:
         return iiod_protocol.integer(0) if size % scan_size or not size else b""
 
     async def _news(self, buffer: iio_device.Buffer) -> None:
-        """Wait for new scans in the buffer; `Refused` if none will come."""
+        """Wait for new scans in the buffer; `Refused` if no scan comes.
+
+        No scan comes after a failure of the sensor, or within the client's time-out.
+        """
         if self._hub.failure is not None:
             raise Refused(Errno.EIO, str(self._hub.failure))
         if self._gone:
@@ -358,10 +377,10 @@ class ServeSettings:
 
     Attributes
     ----------
-    host, port
+    host, port : str, int
         Address to listen on; port 0 takes a free one.
     allow_writes : bool
-        Let clients write attributes.
+        True lets clients write attributes.
     registers : tuple of str
         Output registers that become channels, in order.
     queue_s : float
@@ -381,7 +400,7 @@ class IioServer:
     Parameters
     ----------
     sensor : Adis16354
-        Open; stays open afterwards. The server must be its only user.
+        The open sensor, which stays open afterwards; the server must be its only user.
     tell : callable
         Called with one-line messages.
     ready : callable
@@ -390,7 +409,7 @@ class IioServer:
     Raises
     ------
     UsageError
-        A register that IIO has no channel for.
+        A register in the settings has no IIO channel.
     """
 
     def __init__(
@@ -415,7 +434,7 @@ class IioServer:
         self._end = asyncio.Event()
 
     def run(self) -> None:
-        """Serve until SIGINT, SIGTERM or `stop`; the sensor is then as after a stream.
+        """Serve until SIGINT, SIGTERM or `stop`; the sensor's registers are then restored.
 
         Raises
         ------
@@ -497,7 +516,10 @@ class IioServer:
                 )
 
     def _end_idlest(self) -> bool:
-        """End the connection that has been idle for the longest time; False if no connection is idle."""
+        """End the connection that has been idle for the longest time; return False if none is idle.
+
+        A connection is idle after `IDLE_S` without a request.
+        """
         idlest = max(self._clients, key=lambda client: client.idle_s)
         if idlest.idle_s < IDLE_S:
             return False

@@ -28,10 +28,10 @@ from enum import IntEnum
 from typing import Literal
 
 LINE_LIMIT = 1024
-"""Longest request line, the size of libiio's own buffer."""
+"""Longest request line in bytes, the size of libiio's own buffer."""
 
 VALUE_LIMIT = 4096
-"""Longest value of an attribute that a client may write."""
+"""Longest value in bytes of an attribute that a client may write."""
 
 
 class Errno(IntEnum):
@@ -57,6 +57,7 @@ class Refused(Exception):  # noqa: N818 - an answer, not a failure of this progr
     Attributes
     ----------
     errno : Errno
+        Error number of the answer.
     """
 
     def __init__(self, errno: Errno, why: str = "") -> None:
@@ -69,7 +70,11 @@ Kind = Literal["device", "debug", "buffer", "input", "output"]
 
 @dataclass(frozen=True)
 class Target:
-    """The owner of an attribute: a device, or one of its channels."""
+    """The owner of an attribute: a device, or one of its channels.
+
+    `device` is the id or name of the device, `kind` the kind of attribute, `channel` the id of the channel,
+    empty for the device.
+    """
 
     device: str
     kind: Kind = "device"
@@ -103,14 +108,14 @@ class Print(Request):
 
 @dataclass(frozen=True)
 class Timeout(Request):
-    """Request to set the longest time for an answer; 0 for no limit."""
+    """Request to set the longest time in ms for an answer; 0 sets no limit."""
 
     milliseconds: int
 
 
 @dataclass(frozen=True)
 class Open(Request):
-    """Request to open a buffer for the channels in `mask`.
+    """Request to open a buffer of `samples` scans for the channels in `mask`.
 
     The mask is hexadecimal with 8 digits per 32 channels; the last 8 digits are for channels 0 to 31.
     """
@@ -123,7 +128,7 @@ class Open(Request):
 
 @dataclass(frozen=True)
 class Close(Request):
-    """Request to close the buffer."""
+    """Request to close the buffer of a device."""
 
     device: str
 
@@ -138,7 +143,7 @@ class ReadAttribute(Request):
 
 @dataclass(frozen=True)
 class WriteAttribute(Request):
-    """Request to write an attribute."""
+    """Request to write `value` as the attribute `name` of the target."""
 
     target: Target
     name: str
@@ -170,7 +175,7 @@ class GetTrigger(Request):
 
 @dataclass(frozen=True)
 class SetTrigger(Request):
-    """Request to set the trigger of a device; None unsets it."""
+    """Request to set the trigger of a device; a trigger of None removes it."""
 
     device: str
     trigger: str | None
@@ -191,7 +196,9 @@ class Malformed(Request):
     Attributes
     ----------
     errno : Errno
-        Answer.
+        Error number of the answer.
+    why : str
+        Reason, for a person.
     fatal : bool
         True if the begin of the next request is unknown, so that the connection has to end.
     """
@@ -202,7 +209,7 @@ class Malformed(Request):
 
 
 class Parser:
-    """Converts received bytes to requests; never raises, and keeps at most one line or one value."""
+    """Converts received bytes to requests; it never raises, and keeps at most one line or one value."""
 
     def __init__(self) -> None:
         self._held = bytearray()
@@ -256,14 +263,14 @@ class Parser:
 
 @dataclass(frozen=True)
 class _Announced(Request):
-    """A write request that is incomplete: its value follows the line."""
+    """A write request that is incomplete: its value of `size` bytes follows the line."""
 
     of: WriteAttribute
     size: int
 
 
 _NOTHING = Request()
-"""Result for an empty line, which has no answer."""
+"""Result of parsing an empty line, which has no answer."""
 
 _KINDS: dict[str, Kind] = {"DEBUG": "debug", "BUFFER": "buffer", "INPUT": "input", "OUTPUT": "output"}
 
@@ -293,7 +300,10 @@ _ALONE: dict[str, Callable[[], Request]] = {
 }
 _OF_DEVICE: dict[str, Callable[[str], Request]] = {"CLOSE": Close, "GETTRIG": GetTrigger}
 _OF_SIZE: dict[str, Callable[[str, int], Request]] = {"READBUF": ReadBuffer, "WRITEBUF": WriteBuffer}
-"""Requests by their verb: of no word more, of a device, of a device and a number of bytes."""
+"""Request classes with a device and a number of bytes, by their verb.
+
+Other tables have the requests without arguments and those with a device alone.
+"""
 
 
 def _parse(verb: str, words: list[str]) -> Request:
@@ -328,7 +338,10 @@ def _announce(device: str, words: Sequence[str], size: int) -> Request:
 
 
 def _attribute(device: str, words: Sequence[str]) -> tuple[Target, str]:
-    """Target and name of an attribute from the words of a request; the name may be missing."""
+    """Return target and name of an attribute from the words of a request.
+
+    `device` is the id or name of the device. The name is empty if the request has none.
+    """
     kind: Kind = _KINDS.get(words[0].upper(), "device") if words else "device"
     rest = list(words[1:] if kind != "device" else words)
     channel = ""

@@ -1,8 +1,7 @@
 """The screen of a session, and its dialogs.
 
-Dialogs of the bench screen: guards, offers, the end, a note, and help; all work by keys alone.
-
-The bench screen: shows a `BenchState`, and passes the operator's keys to the runner in its thread.
+The screen shows a `BenchState`, and passes the operator's keys to the runner in its thread. The dialogs are
+for guards, offers, the end, a note, and help; all work by keys alone.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ Result = TypeVar("Result")
 
 
 class _Finishing(ModalScreen[Result]):
-    """Base of dialogs that close only once, even if keys follow quickly."""
+    """Base class of dialogs that close only once, even if several keys follow quickly."""
 
     _has_result = False
 
@@ -63,7 +62,7 @@ class Dialog(_Finishing[str]):
     heading, text : str
         The question and its reason.
     choices : mapping of str to BenchKey
-        Keys of the answers, by name.
+        Keys of the answers, by name of the answer.
     default : str
         Answer that is selected at first.
     rows : sequence of (str, str)
@@ -137,7 +136,7 @@ class Dialog(_Finishing[str]):
 
 
 class LineDialog(_Finishing[str]):
-    """Dialog in which the operator types a line, such as a note; the result is empty after a cancel."""
+    """Dialog in which the operator types a line, such as a note; after a cancel the result is empty."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape", "give_up", show=False),
@@ -196,7 +195,10 @@ def guard_dialog(event: events.GuardRaised) -> Dialog:
 
 
 def offer_dialog(event: events.RepetitionOffered | events.ExtensionOffered, planned: int) -> Dialog:
-    """Make the dialog that offers to repeat dwells, or to go on beyond the `planned` positions."""
+    """Make the dialog that offers to repeat dwells, or to extend the plan.
+
+    `planned` is the number of positions in the present plan.
+    """
     reason, offer = words.reason_of(event, planned)
     return Dialog(offer, reason, words.answers_to(event), words.default_of(event))
 
@@ -208,16 +210,16 @@ QUIT = {
 
 
 def quit_dialog(resume_by: str) -> Dialog:
-    """Make the dialog that asks if the session is to end."""
+    """Make the dialog that asks if the session is to end; `resume_by` is the command that resumes it."""
     text = f"The recorded data stay. Go on later with\n  {resume_by}"
     return Dialog("Quit the session?", text, QUIT, "stay")
 
 
 LARGE_SIZE = (120, 40)
-"""Columns and rows from which the angle is twice as large."""
+"""Smallest terminal, in columns and rows, on which the digits of the angle have double size."""
 
 LOOK_S = 0.05
-"""Shortest time between two readings during a question; a simulated sensor itself does not wait."""
+"""Shortest time in s between two readings during a question; a simulated sensor itself does not wait."""
 TICK_S = 0.1
 
 _STYLES = {
@@ -236,21 +238,23 @@ class BenchApp(App[None]):
     Parameters
     ----------
     runner : SessionRunner
-        Not run yet.
+        Runner of the session, which has not started.
     resume_by : str
         Command that resumes the session.
     remember : callable
-        Called with the state once a resumed session is open; adds the positions of earlier runs.
+        Called with the state once a resumed session is open, to add the positions that earlier runs have
+        done.
     hands : Hands, optional
-        Simulated part that keys move.
+        Simulated part that the operator's keys move; None for a real part.
 
     Attributes
     ----------
     state : BenchState
+        State of the session on the screen.
     error : BaseException or None
-        Exception that ended the runner.
+        Exception that ended the runner; None if none did.
     crash : Exception or None
-        Exception of the screen itself.
+        Exception of the screen itself; None if none occurred.
     abandoned : bool
         True if the operator did not wait for the runner's end.
     killed : bool
@@ -385,7 +389,7 @@ class BenchApp(App[None]):
         self.call_after_refresh(self.show)
 
     def terminal_size(self) -> Size:
-        """Ask the terminal for its size, independent of signals and of COLUMNS and LINES."""
+        """Return the size of the terminal, independent of signals and of COLUMNS and LINES."""
         if self.is_headless or sys.__stderr__ is None:
             return self.size
         try:
@@ -449,7 +453,7 @@ class BenchApp(App[None]):
     # -- asking -------------------------------------------------------------------------------------
 
     def _ask(self) -> None:
-        """Open the dialog of a new question; close the dialog of a withdrawn question."""
+        """Open the dialog of a new question of the runner; close the dialog of a withdrawn question."""
         question = self.state.question
         if self._open_question is not None and question is not self._asked:
             gone, self._open_question = self._open_question, None
@@ -475,7 +479,10 @@ class BenchApp(App[None]):
             self.push_screen(dialog, self._give)
 
     def _give(self, answer: str | None) -> None:
-        """Pass an answer to the runner; an answer that comes too late gives a message."""
+        """Pass an answer of a dialog to the runner; an answer that comes too late gives a message.
+
+        None or `stay` passes nothing.
+        """
         self._open_question = None
         if not answer or answer == "stay":
             return
@@ -495,7 +502,10 @@ class BenchApp(App[None]):
     # -- keys ---------------------------------------------------------------------------------------
 
     def action_answer_position(self, answer: str) -> None:
-        """Answer the question about a position, or report why that is not possible."""
+        """Answer the runner's question about a position, or report why that is not possible.
+
+        `answer` is the name of the answer.
+        """
         question = self.state.question
         impossible = ""
         if not isinstance(question, events.PositionAsked):
@@ -598,7 +608,7 @@ def _still_style(state: BenchState) -> str:
 
 
 def _messages(state: BenchState) -> Text:
-    """Text of all messages, the newest first, so that the oldest ones are cut off."""
+    """Return the text of all messages, the newest first, so that the oldest ones are cut off."""
     text = Text()
     for message in reversed(state.messages):
         text.append(f"{message.text}\n", style="yellow" if message.level == "warned" else "")
@@ -620,11 +630,11 @@ class ScreenFace:
     Parameters
     ----------
     runner : SessionRunner
-        Not run yet.
+        Runner of the session, which has not started.
     resume_by : str
         Command that resumes the session.
     hands : Hands, optional
-        Simulated part that keys move.
+        Simulated part that the operator's keys move; None for a real part.
     """
 
     def __init__(self, runner: SessionRunner, resume_by: str, hands: Hands | None = None) -> None:

@@ -16,11 +16,11 @@ from adis_gonio.record.plans import GYRO_TURNS, Plan, Position
 
 MOST_MESSAGES = 100
 LEAST_SIZE = (80, 24)
-"""Smallest columns and rows of the screen."""
+"""Smallest terminal, in columns and rows, on which the screen works."""
 
 
 class Mark(Enum):
-    """State of a position in the list, with a sign and a word, readable without colours."""
+    """State of a position in the list of positions, with a sign and a word, readable without colours."""
 
     OPEN = "·", "to do"
     NOW = "▶", "now"
@@ -42,7 +42,7 @@ class Mark(Enum):
 
 @dataclass(frozen=True)
 class Message:
-    """A line in the list of messages."""
+    """A line in the list of messages; its level is `said` or `warned`."""
 
     text: str
     level: Level = "said"
@@ -50,7 +50,10 @@ class Message:
 
 @dataclass(frozen=True)
 class Span:
-    """Progress of an activity with a known length."""
+    """Progress of an activity with a known length.
+
+    `what` names the activity, the times are in s.
+    """
 
     what: str
     elapsed_s: float
@@ -67,43 +70,48 @@ class BenchState:
     resumed : bool
         True if the session continues an earlier run.
     plan : Plan or None
+        Plan of the session; None until it is open.
     marks : dict of int to Mark
-        Marks of the places that are not open.
+        States of the positions that are done, skipped or faulty, by place in the plan.
     place : int or None
-        Place that is asked for or measured.
+        Place in the plan that is asked for or measured; None if there is none.
     question : Event or None
-        The question that waits for an answer.
+        The question that waits for an answer; None if there is none.
     doing : str
-        Current activity.
+        Current activity, as text.
     span : Span or None
-        Progress of a dwell or wait.
+        Progress of a dwell or wait; None during other activities.
     angle_deg, target_deg : float or None
         Live angle, counted along the stage's turn since `here` (if the turn was not watched, see
-        `lost_way`, within half a turn of the target), and the angle asked for.
+        `lost_way`, within half a turn of the target), and the angle asked for, in degrees; None if unknown.
     tolerance_deg : float or None
         Distance from the target within which the sensor has arrived, estimated from the dwells so far; None
         during a dwell and before the first.
     spread_mg, limit_mg : float or None
-        Spread and limit of stillness, of the axis with the largest ratio of both.
+        Spread of the readings and the limit below which the part is still, for the axis with the largest
+        ratio of both; None if unknown.
     waits_for : str
+        Event for which the session waits, as text.
     turn : TurnMeasured or None
-        The last turn between positions.
+        The last turn between positions; None before the first.
     whole, turned : TurnProgress or None, TurnDone or None
-        Whole turns on a table: the current and the last ones.
+        The whole turns on a table in progress, and the last completed ones; None if there are none.
     range_dps : float
-        Range of the gyros.
+        Range of the gyros in °/s.
     running : Running or None
-        Parameters from the dwells so far.
+        Parameters from the dwells so far; None before the first fit.
     temperature_c, began_c : float or None
-        Temperature now, and the first one measured.
+        Temperature now, and the first measured temperature, in °C; None if not measured.
     lost : int
         Scans lost so far.
     rate_hz : float or None
+        Sample rate; None until the sensor is configured.
     link : str
-        How scans are started.
+        Way in which scans are started, as text.
     time_left_s : float or None
-        Remaining time when the last position was asked for.
+        Remaining time in s when the last position was asked for; None before.
     paused : bool
+        True during a pause.
     quiet : bool
         True if no news of the sensor is expected: in a pause, during a trace, after the end.
     hands : bool
@@ -113,10 +121,11 @@ class BenchState:
     here : Position or None
         Position of the last dwell; None after an interrupted dwell, because the sensor may have moved.
     reversed : bool
-        True if the session counts turns the other way.
+        True if the session counts turns in the direction opposite to the stage's scale.
     messages : list of Message
-        The newest last.
+        Messages for the operator, the newest last.
     finished : Finished or None
+        Event of the session's end; None before.
     """
 
     def __init__(self) -> None:
@@ -157,7 +166,7 @@ class BenchState:
 
     @property
     def on_table(self) -> bool:
-        """True in a session of whole turns on a table, which the gyros follow."""
+        """True in a session of whole turns on a table, in which the gyros show the angle."""
         return self.plan is not None and self.plan.name == GYRO_TURNS
 
     @property
@@ -187,18 +196,18 @@ class BenchState:
         return asked.angle_deg == here.angle_deg and asked.approach != here.approach
 
     def mark(self, place: int) -> Mark:
-        """State of a position in the list."""
+        """Return the state of the position with this place in the plan."""
         return Mark.NOW if place == self.place else self.marks.get(place, Mark.OPEN)
 
     def remember(self, done: Collection[int], skipped: Collection[int], faulty: Collection[int]) -> None:
-        """Mark the positions that earlier runs have done, skipped or found faulty."""
+        """Mark the positions that earlier runs have done, skipped or found faulty, by place in the plan."""
         self.zero_known = bool(done)
         self.marks |= dict.fromkeys(done, Mark.DONE)
         self.marks |= dict.fromkeys(skipped, Mark.SKIPPED)
         self.marks |= dict.fromkeys(faulty, Mark.FAULTY)
 
     def answered(self, answer: str = "") -> None:
-        """Close the question after an answer; the next event sets the new state.
+        """Close the open question after the answer with this name; the next event sets the new state.
 
         The list of messages keeps the question of a guard with its answer.
         """
@@ -210,11 +219,14 @@ class BenchState:
         self.question = None
 
     def say(self, text: str, level: Level = "said") -> None:
-        """Add a message to the list of messages."""
+        """Add a message to the list of messages.
+
+        Its level is `said` or `warned`.
+        """
         self.messages = [*self.messages, Message(text, level)][-MOST_MESSAGES:]
 
     def take(self, event: events.Event) -> None:
-        """Update the state and the messages by the next event."""
+        """Update the state and the messages by an event of the runner."""
         self._take(event)
         # The first lines of a session are in the title and at the side.
         if not isinstance(event, events.Started | events.Configured):
@@ -223,7 +235,7 @@ class BenchState:
 
     @singledispatchmethod
     def _take(self, event: events.Event) -> None:
-        """Update the state; events without a method below change nothing."""
+        """Update the state by an event; an event without a method of its own changes nothing."""
 
     @_take.register
     def _(self, event: events.Started) -> None:
@@ -301,7 +313,7 @@ class BenchState:
     def _along(self, angle_deg: float | None) -> float | None:
         """Convert an angle within ±180° to the angle counted along the turn since the last dwell.
 
-        It is returned unchanged if the turn was not followed.
+        The angle is returned unchanged if the turn was not followed, and None if it is None.
         """
         if angle_deg is None or self._turned_deg is None:
             return angle_deg

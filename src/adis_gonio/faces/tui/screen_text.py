@@ -22,7 +22,7 @@ from adis_gonio.faces.tui.bench_state import BenchState, Mark
 from adis_gonio.record.plans import Position, attitude
 
 SILENT_S = 5.0
-"""Time without news of the sensor after which the screen reports the silence."""
+"""Time in s without an event of the session after which the screen reports the silence."""
 _SETTLED = (Mark.DONE, Mark.FAULTY, Mark.SKIPPED)
 _UNITS = {
     "deg": "°", "mg": " mg", "c": " °C", "v": " V", "s": " s", "dps": " °/s", "k": " K", "percent": " %",
@@ -52,7 +52,7 @@ _DIGITS = {
     "–": ("    ", "    ", "████", "    ", "    "),
     " ": ("  ", "  ", "  ", "  ", "  "),
 }
-"""Each character of a number as five rows of blocks."""
+"""Digits and signs of a number, each as five rows of block characters."""
 
 
 def large_angle(value_deg: float | None, scale: int = 1) -> list[str]:
@@ -61,7 +61,7 @@ def large_angle(value_deg: float | None, scale: int = 1) -> list[str]:
     Parameters
     ----------
     scale : int
-        2 doubles width and height.
+        Factor on width and height; 2 doubles both.
     """
     text = DASH if value_deg is None else f"{signed(value_deg, 2)}°"
     rows = []
@@ -72,7 +72,7 @@ def large_angle(value_deg: float | None, scale: int = 1) -> list[str]:
 
 
 def title(state: BenchState) -> str:
-    """First line of the screen: plan, number of positions done, remaining time, sensor and file."""
+    """Return the first line of the screen: plan, positions done, remaining time, sensor and file."""
     if state.plan is None:
         return "adis-gonio"
     total = len(state.plan)
@@ -82,7 +82,10 @@ def title(state: BenchState) -> str:
 
 
 def _place_name(position: Position, *, on_table: bool) -> str:
-    """Short name of a position in the list, with its side of approach and its use."""
+    """Return the short name of a position in the list, with its side of approach and its use.
+
+    `on_table` is True in a session of whole turns on a table.
+    """
     if on_table:
         if position.turned_deg is None:
             return face(position)
@@ -99,9 +102,9 @@ def _place_name(position: Position, *, on_table: bool) -> str:
 
 
 def plan_rows(state: BenchState, height: int) -> list[tuple[str, str]]:
-    """Rows of the list of positions, each with the name of its mark.
+    """Return the rows of the list of positions, each with the name of its mark.
 
-    At most `height` rows are returned, around the current position.
+    The list has at most `height` rows, around the current position.
     """
     if state.plan is None:
         return []
@@ -122,7 +125,7 @@ def plan_rows(state: BenchState, height: int) -> list[tuple[str, str]]:
 
 
 def task(state: BenchState) -> str:
-    """Tell the operator the next task, in one or two sentences."""
+    """Return the next task of the operator, in one or two sentences."""
     if state.paused:
         return "PAUSED. Nothing is measured; p goes on."
     question = state.question
@@ -154,7 +157,7 @@ def _table_task(position: Position) -> str:
 
 
 def target(state: BenchState) -> str:
-    """Line with the requested angle and the remaining turn."""
+    """Return the line with the requested angle and the remaining turn."""
     if state.on_table:
         return _table_target(state)
     if state.target_deg is None:
@@ -190,9 +193,10 @@ def _table_target(state: BenchState) -> str:
 
 
 def stillness(state: BenchState, width: int) -> str:
-    """Line that shows if the sensor is still: spread, limit and a bar.
+    """Return the line that shows if the sensor is still: spread, limit and a bar.
 
-    During a turn on a table it shows the rate against the range instead.
+    The line is at most `width` characters long. During a turn on a table it shows the rate of turn against
+    the gyros' range instead.
     """
     if state.whole is not None:
         beyond = "TOO FAST  " if too_fast(state) else ""
@@ -210,17 +214,17 @@ def stillness(state: BenchState, width: int) -> str:
 
 
 def too_fast(state: BenchState) -> bool:
-    """True if the current turn has exceeded the range of the gyros."""
+    """Return True if the current whole turn on a table has exceeded the range of the gyros."""
     return state.whole is not None and state.whole.peak_dps >= state.range_dps
 
 
 def waiting(state: BenchState, silence_s: float = 0.0) -> str:
-    """Line that names the event for which the session waits.
+    """Return the line that names the event for which the session waits.
 
     Parameters
     ----------
     silence_s : float
-        Time since the last event, which is the time that a running trace has taken.
+        Time in s since the last event, which is the time that a running trace has taken.
     """
     if state.paused:
         return "paused"
@@ -235,7 +239,7 @@ def waiting(state: BenchState, silence_s: float = 0.0) -> str:
 
 
 def progress(state: BenchState, width: int) -> str:
-    """Line with elapsed time and length of a dwell or wait, and a bar."""
+    """Return the line with elapsed time and length of a dwell or wait, and a bar; empty without one."""
     if state.span is None:
         return ""
     span = state.span
@@ -244,7 +248,10 @@ def progress(state: BenchState, width: int) -> str:
 
 
 def _bar(share: float, width: int) -> str:
-    """Bar of at most 20 characters for a share of 0 to 1; larger shares are drawn full."""
+    """Return a bar of at most 20 characters for a share of 0 to 1.
+
+    Larger shares are drawn full. A width of less than 4 characters gives an empty text.
+    """
     width = min(20, width)
     if width < 4:
         return ""
@@ -253,7 +260,7 @@ def _bar(share: float, width: int) -> str:
 
 
 def facts(state: BenchState) -> list[tuple[str, str]]:
-    """Rows of name and value that are shown below the angle."""
+    """Return the rows of name and value that are shown below the angle: last turn, and result or face."""
     if not state.on_table:
         return [("last turn", words.turn_text(state.turn)), ("result", _running(state.running))]
     faces = []
@@ -275,7 +282,10 @@ def _whole_turn(turn: events.TurnDone | None) -> str:
 
 
 def _running(running: events.Running | None) -> str:
-    """Text of the parameters by the dwells so far."""
+    """Return the text of the parameters from the dwells so far.
+
+    None gives a note that there are no parameters yet.
+    """
     if running is None:
         return "– (after the second position)"
     dwells = counted(running.dwells, "dwell")
@@ -286,12 +296,14 @@ def _running(running: events.Running | None) -> str:
 
 
 def surroundings(state: BenchState, width: int, silence_s: float = 0.0) -> list[str]:
-    """Lines about temperature, lost scans, data rate and URL.
+    """Return the lines about temperature, lost scans, data rate and URL.
 
     Parameters
     ----------
+    width : int
+        Width in characters, to which the URL is cut.
     silence_s : float
-        Time since the last event.
+        Time in s since the last event.
     """
     if state.temperature_c is None or state.began_c is None:
         lines = ["temperature not measured"]
@@ -307,7 +319,10 @@ def surroundings(state: BenchState, width: int, silence_s: float = 0.0) -> list[
 
 
 def format_measured(name: str, value: float) -> tuple[str, str]:
-    """Name and value with unit as text, for a number named with its unit, such as `gyro_deg`."""
+    """Return name and value with unit as text, for a number whose name ends in its unit.
+
+    An example of such a name is `gyro_deg`.
+    """
     stem, _, unit = name.rpartition("_")
     if not stem or unit not in _UNITS:
         return name.replace("_", " "), use_minus(f"{value:.4g}")
@@ -317,7 +332,7 @@ def format_measured(name: str, value: float) -> tuple[str, str]:
 
 
 def keys(state: BenchState) -> list[tuple[str, str]]:
-    """Keys that have an effect now, each with its meaning."""
+    """Return the keys that have an effect now, each with its meaning."""
     question = state.question
     answers = {} if question is None else words.answers_to(question)
     end = answers.pop("stop", words.ANSWERS["stop"])
@@ -330,7 +345,7 @@ def keys(state: BenchState) -> list[tuple[str, str]]:
 
 
 def help_text(state: BenchState) -> str:
-    """Help on keys and signs, and on the origin of the displayed angle."""
+    """Return the help on keys and signs, and on the origin of the displayed angle."""
     origin = _BY_GYROS if state.on_table else _BY_GRAVITY
     listed = words.help_lines(hands=state.hands)
     return "\n".join([*listed, "", _SIGNS, origin, "No question has a time limit."])

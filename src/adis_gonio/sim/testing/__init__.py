@@ -1,7 +1,8 @@
-"""For tests of other packages: the bus contract, simulated sensors and boards, faults, expected frames.
+"""Tools for tests of other packages: the bus contract, simulated sensors and boards, line and bus faults.
 
-pytest finds the fixtures `simulated_sensor` and `simulated_board` by the plugin; only `BusContract` needs
-pytest. Names are imported when they are first used. See docs/testing.md.
+They also include a bus that expects given frames. pytest finds the fixtures `simulated_sensor` and
+`simulated_board` by the plugin; only `BusContract` needs pytest. Names are imported when they are first
+used. See docs/testing.md.
 """
 
 from __future__ import annotations

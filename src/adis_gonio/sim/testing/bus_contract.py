@@ -1,8 +1,8 @@
-"""The promises of every bus as a class of pytest tests: subclass `BusContract` and give it a rig.
+"""The promises of every bus as a class of pytest tests: subclass `BusContract` and give it a `Rig`.
 
 A class `TestMyBus(BusContract)` with a method `make` is all that a package needs to prove its bus. The
-contract in prose is the text of `adis_gonio.device.bus.contract`; the name of a failing test says which
-sentence the bus breaks.
+contract in prose is the text of `adis_gonio.device.bus.contract`; the name of a failing test names the
+sentence that the bus breaks.
 
 The rig connects the bus under test to a simulated chip that records all frames on its pins, so that replies
 and timing are judged by the wire and not by the reports of the bus.
@@ -39,7 +39,7 @@ SLACK_S = 2e-9
 
 @dataclass(frozen=True)
 class WireFrame:
-    """A frame as recorded at the chip's pins."""
+    """A frame as recorded at the chip's pins: word, start, SPI clock, reply, hold time of chip select."""
 
     word: int
     start_s: float
@@ -53,12 +53,12 @@ class WireFrame:
         return self.start_s + 16 / self.clock_hz + self.cs_hold_s
 
     def given_to(self, chip: SimulatedChip) -> int:
-        """Send this frame to another chip with equal timing; return the reply of that chip."""
+        """Send this frame to another chip with the same timing; return the reply of that chip."""
         return chip.frame(self.word, start_s=self.start_s, clock_hz=self.clock_hz, cs_hold_s=self.cs_hold_s)
 
 
 class WatchedChip(SimulatedChip):
-    """A simulated chip that records every frame in the list `seen`."""
+    """A simulated chip that records every frame as a `WireFrame` in the list `seen`."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         self.seen: list[WireFrame] = []
@@ -67,13 +67,19 @@ class WatchedChip(SimulatedChip):
     def frame(
         self, word: int, *, start_s: float, clock_hz: float, bits: int = 16, cs_hold_s: float = 0.0
     ) -> int:
-        """Take a frame as `SimulatedChip.frame` does, and record it in `seen`."""
+        """Take a frame, record it in `seen`, and return the word that the chip shifts out.
+
+        It takes the arguments of `SimulatedChip.frame`.
+        """
         reply = super().frame(word, start_s=start_s, clock_hz=clock_hz, bits=bits, cs_hold_s=cs_hold_s)
         self.seen.append(WireFrame(word, start_s, clock_hz, reply, cs_hold_s))
         return reply
 
     def frames_at(self, words: Words, starts_s: Floats, *, clock_hz: float) -> Words:
-        """Take frames at increasing times one by one, so that each is recorded; return the replies."""
+        """Take frames at increasing times (n,) in s one by one; return the replies.
+
+        Each frame is recorded in `seen`. `clock_hz` is the SPI clock.
+        """
         return np.array(
             [
                 self.frame(int(word), start_s=float(start), clock_hz=clock_hz)
@@ -92,13 +98,13 @@ class Rig:
     bus : SpiBus
         Bus under test, freshly opened.
     chip : WatchedChip
-        Chip at its pins.
+        Simulated chip at the pins of the bus.
     twin : SimulatedChip
-        An identical chip without a bus: the reference.
+        An identical chip without a bus, whose replies are the reference.
     faults : mapping of str to (callable, error)
-        Ways to make the next exchange fail, and the expected error.
+        Functions that make the next exchange fail, each with the expected error, by name.
     slowest_hz : float
-        Slowest clock of the bridge; a slower timing is refused.
+        Slowest clock of the bridge, below which a timing is refused; 0 for no limit.
     """
 
     bus: SpiBus
@@ -111,8 +117,8 @@ class Rig:
 class BusContract(ABC):
     """Tests of the bus contract; a subclass has a name that begins with `Test` and implements `make`.
 
-    Tests of a capability that the bus lacks, and of a clock limit that the rig does not name, pass without
-    a check; another test proves that a missing capability is refused by name.
+    Tests of a capability that the bus lacks pass without a check, and so does the test of a clock limit if
+    the rig has none; another test proves that a missing capability is refused by name.
     """
 
     @abstractmethod
@@ -421,7 +427,7 @@ def random_batches(rng: np.random.Generator, count: int) -> list[list[int]]:
 def assert_timing(frames: list[WireFrame], timing: SpiTiming, clock_from: int = 0) -> None:
     """Assert that each frame keeps the stall and period of `timing` after the frame before it.
 
-    The clock is checked from frame `clock_from` on.
+    The SPI clock is checked from frame `clock_from` on.
     """
     assert len(frames) > 1
     assert all(frame.clock_hz <= timing.clock_hz for frame in frames[clock_from:])

@@ -45,7 +45,7 @@ class SimulatedSensor(Adis16354):
 
     @property
     def faulty(self) -> FaultyBus:
-        """The bus of the driver, which corrupts frames as its `faults` say; `faulty.seen` counts them."""
+        """Bus of the driver, which corrupts frames by its `faults`; `faulty.seen` counts the faults."""
         return cast(FaultyBus, self.bus)
 
     @property
@@ -64,11 +64,14 @@ class SimulatedSensor(Adis16354):
 
     @property
     def chip(self) -> SimulatedChip:
-        """The simulated chip, for access without frames."""
+        """Simulated chip of the sensor, for access without frames."""
         return self._simulated.chip
 
     def truth(self) -> dict[str, float]:
-        """True parameters of the simulated sensor by the names that a fit uses; units: `World.truth`."""
+        """Return the true parameters of the simulated sensor by the names that a fit uses.
+
+        `World.truth` lists their units.
+        """
         return self.world.truth()
 
 
@@ -99,16 +102,16 @@ def open_simulated(
     Parameters
     ----------
     url : str
-        See `simulated_bus`; the URL gives the variant.
+        URL of the simulator, which also gives the variant; see `simulated_bus`.
     check : bool
-        As `open_sensor`.
+        True checks on opening that the chip answers and reads 1 g at rest.
     bus_faults : BusFaults
-        Faults; they begin after opening, so that opening never fails.
+        Faults of the frames; they begin after opening, so that opening never fails.
 
     Raises
     ------
     UsageError
-        As `simulated_bus`.
+        The URL belongs to another bus, or has an unknown option.
     """
     bus = simulated_bus(url)
     faulty = FaultyBus(bus)
@@ -123,7 +126,10 @@ _BUFFER = 65536
 _LONGEST_WAIT_S = 0.05
 _END_S = 60.0
 _UNREAD = 1 << 20
-"""Bytes that wait for a host which does not read; more than that are lost, as in an adapter."""
+"""Number of bytes that may wait for a host which does not read; further bytes are lost.
+
+Serial adapters have such a limit.
+"""
 
 
 class SimulatedBoard(Closing):
@@ -134,28 +140,28 @@ class SimulatedBoard(Closing):
     Parameters
     ----------
     firmware : SimulatedFirmware
-        Firmware on a `WorkClock`; `open_board` makes one from a URL.
+        Firmware on a `WorkClock`; `open_board` makes the firmware from a URL.
     faults : Faults
         Faults of the line: `drop`, `duplicate`, `flip`, `delay`, `chunk` and `hang`.
     transport : {"pty", "tcp"}
         A pseudo-terminal needs POSIX.
     world : World
-        World of the chip, if a test moves it.
+        World of the chip; None if no test uses the stage or the true parameters.
 
     Attributes
     ----------
     path : str
-        Name that a program opens: a device such as `/dev/pts/3`, or a URL of pyserial such as
+        Name of the port that a program opens: a device such as `/dev/pts/3`, or a URL of pyserial such as
         `socket://127.0.0.1:41234`.
     host, port : str, int
-        Address for plain sockets; empty for a pty.
+        Address for plain sockets; empty and 0 for a pty.
     stage : BoardStage
-        Moves the sensor.
+        Stage that moves the sensor.
 
     Raises
     ------
     UsageError
-        No such transport.
+        The transport is unknown.
     CannotOpenError
         The machine has no free pseudo-terminal or port.
     """
@@ -191,7 +197,7 @@ class SimulatedBoard(Closing):
 
     @property
     def url(self) -> str:
-        """Bus URL of the board for this package, as in `open_sensor(board.url)`."""
+        """Bus URL of the board, for functions of this package such as `open_sensor`."""
         return f"serial:{self.path}"
 
     @property
@@ -207,14 +213,17 @@ class SimulatedBoard(Closing):
         return self._world
 
     def truth(self) -> dict[str, float]:
-        """True parameters of the simulated sensor by the names that a fit uses; units: `World.truth`."""
+        """Return the true parameters of the simulated sensor by the names that a fit uses.
+
+        `World.truth` lists their units.
+        """
         with self.lock:
             return self.world.truth()
 
     def now_s(self) -> float:
-        """Time in s on the clock of the board, or the time of its chip if that is later.
+        """Return the time in s on the clock of the board, or the time of its chip if that is later.
 
-        Take `lock` first if clock and chip must not run on meanwhile.
+        Take `lock` first if clock and chip must not advance meanwhile.
         """
         return max(self._clock.now_s(), self.chip.time_s)
 
@@ -251,7 +260,7 @@ class SimulatedBoard(Closing):
         return min([_LONGEST_WAIT_S, *(max(0.0, t - now) for t in times)])
 
     def _work(self, there: FaultyStream, back: FaultyStream) -> None:
-        """Run the firmware up to the present time and move bytes between firmware and line.
+        """Run the firmware up to the present time and move bytes between the firmware and the serial line.
 
         `there` has the bytes from the host, `back` the bytes to the host.
         """
@@ -268,7 +277,7 @@ class SimulatedBoard(Closing):
 
 
 class BoardStage:
-    """The simulated stage of a board; each call waits in real time until its move has ended."""
+    """The simulated stage of a board; each method waits in real time until its move has ended."""
 
     def __init__(self, board: SimulatedBoard) -> None:
         self._board = board
@@ -281,7 +290,7 @@ class BoardStage:
     def move_to(self, angle_deg: float, approach: int = 0) -> None:
         """Turn the stage to a declared angle in degrees; return when it rests.
 
-        It arrives from below if `approach` is +1, from above if -1, or the short way if 0.
+        The stage arrives from below if `approach` is +1, from above if -1, or by the shortest turn if 0.
         """
         board = self._board
         with board.lock:
@@ -289,7 +298,10 @@ class BoardStage:
         self._wait_until(end_s)
 
     def orient(self, vector: Sequence[float]) -> None:
-        """Turn the sensor until an ideal one reads along a vector (3,); level with Z up is (0, 0, -1)."""
+        """Turn the sensor until an ideal sensor reads along a vector (3,); return when it rests.
+
+        Level with Z up is (0, 0, -1).
+        """
         import numpy as np
 
         board = self._board
@@ -315,19 +327,20 @@ def open_board(
     Parameters
     ----------
     url : str
-        Such as `sim:?seed=3&delta_k=0.01&move_speed_dps=360`; the same URL gives `open_simulated` a sensor
-        with the same hidden parameters.
+        URL of the simulator, such as `sim:?seed=3&delta_k=0.01&move_speed_dps=360`; the same URL gives
+        `open_simulated` a sensor with the same hidden parameters.
     transport : {"pty", "tcp"}
-        By default a pseudo-terminal if the system has them.
+        Kind of port; None takes a pseudo-terminal if the system has them, else TCP.
     line_faults : Faults
-        See `SimulatedBoard`; each board draws from its own copy, because a mark may apply to many tests.
+        Faults of the serial line (None: no faults), see `SimulatedBoard`; each board draws from its own
+        copy, because a mark may apply to many tests.
     boot_s : float
-        Silence at the beginning, like a board that boots.
+        Silence in s at the beginning, like that of a board that boots.
 
     Raises
     ------
     UsageError, CannotOpenError
-        As `simulated_bus` and `SimulatedBoard`.
+        The URL or the transport is not possible, or the machine has no free port.
     """
     bus = simulated_bus(url)
     firmware = SimulatedFirmware(ChipPins(bus.chip, WorkClock()), boot_s=boot_s)

@@ -29,7 +29,7 @@ class ExpectedFrames(SpiBus):
     Parameters
     ----------
     script : iterable of (frame, reply)
-        Expected frames; the line of the test is the line of this call. `expect` adds more.
+        Expected frames with their replies; messages name the line of this call. `expect` adds more frames.
 
     Examples
     --------
@@ -53,7 +53,7 @@ class ExpectedFrames(SpiBus):
         self._script.append(_Expected(frame, reply, _place_of_caller()))
 
     def now_s(self) -> float:
-        """Virtual time in s."""
+        """Return the virtual time in s."""
         return self._time_s
 
     def sleep_s(self, seconds: float) -> None:
@@ -88,6 +88,6 @@ class ExpectedFrames(SpiBus):
 
 
 def _place_of_caller() -> str:
-    """File and line of the code that called a method of the bus."""
+    """Return file name and line of the test code that called a method of the bus."""
     frame = sys._getframe(2)
     return f"{Path(frame.f_code.co_filename).name}:{frame.f_lineno}"

@@ -7,8 +7,8 @@ work), `stuck`, `short` and `unplug` to a packet. A serial line knows `drop`, `d
 `chunk` and `hang`.
 
 `FaultyBus` is a bus around another bus that corrupts its frames, for drivers and host code that have to
-notice. Each kind of fault has its own generator, so the faults of a frame do not depend on the grouping
-into batches or on the other kinds.
+notice. Each kind of fault has its own generator, so the faults of a frame do not depend on its batch or on
+the other kinds.
 """
 
 from __future__ import annotations
@@ -29,7 +29,9 @@ from adis_gonio.device.bus.forwarding import ForwardingBus
 
 @dataclass
 class Faults:
-    """Probabilities of faults of a serial line or device, and the random draws from them.
+    """Probabilities of the faults of a serial line or device, and the random draws from them.
+
+    The module's text explains each kind. `delay_s` is the mean delay and `hang_s` the length of a hang.
 
     `seen` counts the faults that happened, by kind.
     """
@@ -55,7 +57,7 @@ class Faults:
         self.hung_until_s = -math.inf
 
     def happens(self, kind: str) -> bool:
-        """Draw whether a fault of this kind happens now, and count it in `seen` if it does."""
+        """Draw if a fault of this kind happens now; return True and count it in `seen` if so."""
         rate = getattr(self, kind)
         if rate and self.dice.random() < rate:
             self.seen[kind] += 1
@@ -63,13 +65,19 @@ class Faults:
         return False
 
     def hangs(self, now_s: float) -> bool:
-        """True while the device hangs, that is, does not react; each call may start a hang."""
+        """Return True while the device hangs, that is, does not react.
+
+        Each call may start a hang.
+        """
         if now_s >= self.hung_until_s and self.happens("hang"):
             self.hung_until_s = now_s + self.hang_s
         return now_s < self.hung_until_s
 
     def flipped(self, data: bytes, first: int, last: int) -> bytes:
-        """Copy of `data` in which bytes `first` to `last` (exclusive) may each have one flipped bit."""
+        """Return a copy of `data` in which some bytes have one flipped bit.
+
+        Each byte from `first` to `last` (exclusive) may be affected.
+        """
         out = bytearray(data)
         for k in range(first, min(last, len(out))):
             if self.happens("flip"):
@@ -87,7 +95,7 @@ class Faults:
 
 
 class FaultyStream:
-    """One direction of a serial line: bytes that are under way, in order, each with its time of arrival."""
+    """One direction of a serial line: the bytes in transit, in order, each with its time of arrival."""
 
     def __init__(self, faults: Faults, byte_s: float = 0.0) -> None:
         self.faults = faults
@@ -111,7 +119,7 @@ class FaultyStream:
                 self._queue.append((self._last_s, byte))
 
     def next_s(self) -> float | None:
-        """Time in s at which the next byte arrives; None if no byte is under way."""
+        """Return the time in s at which the next byte arrives; None if no byte is in transit."""
         return self._queue[self._at][0] if self._at < len(self._queue) else None
 
     def take(self, now_s: float, size: int) -> bytes:
@@ -127,7 +135,7 @@ class FaultyStream:
         return data
 
     def waiting(self, now_s: float) -> int:
-        """Number of bytes that have arrived by a time in s and were not taken yet."""
+        """Return the number of bytes that have arrived by a time in s and were not taken yet."""
         count = 0
         for k in range(self._at, len(self._queue)):
             if self._queue[k][0] > now_s:
@@ -136,7 +144,7 @@ class FaultyStream:
         return count
 
     def clear(self) -> None:
-        """Discard all bytes that are under way."""
+        """Discard all bytes that are in transit."""
         self._queue.clear()
         self._at = 0
 
@@ -156,11 +164,12 @@ class BusFaults:
         Probability that a bit of a reply is flipped, as by noise on the data line; SPI cannot detect it.
     lost_frames : float
         Probability that a frame does not reach the chip, as with a loose chip select: its reply is
-        `idle_word`, and the next reply is late by one frame. A stream omits the scan and counts it as lost.
+        `idle_word`, and the next frame gets the reply that this frame would have got. A stream omits the
+        scan and counts it as lost.
     stuck_words : float
-        Probability that a reply replaces the `stuck_frames` replies after it.
+        Probability that a reply is repeated in place of the next `stuck_frames` replies.
     stuck_frames : int
-        At least 1.
+        Number of replies that are replaced, at least 1.
     busy : float
         Probability that the bridge refuses a batch before it sends a frame: `ProtocolError`.
     silent : float
@@ -200,11 +209,12 @@ class FaultyBus(ForwardingBus):
     inner : SpiBus
         Other bus; `close` also closes it.
     faults : BusFaults
+        Probabilities of the faults.
 
     Attributes
     ----------
     seen : Counter
-        Number of faults of each kind: flipped bits, lost frames, repeated replies, batches.
+        Number of faults that happened, by name of the field of `BusFaults`.
     """
 
     def __init__(self, inner: SpiBus, faults: BusFaults = NO_FAULTS) -> None:
@@ -228,7 +238,10 @@ class FaultyBus(ForwardingBus):
     # -- faulty calls --------------------------------------------------------------------------------
 
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
-        """Start a stream of the inner bus, with faults in the words of its scans."""
+        """Start a stream of the read frames `frames` on the inner bus, with faults in its scans.
+
+        A block of the stream holds about `block_scans` scans.
+        """
         return _FaultyFrames(self, super().stream(frames, block_scans=block_scans))
 
     def _exchange(self, frames: Words) -> Words:
@@ -251,7 +264,10 @@ class FaultyBus(ForwardingBus):
         return replies
 
     def _spoilt(self, words: Words) -> Words:
-        """Copy of replies (n,), of which some repeat an earlier reply and some have flipped bits."""
+        """Return a copy of replies (n,), some of which are repeated or have flipped bits.
+
+        A repeated reply stands in place of the replies after it.
+        """
         words = words.copy()
         sticks = self._struck("stuck_words", len(words))
         if self._stuck_left or sticks.any():
@@ -265,7 +281,7 @@ class FaultyBus(ForwardingBus):
         return words ^ (turned @ (1 << np.arange(FRAME_BITS))).astype(np.uint16)
 
     def _struck(self, kind: str, count: int) -> NDArray[np.bool_]:
-        """Draw which of `count` items a fault of this kind affects, as a mask (count,).
+        """Draw the items, out of `count`, that a fault of this kind affects; return a mask (count,).
 
         The affected items are counted in `seen`.
         """

@@ -1,8 +1,8 @@
 """The project's firmware as a device model, byte by byte, written from firmware_proto/PROTOCOL.md alone.
 
 It shares no code with the package or with the C core: framing, CRC and bodies are implemented here again.
-`feed` takes the bytes that arrive now, `run` simulates until a time, `out` contains the packets that it
-sends, each with the time at which its last byte is ready.
+In `SimulatedFirmware`, `feed` takes the bytes that arrive now, `run` simulates until a time, `out` contains
+the packets that it sends, each with the time at which its last byte is ready.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ TRIGGER_S = 4e-6
 
 
 def crc(data: bytes) -> int:
-    """CRC-32 of the bytes (CRC-32/ISO-HDLC, as in zlib)."""
+    """Return the CRC-32 of the bytes (CRC-32/ISO-HDLC, as in zlib)."""
     return zlib.crc32(data)
 
 
@@ -60,7 +60,7 @@ def unstuff(data: bytes) -> bytes | None:
 
 
 class _RefusalError(Exception):
-    """A request is refused, with this code and detail."""
+    """Raised if a request is refused, with the code and the detail of the refusal."""
 
     def __init__(self, code: int, detail: int = 0) -> None:
         super().__init__()
@@ -84,15 +84,15 @@ class SimulatedFirmware:
     Parameters
     ----------
     pins : ChipPins
-        Pins with the clock of the firmware.
+        Pins of the chip, with the clock on which the firmware works.
     baud : int
         Baud rate of the bytes that it sends.
     drift : float
         Relative error of the board's own clock.
     start_us : int
-        Its clock at power-on.
+        Reading in µs of the board's own clock at power-on.
     boot_s : float
-        Silence after power-on and after a reset of the board.
+        Silence in s after power-on and after a reset of the board.
     """
 
     pins: ChipPins
@@ -131,7 +131,7 @@ class SimulatedFirmware:
         self.out.clear()
 
     def now_us(self, time_s: float) -> int:
-        """Reading of the board's 32-bit microsecond clock at a time in s, including its drift."""
+        """Return the board's 32-bit microsecond clock at a time in s, including its drift."""
         return (self.start_us + round(time_s * 1e6 * (1 + self.drift))) & 0xFFFF_FFFF
 
     def feed(self, data: bytes) -> None:
@@ -148,7 +148,7 @@ class SimulatedFirmware:
                 self._packet(taken)
 
     def next_event_s(self) -> float | None:
-        """Time in s of the firmware's next action without a request; None if it only waits."""
+        """Return the time in s of the firmware's next action without a request; None without one."""
         if self._stream is None:
             return None
         return self._stream.next_trigger_s()
@@ -164,7 +164,10 @@ class SimulatedFirmware:
     # -- packets ----------------------------------------------------------------------------------------
 
     def send(self, kind: int, request_id: int, body: bytes) -> None:
-        """Queue a packet to the host: its type, the id of the request, and its body."""
+        """Queue a packet to the host: its type, the id of the request, and its body.
+
+        `kind` is the number of the type.
+        """
         self._put(self._packed(kind, request_id, body))
 
     @staticmethod
@@ -229,7 +232,7 @@ class SimulatedFirmware:
     # -- requests ---------------------------------------------------------------------------------------
 
     def _execute(self, kind: int, request_id: int, body: bytes) -> bytes:
-        """Execute a request; return the body of its reply."""
+        """Execute a request of type `kind`; return the body of its reply."""
         if kind == 4:
             return self._begin_stream(request_id, body)
         requests = (
@@ -282,7 +285,10 @@ class SimulatedFirmware:
         return struct.pack(f"<{count}H", *(self.frame(frame) for frame in frames))
 
     def frame(self, word: int, not_before_s: float = -math.inf) -> int:
-        """Send a frame to the chip as soon as the timing allows; return the word received."""
+        """Send a frame to the chip as soon as the timing allows; return the reply.
+
+        The frame does not start before `not_before_s`.
+        """
         clock, stall, period = self._timing
         start = max(
             self.pins.clock.now_s() if math.isinf(not_before_s) else not_before_s,
@@ -337,7 +343,10 @@ class SimulatedFirmware:
 
 @dataclass(eq=False)
 class _Stream:
-    """A running stream of scans; `scan` makes each scan when the firmware has passed its trigger."""
+    """A running stream of scans; `scan` makes a scan when the firmware has passed its trigger.
+
+    The fields have the content of the stream request; `begun_s` is the time of its start in s.
+    """
 
     firmware: SimulatedFirmware
     id: int
@@ -360,7 +369,7 @@ class _Stream:
         self._blocked_s = -math.inf
 
     def next_trigger_s(self) -> float | None:
-        """Time in s of the next trigger that starts a scan; None if no data-ready edge follows."""
+        """Return the time in s of the next trigger that starts a scan; None if no edge follows."""
         if self._period_s is not None:
             return self._after_s + self._period_s * self.decimation
         chip = self.firmware.pins.chip
@@ -370,7 +379,10 @@ class _Stream:
         return None if first is None else first + (self.decimation - 1) * chip.update_period_s
 
     def scan(self, trigger_s: float) -> None:
-        """Make the scan of a trigger: send the read frames and an idle frame; count missed triggers."""
+        """Make the scan of a trigger at `trigger_s`, and count the triggers that are missed during it.
+
+        The scan sends the read frames and an idle frame.
+        """
         firmware = self.firmware
         if trigger_s < self._blocked_s:
             self._lose(1)
@@ -397,7 +409,10 @@ class _Stream:
         self.firmware.all_lost += count
 
     def flush(self, now_s: float) -> None:
-        """Send the scans collected so far to the host as a packet."""
+        """Send the scans collected so far to the host as a packet.
+
+        `now_s` is the time in s at which the packet is ready to be sent.
+        """
         if not self._times:
             return
         firmware = self.firmware

@@ -19,7 +19,7 @@ class VirtualClock:
         self._now_s = now_s
 
     def now_s(self) -> float:
-        """Present time in s."""
+        """Return the present time in s of the virtual clock."""
         return self._now_s
 
     def sleep_s(self, seconds: float) -> None:
@@ -39,11 +39,11 @@ class DeviceClock:
         self._zero_s = time.monotonic()
 
     def now_s(self) -> float:
-        """Time in s since the clock was created."""
+        """Return the time in s since the clock was created."""
         return time.monotonic() - self._zero_s
 
     def sleep_s(self, seconds: float) -> None:
-        """Wait in real time."""
+        """Wait for `seconds` in real time."""
         time.sleep(max(0.0, seconds))
 
     def advance_to(self, time_s: float) -> None:
@@ -54,8 +54,8 @@ class DeviceClock:
 class WorkClock(DeviceClock):
     """Real-time clock of a device model that computes each answer with the time at which it is ready.
 
-    Work advances it at once, ahead of the wall clock; the sender of an answer waits for its time. A model
-    that slept for every frame would be late by as many wake-ups of a busy machine.
+    Work advances this clock at once, ahead of the wall clock; the sender of an answer waits for its time. A
+    model that slept for every frame would be late by as many wake-ups of a busy machine.
     """
 
     def __init__(self) -> None:
@@ -67,7 +67,10 @@ class WorkClock(DeviceClock):
         return super().now_s()
 
     def now_s(self) -> float:
-        """Time in s of the simulated device: real time, or the end of its work if that is later."""
+        """Return the time in s of the simulated device.
+
+        It is real time, or the end of the device's work if that is later.
+        """
         return max(self.wall_s(), self._done_s)
 
     def advance_to(self, time_s: float) -> None:
@@ -79,21 +82,24 @@ RIGHT_MODE = 3
 
 
 class PinClock(Protocol):
-    """Clock of a simulated device, advanced by the time that its work takes; see the module's text."""
+    """Clock of a simulated device, advanced by the time that its work takes (see the module's text)."""
 
     def now_s(self) -> float:
-        """Present time in s."""
+        """Return the present time in s."""
 
     def advance_to(self, time_s: float) -> None:
         """Advance the clock to the time in s at which a piece of work ends."""
 
 
 class ChipPins:
-    """The SPI and RST pins of a simulated chip, for models of bridges; wrong use gives wrong replies.
+    """The SPI and RST pins of a simulated chip, for models of bridges.
+
+    Wrong use of the pins, such as a wrong SPI mode, gives wrong replies.
 
     Parameters
     ----------
     chip : SimulatedChip
+        The chip.
     clock : PinClock
         Clock on which transfers take time.
     """
@@ -116,7 +122,9 @@ class ChipPins:
     ) -> bytes:
         """Clock bytes to the chip during one low phase of chip select; return as many bytes.
 
-        It starts now, or at `start_s` if the bridge times its frames itself.
+        The transfer starts now, or at `start_s` if the bridge times its frames itself. `mode` is the SPI
+        mode, `cs_hold_s` the time from the last clock to the rise of chip select; `selected` is False if
+        chip select stays high.
         """
         now = self.clock.now_s() if start_s is None else start_s
         start = max(now, self.free_s, self.chip.time_s)
@@ -139,5 +147,5 @@ class ChipPins:
         self.chip.hard_reset(max(self.clock.now_s(), self.chip.time_s))
 
     def data_ready_edges(self) -> int:
-        """Number of data-ready pulses of the chip since power-on."""
+        """Return the number of data-ready pulses of the chip since power-on."""
         return self.chip.data_ready_edges(max(self.clock.now_s(), self.chip.time_s))

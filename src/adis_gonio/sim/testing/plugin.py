@@ -26,7 +26,7 @@ OPTIONS = {
     "transport": "of the board: pty or tcp",
     "boot_s": "silence of the board at first",
 }
-"""Options of the mark."""
+"""Options of the mark `adis_gonio`, each with its meaning."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -61,7 +61,10 @@ def simulated_board(request: pytest.FixtureRequest) -> Iterator[SimulatedBoard]:
 
 
 def _made(make: Any, request: pytest.FixtureRequest, names: tuple[str, ...]) -> Any:
-    """Call `make` with the options of the test's marks; a wrong option fails the test with one line."""
+    """Return `make(**options)` with those options of the test's marks that `names` lists.
+
+    A wrong option fails the test with one line.
+    """
     from adis_gonio.base.errors import AdisGonioError
 
     options = _options(request)

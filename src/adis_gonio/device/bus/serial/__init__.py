@@ -33,12 +33,14 @@ from adis_gonio.device.bus.serial.bus import BOOT_S, Port, SerialBus, SerialLink
 from adis_gonio.device.bus.wire import load_cobs, protocol as wire
 
 SLICE_S = 0.05
-"""Longest single wait in a read. It is constant, because pyserial would configure the port again for each
-change."""
+"""Longest single wait in s of a read; it is constant, because a change would configure the port again."""
 WRITE_S = 1.0
 BUFFER = 65536
 PRODUCT = "adis-gonio"
-"""Beginning of the product name of a firmware that is a USB device, with any VID:PID."""
+"""Beginning of the product name by which a board with this firmware is recognised.
+
+The firmware is then a USB device, with any VID:PID.
+"""
 
 
 def load() -> Any:
@@ -47,7 +49,7 @@ def load() -> Any:
     Raises
     ------
     NotInstalledError
-        It is missing, or another package has its name.
+        pyserial is missing, or another package has its name.
     """
     try:
         import serial
@@ -65,7 +67,7 @@ def load() -> Any:
 class SerialPort:
     """Adapter from an open port of pyserial to `adis_gonio.device.bus.serial.bus.Port`.
 
-    Ports without modem lines (a pty, many sockets) are as good as others: none is needed.
+    The modem lines are not used, so a port without them (a pty, many sockets) also works.
     """
 
     def __init__(self, serial: Any, port: Any, url: str) -> None:
@@ -90,7 +92,7 @@ class SerialPort:
             raise gone(self._url) from error
 
     def _rest(self) -> bytes:
-        """Return the further bytes that a socket has ready, without waiting."""
+        """Return the further bytes that a socket has ready, without waiting for more."""
         self._port.timeout = 0
         try:
             rest: bytes = self._port.read(BUFFER)
@@ -99,7 +101,7 @@ class SerialPort:
         return rest
 
     def send(self, data: bytes, /) -> None:
-        """Send all the bytes."""
+        """Send all bytes of `data`; raise `BusTimeoutError` if the port does not take them in time."""
         try:
             self._port.write(data)
         except self._serial.SerialTimeoutException as error:
@@ -120,11 +122,15 @@ def open_port(place: str, baud: int, url: str) -> SerialPort:
     ----------
     place : str
         Device file, COM port, or a URL of pyserial such as `socket://host:port`.
+    baud : int
+        Baud rate.
+    url : str
+        URL of the bus, used in messages.
 
     Raises
     ------
     CannotOpenError
-        It is missing, busy or not permitted.
+        The port is missing, busy or not permitted.
     """
     serial = load()
     options: dict[str, Any] = {} if "://" in place else {"exclusive": True}
@@ -140,18 +146,24 @@ def open_port(place: str, baud: int, url: str) -> SerialPort:
 
 
 def list_boards() -> list[Any]:
-    """Ports of pyserial's list that are USB serial ports."""
+    """Return the USB serial ports of pyserial's list, sorted by device file."""
     ports = load().tools.list_ports.comports()
     return sorted((port for port in ports if port.vid is not None), key=lambda port: str(port.device))
 
 
 def names_itself(port: Any) -> bool:
-    """True if a port's USB strings identify this package's firmware, as on the Raspberry Pi Pico."""
+    """Return True if a port's USB strings identify this package's firmware.
+
+    The Raspberry Pi Pico does so.
+    """
     return str(port.product or "").startswith(PRODUCT)
 
 
 def devices(ports: Sequence[Any]) -> list[Device]:
-    """Convert ports to devices for a list. Ports are not opened, because that would reset many boards."""
+    """Convert ports of pyserial to devices for a list, without opening them.
+
+    Opening a port would reset many boards.
+    """
     rows = []
     for port in ports:
         name = port.product or port.description or "serial port"
@@ -187,7 +199,7 @@ def open_from_url(url: BusUrl, *, port: Port | None = None, clock: Clock = WALL)
     Parameters
     ----------
     port : Port
-        An open port, in place of pyserial's.
+        An open port to use; None opens the port of the URL by pyserial.
     clock : Clock
         The bus's clock.
 

@@ -1,18 +1,16 @@
-"""The bus over a serial line: the link with its frames, and the bus.
+"""The bus over a serial line: requests and replies, the board as a bus, its streams and its clock.
 
-Requests and replies over a serial port: ids, retries, resynchronisation (firmware_proto/PROTOCOL.md).
-
-A request is repeated with its own id until it is answered or its tries are used up; the firmware executes
-an id once, so that repeating is safe for writes too. A reply with another id is late and is discarded.
-
-A board with the project's firmware as a bus, its streams, and the map of its clock to the host's clock.
+Requests and replies follow firmware_proto/PROTOCOL.md. A request is repeated with its own id until it is
+answered or its tries are used up; the firmware executes an id once, so that repeating is safe for writes
+too. A reply with another id is late and is discarded.
 
 The firmware keeps the timing and runs the streams. Batches longer than its limit are sent in several
-requests; it keeps stall and period between them.
+requests; the firmware keeps stall and period between them.
 
-A packet cannot arrive before it was sent, so the earliest arrivals of a period lie on the true line; a
-straight line through them gives offset and rate of the firmware's clock (a ceramic resonator is off by up
-to 0.5 %). Times that were returned never change: the map bends towards the line and has no jumps.
+A map converts the clock of the firmware to the clock of the host. A packet cannot arrive before it was
+sent, so the earliest arrivals of a period lie on the true line; a straight line through them gives offset
+and rate of the firmware's clock (a ceramic resonator is off by up to 0.5 %). Times that were returned never
+change: the map bends towards the line and has no jumps.
 """
 
 from __future__ import annotations
@@ -42,32 +40,46 @@ HELLO_EVERY_S = 0.3
 # byte of a command is no blank, and zeros at our rate can never look like the command to erase: it has
 # neighbouring bits that are set, but zeros are high only for a stop bit of 2 us in 20.
 ZEROS = bytes(1)
-"""An empty packet for the firmware; for a loader a byte that is no command, and the next one no blank after
-it: two of them make it leave. Without gaps between them a run of zeros keeps some loaders in step."""
+"""Zero byte, sent to make a boot loader leave; the firmware reads it as an empty packet.
+
+For a boot loader the first zero is no command and the second is not the blank that must follow a command:
+two of them make it leave. They need a gap between them, since a run of zeros keeps some loaders in step.
+"""
 ZEROS_EVERY_S = 0.02
 ZEROS_FIRST_S = 0.24
-"""A loader listens 70 ms after the reset, 90 at most (start-up 65 ms, B)."""
+"""Time in s for which zeros are sent before the first hello after opening.
+
+A boot loader listens 70 ms after the reset, 90 ms at most; its start-up takes 65 ms (confidence B).
+"""
 ZEROS_AGAIN_S = 0.06
 LEAVE_S = 0.16
-"""Silence after the zeros: a loader needs 16 ms to leave (its watchdog), and a start-up follows."""
+"""Silence in s after the last zero.
+
+A boot loader needs 16 ms to leave (its watchdog), and a start-up follows.
+"""
 EARLY_HELLOS = 2
-"""Hellos before a loader's own time is over: the first for boards that did not reset, the second for
-loaders that blink before they listen (Optiboot: 0.4 s), by which the first is lost."""
+"""Number of hellos before the time of a boot loader is over.
+
+The first is for boards that did not reset, the second for loaders that blink before they listen (Optiboot:
+0.4 s), which lose the first.
+"""
 LOADER_S = 2.0
-"""Longest wait of a boot loader; most wait a second. One that does not heed zeros hears nothing more until
-then."""
+"""Longest time in s for which a boot loader waits; most wait one second.
+
+A loader that ignores the zeros receives nothing more until this time is over.
+"""
 
 B = TypeVar("B", bound=Body)
 
 
 class Port(Protocol):
-    """A serial port as the link uses it; its failures are errors of this package."""
+    """A serial port as the link uses it; its methods raise only errors of this package."""
 
     def receive(self, wait_s: float, /) -> bytes:
         """Return the bytes that have arrived, after waiting at most `wait_s` seconds for the first."""
 
     def send(self, data: bytes, /) -> None:
-        """Send all the bytes."""
+        """Send all bytes of `data`."""
 
     def close(self) -> None:
         """Close the port."""
@@ -81,7 +93,7 @@ class RefusedError(Exception):
     code : int
         Reason of the refusal, one of `wire.Refusal`.
     once : bool
-        The request was sent only once, so no earlier copy can have been executed.
+        True if the request was sent only once, so no earlier copy can have been executed.
     """
 
     def __init__(self, request: str, error: wire.Error, *, once: bool) -> None:
@@ -96,7 +108,7 @@ class RefusedError(Exception):
 
 @dataclass
 class LinkCounts:
-    """Numbers of requests, repeated requests and late replies on a serial link."""
+    """Numbers of requests, of repeated requests and of late replies on a serial link."""
 
     requests: int = 0
     retries: int = 0
@@ -109,11 +121,11 @@ class SerialLink:
     Parameters
     ----------
     port : Port
-        Open.
+        The open port.
     url : str
-        For messages.
+        URL of the bus, used in messages.
     clock : Clock
-        Time for waits.
+        Clock for waits.
     dice : random.Random
         Draws nonces and the first id.
 
@@ -147,7 +159,7 @@ class SerialLink:
         BusTimeoutError
             No firmware answered.
         ProtocolError
-            It speaks another version.
+            The firmware speaks another version of the protocol.
         """
         nonce = self._dice.randrange(1 << 32)
         packet = self._packet(wire.HelloRequest(wire.VERSION, nonce))
@@ -183,8 +195,12 @@ class SerialLink:
 
         Parameters
         ----------
+        body : Body
+            Content of the request.
+        reply : type
+            Class of the expected reply.
         runs_s : float
-            Time that the firmware needs to execute it.
+            Time in s that the firmware needs to execute the request.
 
         Raises
         ------
@@ -211,7 +227,10 @@ class SerialLink:
         return self._id
 
     def pump(self, wait_s: float) -> bool:
-        """Receive packets and sort them into scans and replies; return False if nothing arrived in time."""
+        """Receive packets and sort them into scans and replies.
+
+        Return False if nothing arrived within `wait_s` seconds.
+        """
         data = self.port.receive(wait_s)
         if not data:
             return False
@@ -252,7 +271,9 @@ class SerialLink:
     ) -> tuple[B | wire.Error | None, int]:
         """Send a request until it is answered; return the reply or refusal, and the number of copies sent.
 
-        The reply is None if no answer came. `again(copies sent)` decides if one more copy may be sent.
+        The reply is None if no answer came. `reply` is the class of the expected reply, `wait_s` the time
+        to wait after each copy. `again(copies sent)` decides if one more copy may be sent. `nonce` is the
+        number that the reply to a hello must repeat; None for other requests.
         """
         sent = 0
         while again(sent):
@@ -302,11 +323,11 @@ class SerialLink:
 
 _WRAP_US = 1 << 32
 _WHILE_S = 1.0
-"""Time in s from which the earliest arrival makes one point of the fit."""
+"""Period in s of which the earliest arrival makes one point of the line fit of `ClockMap`."""
 _POINTS = 32
 _LEAST_POINTS = 4
 _STEEPEST = 0.02
-"""Largest deviation of the map's rate from 1; resonators are four times better."""
+"""Largest deviation of the rate of the clock map from 1; resonators deviate less."""
 
 
 class ClockMap:
@@ -315,7 +336,7 @@ class ClockMap:
     Parameters
     ----------
     now_us : int
-        Firmware's clock in a reply.
+        Time of the firmware's clock in µs, from a reply.
     arrival_s : float
         Time at which that reply arrived.
     """
@@ -328,12 +349,12 @@ class ClockMap:
         self._fitted: tuple[float, float, float] | None = None
 
     def times(self, first_us: int, span_us: int, count: int, arrival_s: float) -> NDArray[np.float64]:
-        """Times (count,) in s of the evenly spaced scans of a packet, on the bus's clock.
+        """Return the times (count,) in s of the evenly spaced scans of a packet, on the bus's clock.
 
         Parameters
         ----------
         first_us, span_us : int
-            Time of the first scan, and duration to the last scan.
+            Firmware's time of the first scan, and duration from the first to the last scan.
         arrival_s : float
             Time at which the packet arrived.
         """
@@ -350,9 +371,9 @@ class ClockMap:
         return at_host_s + rate * (np.linspace(first_s, end_s, count) - at_s)
 
     def _unwrap(self, us: int) -> float:
-        """Convert a 32-bit microsecond time of the board to seconds since the start.
+        """Convert a 32-bit microsecond time of the board to seconds since the first reply.
 
-        It must be less than half a wrap from the previous time.
+        The time must be less than half a wrap from the previous time.
         """
         step = (us - self._us + _WRAP_US // 2) % _WRAP_US - _WRAP_US // 2
         self._us = us
@@ -371,7 +392,7 @@ class ClockMap:
             del points[:-_POINTS]
 
     def _fit(self) -> None:
-        """Fit a straight line to the delays of arrival against the board's time."""
+        """Fit a straight line to the delays of arrival in s against the board's time."""
         at, late = np.array(self._points).T
         middle = float(at.mean())
         slope = float((at - middle) @ late / ((at - middle) @ (at - middle)))
@@ -385,12 +406,18 @@ class ClockMap:
 
 
 SILENCE_S = 3.0
-"""The chip is not sampling if no edge comes for so long; its slowest period is 2.42 s."""
+"""Time in s without a data-ready edge after which the chip counts as not sampling.
+
+The slowest sample period of the chip is 2.42 s.
+"""
 _POLL_S = 0.5
 _PACKETS_MISSED = 4
-"""Number of packets due by the count of edges; if none of so many arrives, the line is faulty."""
+"""Number of due packets that may be missing before the serial line counts as faulty.
+
+The count of data-ready edges gives the number of due packets.
+"""
 _AROUND = wire.HEADER_SIZE + wire.CRC_SIZE + 2
-"""Bytes on the line in addition to the body of a packet: header, CRC, COBS, delimiter."""
+"""Number of bytes on the line in addition to the body of a packet: header, CRC, COBS, delimiter."""
 
 
 @dataclass(eq=False)
@@ -400,13 +427,13 @@ class SerialStream(FrameStream):
     Parameters
     ----------
     owner : SerialBus
-        The bus.
+        The bus that started the stream.
     id : int
-        Id of the request that started it; packets of other streams are discarded.
+        Id of the request that started the stream; packets of other streams are discarded.
     width : int
-        Frames in the list.
+        Number of frames in the list that each scan runs.
     packet_scans : int
-        Scans in a full packet.
+        Number of scans in a full packet.
     block_scans : int
         Minimum number of scans in a block.
     clock : ClockMap
@@ -481,7 +508,8 @@ class SerialStream(FrameStream):
     def _packet(self) -> tuple[Packet, float]:
         """Wait for the next packet of scans; return it and its time of arrival in s.
 
-        While none comes, the edge counter shows why.
+        While no packet comes, the edge counter shows if the chip is silent or the line is faulty; both
+        raise `BusTimeoutError`.
         """
         owner = self.owner
         first: int | None = None
@@ -509,13 +537,16 @@ class SerialStream(FrameStream):
 
 
 BOOT_S = 3.0
-"""Time for which a hello is repeated after opening: many boards reset then, and their boot loader waits."""
+"""Time in s for which a hello is repeated after opening.
+
+Many boards reset on opening, and their boot loader waits.
+"""
 AGAIN_S = 1.5
-"""Time for which a hello is repeated if the board is running."""
+"""Time in s for which a hello is repeated if the board is already running."""
 _USB_BYTE_S = 1e-6
-"""Time of a byte on a full-speed bus, if the board is a USB device: 64 bytes in about 60 µs."""
+"""Time in s of a byte on full-speed USB: 64 bytes take about 60 µs."""
 _GATHER_S = 0.01
-"""Shortest interval between reads of a stream: fewer, larger reads cost less."""
+"""Shortest interval in s between reads of a stream, since fewer, larger reads cost less."""
 
 
 class SerialBus(HostBus):
@@ -524,33 +555,34 @@ class SerialBus(HostBus):
     Parameters
     ----------
     port : Port
-        Belongs to the bus from now on.
+        The open port, which the bus closes.
     url : str
-        For messages.
+        URL of the bus, used in messages.
     clock : Clock
         The bus's clock.
     boot_s : float
         Longest wait for the firmware in s.
     trigger : Trigger
-        Edge of data-ready that starts a scan of a stream; the chip's pulse is low unless MSC_CTRL[1].
+        Edge of data-ready that starts a scan of a stream; the chip's data-ready pulse is low unless bit
+        MSC_CTRL[1] is set.
     baud : int
         Baud rate, from which the travel time of a packet follows; unused if the board is a USB device.
     link : SerialLink
-        Link to use instead of a new one.
+        Link to use; None makes a new one over `port`.
 
     Attributes
     ----------
     firmware : HelloReply
         Reply of the firmware to the hello.
     byte_s : float
-        Time of a byte on the line.
+        Time in s of a byte on the line.
 
     Raises
     ------
     BusTimeoutError
         No firmware answers.
     ProtocolError
-        It speaks another version.
+        The firmware speaks another version of the protocol.
     """
 
     def __init__(
@@ -653,7 +685,7 @@ class SerialBus(HostBus):
         return self.count_events()[0]
 
     def count_events(self) -> tuple[int, float]:
-        """Data-ready edges since the last call, and the present time in s on the firmware's clock."""
+        """Return the data-ready edges since the last call, and the present time in s of the firmware."""
         with self._lock:
             self._require(Capability.EVENT_COUNTER)
             now = self._ask(wire.StatisticsRequest(), wire.StatisticsReply)
@@ -665,7 +697,10 @@ class SerialBus(HostBus):
     # -- for streams ------------------------------------------------------------------------------------
 
     def next_scans(self, wait_s: float) -> tuple[Packet, float] | None:
-        """Return the next packet of scans and its time of arrival in s; None if none comes in time."""
+        """Return the next packet of scans and its time of arrival in s.
+
+        Return None if no packet comes within `wait_s` seconds.
+        """
         with self._lock:
             self._require_open()
             scans = self._link.scans
@@ -679,7 +714,10 @@ class SerialBus(HostBus):
             return scans.popleft()
 
     def count_edges(self) -> int:
-        """Data-ready edges that the firmware has counted since power-on (u32, wraps)."""
+        """Return the number of data-ready edges that the firmware has counted since power-on.
+
+        The number has 32 bits and wraps.
+        """
         with self._lock:
             self._require_open()
             return self._ask(wire.StatisticsRequest(), wire.StatisticsReply).edges
@@ -723,7 +761,7 @@ class SerialBus(HostBus):
             raise ProtocolError(f"{self.url}: {refused}") from refused
 
     def _renew(self) -> None:
-        """Open a new session with the firmware and set the timing again, which the hello resets."""
+        """Open a new session with the firmware and set the SPI timing again, which the hello resets."""
         self.firmware = self._link.hello(AGAIN_S)
         timing = self.timing
         request = wire.ConfigureRequest(

@@ -30,13 +30,13 @@ class Packet:
 
     @classmethod
     def of(cls, body: Body, request_id: int) -> Packet:
-        """Create the packet that carries a body."""
+        """Create the packet that carries a body, with the id of its request."""
         return cls(body.TYPE, request_id, body.pack())
 
 
 @dataclass
 class ReceiverCounts:
-    """Numbers of valid packets and of discarded packets by reason."""
+    """Number of valid packets, and numbers of discarded packets by reason."""
 
     packets: int = 0
     crc_errors: int = 0
@@ -57,7 +57,7 @@ def load_cobs() -> Any:
     Raises
     ------
     NotInstalledError
-        It is missing.
+        Package cobs is not installed.
     """
     try:
         from cobs import cobs
@@ -67,7 +67,7 @@ def load_cobs() -> Any:
 
 
 def crc32(data: bytes) -> int:
-    """CRC-32 of the bytes (CRC-32/ISO-HDLC, as in Ethernet and zlib)."""
+    """Return the CRC-32 of the bytes (CRC-32/ISO-HDLC, as in Ethernet and zlib)."""
     return binascii.crc32(data)
 
 
@@ -79,7 +79,7 @@ def encode(packet: Packet) -> bytes:
     Raises
     ------
     ValueError
-        The packet is longer than the protocol allows, or its type or id out of range.
+        The packet is longer than the protocol allows, or its type or id is out of range.
     """
     if not (0 <= packet.type <= 0xFF and 0 <= packet.id <= 0xFFFF):
         raise ValueError(f"type {packet.type} or id {packet.id} does not fit a packet's header")

@@ -16,18 +16,18 @@ from adis_gonio.base.errors import ProtocolError
 class Body:
     """Body of a packet: fixed fields, followed by words, by text or by nothing.
 
-    A subclass is a frozen dataclass; it names its packet type, layout and tail as it is declared.
+    A subclass is a frozen dataclass; its class arguments set the attributes below.
 
     Attributes
     ----------
     TYPE : int
-        Type of the packets that carry it.
+        Type of the packets that carry this body.
     LAYOUT : struct.Struct
         The fixed fields, little endian.
     COUNTS : tuple of int
         Number of elements of each fixed field; a field with more than one is a tuple.
     TAIL : str
-        `words`, `text` or nothing.
+        Content after the fixed fields: `words`, `text`, or empty for nothing.
     """
 
     TYPE: ClassVar[int]
@@ -60,7 +60,7 @@ class Body:
         Raises
         ------
         ProtocolError
-            Its length does not fit.
+            The number of bytes does not fit the fields of this class.
         """
         size = cls.LAYOUT.size
         tail = data[size:]
