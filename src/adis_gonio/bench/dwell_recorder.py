@@ -180,13 +180,10 @@ class Recording:
         """Return the scans of the dwell as one block."""
         return join([block for phase, block in self._pieces() if phase == "dwell"])
 
-    def attempt(
-        self, outcome: Outcome, ended_bus_s: float, reason: str = "", status: int | None = None
-    ) -> Attempt:
+    def attempt(self, outcome: Outcome, ended_bus_s: float, reason: str = "") -> Attempt:
         """Make the record of this attempt for the archive.
 
-        `ended_bus_s` is its end on the bus's clock in s, `reason` the reason of an interruption, and
-        `status` the content of STATUS (None if it was not read).
+        `ended_bus_s` is its end on the bus's clock in s, and `reason` the reason of an interruption.
         """
         return Attempt(
             self.place,
@@ -198,7 +195,7 @@ class Recording:
             [*(("before", block) for block in self.earlier), *self._pieces()],
             self.moves,
             reason,
-            status,
+            None if self.status is None else self.status.word,
         )
 
     @property
@@ -467,8 +464,7 @@ class DwellRecorder(Recorder):
         if recording.settings_lost:
             yield self._interrupted(recording, recording.settings_lost)
             raise SessionError(f"{recording.position}: {recording.settings_lost}")
-        status = recording.status
-        attempt = recording.attempt("complete", bench.now_s, status=None if status is None else status.word)
+        attempt = recording.attempt("complete", bench.now_s)
         number = ledger.archive.add_attempt(attempt)
         place, scans = recording.place, recording.scans()
         ledger.faulty.discard(place)
@@ -481,7 +477,7 @@ class DwellRecorder(Recorder):
         self._note_turn(number)
         mean = vector(scans.accel_mg.mean(axis=0))
         yield DwellDone(place, recording.position, number, len(scans), scans.lost, mean, alarms)
-        found = problems(place, scans, status)
+        found = problems(place, scans, recording.status)
         for problem in found:
             yield ledger.problem(problem)
         yield from self._within(recording, scans, found)
