@@ -2,7 +2,8 @@
 
 The bench is in tests/simulated_bench. A failing seed is shrunk and printed as a story that a person reads,
 with the Python of the story for a test.
-Every minute one line states the seeds, the bench hours and the bench hours in an hour of one core.
+Every minute and at the end (also after Ctrl-C, once the present story has ended) one line states the seeds,
+the bench hours, the bench hours in an hour of one core, the values outside U and the failing seeds.
 
     nice -n 19 python scripts/bench_stories.py                      # for ever, from seed 0
     python scripts/bench_stories.py --first 5000 --minutes 30
@@ -15,6 +16,7 @@ from __future__ import annotations
 import argparse
 import gc
 import os
+import signal
 import sys
 import tempfile
 import time
@@ -43,11 +45,17 @@ def name_of(outcome: Outcome) -> str:
     return outcome.wrong[0].split(": ")[0] if outcome.wrong else ""
 
 
+def stopped() -> bool:
+    """True if Ctrl-C was pressed; it waits until the present story has ended."""
+    return signal.SIGINT in signal.sigpending()
+
+
 def report(story: Story, outcome: Outcome) -> None:
     """Print a failing story, shrunk."""
     which = name_of(outcome)
-    small = shrink(story, lambda one: name_of(played(one)) == which)
-    print(f"\nFAILED, shrunk from seed {story.seed}:\n{tell(played(small))}\n{small!r}\n", flush=True)
+    print(f"\nseed {story.seed} fails: {outcome.wrong[0]}", flush=True)
+    small = shrink(story, lambda one: not stopped() and name_of(played(one)) == which)
+    print(f"FAILED, shrunk from seed {story.seed}:\n{tell(played(small))}\n{small!r}\n", flush=True)
 
 
 def run(first: int, minutes: float) -> int:
@@ -55,6 +63,7 @@ def run(first: int, minutes: float) -> int:
     began_s, told_s, core_s = time.monotonic(), time.monotonic(), time.process_time()
     hours = measured = 0.0
     failed: list[int] = []
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     values = outside = 0
     for seed in count(first):
         story = draw(seed)
@@ -67,7 +76,7 @@ def run(first: int, minutes: float) -> int:
         if outcome.wrong:
             failed.append(seed)
             report(story, outcome)
-        over = time.monotonic() - began_s > 60 * minutes
+        over = time.monotonic() - began_s > 60 * minutes or stopped()
         if over or time.monotonic() - told_s > 60:
             told_s = time.monotonic()
             print(

@@ -192,7 +192,7 @@ def test_a_bench_that_there_is_not_is_refused():
     for wrong in ({"start_deg": math.nan}, {"gravity_mps2": 0.0}, {"gravity_mps2": math.nan}):
         with pytest.raises(UsageError, match=r"start|gravity"):
             Bench(0.02, **wrong)
-    with pytest.raises(UsageError, match="both 0"):
+    with pytest.raises(UsageError, match="are 0: without noise"):
         Bench(0.0, noise_mg=0.0, flicker_mg=0.0)
     for minutes in (0.1, 1000.0, math.nan):
         with pytest.raises(UsageError, match="minutes"):

@@ -123,6 +123,7 @@ OBJECTS = (
     "ALTER TABLE {table} RENAME COLUMN crc32 TO crc",
     "CREATE VIEW more AS {endless} SELECT i FROM n",
     "CREATE TRIGGER more AFTER INSERT ON {table} BEGIN SELECT count(*) FROM {table}; END",
+    "CREATE TRIGGER more BEFORE INSERT ON {table} BEGIN SELECT RAISE(IGNORE); END",
     "CREATE INDEX more ON {table}(hex(crc32))",
     "CREATE TABLE more (value CHECK (length(hex(zeroblob(500000000))) > 0))",
     "CREATE TABLE {table}_é (x)",

@@ -12,6 +12,7 @@ from hypothesis import example, given, settings, strategies as st
 
 from adis_gonio.base.errors import DataError
 from adis_gonio.record.loading import Overrides, load_session
+from adis_gonio.record.samples_columns import recognise_column
 
 FRAME = pd.DataFrame(
     {
@@ -222,7 +223,7 @@ def test_units_of_accelerations_in_the_header(tmp_path, unit, expected, style):
         ("time_s,position,ax [ft/s²],ay [ft/s²]", "unit 'ft/s²' of column 'ax [ft/s²]' is not known"),
         ("time_s,position,ax [g],ay [mg]", "do not have one unit"),
         ("time_s,position,ax [g],ay", "do not have one unit"),
-        ("time_s,position,acc_x,ay,accel_x", "--columns ax=accel_x"),
+        ("time_s,position,acc_x,ay,accel_x", "--columns 'ax=accel_x'"),
         ("a,b,c,d", "say which are which, such as --columns 'time=a,ax=b,ay=c'"),
         ("0,0,1,2", "no header row"),
         ("time_s,position,x,y", "--columns 'ax=x,ay=y'"),
@@ -483,3 +484,10 @@ def test_damage_to_a_sound_file_never_ends_in_a_traceback(tmp_path_factory, plac
     path = tmp_path_factory.mktemp("m") / "m.csv"
     path.write_bytes(_SOUND[:place] + put + _SOUND[place + drop :])
     loaded_or_refused(path)
+
+
+def test_a_single_t_is_a_time_or_by_its_unit_a_temperature():
+    assert recognise_column("T [°C]") == ("temp_c", "°C", False)
+    assert recognise_column("t [K]") == ("temp_c", "K", False)
+    assert recognise_column("t [ms]") == ("time_s", "ms", False)
+    assert recognise_column("t") == ("time_s", "", False)

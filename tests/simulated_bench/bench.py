@@ -29,11 +29,12 @@ import numpy as np
 from adis_gonio.base.errors import BusTimeoutError, ProtocolError
 from adis_gonio.device.bus import FrameBlock
 from adis_gonio.device.bus.opening import BusUrl
+from adis_gonio.device.sensor.registers import READING_BITS
 from adis_gonio.faces.cli import line_prompts, live_commands, main as run_program
 from adis_gonio.sim import SimBus, SimulatedChip, State
 from fakes.faulty_chip import FAULTS, CutStream, FaultyChip
 from fakes.hand_part import HandPart, ShakenWorld
-from simulated_bench.disk import Disk, DiskFault, Killed
+from simulated_bench.disk import Disk, DiskFault, Killed, press_ctrl_c
 from simulated_bench.operator_at_bench import DeadEndError, Operator
 
 URL = "bench:"
@@ -44,8 +45,9 @@ HOST_LIMIT_S = 600.0
 """No command may take more time of the host than this: far more than on the slowest machine."""
 UNREAD_S, UNREAD_SAMPLES = 300.0, 50_000
 UNPLUGGED, BUSY, SHORT, LATE = "unplug", "busy", "short", "late"
-NOISE = "noise-on-data-ready"
-LINE_KINDS = (*FAULTS, UNPLUGGED, BUSY, SHORT, LATE, NOISE)
+NOISE, SHAKE = "noise-on-data-ready", "shake"
+LINE_KINDS = (*FAULTS, UNPLUGGED, BUSY, SHORT, LATE, NOISE, SHAKE)
+SHAKEN_MG = 30.0
 
 
 class OvertimeError(BaseException):
@@ -58,7 +60,7 @@ class LineFault:
 
     Kinds are those of `fakes.faulty_chip.FAULTS`, and `unplug` (until the command ends), `busy` (the bridge
     refuses a batch), `short` (a batch is answered with `size` words too few), `late` (a batch takes `size`
-    seconds), `noise-on-data-ready` (a stream loses scans).
+    seconds), `noise-on-data-ready` (a stream loses scans), `shake` (the table shakes for `size` seconds).
     """
 
     kind: str
@@ -99,7 +101,13 @@ class Ended:
 
 
 class _BenchChip(SimulatedChip):
-    """A chip that does not compute the samples of a night in which nobody reads it."""
+    """A chip that counts its restarts, and does not compute the samples of a night without a reader."""
+
+    restarts = 0
+
+    def hard_reset(self, time_s: float) -> None:
+        super().hard_reset(time_s)
+        self.restarts += 1
 
     def _sample_to(self, time_s: float) -> None:
         unread = int((time_s - self._epoch) / self._period) - self._k - UNREAD_SAMPLES
@@ -153,6 +161,7 @@ class BenchBus(SimBus):
     def _exchange(self, frames):
         self._meet_faults()
         replies = super()._exchange(frames)
+        self.bench.note_settings()
         short = self.bench.take_fault(SHORT)
         return replies if short is None else replies[: max(0, len(replies) - int(short.size))]
 
@@ -187,8 +196,28 @@ class _Stream(CutStream):
             keep = bus.bench.rng.random(len(block.words)) > 0.3
             lost = block.lost + int((~keep).sum())
             block = FrameBlock(block.words[keep], block.time_s[keep], lost)
+        bus.bench.note_settings()
         bus.bench.delivered.append(block)
         return block
+
+
+@dataclass(frozen=True)
+class Held:
+    """Settings of the part that shift or scale a reading, from a time in s on.
+
+    Attributes
+    ----------
+    since_s : float
+        Time at which they were first seen, at most one exchange too late.
+    words : tuple of int
+        Contents of the registers of `READING_BITS`.
+    restarts : int
+        Number of restarts of the part so far.
+    """
+
+    since_s: float
+    words: tuple[int, ...]
+    restarts: int
 
 
 class _Motor:
@@ -249,7 +278,8 @@ class Bench:
         self.disk = Disk(folder, np.random.default_rng([seed, 33]), self.advance)
         self.operator = Operator(self, seed, plan, positions, only)
         self.delivered: list[FrameBlock] = []
-        self.powered_s = [0.0]
+        self.held: list[Held] = []
+        self.note_settings()
         self._line: list[LineFault] = []
         self._began_s = self._limit_s = 0.0
         self.unplugged = False
@@ -279,7 +309,7 @@ class Bench:
             raise OvertimeError(f"{self.now_s - self._began_s:.0f} s of virtual time")
         if self._interrupts and self.now_s >= self._interrupts[0] and not self.disk.dead:
             self._interrupts.pop(0)
-            signal.raise_signal(signal.SIGINT)
+            press_ctrl_c()
 
     def interrupt_in(self, seconds: float) -> None:
         """Let Ctrl-C come after some seconds."""
@@ -319,7 +349,19 @@ class Bench:
         self.chip.actions.clear()
         self.chip.inner.hard_reset(max(self.now_s, self.chip.inner.time_s))
         self.now_s = max(self.now_s, self.chip.inner.time_s) + 1.0
-        self.powered_s.append(self.now_s)
+        self.note_settings()
+
+    def note_settings(self) -> None:
+        """Note the settings of the part if they have changed."""
+        chip = self.chip.inner
+        now = tuple(chip.memory[name] & bits for name, bits in READING_BITS.items()), chip.restarts
+        if not self.held or now != (self.held[-1].words, self.held[-1].restarts):
+            self.held.append(Held(self.now_s, *now))
+
+    def held_between(self, begin_s: float, end_s: float) -> list[Held]:
+        """Settings of the part from a time to a later one, in order."""
+        earlier = [held for held in self.held if held.since_s <= begin_s][-1:]
+        return earlier + [held for held in self.held if begin_s < held.since_s <= end_s]
 
     def wait(self, seconds: float) -> None:
         """Let time pass between two commands."""
@@ -334,14 +376,17 @@ class Bench:
         line: Sequence[LineFault] = (),
         disk: DiskFault | None = None,
         interrupt_s: float | None = None,
+        patience_s: float = PATIENCE_S,
     ) -> Ended:
         """Run a command line as a process of its own, with faults, to its end."""
         self._line = list(line)
-        self._began_s, self._limit_s, self.unplugged = self.now_s, self.now_s + PATIENCE_S, False
+        self._began_s, self._limit_s, self.unplugged = self.now_s, self.now_s + patience_s, False
         self._interrupts = [] if interrupt_s is None else [self.now_s + interrupt_s]
         self.chip.cut_s = np.inf
         self.delivered.clear()
         for fault in line:
+            if fault.kind == SHAKE:
+                self.world.shakes += ((self.now_s + fault.at_s, SHAKEN_MG, fault.size),)
             if fault.kind in FAULTS:
                 FAULTS[fault.kind](self.chip, self.now_s + fault.at_s)
         self.chip.actions.sort(key=lambda action: action[0])
@@ -374,6 +419,8 @@ class Bench:
         self.chip.actions.clear()
         self.chip.windows = [window for window in self.chip.windows if window.begin_s < self.now_s]
         self.chip.windows = [replace(w, end_s=min(w.end_s, self.now_s)) for w in self.chip.windows]
+        shakes = [shake for shake in self.world.shakes if shake[0] < self.now_s]
+        self.world.shakes = tuple((at_s, mg, min(long_s, self.now_s - at_s)) for at_s, mg, long_s in shakes)
         self.unplugged, self._line, self._limit_s = False, [], np.inf
 
     @contextmanager

@@ -5,10 +5,11 @@ Each is a replacement of one function, as the package once was or would be witho
 
 from __future__ import annotations
 
+import json
 import math
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,18 +21,25 @@ from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.bench.writeback import offset_writer
 from adis_gonio.device.bus.contract import SpiBus
 from adis_gonio.faces.cli import calibrate_command
-from adis_gonio.record import archive
+from adis_gonio.record import archive, archive_tables
 from adis_gonio.record.source import ChipSource
 
 
 @dataclass(frozen=True)
 class Defect:
-    """A defect: what the program did, and the attribute that is replaced."""
+    """A defect: what the program did, and the attribute that is replaced.
+
+    Attributes
+    ----------
+    more : tuple of (target, name, new)
+        Further protections against the same harm, which back the first one up.
+    """
 
     text: str
     target: Any
     name: str
     new: Any
+    more: tuple[tuple[Any, str, Any], ...] = ()
 
 
 def _set_aside(path: Path) -> Path:
@@ -88,7 +96,10 @@ _ADD = archive.Archive.add_attempt
 
 
 def _forgetful_recording(self: Any, recording: Any, rested_mg: Any) -> Any:
-    return (yield from self._record(recording, rested_mg))
+    broken = yield from self._record(recording, rested_mg)
+    if broken is None:
+        self._check_sensor(recording)
+    return broken
 
 
 def _always_explained(self: Any, now: Any) -> None:
@@ -129,6 +140,12 @@ def _update_rows(self: archive.Archive, kind: str, value: Any, bus_s: float) -> 
         self._record(kind, value, bus_s)
 
 
+def _values_unchecked(table: str, row: Any) -> dict[str, Any]:
+    """The checksum of a row is taken for the proof that its values are sound."""
+    pairs = zip(archive_tables.TABLES[table], row, strict=True)
+    return {column.name: json.loads(value) if column.json else value for column, value in pairs}
+
+
 DEFECTS: dict[str, Defect] = {
     "restart": Defect(
         "a restart or a changed register between two dwells is not noticed",
@@ -147,7 +164,7 @@ DEFECTS: dict[str, Defect] = {
     ),
     "self-test": Defect(
         "a session runs while the manual self-test shifts all readings",
-        ChipSource, "_refuse_self_test", lambda self: None,
+        ChipSource, "refuse_self_test", lambda self: None,
     ),
     "other settings": Defect(
         "a resumed session does not compare the registers with those before",
@@ -213,6 +230,18 @@ DEFECTS: dict[str, Defect] = {
         "a part that never comes to rest is waited for without end",
         dwell_recorder, "WINDOWS_TO_STILLNESS", math.inf,
     ),
+    "forged values": Defect(
+        "a value with a fitting checksum is taken without a check of its type and range",
+        archive, "checked_row", _values_unchecked,
+        (
+            (archive, "checked_value", lambda name, shape, value: value),
+            (archive.ArchiveView, "_refuse_strangers", lambda self, stored: None),
+        ),
+    ),
+    "forged schema": Defect(
+        "a session file may hold other tables, views and triggers",
+        archive, "_refuse_other_objects", lambda path, connection: None,
+    ),
 }  # fmt: skip
 """Defects by a short name."""
 
@@ -221,5 +250,7 @@ DEFECTS: dict[str, Defect] = {
 def put_back(name: str) -> Iterator[None]:
     """Let the package have a defect."""
     one = DEFECTS[name]
-    with mock.patch.object(one.target, one.name, one.new):
+    with ExitStack() as stack:
+        for target, attribute, new in ((one.target, one.name, one.new), *one.more):
+            stack.enter_context(mock.patch.object(target, attribute, new))
         yield

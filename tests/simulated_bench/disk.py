@@ -48,6 +48,13 @@ class Killed(BaseException):
     """The program was killed; no handler of the program may catch this."""
 
 
+def press_ctrl_c() -> None:
+    """Call the handler of Ctrl-C that the program has now; no signal of the system is sent."""
+    handler = signal.getsignal(signal.SIGINT)
+    if callable(handler):
+        handler(signal.SIGINT, None)
+
+
 @dataclass(frozen=True)
 class DiskFault:
     """One fault of the disk, or the end of the program at an operation of the disk.
@@ -168,7 +175,7 @@ class Disk:
             torn = self._torn(before, self._files()) if fault.side == "within" and writes else None
             self.die(cut=fault.kind == "cut", torn=torn)
         if due and fault is not None and fault.kind == "interrupt":
-            signal.raise_signal(signal.SIGINT)
+            press_ctrl_c()
         return result
 
     def _fail(self, kind: str, label: str, path: Path | None) -> None:

@@ -7,13 +7,14 @@ import re
 import shutil
 import sqlite3
 import tempfile
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from adis_gonio.base.errors import AdisGonioError
-from adis_gonio.device.sensor.registers import ACCEL_OFF
+from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, READING_BITS
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.write_journal import operations
 from fakes.faulty_chip import FAULTS
@@ -32,7 +33,10 @@ HONEST = frozenset(
 """Mistakes after which the declared angles still hold."""
 FAR = 3.0
 """Units of U beyond which no value of an honest session may be: 6 standard deviations."""
+NOTHING = {"1": 1.0, "deg": 60.0}
+"""U by unit beyond which an answer says nothing."""
 COLDER_C = 0.5
+STIMULUS = BY_NAME["MSC_CTRL"].field("positive").mask | BY_NAME["MSC_CTRL"].field("negative").mask
 TAMPERING = frozenset(FAULTS) - {"stuck-high", "stuck-low", "dip"}
 """Faults that change registers of the part."""
 
@@ -55,16 +59,21 @@ class Record:
         Rows of all tables of the session file after the last step.
     tampered : bool
         A fault has changed registers of the part.
-    base : tuple of int
-        Offsets of the part before any write of the session.
+    forged, sound : bool
+        A stranger has changed the session file; the program can still read it.
+    base, found : tuple of int
+        Offsets of the part before any write of the session, and before the present command.
+    by_hand : tuple of int or None
+        Offsets that somebody wrote by hand during the session.
     """
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
         self.rows: dict[str, list[Any]] = {}
         self.aside: dict[str, list[Any]] = {}
-        self.tampered = False
-        self.base = self.offsets()
+        self.tampered = self.forged = self.sound = False
+        self.base = self.found = self.offsets()
+        self.by_hand: tuple[int, ...] | None = None
         self.loaned = self.borrowed()
         self.files = _open_files()
 
@@ -85,7 +94,22 @@ class Record:
     def forget(self) -> None:
         """A new session begins in a new file."""
         self.aside, self.rows = self.rows, {}
+        self.base, self.forged, self.by_hand = self.offsets(), False, None
+
+    def note_hand(self) -> None:
+        """Somebody has written other offsets to the part."""
         self.base = self.offsets()
+        if self.readable():
+            self.by_hand = self.base
+
+    def note_forgery(self) -> None:
+        """A stranger has changed the session file: from here on its rows are as they are now."""
+        self.rows, self.forged = _rows(self.bench.folder / SESSION), True
+        self.sound = not _why_unreadable(self.bench.folder)
+
+    def written(self) -> bool:
+        """True if the session has written offsets to the part."""
+        return any(row[4] == "offsets" for row in self.rows.get("records", []))
 
     def readable(self) -> bool:
         """True if the session file holds a session."""
@@ -138,7 +162,12 @@ def every_failure_is_one_line(case: Case) -> str:
 
 
 def every_wait_ends(case: Case) -> str:
-    """No command waits for ever, and a careful operator is not asked for ever."""
+    """No command waits for ever, and a careful operator is not asked for ever.
+
+    A forged session may ask for a dwell of a year, which Ctrl-C ends.
+    """
+    if case.record.forged and case.ended.how == "overtime":
+        return ""
     return f"{case.ended.how}: {case.ended.last_line}" if case.ended.how in ("overtime", "dead end") else ""
 
 
@@ -147,6 +176,11 @@ def nothing_recorded_is_lost(case: Case) -> str:
     for table, rows in case.before.items():
         if case.after.get(table, [])[: len(rows)] != rows:
             return f"table {table} had {len(rows)} rows, which are changed or gone"
+    if case.ran and case.step.disk is None:
+        for table, written in _rows_written(case.bench.disk.labels).items():
+            gained = len(case.after.get(table, [])) - len(case.before.get(table, []))
+            if gained < written:
+                return f"{written} rows of table {table} were written, {gained} are there"
     if case.ended.words[0] != "calibrate":
         return ""
     kept = case.after.get("attempts", [])[len(case.before.get("attempts", [])) :]
@@ -170,20 +204,17 @@ def a_session_set_aside_is_whole(case: Case) -> str:
 def the_session_can_be_read(case: Case) -> str:
     """The session file is whole after any command, or the program has not begun a session in it."""
     path = case.bench.folder / SESSION
+    if case.record.forged and not case.record.sound:
+        return ""
     if not path.exists() or not case.after.get("meta"):
         return "the session is gone" if case.before.get("meta") else ""
-    try:
-        with _copied(case.bench.folder) as copy, ArchiveView(copy) as view:
-            for attempt in view.attempts():
-                view.blocks(attempt)
-    except AdisGonioError as error:
-        return f"the session cannot be read: {error}"
-    return ""
+    why = _why_unreadable(case.bench.folder)
+    return f"the session cannot be read: {why}" if why else ""
 
 
 def no_accepted_word_is_wrong(case: Case) -> str:
     """Each word of a dwell that counts is the word that the chip sent at that time."""
-    if case.ended.words[0] != "calibrate" or not case.after.get("attempts"):
+    if case.ended.words[0] != "calibrate" or case.record.forged or not case.after.get("attempts"):
         return ""
     new = len(case.before.get("attempts", []))
     sent = {
@@ -207,6 +238,47 @@ def no_accepted_word_is_wrong(case: Case) -> str:
     return ""
 
 
+def dwells_are_measured_alike(case: Case) -> str:
+    """All dwells that count have the same settings of the part, and no restart came between them unseen."""
+    if case.ended.words[0] != "calibrate" or case.record.forged or not case.after.get("attempts"):
+        return ""
+    first, restarts = None, {}
+    with _copied(case.bench.folder) as copy, ArchiveView(copy) as view:
+        for dwell in view.dwells():
+            blocks = view.blocks(dwell, "dwell")
+            if not blocks:
+                return f"dwell {dwell.number} counts without samples"
+            for held in case.bench.held_between(blocks[0].time_s[0], blocks[-1].time_s[-1]):
+                settings = dict(zip(READING_BITS, held.words, strict=True))
+                first = first or settings
+                changed = [name for name in settings if settings[name] != first[name]]
+                if changed:
+                    return f"dwell {dwell.number} has another {changed[0]} than the dwells before"
+                if settings["MSC_CTRL"] & STIMULUS:
+                    return f"the manual self-test shifted the readings of dwell {dwell.number}"
+                if held.restarts != restarts.setdefault(dwell.run, held.restarts):
+                    return f"the part restarted before dwell {dwell.number}, and the session went on"
+    return ""
+
+
+def the_last_scans_before_an_error_are_kept(case: Case) -> str:
+    """The scans that came before an error ended a session are in the archive."""
+    ended, delivered = case.ended, case.bench.delivered
+    told_by_itself = case.ran and ended.status != 0 and case.step.disk is None
+    if ended.words[0] != "calibrate" or not case.story.motor or not told_by_itself or case.record.forged:
+        return ""
+    new = case.after.get("attempts", [])[len(case.before.get("attempts", [])) :]
+    if not delivered or not any(
+        row[6] == "complete" for row in new
+    ):  # the scans were for the noise at rest
+        return ""
+    last_s = delivered[-2:][0].time_s[0]  # the driver may have refused the last block
+    with _copied(case.bench.folder) as copy, ArchiveView(copy) as view:
+        attempts = view.attempts()[-len(new) :]
+        kept = any(block.time_s[-1] >= last_s for a in attempts for block in view.blocks(a))
+    return "" if kept else f"the scans from {last_s:.2f} s on are not in the archive"
+
+
 def registers_are_as_before_or_as_planned(case: Case) -> str:
     """What a command borrows it gives back; of offsets the next invariant speaks."""
     record = case.record
@@ -220,18 +292,24 @@ def registers_are_as_before_or_as_planned(case: Case) -> str:
 def the_journal_says_what_the_part_holds(case: Case) -> str:
     """After any write the offsets are old or new as the journal says, in the registers and in the flash."""
     record, now = case.record, case.record.offsets()
-    if record.tampered or not case.after.get("records"):
+    if record.tampered or record.forged or not case.after.get("records"):
         return ""
     steps = [json.loads(row[5]) for row in case.after["records"] if row[4] == "offsets"]
     known = operations(steps)
-    planned = [record.base, *(_numbers(one.new, record.base) for one in known)]
+    planned = [record.base, record.flash(), *(_numbers(one.new, record.base) for one in known)]
     if now not in planned and case.ran and not case.step.faults:
         return f"the part holds {now}, which nothing in the journal plans: {planned}"
-    if now != record.base and not known:
+    if now not in planned[:2] and not known:
         return f"the part holds {now} instead of {record.base}, and there is no journal"
     for one in known:
         if _numbers(one.old, record.base) != record.base:
             return f"the journal says that {one.old} was there before, it was {record.base}"
+    noted = len(case.after["records"]) > len(case.before.get("records", []))
+    by_itself = case.ran and case.step.disk is None and not case.step.line
+    if case.ended.words[0] == "write" and noted and by_itself and known[-1].open:
+        return f"a write that was interrupted is neither done nor set back: {known[-1]}"
+    if noted and case.ended.words[0] == "write" and record.found == record.by_hand != now:
+        return f"a write took the place of numbers that somebody wrote by hand: {record.by_hand}"
     return _report_is_true(case, now, planned)
 
 
@@ -270,16 +348,17 @@ def _offsets_cancel_the_biases(case: Case, now: tuple[int, ...]) -> str:
 def status_0_means_a_right_answer(case: Case) -> str:
     """Exit status 0 comes with values inside their U as often as U promises, and never far outside."""
     ended, document = case.ended, case.document
-    if ended.words[0] not in ("calibrate", "fit") or ended.status != 0:
+    if ended.words[0] not in ("calibrate", "fit") or ended.status != 0 or case.record.forged:
         return ""
     if document is None:
         return "status 0 without an answer"
     try:
         with _copied(case.bench.folder) as copy, ArchiveView(copy) as view:
             complete = not view.pending() and not view.doubts()
-            dwells = view.dwells()
+            dwells, skipped, places = view.dwells(), view.skipped(), set(range(len(view.plan())))
     except AdisGonioError as error:
         return f"status 0 of a session that cannot be read: {error}"
+    complete &= places <= skipped | {row[2] for row in case.after["attempts"] if row[6] == "complete"}
     if ended.words[0] == "calibrate" and not complete:
         return "calibrate ends with status 0, but the session is not complete or has doubts"
     if not complete:
@@ -291,6 +370,8 @@ def status_0_means_a_right_answer(case: Case) -> str:
         value = document["answer"].get(name) or document["parameters"].get(name)
         if value is not None and value["U"] is not None:
             case.found.off[name] = (value["value"] - truth[name]) / value["U"]
+            if value["U"] > NOTHING[value["unit"]]:
+                return f"status 0 with an answer that says nothing: {name} ± {value['U']:.3g}"
     case.found.lied = _lies(case)
     far = {name: round(off, 1) for name, off in case.found.off.items() if abs(off) > FAR}
     return f"status 0 with values at {far} U from the truth" if far and not case.found.lied else ""
@@ -302,6 +383,8 @@ def the_live_angle_is_right(case: Case) -> str:
     if drift_c > COLDER_C:  # u of the live angle does not hold the temperature
         return ""
     if case.ended.words[0] != "angle" or _lies(case) or case.record.tampered or case.step.line:
+        return ""
+    if case.record.forged:
         return ""
     stage = case.bench.world.stage
     for line in case.ended.out.splitlines():
@@ -353,6 +436,8 @@ INVARIANTS: tuple[Callable[[Case], str], ...] = (
     a_session_set_aside_is_whole,
     the_session_can_be_read,
     no_accepted_word_is_wrong,
+    dwells_are_measured_alike,
+    the_last_scans_before_an_error_are_kept,
     registers_are_as_before_or_as_planned,
     the_journal_says_what_the_part_holds,
     status_0_means_a_right_answer,
@@ -415,10 +500,37 @@ def _rows(path: Path) -> dict[str, list[Any]]:
                 name: connection.execute(f"SELECT * FROM {name} ORDER BY rowid").fetchall()
                 for name in tables
             }
-        except sqlite3.DatabaseError:  # then the earlier rows are missed
+        except (sqlite3.DatabaseError, UnicodeDecodeError):  # then the earlier rows are missed
             return {}
         finally:
             connection.close()
+
+
+def _why_unreadable(folder: Path) -> str:
+    """Message of the package if it cannot read the session file; else empty."""
+    try:
+        with _copied(folder) as copy, ArchiveView(copy) as view:
+            for attempt in view.attempts():
+                view.blocks(attempt)
+    except AdisGonioError as error:
+        return str(error)
+    except Exception as error:  # of a defect that was put back
+        return f"{type(error).__name__}: {error}"
+    return ""
+
+
+def _rows_written(labels: Sequence[str]) -> Counter[str]:
+    """Number of rows by table that a command wrote in transactions that it committed."""
+    written: Counter[str] = Counter()
+    waiting: list[str] = []
+    for label in labels:
+        if label.startswith("INSERT INTO "):
+            waiting.append(label.split()[2])
+        elif label == "COMMIT":
+            written.update(waiting)
+        if label.startswith(("BEGIN", "COMMIT")):
+            waiting = []
+    return written
 
 
 def _numbers(found: dict[str, int], otherwise: tuple[int, ...]) -> tuple[int, ...]:

@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from simulated_bench.bench import LINE_KINDS, SHORT, URL, Bench, Ended, LineFault
+from simulated_bench.bench import LINE_KINDS, PATIENCE_S, SHORT, URL, Bench, Ended, LineFault
 from simulated_bench.disk import FAILURES, SIDES, DiskFault
+from simulated_bench.forging import FORGERIES, forge
 from simulated_bench.invariants import Record, check
 
 SESSION = "a.session"
@@ -28,7 +29,13 @@ PLANS = (
 IN_SPACE = ("tumble", "poses")
 COMMANDS = ("fit", "angle", "export", "write", "write --save", "undo", "status")
 CALIBRATE, AFRESH, NIGHT, POWER = "calibrate", "calibrate afresh", "night", "power"
+SELF_TEST, OFFSET = "self-test on", "offset by hand"
+HAND_LSB = 40
+SIGNS = (0x100, 0x200)
+"""Bits of the manual self-test: positive, negative."""
 MOST_TRIES = 4
+FORGED_PATIENCE_S = 300.0
+"""A forged session may ask for a dwell of a year: no virtual time is spent on it."""
 
 
 @dataclass(frozen=True)
@@ -39,12 +46,16 @@ class Step:
     ----------
     command : str
         `calibrate` (begins or resumes), `calibrate afresh` (with --force), one of `COMMANDS`, `night`
-        (nobody is there for `hours`) or `power` (the part is switched off and on).
+        (nobody is there for `hours`), `power` (the part is switched off and on), `self-test on` or
+        `offset by hand` (somebody writes to a register), or a key of `FORGERIES` (a stranger changes the
+        session file).
     line : tuple of LineFault
     disk : DiskFault or None
     interrupt_s : float or None
         When Ctrl-C comes.
     hours : float
+    draw : int
+        Draws what a stranger changes, and the sign of the self-test.
     """
 
     command: str
@@ -52,6 +63,7 @@ class Step:
     disk: DiskFault | None = None
     interrupt_s: float | None = None
     hours: float = 0.0
+    draw: int = 0
 
     @property
     def faults(self) -> int:
@@ -72,6 +84,7 @@ class Story:
     drift_c_per_h: float = 0.0
     dwell_s: float = 0.5
     only: str = ""
+    patience_s: float = PATIENCE_S
 
 
 @dataclass
@@ -131,19 +144,27 @@ def draw(seed: int) -> Story:
         steps.append(_step(rng, "bringup", 10.0, 30))
     for _ in range(int(rng.integers(1, 4))):
         steps.append(_step(rng, CALIBRATE, 5.0 * counts[which], 40 * counts[which], share=0.9))
-        steps += _between(rng)
+        steps += _between(rng, motor=motor)
     for _ in range(int(rng.integers(0, 4))):
         command = str(rng.choice(COMMANDS))
         length_s = 5.0 if command.startswith("write") else 1.0
         steps.append(_step(rng, command, length_s, 40, share=0.6))
-        steps += _between(rng)
+        steps += _between(rng, motor=motor)
     return replace(story, steps=tuple(steps))
 
 
-def _between(rng: np.random.Generator) -> list[Step]:
-    if rng.random() < 0.15:
+def _between(rng: np.random.Generator, *, motor: bool) -> list[Step]:
+    """Draw what happens between two commands; an operator has no plan on the wall for a forged session."""
+    kind = rng.random()
+    if kind < 0.15:
         return [Step(NIGHT, hours=float(rng.choice([0.2, 2.0, 8.0, 14.0])))]
-    return [Step(POWER)] if rng.random() < 0.1 else []
+    if kind < 0.23:
+        return [Step(POWER)]
+    if kind < 0.29:
+        return [Step(SELF_TEST if kind < 0.26 else OFFSET, draw=int(rng.integers(2)))]
+    if kind < 0.35 and motor:
+        return [Step(str(rng.choice([*FORGERIES])), draw=int(rng.integers(1 << 16)))]
+    return []
 
 
 def _step(
@@ -212,12 +233,27 @@ class Play:
             bench.switch_part_off_and_on()
             outcome.told.append("the part is switched off and on")
             return None
+        if step.command in FORGERIES:
+            if self.record.readable():
+                what = forge(bench.folder / SESSION, step.command, step.draw)
+                self.record.note_forgery()
+                outcome.told.append(f"a stranger changes {what}")
+            return None
         self._afresh |= step.command == AFRESH
-        words = self._words(step.command)
+        words = self._words(step)
         if words is None:
             return None
+        self.record.found = self.record.offsets()
         did = len(bench.operator.did)
-        ended = bench.run(words, line=step.line, disk=step.disk, interrupt_s=step.interrupt_s)
+        ended = bench.run(
+            words,
+            line=step.line,
+            disk=step.disk,
+            interrupt_s=step.interrupt_s,
+            patience_s=min(self.story.patience_s, FORGED_PATIENCE_S if self.record.forged else PATIENCE_S),
+        )
+        if step.command == OFFSET:
+            self.record.note_hand()
         outcome.ended.append(ended)
         outcome.told += _tell(step, ended, bench, bench.operator.did[did:])
         found = check(self.record, ended, step, self.story)
@@ -259,9 +295,9 @@ class Play:
         outcome.digest = digest.hexdigest()[:16]
         return outcome
 
-    def _words(self, command: str) -> list[str] | None:
+    def _words(self, step: Step) -> list[str] | None:
         """The command line of a step, as the operator types it; None if there is no session for it yet."""
-        path, story = self.bench.folder / SESSION, self.story
+        path, story, command = self.bench.folder / SESSION, self.story, step.command
         if command in (CALIBRATE, AFRESH):
             plain = ["--auto"] if story.motor else ["--plain"]
             if path.exists() and not self._afresh:
@@ -282,7 +318,13 @@ class Play:
         if command == "bringup":
             again = any(self.bench.folder.glob("board.*"))
             return ["bringup", URL, "-o", "board.html", *(["--force"] if again else [])]
-        if not self.record.readable():
+        if command == SELF_TEST:
+            word = self.bench.chip.inner.memory["MSC_CTRL"] | SIGNS[step.draw % 2]
+            return ["registers", URL, f"MSC_CTRL=0x{word:X}", "--no-check"]
+        if command == OFFSET:
+            by_hand = f"XACCL_OFF={self.record.offsets()[0] + HAND_LSB}"
+            return None if self.record.written() else ["registers", URL, by_hand]
+        if not self.record.readable() and not self.record.forged:
             return None
         return {
             "fit": ["fit", SESSION, "--json"],

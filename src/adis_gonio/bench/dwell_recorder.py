@@ -74,6 +74,8 @@ class Recording:
         Reason why the newest window before the dwell counts as moving.
     rested_mg : (3,) float or None
         Reading of the sensor when the dwell began; None before.
+    status, settings_lost : Status or None, str
+        STATUS after the dwell, and the message of `SessionBench.settings_lost`.
     """
 
     place: int
@@ -89,6 +91,8 @@ class Recording:
     timed_out: bool = False
     why_moving: str = "no data"
     rested_mg: Floats | None = None
+    status: Status | None = None
+    settings_lost: str = ""
     _blocks: list[Block] = field(default_factory=list)
     # Number of samples up to the end of each block, and of scans lost up to there.
     _ends: list[int] = field(default_factory=lambda: [0])
@@ -176,13 +180,10 @@ class Recording:
         """Return the scans of the dwell as one block."""
         return join([block for phase, block in self._pieces() if phase == "dwell"])
 
-    def attempt(
-        self, outcome: Outcome, ended_bus_s: float, reason: str = "", status: int | None = None
-    ) -> Attempt:
+    def attempt(self, outcome: Outcome, ended_bus_s: float, reason: str = "") -> Attempt:
         """Make the record of this attempt for the archive.
 
-        `ended_bus_s` is its end on the bus's clock in s, `reason` the reason of an interruption, and
-        `status` the content of STATUS (None if it was not read).
+        `ended_bus_s` is its end on the bus's clock in s, and `reason` the reason of an interruption.
         """
         return Attempt(
             self.place,
@@ -194,7 +195,7 @@ class Recording:
             [*(("before", block) for block in self.earlier), *self._pieces()],
             self.moves,
             reason,
-            status,
+            None if self.status is None else self.status.word,
         )
 
     @property
@@ -355,16 +356,26 @@ class DwellRecorder(Recorder):
     def _record_or_keep(
         self, recording: Recording, rested_mg: Floats | None
     ) -> Generator[Event, None, _Broken | None]:
-        """Record a dwell; if an error ends it, archive the scans so far.
+        """Record a dwell and check the sensor; if an error ends it, archive the scans so far.
 
         Returns None, or the reason if the dwell was interrupted. `rested_mg` is the reading when this dwell
         first began, before a disturbance; None at the first try.
         """
         try:
-            return (yield from self._record(recording, rested_mg))
+            broken = yield from self._record(recording, rested_mg)
+            if broken is None:
+                self._check_sensor(recording)
         except BaseException as error:
             self._interrupted(recording, why_broken_off(error))
             raise
+        return broken
+
+    def _check_sensor(self, recording: Recording) -> None:
+        """End the stream after a dwell, and read STATUS and the settings of the sensor."""
+        self._bench.close_stream()
+        self._ledger.scanning(self._bench.scanning)
+        recording.status = self._bench.source.status()
+        recording.settings_lost = self._bench.settings_lost()
 
     def _record(
         self, recording: Recording, rested_mg: Floats | None
@@ -449,15 +460,11 @@ class DwellRecorder(Recorder):
 
     def _complete(self, recording: Recording) -> Iterator[Event]:
         bench, ledger = self._bench, self._ledger
-        bench.close_stream()
-        ledger.scanning(bench.scanning)
-        status = bench.source.status()
-        lost = bench.settings_lost()
         bench.checkpoint()
-        if lost:
-            yield self._interrupted(recording, lost)
-            raise SessionError(f"{recording.position}: {lost}")
-        attempt = recording.attempt("complete", bench.now_s, status=None if status is None else status.word)
+        if recording.settings_lost:
+            yield self._interrupted(recording, recording.settings_lost)
+            raise SessionError(f"{recording.position}: {recording.settings_lost}")
+        attempt = recording.attempt("complete", bench.now_s)
         number = ledger.archive.add_attempt(attempt)
         place, scans = recording.place, recording.scans()
         ledger.faulty.discard(place)
@@ -470,7 +477,7 @@ class DwellRecorder(Recorder):
         self._note_turn(number)
         mean = vector(scans.accel_mg.mean(axis=0))
         yield DwellDone(place, recording.position, number, len(scans), scans.lost, mean, alarms)
-        found = problems(place, scans, status)
+        found = problems(place, scans, recording.status)
         for problem in found:
             yield ledger.problem(problem)
         yield from self._within(recording, scans, found)

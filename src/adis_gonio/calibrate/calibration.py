@@ -1,8 +1,7 @@
 """Calibrations: their coefficients with covariance, and readings converted to gravity and angle.
 
-Parameters with their covariance: the common base of accelerometer and gyro calibrations.
-
-`Calibration`: converts readings to gravity and angle with the parameters of a fit or a trace.
+`Coefficients` is the common base of accelerometer and gyro calibrations. `Calibration` converts readings
+to gravity and angle with the parameters of a fit or a trace.
 
 In the convention of `model.measurement` a reading is U = diag(K) D g + b + Σ effects(diag(K) D g). Here
 this equation is solved for g. Effects are small against the reading, so the fixed-point iteration a ← U − b
@@ -39,7 +38,8 @@ if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 
 STEP = 0.01
-"""Step of central differences along each axis of the covariance, in standard uncertainties."""
+"""Step of the central differences that propagate the covariance, in standard uncertainties of each
+independent cause."""
 
 
 VERSION = 1
@@ -52,10 +52,14 @@ def json_text(document: Mapping[str, Any]) -> str:
 
 
 class Coefficient(JsonRecord):
-    """A parameter of a calibration: value, standard uncertainty (None if unknown) and unit.
+    """A parameter of a calibration, with its standard uncertainty.
 
     Attributes
     ----------
+    name : str
+        Name of the parameter.
+    value, u, unit : float, float or None, str
+        Value, standard uncertainty (None if unknown) and unit.
     dof : float or None
         Effective degrees of freedom of u; None if the result does not state them.
     """
@@ -79,7 +83,7 @@ class Coefficient(JsonRecord):
 
 @dataclass(frozen=True)
 class NotCorrected:
-    """An effect that was found but that a calibration cannot correct, with the reason."""
+    """An effect of the catalogue that was found but that a calibration cannot correct, with the reason."""
 
     effect: str
     reason: str
@@ -90,11 +94,14 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
 
     Attributes
     ----------
+    schema : str
+        Name of the document's format in its JSON entry `schema`.
     method : str
         Method that determined the parameters, such as `ml`, `trace` or `gyro`.
     parameters : tuple of Coefficient
+        Determined parameters.
     covariance : (p, p) float or None
-        In the order and units of `parameters`; None if the noise is unknown.
+        Covariance of the parameters, in their order and units; None if the noise is unknown.
     not_corrected : tuple of NotCorrected
         Effects that a calibration cannot correct, such as errors of the bench or a drift in time.
     assumed : tuple of str
@@ -109,7 +116,7 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
     assumed: tuple[str, ...] = ()
     of_session: ClassVar[Callable[[str | Path], Any] | None] = None
     """Function that loads a calibration file or fits a session; set by
-    `adis_gonio.tracing.trace_calibrations`."""
+    `adis_gonio.tracing.trace_calibrations`. None before that: `load` then reads only calibration files."""
 
     def __getitem__(self, name: str) -> Coefficient:
         """Return the parameter of this name; `KeyError` if there is none."""
@@ -144,7 +151,7 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
         Raises
         ------
         DataError
-            The file is neither of these, is damaged, or has a newer version.
+            The file is neither a calibration nor a session, is damaged, or has a newer version.
         FitError
             The file has no calibration of these sensors (accelerometers or gyros), or the session does not
             determine it.
@@ -161,7 +168,9 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
         raise DataError(f"{path}: is not this kind of calibration; fit a session by adis_gonio.fit")
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
-        """Write it as JSON (`schema/calibration-1.json`); `load` gives exactly the same numbers.
+        """Write the calibration as JSON (`schema/calibration-1.json`); `load` gives equal numbers.
+
+        `force` replaces an existing file.
 
         Raises
         ------
@@ -174,7 +183,10 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
             write_utf8(temporary, json_text(self.as_dict()))
 
     def _entries(self, where: Provenance | GyroCalibration) -> dict[str, Any]:
-        """Entries of the JSON document that accelerometer and gyro calibrations have in common."""
+        """Return the entries of the JSON document that accelerometer and gyro calibrations share.
+
+        `where` has the conditions of the session and the offset registers.
+        """
         covariance = {"names": self.names, "matrix": self.covariance}
         return {
             "parameters": {one.name: one for one in self.parameters},
@@ -191,7 +203,7 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
         }
 
     def _moved(self, by: Mapping[str, float]) -> tuple[Coefficient, ...]:
-        """Copy of the parameters in which the values that `by` names are increased by its amounts."""
+        """Return a copy of the parameters, with the values named in `by` increased by its amounts."""
         return tuple(replace(one, value=one.value + by.get(one.name, 0.0)) for one in self.parameters)
 
     def _with_variance(
@@ -199,9 +211,10 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
         function: Callable[[Floats], Floats],
         difference: Callable[[Floats, Floats], Floats] = np.subtract,
     ) -> tuple[Floats, Floats]:
-        """Value of a function of the parameters (p,) and its variance, from the covariance.
+        """Return the value of a function of the parameters (p,), and its variance from the covariance.
 
-        The variance is NaN if there is no covariance. `difference` subtracts two results.
+        The variance is NaN if there is no covariance. `difference` subtracts two results, such as angles on
+        a circle.
         """
         value = function(self.values)
         if self.covariance is None:
@@ -211,7 +224,10 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
     def _rises(
         self, function: Callable[[Floats], Floats], difference: Callable[[Floats, Floats], Floats]
     ) -> Floats:
-        """Changes (k, …) of a function of the parameters by one u of each of k independent causes."""
+        """Return the changes (k, …) of a function of the parameters by one u of each of k causes.
+
+        The causes are independent. `difference` subtracts two results, such as angles on a circle.
+        """
         assert self.covariance is not None
         steps = STEP * _directions(self.covariance)
         rises = [difference(function(self.values + step), function(self.values - step)) for step in steps]
@@ -219,7 +235,7 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
 
 
 def _directions(covariance: Floats) -> Floats:
-    """Independent changes (k, p) of the parameters, each by one standard uncertainty.
+    """Return independent changes (k, p) of the parameters, each by one standard uncertainty.
 
     They are the principal axes of the covariance.
     """
@@ -231,7 +247,9 @@ def _directions(covariance: Floats) -> Floats:
 
 
 def checked_numbers(name: str, given: ArrayLike, *, plural: bool = False) -> Floats:
-    """Convert an argument to an array of numbers.
+    """Convert the argument `given`, called `name` in messages, to an array of numbers.
+
+    `plural` is True if the name is a plural.
 
     Raises
     ------
@@ -246,7 +264,7 @@ def checked_numbers(name: str, given: ArrayLike, *, plural: bool = False) -> Flo
 
 
 def finite_numbers(name: str, given: ArrayLike) -> Floats:
-    """Convert an argument to an array of finite numbers.
+    """Convert the argument `given`, called `name` in messages, to an array of finite numbers.
 
     Raises
     ------
@@ -266,13 +284,16 @@ def checked_condition(
 
     Parameters
     ----------
+    name : str
+        Name of the condition in messages.
     given : float, (n,) or (n, dies) float, optional
-        If it is None, all readings get the default.
+        Value for all readings, or one for each reading and die; if it is None, all readings get the
+        default.
 
     Returns
     -------
     (n, dies) float or None
-        None if neither it nor a default is given.
+        None if neither a value nor a default is given.
 
     Raises
     ------
@@ -313,7 +334,8 @@ _SETTLED_MG = 1e-9
 _SOURCE = ("title", *METADATA, "source", "sha256", "recorded_utc", "software")
 
 CURVE_PLACES = 72
-"""Number of angles of a curve of errors, which has few harmonics of the turn."""
+"""Number of angles around the turn at which the error of the angle is computed; it has few harmonics of the
+turn."""
 
 TurnPlane = Literal["xy", "xz", "yz"]
 
@@ -325,6 +347,7 @@ class EffectTerm:
     Attributes
     ----------
     effect : Effect
+        The effect.
     parameters : tuple of str
         Names of its values among the calibration's parameters, in the effect's order.
     """
@@ -333,7 +356,7 @@ class EffectTerm:
     parameters: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON object of the effect, one entry of `effects` in the document."""
+        """Return the JSON object of the effect, one entry of `effects` in the document."""
         effect = self.effect
         choices = {choice: getattr(effect, choice) for choice in effect.choices()}
         return json_object(
@@ -343,9 +366,10 @@ class EffectTerm:
 
 @dataclass(frozen=True)
 class AngleReading:
-    """Angles (n,) in degrees, −180 to 180, and their standard uncertainties (n,), NaN if unknown.
+    """Angles `angle_deg` (n,), −180 to 180 degrees, and their standard uncertainties `u_deg` (n,).
 
-    One reading (axes,) gives arrays of zero dimensions, which can be used as numbers.
+    An unknown uncertainty is NaN. One reading (axes,) gives arrays of zero dimensions, which can be used as
+    numbers.
     """
 
     angle_deg: Floats
@@ -372,7 +396,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         Base parameters (gains, misalignment or skews, biases; in the plane also the start angle `alpha` if
         it is known), then the values of the effects.
     effects : tuple of EffectTerm
-        Effects of a trace that depend on the reading, the temperature or the supply.
+        Effects found by a trace, which depend on the reading, the temperature or the supply.
     counts_per_mg : tuple of float or None
         Rough scale of each axis for readings in counts; None for readings in mg.
     gyro : GyroCalibration or None
@@ -394,7 +418,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
 
     @property
     def axes(self) -> int:
-        """Number of accelerometer axes in use: 2 in the plane, 3 in space."""
+        """Number of accelerometer axes that the calibration uses: 2 in the plane, 3 in space."""
         return 2 if self.planar else 3
 
     @property
@@ -419,7 +443,10 @@ class Calibration(Coefficients, eq=False, kw_only=True):
 
     @property
     def delta_k(self) -> Coefficient | None:
-        """Relative difference ΔK = K_x/K_y − 1 of the two scale factors, with u; None in space."""
+        """Relative difference ΔK = K_x/K_y − 1 of the two scale factors, with u; None in space.
+
+        Its u is None if the covariance is unknown.
+        """
         if not self.planar or "scale_x" not in self:
             return None
         k_x = self["scale_x"].value
@@ -449,7 +476,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON document of the calibration, in the format of `schema/calibration-1.json`."""
+        """Return the JSON document of the calibration, in the format of `schema/calibration-1.json`."""
         where, ratio = self.provenance, self.delta_k
         return json_object(
             schema=self.schema,
@@ -481,12 +508,12 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         accel : (n, 2), (n, 3), (2,) or (3,) float
             Readings in `unit`, such as mg from `ScanBlock.accel_mg`; in the plane z is ignored.
         temperature_c, supply_v : (n,) float or float, optional
-            For effects that depend on them; the mean of the session by default.
+            Conditions, for effects that depend on them; the mean of the session by default.
 
         Returns
         -------
         (n, axes) or (axes,) float
-            NaN for a reading so large that the model has no inverse.
+            Gravity; NaN for a reading so large that the model has no inverse.
 
         Raises
         ------
@@ -502,9 +529,10 @@ class Calibration(Coefficients, eq=False, kw_only=True):
     def readings_of(
         self, gravity: ArrayLike, temperature_c: float | None = None, *, supply_v: float | None = None
     ) -> Floats:
-        """Readings (n, axes) in `unit` that the sensor gives for gravity (n, axes): the inverse of `apply`.
+        """Return the readings (n, axes) in `unit` that the sensor gives for gravity (n, axes).
 
-        Gravity is in units of local gravity.
+        This is the inverse of `apply`; gravity is in units of local gravity. The default of `temperature_c`
+        and `supply_v` is the mean of the session.
         """
         gravity = np.asarray(gravity, dtype=float)
         base, bias = self.natural(self.values)
@@ -526,22 +554,24 @@ class Calibration(Coefficients, eq=False, kw_only=True):
     ) -> AngleReading:
         """Compute the angle ψ of gravity with u from readings, from the plane's first axis to its second.
 
-        A turn of the stage by θ in the sense of equation (6) reduces it: ψ = α − θ, see `stage_angle`.
+        A positive turn of the stage by θ reduces it: ψ = α − θ, and `stage_angle` returns θ.
 
         Parameters
         ----------
         accel, temperature_c, supply_v
-            As in `apply`.
+            Readings in `unit`, (n, axes) or (axes,), and their conditions; the mean of the session by
+            default.
         reading_u : float or sequence of float, optional
             Standard uncertainty of a reading, for all axes or for each axis, in `unit`; by default the
             result has only the uncertainty of the calibration.
         plane : {"xy", "xz", "yz"}, optional
-            Required for a calibration in space.
+            Plane of the angle; required for a calibration in space, by default xy otherwise.
 
         Raises
         ------
         UsageError
-            As `apply`; a missing plane, or another than the calibrated one; a negative uncertainty.
+            Wrong shape, another unit, NaN or infinity; a missing plane, or another than the calibrated one;
+            a negative uncertainty.
         """
         i, j = self._plane(plane)
 
@@ -559,12 +589,17 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         supply_v: ArrayLike | None = None,
         reading_u: float | Sequence[float] | None = None,
     ) -> AngleReading:
-        """Angle θ = α − ψ of the session's stage in the sense of the declared positions, with u.
+        """Compute the angle θ = α − ψ of the stage from readings, with u.
+
+        It is positive in the direction of the session's declared angles. `accel` are the readings in
+        `unit`, (n, axes) or (axes,), and `reading_u` is their standard uncertainty; without it u is the
+        uncertainty by the calibration alone. The default of `temperature_c` and `supply_v` is the mean of
+        the session.
 
         Raises
         ------
         UsageError
-            As `angle`; the calibration has no start angle.
+            Wrong shape, another unit, NaN or infinity; the calibration has no start angle.
         """
         if "alpha" not in self:
             raise UsageError("this calibration has no start angle alpha: only .angle() can be given")
@@ -577,10 +612,10 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         return self._with_u(shown, accel, temperature_c, supply_v, reading_u)
 
     def error_curves(self, *, stage: bool = True) -> tuple[ErrorCurve | None, ErrorCurve]:
-        """Error of the angle over the turn in the plane of x and y: without and with this calibration.
+        """Return the error of the angle over the turn in the plane xy, without and with the calibration.
 
         The angle is the stage's if its start angle is known (and `stage`), else the angle of gravity. The
-        noise of single readings is not included. The first curve is None for a sensor of unknown scale.
+        noise of single readings is not included. The first curve is None for readings in counts.
 
         Raises
         ------
@@ -647,13 +682,13 @@ class Calibration(Coefficients, eq=False, kw_only=True):
     def for_registers(
         self, offsets_lsb: Sequence[int] | None, gyro_offsets_lsb: Sequence[int] | None
     ) -> Calibration:
-        """Return the calibration for readings taken while the offset registers held these numbers.
+        """Return the calibration for readings taken while the offset registers had these contents.
 
         Parameters
         ----------
         offsets_lsb, gyro_offsets_lsb : three int or None
-            XACCL_OFF … and XGYRO_OFF …, in LSB. The calibration of the accelerometers or of the gyros is
-            returned unchanged if its numbers are None, or if its own offsets are unknown.
+            Contents of XACCL_OFF … and XGYRO_OFF …, in LSB. The calibration of the accelerometers or of the
+            gyros is returned unchanged if its contents are None, or if its own offsets are unknown.
         """
         moved = self
         if offsets_lsb is not None and self.provenance.offsets_lsb is not None:
@@ -676,7 +711,10 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         return np.ones(self.axes) if self.counts_per_mg is None else np.array(self.counts_per_mg)
 
     def natural(self, values: Floats) -> tuple[Floats, Floats]:
-        """Convert parameter values (p,) to base parameters in natural units and biases (axes,) in mg."""
+        """Convert parameter values (p,) to base parameters in natural units and biases (axes,) in mg.
+
+        Parameters that the calibration lacks have their nominal values.
+        """
         at = {one.name: k for k, one in enumerate(self.parameters)}
         per_mg = self.per_mg
         base = self.measurement.nominal
@@ -765,7 +803,8 @@ class Calibration(Coefficients, eq=False, kw_only=True):
     def _left_to_temperature(self, readings: Floats, temperature_c: ArrayLike | None) -> Iterator[Floats]:
         """Yield changes (n, axes) of the readings by each effect of temperature that was not determined.
 
-        Each coefficient has its typical size, over the distance from the temperature of the session.
+        Each coefficient has its typical size, over the difference to the temperature of the session.
+        Nothing is yielded if one of the temperatures is unknown.
         """
         session = self.provenance.temperature_c
         now = checked_condition("temperature_c", temperature_c, len(readings), None)
@@ -796,7 +835,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
 
 
 def _solved(free: Floats, terms: Sequence[tuple[Effect, Floats]], conditions: Conditions) -> Floats:
-    """Find the ideal readings a (n, axes) that give the readings `free`: a plus the effects at a.
+    """Return the ideal readings a (n, axes) that give the readings `free`: a plus the effects at a.
 
     A row is NaN if the iteration does not converge.
     """
@@ -813,11 +852,14 @@ def _solved(free: Floats, terms: Sequence[tuple[Effect, Floats]], conditions: Co
 
 
 LEAST_LENGTH = 0.02
-"""Least length of readings in units of gravity: 1 g given in g or in m/s² is shorter (0.001 and 0.0098)."""
+"""Least length of readings in units of gravity. Readings of 1 g in g or in m/s² instead of mg are shorter
+(0.001 and 0.0098)."""
 MOST_LENGTH = 2.0
-"""Largest median length of many readings in units of gravity: 1 g is 2140 LSB."""
+"""Largest median length of many readings in units of gravity. Readings of 1 g in LSB instead of mg are
+longer (2140)."""
 MANY = 8
-"""Least number of readings for the test of their median, so that a single shock does not move it."""
+"""Least number of readings for the test of their median length, so that a single shock does not change
+it."""
 
 
 def checked_readings(accel: ArrayLike, calibration: Calibration) -> tuple[Floats, bool]:

@@ -51,7 +51,13 @@ def calibration_from(document: Any, name: str = "calibration") -> Calibration:
 
 
 def gyro_calibration_from(document: Any, name: str = "gyro calibration") -> GyroCalibration:
-    """Read a gyro calibration from a JSON document; raises the errors of `calibration_from`."""
+    """Read a gyro calibration from a JSON document; `name` begins the message of an error.
+
+    Raises
+    ------
+    DataError
+        The document is not a gyro calibration, is of a newer version or has unusable entries.
+    """
     return _read_from(document, name, GyroCalibration.schema, "gyro calibration", _read_gyro)
 
 
@@ -138,7 +144,7 @@ GYRO_DOCUMENT = fields(
     {"source": text},
     others=anything,
 )
-"""Types and ranges of the entries of a gyro calibration."""
+"""Types and ranges of the entries of a gyro calibration in a file."""
 
 
 def _read(document: Mapping[str, Any]) -> Calibration:
@@ -180,7 +186,7 @@ def _read_gyro(document: Mapping[str, Any]) -> GyroCalibration:
 
 
 def _read_body(document: Mapping[str, Any]) -> dict[str, Any]:
-    """Read the attributes that accelerometer and gyro calibrations have in common from a document."""
+    """Return the attributes that accelerometer and gyro calibrations have in common from a document."""
     covariance, offsets, reference = document["covariance"], document["offsets_lsb"], document["reference"]
     return {
         "method": document["method"],
@@ -200,7 +206,8 @@ def matrix_of(covariance: Mapping[str, Any], names: list[str]) -> Floats:
     Raises
     ------
     ValueError
-        Names or size differ, the matrix is not symmetric, or a variance is negative.
+        The names in `covariance` differ from `names`, the size is wrong, the matrix is not symmetric, or a
+        variance is negative.
     """
     if covariance["names"] != names:
         raise ValueError("the names of the covariance differ from the names of the parameters")
@@ -261,7 +268,7 @@ def calibration_in(path: str | Path) -> Calibration | None:
 
 
 def json_document(path: Path) -> Any:
-    """Read the JSON document of a file; None if the file does not begin like JSON.
+    """Read the JSON document of a file; None if the file does not begin like JSON or cannot be read.
 
     Each text becomes one printable line, because texts appear in messages, comments and pages.
     """

@@ -37,7 +37,7 @@ from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
 from adis_gonio.record.provenance import Covered
 
 GYRO_OFFSET_DPS = VARIANTS["adis16354"].lsb(Kind.GYRO_OFFSET)[0]
-"""Size in °/s of the LSB of the registers XGYRO_OFF …, equal at every range (DS, A)."""
+"""Size in °/s of the LSB of the registers XGYRO_OFF …, equal at every range (data sheet, A)."""
 
 _ONE, _PAIR, _OTHER = "one axis", "two axes", "two different axes"
 _KINDS: dict[str, tuple[str, str]] = {
@@ -52,15 +52,19 @@ _KINDS: dict[str, tuple[str, str]] = {
     "gyro_scale_temperature": (_ONE, "ppm/°C"),
     "gyro_supply": (_ONE, "dps/V"),
 }
-"""Kinds of parameters, the part of their name before the axes: number of axes, and unit."""
+"""Axes that the name of a gyro parameter ends with, and its unit, by the first part of the name."""
 _NAME = re.compile(r"(?P<kind>[a-z0-9_]+)_(?P<axes>[xyz]{1,2})")
 LEAST_DETERMINANT = 0.1
-"""Least determinant of gains times directions; three working gyros have about 1."""
+"""Smallest determinant of the matrix of gains times directions that is accepted; three working gyros have
+about 1."""
 
 
 @dataclass(frozen=True)
 class Rates:
-    """Rates of turn (n, 3) in °/s with their standard uncertainties (n, 3), which are NaN if unknown."""
+    """Rates of turn `rate_dps` (n, 3) in °/s and their standard uncertainties `u_dps` (n, 3).
+
+    An unknown uncertainty is NaN.
+    """
 
     rate_dps: Floats
     u_dps: Floats
@@ -68,7 +72,10 @@ class Rates:
 
 @dataclass(frozen=True)
 class _Values:
-    """Coefficients of the equation that gives gyro readings from rates; one row for each gyro."""
+    """Coefficients of the module's equation that gives gyro readings from rates; a row for each gyro.
+
+    They are the zero rate b, K D, G, G₂, (β, β₂, β₃), κ and s, in this order.
+    """
 
     bias: Floats
     sensitivity: Floats
@@ -90,7 +97,7 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         gyro, and the axis of force), `g2_sensitivity_xy …` (dps/g²), `gyro_bias_temperature_x …` (dps/°C;
         …2, …3 of its square and cube), `gyro_scale_temperature_x …` (ppm/°C), `gyro_supply_x …` (dps/V).
     temperature_c, supply_v : Covered or None
-        Range of the temperature and of the supply voltage in the session.
+        Range of the temperature and of the supply voltage in the session; None if not recorded.
     offsets_lsb : tuple of int or None
         Numbers in XGYRO_OFF, YGYRO_OFF, ZGYRO_OFF for which the biases are valid; None if unknown.
     source : str
@@ -117,11 +124,14 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         Parameters
         ----------
         estimates : mapping of str to objects with `value`, `u`, `unit` (and `dof`)
-            Other names than parameters of a gyro are ignored.
+            Estimated parameters by name. Other names than parameters of a gyro are ignored.
+        method : str
+            Name of the method that determined the parameters.
         covariance : (names, (p, p) float), optional
-            Covariance of these and perhaps other parameters in any order; by default diagonal, from u.
+            Names of parameters, and their covariance in this order; it may contain other parameters. By
+            default it is diagonal, from u.
         about
-            Further attributes of the calibration.
+            Further attributes of the calibration, such as `temperature_c`.
 
         Raises
         ------
@@ -168,7 +178,7 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
 
     @property
     def sensitivity(self) -> Floats:
-        """Matrix (3, 3) of scale factor times sensitive direction, one row for each gyro.
+        """Matrix (3, 3) of scale factor times unit vector along the sensitive axis, one row for each gyro.
 
         Perfect gyros have the identity.
         """
@@ -198,7 +208,10 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON document of the calibration; the values under `derived` are computed from the parameters."""
+        """Return the JSON document of the calibration.
+
+        The values under `derived` are computed from the parameters.
+        """
         derived = ("bias_dps", "sensitivity", "g_sensitivity_dps_per_g")
         return json_object(
             schema=self.schema,
@@ -232,12 +245,12 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
             One value, or one for each gyro's die ((3,) for one reading); the mean of the session by
             default.
         supply_v : float or (n,) float, optional
-            The mean of the session by default.
+            Supply voltage; the mean of the session by default.
 
         Returns
         -------
         (n, 3) or (3,) float
-            °/s.
+            Rate of turn in °/s.
 
         Raises
         ------
@@ -257,9 +270,11 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         *,
         supply_v: ArrayLike | None = None,
     ) -> Rates:
-        """Correct readings like `correct`, and add the standard uncertainty of each rate.
+        """Convert readings of the gyros to true rates of turn with their standard uncertainties.
 
-        The uncertainty comes from the parameters of the calibration.
+        The uncertainty comes from the parameters of the calibration. `rate_dps` are the readings, `force_g`
+        the readings of the accelerometers (required if a g-sensitivity is known). The default of
+        `temperature_c` and `supply_v` is the mean of the session.
         """
         return self._rates(_corrected, rate_dps, (force_g, temperature_c, supply_v))
 
@@ -271,7 +286,11 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         *,
         supply_v: ArrayLike | None = None,
     ) -> Rates:
-        """Readings that the gyros give at a true rate, with their u: the inverse of `correct`."""
+        """Return the readings that the gyros give at a true rate `rate_dps`, with their u.
+
+        This is the inverse of `correct`. `force_g` are the readings of the accelerometers (required if a
+        g-sensitivity is known). The default of `temperature_c` and `supply_v` is the mean of the session.
+        """
         return self._rates(_read, rate_dps, (force_g, temperature_c, supply_v))
 
     def _rates(
@@ -280,14 +299,17 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         rate_dps: ArrayLike,
         felt: tuple[ArrayLike | None, ArrayLike | None, ArrayLike | None],
     ) -> Rates:
-        """Evaluate a function of the parameters, rates and conditions, with u from the parameters."""
+        """Evaluate a function of the parameters, rates and conditions, with u from the parameters.
+
+        `felt` are the force in g, the temperature and the supply voltage, each or None.
+        """
         rate, single = _rows("rate_dps", rate_dps)
         conditions = self._conditions(len(rate), *felt)
         value, u = self._with_u(lambda values: function(self._values(values), rate, *conditions))
         return Rates(value[0], u[0]) if single else Rates(value, u)
 
     def force_part(self, force_g: ArrayLike) -> tuple[Floats, Floats]:
-        """Zero rate (3,) in °/s that a force (3,) in g causes in each gyro, with standard uncertainty."""
+        """Return the zero rate (3,) in °/s that a force (3,) in g causes in each gyro, and its u (3,)."""
         force = _spread("force_g", force_g, 1)
         value, u = self._with_u(
             lambda values: np.asarray(
@@ -362,7 +384,7 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
     ) -> tuple[Floats, Floats, Floats]:
         """Check the conditions and expand them to one row for each of n readings.
 
-        Returns the force (n, 3) in g, degrees above 25 °C (n, 3) and volts above 5 V (n, 1).
+        Return the force (n, 3) in g, degrees above 25 °C (n, 3) and volts above 5 V (n, 1).
         """
         needs = self.needs
         if force_g is None and "force_g" in needs:
@@ -388,7 +410,10 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
 
 
 def kind_of(name: str) -> str | None:
-    """Kind of a gyro parameter: its name without the axes. None if the name is no gyro parameter."""
+    """Return the kind of a gyro parameter: its name without the axes, such as `gyro_scale`.
+
+    None if the name is no gyro parameter.
+    """
     match = _NAME.fullmatch(name)
     if match is None or match["kind"] not in _KINDS:
         return None
@@ -412,7 +437,7 @@ def _assumed(known: Sequence[str]) -> tuple[str, ...]:
 
 
 def _determined(estimate: Any) -> bool:
-    """True if the value and the uncertainty of an estimate are finite numbers."""
+    """Return True if the value and the uncertainty of an estimate are finite numbers, or u is None."""
     return bool(np.isfinite(estimate.value)) and (estimate.u is None or bool(np.isfinite(estimate.u)))
 
 
@@ -421,9 +446,10 @@ def _taken(
     parameters: Sequence[Coefficient],
     covariance: tuple[Sequence[str], Floats] | None,
 ) -> Floats | None:
-    """Covariance (p, p) of the named parameters, from the given covariance and their own uncertainties.
+    """Return the covariance (p, p) of the named parameters; None if any u is unknown.
 
-    Parameters that the given covariance does not contain are uncorrelated. None if any u is unknown.
+    `covariance` are names and a matrix. Parameters that it does not contain are uncorrelated, with their
+    own u.
     """
     if any(one.u is None for one in parameters):
         return None
@@ -449,7 +475,10 @@ def _read(v: _Values, rate: Floats, force: Floats, warm: Floats, volts: Floats) 
 
 
 def _zero(v: _Values, force: Floats, warm: Floats, volts: Floats) -> Floats:
-    """Zero rates (n, 3) in °/s at n forces in g, temperatures minus 25 °C, and voltages minus 5 V."""
+    """Return the zero rates (n, 3) in °/s at n forces in g, temperatures and voltages.
+
+    `warm` are temperatures minus 25 °C, `volts` supply voltages minus 5 V.
+    """
     by_warmth = sum((c * warm ** (k + 1) for k, c in enumerate(v.per_c)), np.zeros(warm.shape))
     return np.asarray(v.bias + force @ v.per_g.T + force**2 @ v.per_g2.T + by_warmth + v.per_v * volts)
 

@@ -49,7 +49,7 @@ class Answer:
     recommended : Recommendation
         Method and, if a trace ran and its model predicts as well, the effects that the trace found.
     scores : mapping of str to Score
-        Scores of all methods on the same dwells.
+        Errors of each method on the same dwells, by the method's name.
     """
 
     result: FitResult
@@ -66,7 +66,7 @@ class Answer:
         result : FitResult
             Result of any method.
         own : bool
-            Show this result, otherwise the recommended one.
+            True to show `result`, False to show the recommended result of the session.
         """
         comparison = result.comparison
         if comparison is None:
@@ -76,7 +76,11 @@ class Answer:
 
     @cached_property
     def values(self) -> dict[str, Value]:
-        """Main results: `delta_k`, `delta_phi` and `angle`; in space scale factors, skews and biases."""
+        """Main results by name: `delta_k`, `delta_phi`, `angle`; in space scale factors, skews and biases.
+
+        `angle` is the error of the calibrated angle. A result that the session does not determine is
+        absent.
+        """
         found = {**self.model_parameters, **self._angle()}
         if "delta_k" in found or "delta_phi" in found:
             return {name: found[name] for name in ("delta_k", "delta_phi", "angle") if name in found}
@@ -84,7 +88,7 @@ class Answer:
 
     @property
     def parameters(self) -> dict[str, Value]:
-        """All parameters of the shown result, by name."""
+        """All parameters of the shown result, by name; equal to `model_parameters`."""
         return self.model_parameters
 
     @property
@@ -98,21 +102,27 @@ class Answer:
         return self.result.method != self.recommended.method
 
     def _angle(self) -> dict[str, Value]:
-        """Entry `angle` of `values`, the error of the calibrated angle; empty without declared angles."""
+        """Entry `angle` of `values`, the error of the calibrated angle; empty in space."""
         return {} if self.result.angle is None else {"angle": self.result.angle}
 
     def error_curves(self) -> tuple[ErrorCurve | None, ErrorCurve]:
-        """Error of the angle over the turn, without and with the calibration by this answer."""
+        """Return the error of the angle over the turn, without and with the calibration by this answer.
+
+        The first is None if the sensor's scale is unknown.
+        """
         return self.result.error_curves()
 
     @cached_property
     def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
-        """Uncertainty budget of each main result of a planar session."""
+        """Uncertainty budget of each main result of a planar session, by name; empty in space."""
         return self.result.budget
 
     @property
     def title(self) -> str:
-        """Name of the method with its further effects, such as `ml with bias, quadratic`."""
+        """Name of the shown method, with the recommended effects, such as `ml with bias, quadratic`.
+
+        For another method than the recommended one it names both: `paper (recommended is ml)`.
+        """
         if self.shows_another_method:
             return f"{self.result.method} (recommended is {self.recommended.method})"
         effects = self.recommended.effects
@@ -120,7 +130,7 @@ class Answer:
 
     @property
     def why(self) -> str:
-        """Reason for the recommended method, in one sentence."""
+        """Reason for the recommended method, as one sentence."""
         text = self.recommended.why
         if self.shows_another_method:
             return f"Why {self.recommended.method}: {text}."
@@ -128,7 +138,7 @@ class Answer:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Warning to print first if the model does not describe the session; otherwise empty."""
+        """Warning to print first if the residual is larger than the measured noise; otherwise empty."""
         return self.result.doubts
 
     @property
@@ -138,7 +148,7 @@ class Answer:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Sentences on the main results, such as the temperature at which they are valid."""
+        """Sentences on the main results, such as the temperature at which they are valid; often none."""
         temperature = self.reference_temperature_c
         if temperature is None or {"delta_k", "delta_phi"} & set(self.values):
             return ()
@@ -146,19 +156,19 @@ class Answer:
 
     @property
     def reference_temperature_c(self) -> float | None:
-        """Temperature at which the parameters are valid."""
+        """Temperature at which the parameters are valid; None if the session has no temperatures."""
         return self.result.reference_temperature_c
 
     def text(self, width: int = 80) -> str:
-        """The headline in plain text of at most `width` columns."""
+        """Return the headline in plain text of at most `width` columns, after the lines of its doubts."""
         return "\n".join([*self.doubt_lines(width), *self.headline(width)])
 
     def doubt_lines(self, width: int = 80) -> list[str]:
-        """The sentences of `doubts`, folded to lines of at most `width` columns."""
+        """Return the sentences of `doubts`, folded to lines of at most `width` columns."""
         return [line for doubt in self.doubts for line in fold_text(doubt, width)]
 
     def headline(self, width: int = 80) -> list[str]:
-        """Lines of text that show the method, the main results, and the reason for the method."""
+        """Return lines of text that show the method, the main results, and the reason for the method."""
         return [
             f"Answer by method {self.title}",
             *align_columns([HEAD, *(line.cells for line in self.lines)]),
@@ -167,7 +177,7 @@ class Answer:
         ]
 
     def as_dict(self) -> dict[str, Any]:
-        """The JSON document that `adis-gonio fit --json` prints.
+        """Return the JSON document that `adis-gonio fit --json` prints.
 
         It has the scores, the recommendation and the values of this result.
         """
@@ -187,13 +197,14 @@ class Answer:
     # -- tables and lines of text -----------------------------------------------------------------
 
     def parameter_rows(self) -> list[list[str]]:
-        """Table rows of all parameters: name, unit, value, u, U, k, ν."""
+        """Return the table rows of all parameters: name, unit, value, u, U, k, and degrees of freedom ν."""
         return [parameter_row(name, value) for name, value in self.parameters.items()]
 
     def budget_rows(self) -> tuple[list[str], Rows]:
-        """Head and rows of the table of the budget: one row for each source of uncertainty.
+        """Return the head and the rows of the budget's table: one row for each source of uncertainty.
 
-        A row gives the share of the source in the variance of each quantity.
+        A row gives the share of the source in the variance of each main result. Both lists are empty
+        without a budget.
         """
         if not self.budget:
             return [], []
@@ -212,9 +223,10 @@ class Answer:
         return self.result.method
 
     def score_rows(self) -> tuple[list[str], Rows]:
-        """Head and rows of the table of scores: the errors of each method on the same dwells.
+        """Return the head and the rows of the table of scores: the errors of each method.
 
-        The shown method comes first; columns without a number are omitted.
+        All methods are scored on the same dwells. The shown method comes first; columns without a number
+        are omitted.
         """
         order = sorted(self.scores, key=lambda name: name != self.scored_as)
         columns = {
@@ -237,7 +249,7 @@ class Answer:
         return f"Errors of every method on the same {same}, each left out of its fit:"
 
     def facts(self) -> list[str]:
-        """Text on the quality of the fit: its residual, and the links by gyro turns, if used."""
+        """Return lines of text on the fit: its residual and, if gyro turns link the poses, these links."""
         r = self.result
         if r.dof:
             left = f"residual {r.residual_rms_mg:.3g} mg rms, χ² {r.chi2:.1f} at {r.dof} degrees of freedom"
@@ -246,9 +258,10 @@ class Answer:
         return [left, *([] if r.links is None else [r.links.line])]
 
     def warnings(self, *, everything: bool = False) -> list[str]:
-        """Warnings of the shown method, without its doubts.
+        """Return the warnings of the shown method, without its doubts.
 
-        With `everything`, also the warnings of the other methods, each with the method's name.
+        With `everything`, return the notes on the session and the warnings of all methods instead, each
+        with the names of the methods that give it.
         """
         if not everything:
             return [text for text in self.result.warnings if text not in self.result.doubts]
@@ -260,9 +273,9 @@ class Answer:
 
 
 def with_notes(best: FitResult, given: FitResult) -> FitResult:
-    """Copy of the recommended result with the notes and findings of the session added.
+    """Return a copy of the recommended result `best` with the notes and findings on the session added.
 
-    These are part of `given`, the result of the default method; the notes precede the warnings of `best`.
+    They come from `given`, another result of the same session; its notes precede the warnings of `best`.
     """
     if best.method == given.method:
         return given
@@ -281,25 +294,28 @@ def with_notes(best: FitResult, given: FitResult) -> FitResult:
 
 Rows = list[list[str]]
 _METHOD_WIDTH = 24
-"""Largest width, in characters, of the column for a method in the table of all methods."""
+"""Width, in characters, of the column for one method in the table of all methods."""
 
 
 def parameter_row(name: str, value: Value) -> list[str]:
-    """Cells of a table row for one parameter: name, unit, value, u, U, k, ν."""
+    """Return the cells of a table row for one parameter: name, unit, value, u, U, k, ν.
+
+    ν are the degrees of freedom of u.
+    """
     return [*QuantityRow.of(name, value).cells, format_dof(value.dof) if value.u is not None else "–"]
 
 
 def format_dof(dof: float) -> str:
-    """Format degrees of freedom; numbers above 10⁴ are shown only as above this limit."""
+    """Format degrees of freedom: `∞` if infinite, `> 10⁴` above this number."""
     if math.isinf(dof):
         return "∞"
     return "> 10⁴" if dof > 1e4 else f"{dof:.{0 if dof >= 10 else 1}f}"
 
 
 def method_tables(results: Sequence[FitResult], width: int) -> Iterator[tuple[list[str], Rows]]:
-    """Yield tables that compare the parameters of all methods, as value ± U.
+    """Yield head and rows of tables that compare the parameters of all methods, as value ± U.
 
-    Each table has as many methods as columns as `width` allows.
+    Each table has one column per method, and as many methods as `width` (in characters) allows.
     """
     names = list(dict.fromkeys(e.name for result in results for e in result.parameters))
     units = {e.name: e.unit for result in results for e in result.parameters}
@@ -320,5 +336,5 @@ def _cell(result: FitResult, name: str) -> str:
 
 
 def format_share(fraction: float) -> str:
-    """Format a share of a variance in percent; zero becomes a dash."""
+    """Format a share of a variance (a fraction, 0 to 1) in percent; zero becomes a dash."""
     return format_percent(fraction) if fraction > 0 else DASH

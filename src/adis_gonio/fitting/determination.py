@@ -23,21 +23,24 @@ from adis_gonio.model.effects import AXES
 from adis_gonio.model.measurement import SENSOR_SPREAD
 
 LIMIT = 0.1
-"""Largest standard uncertainty of a gain (of 1) and a bias (of local gravity) that counts as determined. At
-0.1 terms of second order are a tenth of the first-order terms. Above it neither the value nor a linearised
-uncertainty is meaningful, and a bias within 100 mg or a gain within 10 % is known without a measurement."""
+"""Largest standard uncertainty with which a gain (1 is perfect) or a bias (as a share of local gravity)
+counts as determined. At 0.1 terms of second order are a tenth of the first-order terms. Above it neither
+the value nor a linearised uncertainty is meaningful, and a bias within 100 mg or a gain within 10 % is
+known without a measurement.
+"""
 ANYWHERE_RAD = math.pi / math.sqrt(3)
-"""Largest standard uncertainty of the start angle: standard deviation of an angle anywhere on a turn.
-Turning
-the whole part changes no reading, so the declared zero of the stage alone determines the start angle."""
+"""Largest standard uncertainty (rad) of the start angle that counts as determined: the standard deviation
+of an angle that may be anywhere on a turn. Turning the whole part in its fixture changes no reading, so the
+declared zero of the stage alone determines the start angle."""
 _SPREAD = 0.5
 """Prior standard deviation (natural units) of a bias during the search for undetermined directions: with it
 a flat valley of χ² has a minimum, where the undetermined directions can be found."""
 _PARTICIPATES = 1e-4
-"""Least squared component in the undetermined space from which a parameter counts as affected."""
+"""Share of a parameter's squared direction that lies in the undetermined space, above which the parameter
+counts as undetermined."""
 _ITERATIONS = 200
 _CONVERGED = 1e-12
-"""Decrease of χ² at which a fit has converged: 1e-6 of a standard uncertainty."""
+"""Decrease of χ² in a step below which a fit has converged: a step of 1e-6 standard uncertainties."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +50,14 @@ class Determination:
     Attributes
     ----------
     fit : Fit
+        Fit of base model and bias, without the undetermined directions.
     free : (p,) bool
         False for fixed parameters, and for parameters that affect no dwell.
     held : tuple of int
         Parameters fixed at their nominal value because the session does not determine them.
     null : (p, k) float
-        Orthonormal directions without information, in natural units.
+        Orthonormal directions in the space of the parameters (natural units) that the readings do not
+        determine.
     """
 
     fit: Fit
@@ -62,12 +67,12 @@ class Determination:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all parameters."""
+        """Names of all parameters: base parameters, then biases."""
         return names_of(self.fit.data)
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom of the residual of the fit."""
+        """Degrees of freedom of the residual of the fit: equations minus determined parameters."""
         return int(self.fit.equations - self.free.sum() + self.null.shape[1])
 
     @property
@@ -76,13 +81,13 @@ class Determination:
         return information(self.fit)
 
     def on(self, data: Readings) -> Determination:
-        """Copy with these parameter values for readings that differ in their noise only."""
+        """Return a copy with these parameter values for readings that differ in their noise only."""
         return replace(self, fit=replace(self.fit, data=data))
 
     def determined_by(self, fit: Fit) -> bool:
-        """True if the readings of `fit` determine at least as many parameters as the original readings.
+        """Return True if the readings of `fit` determine at least as many parameters as these readings.
 
-        Combinations of parameters count like parameters.
+        A combination of parameters counts as a parameter.
         """
         return bool(_null_space(fit, self.free).shape[1] <= self.null.shape[1])
 
@@ -93,12 +98,12 @@ class Determination:
 
 
 def names_of(data: Readings) -> tuple[str, ...]:
-    """Names of the base parameters, then of the biases."""
+    """Return the names of the base parameters, then of the biases."""
     return (*data.model.names, *(f"bias_{axis}" for axis in AXES[: data.axes]))
 
 
 def natural_units(data: Readings) -> Floats:
-    """Factor (p,) from natural units to the units of a fit, for each parameter.
+    """Return the factor (p,) that converts each parameter from natural units to units of a fit.
 
     It is 1 for base parameters and local gravity in mg for biases.
     """
@@ -106,16 +111,20 @@ def natural_units(data: Readings) -> Floats:
 
 
 def limits(data: Readings) -> Floats:
-    """Largest standard uncertainty (p,), in natural units, at which a parameter is determined.
+    """Return the largest standard uncertainty (p,) at which each parameter counts as determined.
 
-    The limit of the angle between two axes is the spread of this angle among sensors on the market.
+    It is in natural units. The limit of the angle between two axes is the spread of this angle among
+    sensors on the market.
     """
     most = {"alpha": ANYWHERE_RAD, "delta_phi": SENSOR_SPREAD}
     return np.array([most.get(name, LIMIT) for name in names_of(data)])
 
 
 def information(fit: Fit) -> Floats:
-    """Fisher information (p, p) of the readings, no priors, for parameters scaled by `natural_units`."""
+    """Return the Fisher information (p, p) of the readings, for parameters in `natural_units`.
+
+    It excludes the priors of the parameters.
+    """
     scaled = fit.jacobian * natural_units(fit.data)
     return np.asarray(scaled.T @ scaled)
 
@@ -123,14 +132,14 @@ def information(fit: Fit) -> Floats:
 def determine(data: Readings, held: Sequence[int] = ()) -> Determination:
     """Fit base model and bias, and find what the session cannot determine.
 
-    Directions with too little information (`limits`) are eigenvectors of the information matrix in these
+    Directions with too little information (`limits`) are eigenvectors of the information matrix in natural
     units. While such directions exist, the affected parameters that a session may lack (biases in the
-    plane, skews in space) are held at their nominal values. The remaining directions are `null`.
+    plane, skews in space) are fixed at their nominal values. The remaining directions are `null`.
 
     Parameters
     ----------
     held : sequence of int
-        Parameters that are already held.
+        Indices of the parameters that are fixed at their nominal value in any case.
     """
     free = np.concatenate([data.visible, np.ones(data.axes, dtype=bool)])
     if not data.planar:
@@ -173,12 +182,15 @@ def _start(data: Readings) -> Fit:
 
 
 def _directions(fit: Fit, free: NDArray[np.bool_], null: Floats) -> Floats:
-    """Directions (p, k) in which the parameters may change: not the fixed or undetermined ones."""
+    """Return the directions (p, k) in which the parameters may change, in units of the fit.
+
+    They exclude parameters that are not `free`, and the undetermined directions `null` (p, j).
+    """
     return np.asarray(natural_units(fit.data)[:, None] * _complement(free, null))
 
 
 def _complement(free: NDArray[np.bool_], null: Floats) -> Floats:
-    """Orthonormal basis (p, k) of all changes of free parameters that are orthogonal to `null`."""
+    """Return an orthonormal basis (p, k) of all changes of `free` parameters orthogonal to `null`."""
     basis = np.eye(len(free))[:, free]
     if not null.shape[1]:
         return basis
@@ -200,9 +212,11 @@ def _null_space(fit: Fit, free: NDArray[np.bool_]) -> Floats:
 
 
 def covariance(fisher: Floats, free: NDArray[np.bool_], null: Floats) -> Floats:
-    """Covariance (p, p) of the parameters in natural units, without the undetermined directions `null`.
+    """Return the covariance (p, p) of the parameters in natural units.
 
-    It is zero for fixed parameters, and valid only for functions with a gradient orthogonal to `null`.
+    `fisher` (p, p) is their Fisher information. The undetermined directions `null` are left out: the result
+    is valid only for functions with a gradient orthogonal to them. It is zero for parameters that are not
+    `free`.
     """
     basis = _complement(free, null)
     # Invert the information within the determined directions, scaled to a unit diagonal.
@@ -213,9 +227,9 @@ def covariance(fisher: Floats, free: NDArray[np.bool_], null: Floats) -> Floats:
 
 
 def is_determined(gradient: Floats, null: Floats) -> bool:
-    """True if the readings determine a function of the parameters with this gradient (p,).
+    """Return True if the readings determine a function of the parameters with this gradient (p,).
 
-    This is so if the function is constant along the undetermined directions `null`.
+    This is so if the function is constant along the undetermined directions `null`, all in natural units.
     """
     size = float(gradient @ gradient)
     along = gradient @ null
@@ -223,13 +237,19 @@ def is_determined(gradient: Floats, null: Floats) -> bool:
 
 
 def shift_by_held(determination: Determination, held: int) -> Floats:
-    """Derivative (p,) of the fitted parameters by the value at which parameter `held` is fixed."""
+    """Return the derivative (p,) of the fitted parameters by the value of the fixed parameter `held`.
+
+    `held` is the index of the parameter; all parameters are in natural units.
+    """
     fisher = determination.fisher
     return np.asarray(-covariance(fisher, determination.free, determination.null) @ fisher[:, held])
 
 
 def format_directions(null: Floats, names: Sequence[str]) -> list[str]:
-    """Format each undetermined direction as text: a combination of parameters in natural units."""
+    """Format each undetermined direction as text: a combination of parameters in natural units.
+
+    The directions are the columns of `null` (p, k).
+    """
     words = []
     for direction in null.T:
         # Largest components first; the first one gets a positive sign.

@@ -38,10 +38,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter: value, standard uncertainty (None if the noise is unknown), unit, degrees of freedom.
+    """A parameter of a result: name, value, standard uncertainty, unit, degrees of freedom.
 
-    `u` is the GUM's standard uncertainty, `dof` its effective degrees of freedom (inf if unlimited). The
-    expanded uncertainty for 95 % is `U` = `k`·`u` with Student's quantile k.
+    `u` is the GUM's standard uncertainty (None if the noise is unknown), `dof` its effective degrees of
+    freedom (inf if unlimited). The expanded uncertainty for 95 % is `U` = `k`·`u` with Student's quantile
+    k.
     """
 
     name: str
@@ -52,17 +53,17 @@ class Estimate:
 
     @property
     def stated(self) -> Value:
-        """Value with its uncertainty and unit, without the parameter's name."""
+        """Value with its uncertainty, unit and degrees of freedom, without the parameter's name."""
         return Value(self.value, self.u, self.unit, self.dof)
 
     @property
     def k(self) -> float | None:
-        """Coverage factor of 95 % at `dof`; None without an uncertainty."""
+        """Coverage factor for 95 % at `dof` degrees of freedom; None if `u` is None."""
         return self.stated.k
 
     @property
     def U(self) -> float | None:  # noqa: N802 (GUM)
-        """Expanded uncertainty: value ± U covers 95 %."""
+        """Expanded uncertainty: value ± U covers 95 %; None if `u` is None."""
         return self.stated.U
 
 
@@ -74,12 +75,14 @@ class Origin:
     ----------
     readings : Readings
         Fitted readings, before `noise` was estimated.
+    noise : NoiseAssumptions
+        Noise of the readings and of the declared angles that the fit used, stated or estimated.
     fit : Fit
         Model at the parameters of the method, on the readings with that noise.
     outputs : tuple of Output
-        Parameters with their gradients, in the order of the result.
+        Reported parameters with their gradients, in the order of the result.
     sources : Sources or None
-        None if the noise of a reading is unknown.
+        Sources of the uncertainty; None if the noise of a reading is unknown.
     determination : Determination or None
         Free and held parameters of `ml`; None for other methods.
     """
@@ -116,11 +119,13 @@ class FitResult(ParameterTable):
     positions : tuple of int
         Numbers of the dwells used.
     angle_error_rad : (m,) float or None
-        Angle by the calibrated goniometer minus the declared angle.
+        Angle by the calibrated goniometer minus the declared angle, for each dwell with a declared angle;
+        None without declared angles.
     undetermined : tuple of str
-        Parameters, or combinations, that the session cannot determine.
+        Parameters, or combinations of parameters, that the session cannot determine.
     extra_mg : float
-        Standard deviation per reading and axis, beyond the measured noise, that explains the residual.
+        Standard deviation per reading and axis, in addition to the measured noise, that explains the
+        residual; 0 if the measured noise explains it.
     fixture_sigma_deg : float or None
         Standard uncertainty of a declared angle in the fit; inf for free attitudes; None in space.
     provenance : Provenance or None
@@ -130,7 +135,8 @@ class FitResult(ParameterTable):
     origin : Origin or None
         Inputs of the fit; not part of the JSON document or of a comparison.
     session : Readings or None
-        All readings of the session, on which methods are compared.
+        All readings of the session, on which methods are compared; None if the result was made from
+        readings.
     session_notes : tuple of str
         Notes from the reader of the file and on wrong positions; they are the first `warnings` after
         `doubts`.
@@ -177,7 +183,7 @@ class FitResult(ParameterTable):
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Warning to print first if the model does not describe the session; otherwise empty."""
+        """Warning `MISFIT` if the residual is larger than the measured noise; otherwise empty."""
         return (MISFIT,) if self.extra_mg else ()
 
     def __repr__(self) -> str:
@@ -188,7 +194,10 @@ class FitResult(ParameterTable):
         return f"FitResult({self.method}, {counted(len(self.positions), 'dwell')}, {values})"
 
     def calibration(self) -> Calibration:
-        """Calibration that converts readings to angles with these parameters, for the present offsets.
+        """Return the calibration that converts readings to angles with these parameters.
+
+        It is valid for the offsets that the sensor's registers have now, after the last write in the
+        session's file.
 
         Raises
         ------
@@ -196,6 +205,8 @@ class FitResult(ParameterTable):
             The result was made from readings, not from a session.
         FitError
             The session does not determine a parameter that an angle needs.
+        SessionError
+            A write of offsets was interrupted.
         """
         return as_written(calibration_as_recorded(self))
 
@@ -208,7 +219,7 @@ class FitResult(ParameterTable):
 
     @cached_property
     def comparison(self) -> MethodComparison | None:
-        """Scores of all methods on the readings of the session, and the recommended method."""
+        """Scores of all methods on the session's readings, and the recommended one; None if no session."""
         from adis_gonio.fitting.method_comparison import compare_methods
 
         if self.session is None:
@@ -221,9 +232,9 @@ class FitResult(ParameterTable):
 
     @cached_property
     def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
-        """Uncertainty budget of `delta_k`, `delta_phi` and `angle`, by source.
+        """Uncertainty budget of `delta_k`, `delta_phi` and `angle`: one row for each source, by result.
 
-        Empty in space, or if the noise is unknown.
+        Empty in space, or if the noise is unknown. A result that the session does not determine is absent.
         """
         made = self.origin
         if made is None or made.sources is None or not made.readings.planar:
@@ -240,7 +251,7 @@ class FitResult(ParameterTable):
 
     @cached_property
     def _around(self) -> ShownAngle | None:
-        """Derivatives of the calibrated angle around the turn; None if this angle is undetermined."""
+        """Derivatives of the calibrated angle at angles around the turn; None if it is undetermined."""
         assert self.origin is not None
         shown, found = ShownAngle.around(self.origin.fit), self.origin.determination
         sure = found is None or all(is_determined(slope, found.null) for slope in shown.gradient)
@@ -248,10 +259,11 @@ class FitResult(ParameterTable):
 
     @cached_property
     def shown_angle(self) -> Value | None:
-        """Uncertainty of an angle after calibration; the value is NaN. None in space.
+        """Standard uncertainty of an angle that the calibrated sensor shows; None in space.
 
-        It is the root mean square over a turn, for a reading with the length of the session's dwells. There
-        is no uncertainty if the session leaves a parameter that an angle needs undetermined.
+        It is the root mean square over a turn, for a reading with the length of the session's dwells; the
+        `value` is NaN. There is no uncertainty if the noise is unknown, or if the session does not
+        determine a parameter that an angle needs.
         """
         made = self.origin
         if made is None or not made.readings.planar:
@@ -265,10 +277,10 @@ class FitResult(ParameterTable):
 
     @cached_property
     def angle_roots_deg(self) -> Floats | None:
-        """Change (m, k) of the calibrated angle by one standard uncertainty of each independent cause.
+        """Change (m, k) of the calibrated angle by one standard uncertainty of each of k causes, in deg.
 
-        The m angles are around the turn; noise of the reading is not included. None if the session leaves
-        the angle undetermined, or if the noise is unknown.
+        The causes are independent, and the m angles are around the turn; noise of the reading is not
+        included. None in space, if the session does not determine the angle, or if the noise is unknown.
         """
         made = self.origin
         if made is None or made.sources is None or not made.readings.planar or self._around is None:
@@ -277,9 +289,9 @@ class FitResult(ParameterTable):
 
     @property
     def stage_influence(self) -> dict[str, Floats]:
-        """Change (k,) of each parameter by one u of each independent error of the stage's certificate.
+        """Change (k,) of each parameter by one u of each error of the stage's certificate, by name.
 
-        Empty without such a certificate.
+        The k errors are independent. Empty without such a certificate, or if the noise is unknown.
         """
         made = self.origin
         if made is None or made.sources is None or not made.readings.stage_modes:
@@ -289,9 +301,15 @@ class FitResult(ParameterTable):
         return {output.name: output.gradient @ moves for output in made.outputs}
 
     def error_curves(self) -> tuple[ErrorCurve | None, ErrorCurve]:
-        """Error of the angle without and with this calibration; see `Calibration.error_curves`.
+        """Return the error of the angle over the turn, first without and then with this calibration.
 
-        In the plane the uncertainty also covers biases that the fit had to take as zero.
+        The first is None if the sensor's scale is unknown (`Calibration.error_curves`). In the plane the
+        uncertainty also covers biases that the fit had to take as zero.
+
+        Raises
+        ------
+        FitError
+            The session does not determine the angle.
         """
         # A free turn has no stage; its result is made without readings of positions.
         curves = calibration_as_recorded(self).error_curves(stage=self.origin is not None)
@@ -305,7 +323,7 @@ class FitResult(ParameterTable):
 
     @cached_property
     def angle(self) -> Value | None:
-        """Error of the angle after calibration (rms, deg), with its uncertainty as in `shown_angle`.
+        """Error of the angle after calibration (rms, deg), with `shown_angle`'s uncertainty; None in space.
 
         The value is the root mean square over the dwells of the session, each left out of the fit; NaN if
         no angle is declared or no dwell can be left out.
@@ -316,7 +334,7 @@ class FitResult(ParameterTable):
         return replace(self.shown_angle, value=score.angle_rms_deg)
 
     def summary(self) -> str:
-        """Summary in a few lines of plain text, as `adis-gonio fit` prints it."""
+        """Return a summary in a few lines of plain text, as `adis-gonio fit` prints it."""
         from adis_gonio.fitting.answer import Answer
 
         return Answer.of(self).text()
@@ -325,11 +343,14 @@ class FitResult(ParameterTable):
         return self.summary()
 
     def caption_and_parameters(self) -> tuple[str, Entries]:
-        """Caption of the table in notebooks, which names the method, and the parameters by name."""
+        """Return the caption of the table in notebooks, and the parameters by name.
+
+        The caption names the method.
+        """
         return f"fit by method {self.method}", self.as_dict()["parameters"].items()
 
     def as_dict(self) -> dict[str, Any]:
-        """The JSON document that `adis-gonio fit --json` prints."""
+        """Return the JSON document that `adis-gonio fit --json` prints."""
         names = [e.name for e in self.parameters] if self.covariance is not None else []
         matrix = [] if self.covariance is None else self.covariance.tolist()
         errors = None
@@ -364,7 +385,10 @@ class FitResult(ParameterTable):
 
 @dataclass(frozen=True)
 class Output:
-    """A quantity that a result reports: its value, and its derivative (p,) by the natural parameters."""
+    """A quantity that a result reports, with its derivative by the parameters in natural units.
+
+    `name`, `value` and `unit` are as reported; `gradient` (p,) is the derivative.
+    """
 
     name: str
     value: float
@@ -373,9 +397,10 @@ class Output:
 
 
 def outputs_of(data: Readings, parameters: Floats) -> tuple[Output, ...]:
-    """All reported quantities, from base parameters and biases (p,) in mg.
+    """Return all reported quantities, from base parameters and biases in one array (p,).
 
-    In the plane delta_k and delta_phi come first. For readings in counts, gains and biases are in counts.
+    Base parameters are in natural units, biases in mg. In the plane delta_k and delta_phi come first. For
+    readings in counts, gains and biases are in counts.
     """
     names = names_of(data)
     eye = np.eye(len(names))
@@ -405,9 +430,10 @@ def outputs_of(data: Readings, parameters: Floats) -> tuple[Output, ...]:
 
 
 def stage_warnings(found: Sequence[Estimate], sigma_rad: float) -> list[str]:
-    """Warn if the angle between the axes depends only on the stage's angles and is uncertain.
+    """Return a warning if only the stage's angles determine the angle between the axes, and poorly.
 
-    `sigma_rad` is the standard uncertainty of a declared angle.
+    Otherwise the list is empty. `found` are the parameters of the result; `sigma_rad` is the standard
+    uncertainty of a declared angle.
     """
     u_deg = next((one.u for one in found if one.name == "delta_phi"), None)
     if u_deg is None or math.radians(u_deg) <= LIMIT or not math.radians(u_deg) <= 2 * sigma_rad < math.inf:
@@ -424,13 +450,16 @@ _RANK = {name: rank for rank, name in enumerate(_FIRST)}
 
 
 def variances(outputs: Sequence[Output], natural: Floats) -> Floats:
-    """Covariance (m, m) of m reported quantities, from the covariance (p, p) of the natural parameters."""
+    """Return the covariance (m, m) of m reported quantities.
+
+    `natural` is the covariance (p, p) of the parameters in natural units.
+    """
     gradients = np.stack([output.gradient for output in outputs])
     return np.asarray(gradients @ natural @ gradients.T)
 
 
 def estimates(outputs: Sequence[Output], sources: Sources | None) -> tuple[Estimate, ...]:
-    """Estimates of the reported quantities, with u from `sources`; u is None without sources."""
+    """Return the estimates of the reported quantities, with u from `sources`; u is None without sources."""
     found = []
     for output in outputs:
         u, dof = (None, math.inf) if sources is None else sources.uncertainty(output.gradient[None])
@@ -439,10 +468,10 @@ def estimates(outputs: Sequence[Output], sources: Sources | None) -> tuple[Estim
 
 
 def angle_errors(fit: Fit) -> Floats | None:
-    """Angle by the calibrated goniometer minus declared angle (m,) in rad; None without declared angles.
+    """Return the angle by the calibrated goniometer minus the declared angle, (m,) in rad.
 
-    The zero is α. If the attitudes were fitted without declared angles, α is unknown, and the mean
-    difference is subtracted instead.
+    None in space or without declared angles. The zero of the calibrated angle is α. If the attitudes were
+    fitted without declared angles, α is unknown, and the mean difference is subtracted instead.
     """
     data = fit.data
     declared = np.isfinite(data.angle_rad)
@@ -495,7 +524,9 @@ def calibration_as_recorded(result: FitResult) -> Calibration:
 
 
 def as_written(calibration: Calibration) -> Calibration:
-    """Adapt a calibration to the offsets that were written to the sensor after its session.
+    """Return a calibration adapted to the offsets that were written to the sensor after its session.
+
+    A calibration of a session without a later write is returned unchanged.
 
     Raises
     ------
@@ -509,12 +540,12 @@ def as_written(calibration: Calibration) -> Calibration:
 
 
 def known_provenance(where: Provenance | None) -> Provenance:
-    """Return the provenance of a result that was made from a session.
+    """Return the provenance `where` of a result; fail if the result has none.
 
     Raises
     ------
     UsageError
-        The result was made from readings.
+        The result was made from readings, not from a session.
     """
     if where is None:
         raise UsageError("this result was made from readings: fit or trace a session to get a calibration")
@@ -526,12 +557,14 @@ def _names(model: Measurement) -> list[str]:
 
 
 def assumed_parameters(model: Measurement, names: Sequence[str]) -> tuple[str, ...]:
-    """Names of the parameters that the session does not determine and that keep their nominal values.
+    """Return the names of the model's parameters that are not in `names` and keep their nominal values.
+
+    `names` are the parameters that the session determines.
 
     Raises
     ------
     FitError
-        One of them is needed to compute an angle.
+        An undetermined parameter is needed to compute an angle.
     """
     missing = [name for name in _names(model) if name not in names]
     needed = [name for name in missing if not name.startswith(("bias", "alpha", "scale_y"))]

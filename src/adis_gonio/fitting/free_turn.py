@@ -1,7 +1,6 @@
-"""The free turn: samples of a slow turn by hand, and the estimate of all parameters from them.
+"""The free turn: angle and calibration from one slow continuous turn without declared angles.
 
-Angle and calibration from one continuous turn: a batch estimate over the whole recording.
-
+All parameters are estimated together from the samples of the whole recording.
 Unknown are the angle ψ_k of gravity to X at the centre of each window, and common parameters:
 
     U_x = K_x G ⟨cos ψ⟩ + b_x + d_x(t) + l_x ω² + l_y ω'
@@ -21,8 +20,6 @@ Windows are Hann windows that overlap by half. Their weights add up to a constan
 lost, and motion faster than their hop (tremor at 8 to 12 Hz) hardly changes a mean. The noise of the
 means is then noise of low frequencies, which the parameters follow. White noise correlates neighbours by
 1/6; `LONG_RUN` is the resulting factor on the variance of slow parameters.
-
-One slow continuous turn without declared angles: angle and calibration from gyro and gravity.
 
 `fit` of such a recording returns a `FitResult`. The checks here state the conditions of the estimate, and a
 message says what to do if the turn does not meet them.
@@ -52,15 +49,18 @@ from adis_gonio.model.records import MG_PER_MPS2, STANDARD_GRAVITY_MPS2, Session
 from adis_gonio.record.provenance import provenance_of
 
 HOP_S = 0.25
-"""Distance between the centres of windows; each window has twice this length."""
+"""Time in s between the centres of neighbouring windows; each window has twice this length."""
 MOST_WINDOWS = 480
-"""A longer recording has longer windows, which bounds the cost of an estimate."""
+"""Largest number of windows: a longer recording has longer windows, which bounds the cost of an
+estimate."""
 LONG_RUN = 4 / 3
-"""Spectral density at zero of means in neighbouring windows, over their variance: 1 + 2/6."""
+"""Factor by which the overlap of windows increases the variance of slow parameters: the spectral density at
+frequency zero of the windows' means, divided by their variance, 1 + 2/6."""
 LEAST_FILLED = 0.5
-"""Smallest share of its samples with which a window is used."""
+"""Smallest share of its expected samples with which a window is used."""
 GAP_PERIODS = 5.0
-"""Sample periods in a gap above which the gyro's integral over it does not count."""
+"""Length of a gap between samples, in sample periods, above which the gyro's integral over it does not
+count."""
 
 
 @dataclass(frozen=True)
@@ -70,13 +70,15 @@ class TurnRecording:
     Attributes
     ----------
     time_s : (n,) float
-        From the first sample on.
+        Time since the first sample.
     accel_mg : (n, 2 or 3) float
+        Readings of the accelerometers X, Y and, if recorded, Z.
     rate : (n, 3) float
-        Gyros in rad/s.
+        Readings of the gyros X, Y, Z in rad/s.
     temperature_c : (n,) float or None
+        Temperature of the sensor; None if not recorded.
     smear_s : float
-        Root of the second moment of the sensor's own filter.
+        Standard deviation in time of the impulse response of the sensor's own filter; 0 without one.
     """
 
     time_s: Floats
@@ -87,7 +89,7 @@ class TurnRecording:
 
     @property
     def period_s(self) -> float:
-        """Time between two samples in s."""
+        """Median time between two samples in s."""
         return float(np.median(np.diff(self.time_s)))
 
     @property
@@ -96,7 +98,7 @@ class TurnRecording:
         return float(self.time_s[-1])
 
     def integral(self, values: Floats) -> Floats:
-        """Integral (n, …) over time of sampled values, from the first sample to each sample.
+        """Return the integral (n, …) over time of sampled values, from the first sample to each sample.
 
         It uses the trapezoidal rule.
         """
@@ -111,6 +113,7 @@ class Windows:
     Attributes
     ----------
     centre_s : (m,) float
+        Time of each window's centre, since the first sample.
     gap_s : (m - 1,) float
         Time without samples between neighbouring centres.
     """
@@ -150,7 +153,7 @@ class Windows:
         return len(self.centre_s)
 
     def mean(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Weighted mean in each window (m, …) of sampled values (n, …)."""
+        """Return the weighted mean in each window (m, …) of sampled values (n, …)."""
         return np.asarray(self._matrix @ values)
 
 
@@ -158,35 +161,43 @@ NAMES = (
     "scale_x", "scale_y", "delta_phi", "bias_x", "bias_y", "lever_x", "lever_y",
     "gyro_gain_z", "gyro_bias_z", "g_sensitivity_zx", "g_sensitivity_zy", "gyro_latency",
 )  # fmt: skip
-"""Common parameters: 1, 1, rad, mg, mg, mm, mm, 1, rad/s, rad/s, rad/s, s."""
+"""Parameters common to all windows. Their units are 1, 1, rad, mg, mg, mm, mm, 1, rad/s, rad/s, rad/s,
+s."""
 
 LEVER_MM = 100.0
-"""Prior standard deviation of the sensor's distance from the axis (D)."""
+"""Prior standard deviation of each component of the distance between the sensor and the axis of the turn,
+in mm (D)."""
 GYRO_GAIN = 0.05
-"""Prior standard deviation of the gyro's scale factor; the prior mean is 1 (D)."""
+"""Prior standard deviation of the gyro's scale factor, of which the prior mean is 1 (D)."""
 G_SENSITIVITY_DPS = 0.2
-"""Prior standard deviation of the gyro's sensitivity to acceleration, in °/s/g (CHIP: 0.05, B, of the
-sibling)."""
+"""Prior standard deviation of the gyro's sensitivity to acceleration, in °/s/g (the ADIS16350 data sheet
+states 0.05, B)."""
 LATENCY_S = 2e-3
-"""Prior standard deviation of the gyro's delay against the accelerometers (D)."""
+"""Prior standard deviation of the gyro's delay against the accelerometers, in s (D)."""
 GYRO_INSTABILITY_DPS = 0.015
-"""Floor of the gyro's Allan deviation (the simulator's, D)."""
+"""Smallest Allan deviation of the gyro over all averaging times, in °/s, for the prior of its drift (as in
+the simulator, D)."""
 DRIFT_HZ = 0.5
-"""Highest frequency of the drift functions; faster drifts count as noise of a window."""
+"""Highest frequency in Hz of the functions that describe a drift; faster drifts count as noise of a
+window."""
 MOST_DRIFTS = 80
 GYRO_DRIFTS = 12
 STRETCH_S = 3.0
-"""Length of the stretches, in s, within which the accelerometers' noise counts as constant."""
+"""Length in s of the stretches of a recording, within each of which the accelerometers' noise counts as
+constant.
+"""
 STATED_DOF = 8.0
-"""Degrees of freedom of a stated variance (of a drift, or of a stretch by the whole)."""
+"""Degrees of freedom given to a variance that is not estimated from enough data: the stated variance of a
+drift, or the variance of the whole recording as prior of a stretch."""
 _MG_PER_MM = 1.0 / STANDARD_GRAVITY_MPS2
-"""Acceleration in mg at a distance of 1 mm from the axis for a squared rate of 1 (rad/s)²."""
+"""Acceleration in mg at a distance of 1 mm from the axis of a turn with a rate of 1 rad/s."""
 _GAP_RATE = 0.5
 """Standard deviation, in rad/s, of the unknown rate while samples are missing."""
 _MOST_ROUNDS = 40
 _DONE = 1e-3
 _SETTLED = 0.1
-"""Largest change by the last iteration of a valid result, in standard uncertainties."""
+"""Largest change of a parameter by the last iteration, in standard uncertainties, at which the result is
+valid."""
 
 
 @dataclass(frozen=True)
@@ -196,13 +207,13 @@ class Variances:
     Attributes
     ----------
     accel_mg2 : (m,) float
-        Variance of the mean reading in each window, increased for the correlation of neighbours.
+        Variance of the mean reading in each window, increased for the correlation of neighbouring windows.
     gyro : float
-        Angle random walk in rad²/s.
+        Variance of the angle per time from white gyro noise (angle random walk), in rad²/s.
     drift : float
         Factor on the stated variance of the accelerometers' drift.
     accel_dof, gyro_dof, drift_dof : float
-        Their degrees of freedom.
+        Degrees of freedom of these three estimates.
     """
 
     accel_mg2: Floats
@@ -225,10 +236,13 @@ class Solution:
         Angle of gravity to X at the windows' centres, unwrapped.
     covariance : (12 + m, 12 + m) float
         Covariance of the values and the angles.
-    parts : list of (share (12 + m, 12 + m), degrees of freedom)
-        The covariance by its causes: noise of the accelerometers, of the gyro, drift, prior knowledge.
+    parts : tuple of (share (12 + m, 12 + m), degrees of freedom)
+        Contribution of each cause to the covariance, which is their sum, and its degrees of freedom. The
+        causes are noise of the accelerometers, noise of the gyro, drift and prior knowledge.
     variances : Variances
+        Estimated noise of the accelerometers and the gyro.
     residual_mg : (m, 2) float
+        Mean reading in each window minus the model.
     """
 
     values: Floats
@@ -245,10 +259,14 @@ class LeastSquaresProblem:
     Parameters
     ----------
     series : TurnRecording
+        Samples of the turn.
+    windows : Windows
+        Windows over these samples.
     gravity_mg : float
         Local gravity.
     floor_mg : float
-        Stated Allan floor of the accelerometers; 0 for no drift.
+        Stated smallest Allan deviation of the accelerometers, which sets the prior of their drift; 0 for no
+        drift.
     """
 
     def __init__(self, series: TurnRecording, windows: Windows, gravity_mg: float, floor_mg: float) -> None:
@@ -281,7 +299,10 @@ class LeastSquaresProblem:
         self.prior = self._prior()
 
     def _prior(self) -> tuple[Floats, Floats]:
-        """Prior mean and variance of the 12 common parameters; the variance is inf without a prior."""
+        """Return the prior mean and variance of the common parameters and the drifts.
+
+        The common parameters come first; the variance is inf without a prior.
+        """
         g = math.radians(G_SENSITIVITY_DPS)
         sigma = [SENSOR_SPREAD, SENSOR_SPREAD, SENSOR_SPREAD, np.inf, np.inf, LEVER_MM, LEVER_MM,
                  GYRO_GAIN, np.inf, g, g, LATENCY_S]  # fmt: skip
@@ -291,7 +312,7 @@ class LeastSquaresProblem:
         return mean, variance
 
     def begin(self) -> Floats:
-        """Starting values of the fit: the common parameters, then the angle of each window.
+        """Return starting values of the fit: common parameters and drifts, then the angle of each window.
 
         The biases and angles come from a circle through the readings.
         """
@@ -305,7 +326,11 @@ class LeastSquaresProblem:
         return values
 
     def model(self, values: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Residuals of the accelerometers (m, 2) in mg and of the gyro (m - 1,) in rad, with Jacobians."""
+        """Return the residuals of accelerometers and gyro, then their Jacobians.
+
+        The residuals are (m, 2) in mg, and (m − 1,) in rad for the turn between neighbouring windows.
+        `values` are the common parameters, the drifts and the angles.
+        """
         k_x, k_y, skew = values[:3]
         rest = values[: self.size - self.m]
         psi = values[-self.m :]
@@ -345,15 +370,20 @@ class LeastSquaresProblem:
         return self.reading - linear, -(steps @ values), jacobian, steps
 
     def walk(self, variances: Variances) -> Floats:
-        """Variance (m - 1,) in rad² that gyro noise adds to the angle between neighbouring windows."""
+        """Return the variance (m − 1,) in rad² that gyro noise adds between neighbouring windows.
+
+        It is the variance of the change of the angle from one window's centre to the next.
+        """
         gap = self.windows.gap_s
         return variances.gyro * np.diff(self.windows.centre_s) + np.square(_GAP_RATE * gap)
 
 
 def drift_functions(time_s: Floats, length_s: float, floor: float, most: int) -> tuple[Floats, Floats]:
-    """Functions of time (n, k) that describe a drift, and the variance (k,) of each from 1/f noise.
+    """Return functions of time (n, k) that describe a drift, and the prior variance (k,) of each.
 
-    The 1/f noise is given by its Allan deviation `floor`. Each function has the mean zero.
+    `time_s` (n,) are the times since the begin. At most `most` functions are used for a recording of
+    `length_s`. The drift is 1/f noise with the Allan deviation `floor`; 0 gives no function. Each function
+    has the mean zero.
 
     They are principal components of the noise. Each is a sum of cosines with a whole number of half cycles
     in the recording. A density h/f has, up to a constant, the covariance −h ln|t − s|; `_of_cosines` has
@@ -368,11 +398,11 @@ def drift_functions(time_s: Floats, length_s: float, floor: float, most: int) ->
 
 
 def _of_cosines(count: int) -> Floats:
-    """Covariance (k, k) of the means of √2 cos(π j t) times a noise of density 1/f, t from 0 to 1.
+    """Return the covariance (k, k) of the means of √2 cos(π j t) times a noise of density 1/f.
 
-    Integrated by parts, with J = π j and Cin(x) = γ + ln x − Ci(x). The diagonal is 2 (Si(J) − (1 − cos
-    J)/J)/J. Off the diagonal it is 4 (Cin(J) − Cin(K))/(K² − J²) if j and k are both even or both odd,
-    else 0.
+    The time t is from 0 to 1 and j from 1 to k = `count`. Integrated by parts, with J = π j and Cin(x) = γ
+    + ln x − Ci(x). The diagonal is 2 (Si(J) − (1 − cos J)/J)/J. Off the diagonal it is 4 (Cin(J) −
+    Cin(K))/(K² − J²) if j and k are both even or both odd, else 0.
     """
     from scipy.special import sici
 
@@ -424,9 +454,10 @@ def _first(problem: LeastSquaresProblem) -> Variances:
 def _system(
     problem: LeastSquaresProblem, values: Floats, variances: Variances
 ) -> tuple[Floats, Floats, tuple[Floats, ...]]:
-    """Normal equations of one iteration: information matrix and right side.
+    """Return the normal equations of one iteration at `values`, and the information by cause.
 
-    Also returns the information matrix of each cause of uncertainty.
+    They are the information matrix and the right side. The causes are the accelerometers, the gyro
+    (matrices), and the priors (the diagonal).
     """
     accel, gyro, by_accel, by_gyro = problem.model(values)
     mean, variance = problem.prior
@@ -477,7 +508,10 @@ def _step(
 def _renewed(
     problem: LeastSquaresProblem, values: Floats, covariance: Floats, before: Variances
 ) -> Variances:
-    """Estimate the noise variances again, from the residuals and their remaining degrees of freedom."""
+    """Estimate the noise variances again, from the residuals and their remaining degrees of freedom.
+
+    `before` are the variances with which `values` and `covariance` were fitted.
+    """
     accel, gyro, by_accel, by_gyro = problem.model(values)
     flat = by_accel.reshape(-1, problem.size)
     taken = np.einsum("ij,ij->i", flat @ covariance, flat).reshape(-1, 2) / before.accel_mg2[:, None]
@@ -541,14 +575,15 @@ def _finished(problem: LeastSquaresProblem, values: Floats, variances: Variances
 __all__ = ["METHOD", "FreeTurnResult", "fit_free_turn"]
 
 LEAST_S = 10.0
-"""A shorter recording contains no slow turn."""
+"""Shortest recording in s: a shorter one contains no slow turn."""
 FASTEST_DPS = 90.0
-"""At a higher rate a window covers more than an eighth of a turn, and a lever arm of 0.1 m adds 25 mg."""
+"""Largest rate in °/s: above it a window covers more than an eighth of a turn, and a lever arm of 0.1 m
+adds 25 mg."""
 LEAST_TURN_DEG = 180.0
-"""In less than half a turn a bias and a gain are nearly equivalent."""
+"""Smallest range of angles in degrees: in less than half a turn a bias and a gain are nearly equivalent."""
 WOBBLE_DEG = 0.5
-"""Tilt (rms) out of the plane that shortens gravity's part in it by 0.04 mg, the resolution of a
-session."""
+"""Largest tilt (rms, degrees) of the axis X–Y plane out of the plane of the turn: it shortens gravity's
+part in that plane by 0.04 mg, the resolution of a session."""
 LEANING_DEG = 10.0
 MOST_LOST = 0.2
 """Largest allowed share of the recording without samples."""
@@ -575,7 +610,10 @@ def require_recording(series: TurnRecording) -> None:
 
 
 def require_slow(series: TurnRecording, windows: Windows, range_dps: float | None) -> None:
-    """Raise `FitError` if the turn was faster than the model can describe or the gyro can measure."""
+    """Raise `FitError` if the turn was faster than the model can describe or the gyro can measure.
+
+    `range_dps` is the gyro's range; None if unknown.
+    """
     rate = np.degrees(np.abs(windows.mean(series.rate[:, 2])))
     fastest = float(rate.max())
     limit = FASTEST_DPS if range_dps is None else min(FASTEST_DPS, 0.9 * range_dps)
@@ -601,9 +639,9 @@ def require_axis(series: TurnRecording, windows: Windows) -> None:
 
 
 def sweeps_of(psi_rad: Floats) -> Sweeps:
-    """Count the full turns of a recording, from its unwrapped angle ψ (m,) in rad at each window.
+    """Return the number of full turns and the range of angles of a recording.
 
-    The returned `Sweeps` also gives the range of the angle; turning back counts like turning on.
+    `psi_rad` (m,) is the unwrapped angle ψ at each window. A turn back counts as a turn.
     """
     found = Sweeps()
     for angle_deg in np.degrees(psi_rad - psi_rad[0]).tolist():
@@ -623,6 +661,8 @@ def require_turn(psi_rad: Floats) -> None:
 
 def require_plane(series: TurnRecording, windows: Windows, psi_rad: Floats, gravity_mg: float) -> list[str]:
     """Check that the turn stayed in one vertical plane; return a warning if there is no Z accelerometer.
+
+    `psi_rad` (m,) is the angle at each window; `gravity_mg` is local gravity.
 
     Raises
     ------
@@ -657,8 +697,9 @@ def require_plane(series: TurnRecording, windows: Windows, psi_rad: Floats, grav
 def remarks(
     series: TurnRecording, windows: Windows, psi_rad: Floats, u_phi_deg: float, wanted: int = 0
 ) -> list[str]:
-    """Remarks for the user on a valid turn, such as missing rests or samples; often none.
+    """Return remarks for the user on a valid turn, such as missing rests or samples; often none.
 
+    `psi_rad` (m,) is the unwrapped angle at each window, `u_phi_deg` is the standard uncertainty of Δφ;
     `wanted` is the number of full turns in the plan.
     """
     notes = []
@@ -690,10 +731,10 @@ UNSEEN = (
     "the angle is counted from the start, the angle alpha; a zero of the stage was not declared",
     "scale_x and scale_y hold for the stated gravity and a level axis: a turn separates neither from them",
 )
-"""Limits of every free turn."""
+"""Statements on quantities that no free turn determines."""
 
 SOURCES = ("noise of the accelerometers", "noise of the gyro", "drift of the biases", "stated before")
-"""Causes of the uncertainty, in the order of `Solution.parts`."""
+"""Names of the causes of the uncertainty, in the order of `Solution.parts`."""
 
 
 class FreeTurnResult(FitResult):
@@ -704,7 +745,7 @@ class FreeTurnResult(FitResult):
     shares : tuple of ((p, p) float, float)
         Contribution of each cause to the covariance of the parameters, and its degrees of freedom.
     turned_deg, length_s : float
-        Total rotation, forward and back, and duration.
+        Total rotation, forward and back, and duration of the recording.
     """
 
     shares: tuple[tuple[Floats, float], ...] = ()
@@ -752,11 +793,14 @@ class FreeTurnResult(FitResult):
 
     @property
     def angle(self) -> Value:
-        """Uncertainty of the calibrated angle from gravity to X, the only angle without declared ones."""
+        """Uncertainty of the calibrated angle from gravity to X, equal to `shown_angle`; its value is NaN.
+
+        No angle is declared, so no error of an angle can be computed.
+        """
         return self.shown_angle
 
     def _variances(self, gradient: Floats) -> list[tuple[Floats, float]]:
-        """For each cause of uncertainty, the variance (m,) of m quantities and the degrees of freedom.
+        """Return the variance (m,) of m quantities by each cause, with its degrees of freedom.
 
         `gradient` (m, p) is the derivative of the quantities by the parameters.
         """
@@ -764,7 +808,7 @@ class FreeTurnResult(FitResult):
 
     @cached_property
     def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
-        """Uncertainty budget of `delta_k`, `delta_phi` and `angle`: one row for each cause."""
+        """Uncertainty budget of `delta_k`, `delta_phi` and `angle`: one row for each cause, by result."""
         names = [one.name for one in self.parameters]
         gradients = {name: np.eye(len(names))[[names.index(name)]] for name in ("delta_k", "delta_phi")}
         gradients["angle"] = self._shown
@@ -786,7 +830,7 @@ def fit_free_turn(session: Session) -> FreeTurnResult:
     Parameters
     ----------
     session : Session
-        With a `recording`.
+        Session with a `recording` of the turn.
 
     Raises
     ------
@@ -857,9 +901,9 @@ def series_of(session: Session) -> TurnRecording:
     Raises
     ------
     FitError
-        It has none, or no gyros, or unknown units.
+        The session has no recording, no gyros, or unknown units.
     DataError
-        Samples that are not finite.
+        A sample is not finite.
     """
     whole = session.recording
     if whole is None:
@@ -880,10 +924,10 @@ def series_of(session: Session) -> TurnRecording:
 
 
 def _outputs(solution: Solution, windows: Windows) -> tuple[list[str], list[float], Floats, list[str]]:
-    """Names, values, gradients (p, 12 + m) and units of the p reported parameters.
+    """Return names, values, gradients (p, 12 + m) and units of the p reported parameters.
 
-    The names are those that a planar session has. The gradients are by the 12 common parameters and m
-    angles of the solution.
+    The names are those of a planar session. The gradients are by the 12 common parameters and the m angles
+    of the solution.
     """
     size = len(solution.covariance)
     common = dict(zip(NAMES, np.eye(size), strict=False))
@@ -917,7 +961,10 @@ _RATES = (("gyro_bias_z", "deg/s"), ("g_sensitivity_zx", "deg/s/g"), ("g_sensiti
 
 
 def _first_rest(psi_rad: Floats, windows: Windows) -> int:
-    """Number of windows at the beginning of the recording in which the chip is at rest, at least one."""
+    """Return the number of windows at rest at the beginning of the recording, at least one.
+
+    `psi_rad` (m,) is the angle at each window.
+    """
     rate = np.abs(np.diff(psi_rad) / np.diff(windows.centre_s))
     moving = np.flatnonzero(np.degrees(rate) > REST_DPS)
     return max(int(moving[0]), 1) if moving.size else 1

@@ -33,15 +33,18 @@ if TYPE_CHECKING:
 
 Refused = tuple[int, int, str]
 LEAST_POSES = 3
-"""Fewest poses for a fit with links: two turns give four equations for nine parameters and the gyros'."""
+"""Fewest poses for a fit with links: two turns give four equations for nine parameters of the
+accelerometers and for the parameters of the gyros.
+"""
 MOST_LEFT_OUT = 0.25
 """Largest share of links that may be removed; if more disagree, the gyros as a whole are wrong."""
 FAR_RAD, FAR_SHARE = math.radians(10.0), 0.1
-"""Angle between gravity and its prediction by the gyros, and its share of the turn, above which a link is
-wrong for any parameters: a bias of 50 mg turns gravity by only 3°."""
+"""Limits of the angle between gravity and its prediction by the gyros: in rad, and as a share of the turn's
+angle. A link above both is wrong for any parameters: a bias of 50 mg turns gravity by only 3°."""
 _PASSES = 4
 _SETTLED = 0.05
-"""Change of the gyros' parameters, in standard uncertainties of the prior, at which they have converged."""
+"""Change of the gyros' parameters between two fits, in standard uncertainties of the prior, below which
+they have converged."""
 
 
 @dataclass(frozen=True)
@@ -53,17 +56,19 @@ class LinkReport:
     used : int
         Number of links in the fit; 0 if it uses gravity alone.
     chi2, dof : float or None, int
-        Increase of χ² by the links, and their degrees of freedom.
+        Increase of χ² by the links, and the degrees of freedom that the links add; `chi2` is None if the
+        links could not be tested.
     refused : tuple of (int, int, str)
-        Turns that were not used: the dwells before and after, and the reason.
+        Turns that were not used: numbers of the dwells before and after, and the reason.
     calibrated : bool
-        True if a calibration of the gyros was given, otherwise the data sheet is used.
+        True if a calibration of the gyros was given; False if the data sheet is used.
     why : str
         Reason why no link is used; empty if some are.
     gained : tuple of str
         Parameters that only the links determine.
     ratio : float or None
-        Median ratio of u with links to u without links, for the parameters that both fits determine.
+        Median ratio of u with links to u without links, over the parameters that both fits determine; None
+        without links or such a parameter.
     """
 
     used: int
@@ -76,7 +81,7 @@ class LinkReport:
     ratio: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON object of the report, the value of `links` in a result."""
+        """Return the JSON object of the report, the value of `links` in a result."""
         return {
             "used": self.used,
             "chi2": self.chi2,
@@ -113,7 +118,8 @@ def linked_readings(
     """Add the links that agree with gravity to the readings of a session in space, and report on all links.
 
     The second value is None, and the readings are returned unchanged, if nothing was recorded between the
-    poses. Computed once for each session if no calibration is given.
+    poses. `gyros` is a calibration from another session; without it the data sheet is used, and the result
+    is computed only once for each session.
 
     Raises
     ------
@@ -162,11 +168,13 @@ class JudgedLinks:
     links : Links or None
         Accepted links between these readings; None if there are none.
     refused : tuple of (int, int, str)
+        Links that were not accepted: numbers of the dwells before and after, and the reason.
     why : str
-        Reason if there are none.
+        Reason why no link is accepted; empty if some are.
     chi2, dof : float or None, int
+        Increase of χ² by the links, and the degrees of freedom that they add; None and 0 if not tested.
     plain, linked : Determination or None
-        Fits by gravity alone and with the links, with equal noise.
+        Fits by gravity alone and with the links, with equal noise; None if there was no such fit.
     """
 
     links: Links | None
@@ -220,7 +228,10 @@ class JudgedLinks:
         return cls(None, tuple(refused), why)
 
     def report(self, *, calibrated: bool) -> LinkReport:
-        """Make the report for the user on these links."""
+        """Return the report for the user on these links.
+
+        `calibrated` is True if the gyros have a calibration.
+        """
         used = 0 if self.links is None else len(self.links)
         gained, ratio = _gain(self.plain, self.linked)
         return LinkReport(used, self.chi2, self.dof, self.refused, calibrated, self.why, gained, ratio)
@@ -230,14 +241,17 @@ _FAR = "the gyros turn gravity to a wrong direction"
 
 
 def _ends(links: Links, position: NDArray[np.intp], link: int) -> tuple[int, int]:
-    """Numbers of the two dwells that a link connects."""
+    """Return the numbers of the two dwells that a link connects.
+
+    `link` is the index of the link, `position` (n,) are the numbers of the dwells.
+    """
     return int(position[links.before[link]]), int(position[links.after[link]])
 
 
 def _near(links: Links, fit: Fit) -> NDArray[np.bool_]:
-    """Mask (m,) of the links that agree roughly with gravity before and after them.
+    """Return a mask (m,) of the links that agree roughly with gravity before and after their turn.
 
-    No parameters of the gyros could explain a larger disagreement.
+    No parameters of the gyros could explain the disagreement of the others.
     """
     attitude = fit.settled(4).values.attitude
     # Gravity before the turn, carried by the gyros, against gravity after it.
@@ -272,7 +286,7 @@ def _alike(found: Links, links: Links) -> Links:
 
 
 def probable_gyros(fit: Fit, prior: GyroPrior) -> Floats:
-    """Most probable parameters (21,) of the gyros, given the fit with links and their prior."""
+    """Return the most probable parameters (21,) of the gyros, given a fit with links and their prior."""
     links, rows = fit.link_rows, fit.modes
     assert links is not None
     assert rows is not None
@@ -284,7 +298,7 @@ def probable_gyros(fit: Fit, prior: GyroPrior) -> Floats:
 
 
 def _worst(fit: Fit) -> int:
-    """Index of the link with the largest residual."""
+    """Return the index of the link with the largest residual."""
     links = fit.link_rows
     assert links is not None
     # The last rows of the residual belong to the links, two for each.
@@ -295,10 +309,10 @@ def _worst(fit: Fit) -> int:
 def _gain(
     plain: determination.Determination | None, linked: determination.Determination | None
 ) -> tuple[tuple[str, ...], float | None]:
-    """Compare the uncertainties of the fits without and with links.
+    """Compare the uncertainties of the fits without links (`plain`) and with links.
 
-    Returns the names of the parameters that only the fit with links determines, and the median ratio of u
-    with links to u without links.
+    Return the names of the parameters that only the fit with links determines, and the median ratio of u
+    with links to u without links, None if the fits have no parameter in common.
     """
     if plain is None or linked is None:
         return (), None
@@ -310,7 +324,7 @@ def _gain(
 
 
 def _u_of(found: determination.Determination) -> Floats:
-    """Standard uncertainty (p,) in natural units; inf for parameters that are not determined.
+    """Return the standard uncertainty (p,) of the parameters in natural units; inf for undetermined ones.
 
     It includes the data-sheet figure for skews that are taken as zero, as the u of a result does.
     """

@@ -87,7 +87,7 @@ def fit_ml(readings: Readings) -> FitResult:
 
 
 def _sources(readings: Readings, settled: Settled) -> Sources | None:
-    """Sources that contribute to the uncertainty of the fit; None if the noise of a reading is unknown."""
+    """Return the sources of the uncertainty of the fit; None if the noise of a reading is unknown."""
     if not settled.noise.known:
         return None
     found = settled.determination
@@ -130,7 +130,7 @@ def _warnings(
 
 
 def advise_positions(names: list[str]) -> str:
-    """Advice on positions that determine the parameters with these names."""
+    """Return advice on positions that determine the parameters with these names."""
     if any(name.startswith("skew") for name in names) and not any(n.startswith("scale") for n in names):
         return "measure positions that share gravity between the two axes"
     axes = sorted({name[-1] for name in names if name.startswith(("bias", "scale"))})
@@ -144,7 +144,7 @@ def advise_positions(names: list[str]) -> str:
 def refit_ml(readings: Readings, made: Origin) -> Fit:
     """Repeat the fit of the method `ml` on other readings, or on a subset of the dwells.
 
-    The fit starts from the values of the original fit.
+    The fit starts from the values of the original fit in `made`.
 
     Raises
     ------

@@ -25,13 +25,14 @@ from adis_gonio.fitting.fit_result import FitResult
 from adis_gonio.fitting.methods import METHOD_TABLE, applicable_to, default_method, fit_of
 
 BEYOND = 3.0
-"""Standard errors of the paired difference of squared errors above which one method predicts better."""
+"""Threshold on the difference of two methods' mean squared errors over the same dwells, in standard errors
+of this difference. Above it one method predicts better."""
 ALIKE = 0.01
-"""Relative difference below which two uncertainties count as equal."""
+"""Relative difference of two methods' uncertainties below which they count as equal."""
 
 
 class Recommendation(JsonRecord):
-    """The recommended method, and the reason in one sentence.
+    """The recommended method, its effects beyond the base model, and the reason (`why`) in one sentence.
 
     Its JSON document is the value of `recommended` in a result.
     """
@@ -50,13 +51,15 @@ class MethodComparison:
     Attributes
     ----------
     results : tuple of FitResult
-        In the order of `METHODS`.
+        Result of each method that fits the session, in the order of `METHODS`.
     failures : mapping of str to str
-        Reasons why other methods give no result.
+        Reasons why other methods give no result, by method.
     predictions : mapping of str to DwellPrediction
-        Prediction of every dwell by each method without this dwell in the fit.
+        Errors of each method in the prediction of every dwell without this dwell in the fit.
     scores : mapping of str to Score
+        Errors of each method on the dwells that all methods predict.
     recommended : Recommendation
+        The recommended method, and the reason.
     """
 
     results: tuple[FitResult, ...]
@@ -102,7 +105,9 @@ def recommend(
     scores: Mapping[str, Score],
     preferred: str,
 ) -> Recommendation:
-    """Choose the method to recommend from its results and prediction errors.
+    """Choose the method to recommend from the results and prediction errors of all methods.
+
+    `found` and `scores` have the prediction errors of each dwell and their summary, by method.
 
     1. If a method determines the biases, methods that take them as zero are excluded. `paper` is also
        excluded if another method remains, because its u omits the error of its equation 5.
@@ -127,9 +132,10 @@ def recommend(
 
 
 def _squares(prediction: DwellPrediction) -> Floats:
-    """Squared prediction error of each dwell: of the angle if any angle is declared, else of the reading.
+    """Return the squared prediction error (n,) of each dwell.
 
-    For a reading it is the mean over the axes.
+    It is the error of the angle if any angle is declared, otherwise of the reading, as the mean over the
+    axes.
     """
     if np.isfinite(prediction.angle_rad).any():
         return np.asarray(prediction.angle_rad**2)
@@ -141,9 +147,10 @@ def _rms(score: Score) -> float:
 
 
 def predicts_worse(one: DwellPrediction, best: DwellPrediction) -> bool:
-    """True if the prediction `one` is clearly worse than `best`.
+    """Return True if the prediction `one` is clearly worse than the prediction `best` of the same dwells.
 
-    The mean squared error must be larger by more than `BEYOND` standard errors of the difference.
+    The mean squared error must be larger by more than `BEYOND` standard errors of the difference, and by
+    0.1 %.
     """
     base = _squares(best)
     # Paired differences: both methods predict the same dwells.
@@ -157,9 +164,10 @@ def predicts_worse(one: DwellPrediction, best: DwellPrediction) -> bool:
 
 
 def _doubt(result: FitResult) -> float:
-    """Geometric mean of the standard uncertainties of a result's main parameters, to rank the methods.
+    """Return the geometric mean of the standard uncertainties of a result's main parameters.
 
-    It is inf if one of them is unknown.
+    It ranks the methods. The main parameters are ΔK and Δφ, in space all parameters. The mean is inf if one
+    uncertainty is unknown.
     """
     wanted = ("delta_k", "delta_phi") if "delta_k" in result or "delta_phi" in result else ()
     us = [e.u for e in result.parameters if not wanted or e.name in wanted]
@@ -201,14 +209,16 @@ def _why(
 
 
 MOST_FOLDS = 40
-"""Largest number of folds: up to so many dwells are left out one by one, more dwells in groups."""
+"""Largest number of folds in the comparison: up to this many dwells are left out one by one, more dwells in
+groups."""
 
 
 @dataclass(frozen=True)
 class DwellPrediction:
-    """Prediction errors of n dwells: of the angle (n,) in rad, and of the readings (n, r) in mg.
+    """Errors with which a method predicts n dwells; NaN if unknown.
 
-    A value is NaN if it is unknown.
+    `angle_rad` (n,) are errors of the angle, `residual_mg` (n, r) of the readings. There are r = 2 axes in
+    the plane; in space r = 1, the error of the norm.
     """
 
     angle_rad: Floats
@@ -223,12 +233,13 @@ class Score(JsonRecord):
     Attributes
     ----------
     angle_rms_deg, angle_max_deg : float or None
-        Angle computed by the calibrated goniometer minus declared angle; None without declared angles.
+        Root mean square and largest size of the angle by the calibrated goniometer minus the declared
+        angle; None without declared angles.
     residual_rms_mg, residual_max_mg : float or None
-        Reading minus model at the attitude that fits the dwell best within the tolerance of the fixture; in
-        space the residual of the norm.
+        Root mean square and largest size of the reading minus the model, at the attitude that fits the
+        dwell best within the fixture's tolerance; in space the residual of the norm.
     dwells : int
-        Number of these dwells; if it is 0, the other figures are None.
+        Number of dwells that all compared methods predict; if it is 0, the other figures are None.
     """
 
     angle_rms_deg: float | None
@@ -239,12 +250,15 @@ class Score(JsonRecord):
 
 
 def predictions(session: Readings, results: Sequence[FitResult]) -> dict[str, DwellPrediction]:
-    """Predict every dwell of a session by each method, with a fit that does not use this dwell."""
+    """Return the prediction errors of every dwell by each method, from fits without this dwell."""
     return {result.method: _of_method(session, result) for result in results}
 
 
 def scores_of(found: Mapping[str, DwellPrediction]) -> dict[str, Score]:
-    """Compute the errors of each model on the dwells that all of the models predict."""
+    """Return the errors of each method on the dwells that all methods predict.
+
+    `found` are the prediction errors by method.
+    """
     if not found:
         return {}
     # Compare all methods on the dwells that each of them can predict.
@@ -286,14 +300,16 @@ def predicted(
     fit: Fit,
     again: Callable[[NDArray[np.bool_]], Fit],
 ) -> DwellPrediction:
-    """Prediction errors of all dwells, each by a fit that does not use this dwell.
+    """Return the prediction errors of all dwells, each by a fit that does not use this dwell.
 
     Parameters
     ----------
     data : Readings
         All dwells of the session, with the estimated noise.
+    used : (n,) bool
+        True for the dwells that `fit` used; `fit` predicts the others.
     again : callable
-        Fit without the rows (n,) bool; its `FitError` gives NaN for these rows.
+        Fit without the rows for which its argument (n,) is True; its `FitError` gives NaN for these rows.
     """
     n = len(data)
     columns = 2 if data.planar else 1
@@ -311,9 +327,10 @@ def predicted(
 
 
 def errors_of(model: Fit, rows: Readings) -> tuple[Floats, Floats]:
-    """Prediction errors of dwells that `model` was not fitted to.
+    """Return the prediction errors of dwells (`rows`) that `model` was not fitted to.
 
-    They are errors of the angle (n,) in rad and of the readings (n, r) in mg.
+    They are errors of the angle (n,) in rad, NaN without a declared angle, and of the readings (n, r) in
+    mg.
     """
     there = model.on(replace(rows, fitted=model.data.fitted))
     if not rows.planar:
@@ -330,7 +347,7 @@ def errors_of(model: Fit, rows: Readings) -> tuple[Floats, Floats]:
 
 
 def _shown(fit: Fit) -> Floats:
-    """Start angle (n,) in rad that each dwell shows; NaN for a dwell without a declared angle.
+    """Return the start angle (n,) in rad that each dwell shows; NaN for a dwell without a declared angle.
 
     It is the angle of the calibrated reading minus the turn of the stage.
     """
@@ -339,9 +356,9 @@ def _shown(fit: Fit) -> Floats:
 
 
 def held_out_groups(used: NDArray[np.bool_]) -> Iterator[NDArray[np.intp]]:
-    """Yield the groups of dwells that cross-validation leaves out together.
+    """Yield the groups of dwells, as row numbers, that cross-validation leaves out together.
 
-    Dwells that the method does not use form one group.
+    Dwells that the method does not use (False in `used`) form one group.
     """
     inside, outside = np.flatnonzero(used), np.flatnonzero(~used)
     if len(outside):

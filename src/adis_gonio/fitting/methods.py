@@ -1,16 +1,13 @@
-"""The methods of fit, and the closed forms among them.
+"""Methods of a fit by name (`METHOD_TABLE`, `fit`), and the four that are closed forms.
 
-Methods `paper`, `two-position`, `four-position` and `mmpm`.
-
-All but `paper` are one linear fit an axis: by the theorem of addition
+The closed forms are `paper`, `two-position`, `four-position` and `mmpm`. All but `paper` are one linear fit
+for each axis: by the theorem of addition
 U_x = A_x cos θ + B_x sin θ + b_x with A_x = K_x G cos α, B_x = K_x G sin α, and
 U_y = A_y cos θ + B_y sin θ + b_y with A_y = K_y G sin(α + Δφ), B_y = −K_y G cos(α + Δφ).
 With 0° and 90° and no bias this is the closed form Δφ = atan2(U_y1, −U_y2) − atan2(U_x2, U_x1); with
 0/90/180/270° it takes the differences of opposite positions, free of bias; with nine or more it is the
 least squares with declared angles (MMPM, which trusts them). Its covariance propagates the noise of the
 readings and the fixture's uncertainty alike, although the fit itself gives no weight to either.
-
-Fitting methods by name: the table `METHOD_TABLE`, and `fit`, which runs one of them.
 """
 
 from __future__ import annotations
@@ -54,27 +51,35 @@ if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 
 ALPHA, SCALE_X, SCALE_Y, DELTA_PHI, BIAS_X, BIAS_Y = range(6)
-"""Parameters in the order of `determination.names_of`, in natural units: a bias in local gravity."""
+"""Indices of the parameters in the order of `determination.names_of`, in natural units: a bias in local
+gravity."""
 
 TOLERANCE_DEG = 0.5
-"""Declared angles this near to 0, 90, 180 or 270° (modulo 360°) count as that position."""
+"""Largest difference, in degrees, between a declared angle and 0, 90, 180 or 270° (modulo 360°) at which
+the dwell counts as that position.
+"""
 
 TWO, FOUR = (0, 90), (0, 90, 180, 270)
 """Declared angles in degrees that the methods `two-position` and `four-position` use."""
 
 LEAST_MMPM = 9
-"""Fewest positions of `mmpm`, by its definition."""
+"""Fewest positions with a declared angle for the method `mmpm`, by its definition."""
 
 _FAR_FROM_POLE = 0.5
-"""cos(2 alpha + delta_phi) above which the pole of equation 12 at 45° is not the cause of an error."""
+"""Value of |cos(2α + Δφ)| above which the pole of equation 12 at 45° is not the reason why method `paper`
+fails."""
 _NEAR_POLE = 0.2
 _LEAST_READING = 1e-6
-"""U_x1 and U_y2, in local gravity, below which equations 5 and 12 divide by zero."""
+"""Size of the readings U_x1 and U_y2, as a fraction of local gravity, below which equations 5 and 12 count
+as a division by zero."""
 
 
 @dataclass(frozen=True)
 class _Linear:
-    """Result of a linear fit: natural parameters (6,), and their derivative (6, n, 2) by the readings."""
+    """Result of a linear fit: natural parameters `beta` (6,), and their derivative by the readings.
+
+    The derivative is (6, n, 2). `has_bias` is False if the biases were taken as zero.
+    """
 
     beta: Floats
     derivative: Floats
@@ -82,7 +87,7 @@ class _Linear:
 
 
 def rows_at(readings: Readings, angles_deg: tuple[int, ...]) -> list[NDArray[np.intp]]:
-    """For each angle in degrees, the rows of the dwells declared at it (modulo 360°), possibly none."""
+    """Return the rows of the dwells declared at each angle in degrees (modulo 360°), possibly none."""
     degrees = np.degrees(readings.angle_rad)
     with np.errstate(invalid="ignore"):
         return [np.flatnonzero(np.abs(wrap_degrees(degrees - a)) <= TOLERANCE_DEG) for a in angles_deg]
@@ -110,9 +115,9 @@ def fit_mmpm(readings: Readings) -> FitResult:
     Raises
     ------
     FitError
-        If fewer than nine dwells have a declared angle.
+        Fewer than nine dwells have a declared angle.
     SingularError
-        They are at fewer than three different angles.
+        The dwells are at fewer than three different angles.
     """
     rows = np.flatnonzero(np.isfinite(readings.angle_rad))
     if len(rows) < LEAST_MMPM:
@@ -126,7 +131,10 @@ def fit_mmpm(readings: Readings) -> FitResult:
 
 
 def refit_mmpm(readings: Readings, made: Origin) -> Fit:
-    """Repeat the fit of the method `mmpm` on other readings, or on a subset of the dwells."""
+    """Repeat the fit of the method `mmpm` on other readings, or on a subset of the dwells.
+
+    `made`, the earlier result, is not used.
+    """
     chosen = readings.rows(np.flatnonzero(np.isfinite(readings.angle_rad)))
     return _fit(readings, _linear(chosen, np.eye(len(chosen)), bias=True).beta, bias=True)
 
@@ -134,7 +142,7 @@ def refit_mmpm(readings: Readings, made: Origin) -> Fit:
 def refit_four(readings: Readings, made: Origin) -> Fit:
     """Repeat the fit of the method `four-position` on other readings, or on a subset of the dwells.
 
-    Dwells at three of the four positions suffice.
+    Dwells at three of the four positions suffice. `made`, the earlier result, is not used.
     """
     groups = rows_at(readings, FOUR)
     present = tuple(angle for angle, rows in zip(FOUR, groups, strict=True) if len(rows))
@@ -144,6 +152,8 @@ def refit_four(readings: Readings, made: Origin) -> Fit:
 
 def refit_two(method: str, readings: Readings, made: Origin) -> Fit:
     """Repeat the fit of `paper` or `two-position` on other readings, at the first two positions 90° apart.
+
+    `method` is the name of the method; `made`, the earlier result, is not used.
 
     Raises
     ------
@@ -219,9 +229,10 @@ def fit_paper(readings: Readings) -> FitResult:
 
 
 def _by_paper(chosen: Readings, weights: Floats, exact: _Linear) -> tuple[_Linear, Floats]:
-    """Natural parameters by the method `paper`, and (ΔK, Δφ) alone.
+    """Return the natural parameters by the method `paper`, and (ΔK, Δφ) alone.
 
-    ΔK and Δφ follow from equations 5 to 12; start angle and scale of X from the closed form.
+    ΔK and Δφ (rad) follow from equations 5 to 12. The start angle and the scale of X are those in `exact`,
+    the closed form of the same dwells. `weights` (2, n) give the mean reading at each of the two angles.
 
     Raises
     ------
@@ -255,10 +266,10 @@ def _a_plus_b(first: Floats, second: Floats) -> float:
 
 
 def as_printed(x1: Any, y1: Any, x2: Any, y2: Any) -> tuple[Any, Any]:
-    """ΔK and Δφ in rad by the paper's equations 5 to 12, from readings at 0° and 90°.
+    """Return ΔK and Δφ in rad by the paper's equations 5 to 12.
 
-    The arguments are numbers or arrays, also complex. The results are NaN if sin Δφ would exceed 1, and
-    infinite at the pole.
+    `x1` and `y1` are the readings of X and Y at 0°, `x2` and `y2` at 90°: numbers or arrays, also complex.
+    The results are NaN if sin Δφ would exceed 1, and infinite at the pole.
     """
     gain = x1 / -y2
     # Equation 12 with numerator and denominator times U_x1 U_x2, which allows U_x2 = 0 at α = 0.
@@ -267,9 +278,10 @@ def as_printed(x1: Any, y1: Any, x2: Any, y2: Any) -> tuple[Any, Any]:
 
 
 def _paper(first: Floats, second: Floats, weights: Floats) -> tuple[Floats, Floats]:
-    """ΔK and Δφ by the printed equations of the paper, and their derivatives (2, n, 2) by the readings.
+    """Return ΔK and Δφ (rad) by the paper's printed equations, and their derivatives by the readings.
 
-    `first` and `second` (2,) are the mean readings at 0° and 90°.
+    The derivatives are (2, n, 2). `first` and `second` (2,) are the mean readings at 0° and 90°, `weights`
+    (2, n) the share of each dwell in them.
     """
     # Complex step: the imaginary part over the step is the derivative without cancellation.
     point = np.array([first[0], first[1], second[0], second[1]], dtype=np.complex128)
@@ -281,12 +293,13 @@ def _paper(first: Floats, second: Floats, weights: Floats) -> tuple[Floats, Floa
 
 
 def turn_parameters(harmonics: Floats) -> Floats:
-    """Natural parameters (…, 6) from the amplitudes of cosine, sine and constant of each axis.
+    """Return the natural parameters (…, 6) from the amplitudes of cosine, sine and constant of each axis.
 
     Parameters
     ----------
     harmonics : (…, 3, 2) or (…, 2, 2) float
-        A and B of X and Y in local gravity, then the biases if the fit has them (otherwise 0).
+        Amplitudes A (cosine) and B (sine) of X and Y in local gravity, then the biases if the fit has them;
+        otherwise the biases are 0.
     """
     a_x, b_x, a_y, b_y = (harmonics[..., k, axis] for axis in (0, 1) for k in (0, 1))
     parameters = np.zeros((*harmonics.shape[:-2], 6))
@@ -300,7 +313,10 @@ def turn_parameters(harmonics: Floats) -> Floats:
 
 
 def _grouped(readings: Readings, method: str, angles_deg: tuple[int, ...]) -> tuple[Readings, Floats]:
-    """Select the dwells at the given angles, and weights (angles, n) for the mean at each angle."""
+    """Select the dwells at the given angles, and return weights (angles, n) for the mean at each angle.
+
+    `method` is the name of the method in messages. Fails with `FitError` if an angle has no dwell.
+    """
     groups = rows_at(readings, angles_deg)
     missing = [str(a) for a, rows in zip(angles_deg, groups, strict=True) if not len(rows)]
     if missing:
@@ -320,7 +336,10 @@ def _grouped(readings: Readings, method: str, angles_deg: tuple[int, ...]) -> tu
 
 
 def _linear(chosen: Readings, weights: Floats, *, bias: bool) -> _Linear:
-    """Fit cosine, sine and (with `bias`) a constant to the mean readings of each axis at each angle."""
+    """Fit cosine, sine and (with `bias`) a constant to the mean readings of each axis at each angle.
+
+    `weights` (angles, n) give the mean at each angle from the n dwells in `chosen`.
+    """
     natural = chosen.mean / chosen.gravity_mg
     # Mean declared angle of each group, as the direction of the mean unit vector.
     turn = weights @ np.exp(1j * chosen.angle_rad)
@@ -353,9 +372,9 @@ def _linear(chosen: Readings, weights: Floats, *, bias: bool) -> _Linear:
 
 
 def _noise(readings: Readings, chosen: Readings) -> NoiseAssumptions:
-    """Noise of the readings: estimated from the whole session if possible, otherwise as stated.
+    """Return the noise of the readings: estimated from the whole session if possible, otherwise as stated.
 
-    The estimate needs enough positions for a fit.
+    The estimate needs enough positions for a fit. `chosen` are the readings that the method uses.
     """
     try:
         return settle(readings).noise
@@ -373,7 +392,10 @@ def _noise(readings: Readings, chosen: Readings) -> NoiseAssumptions:
 
 
 def _fit(data: Readings, beta: Floats, *, bias: bool) -> Fit:
-    """Base model, with or without a bias, evaluated at the given natural parameters and declared angles."""
+    """Return the base model, with or without a bias, at the natural parameters `beta`.
+
+    Angles are as declared; nothing is fitted.
+    """
     term = NamedTerm.offset("xy")
     fit = Fit.begin(data, with_prior=False)
     values = replace(fit.values, base=beta[:BIAS_X].copy())
@@ -382,7 +404,7 @@ def _fit(data: Readings, beta: Floats, *, bias: bool) -> Fit:
 
 
 def _sources(data: Readings, linear: _Linear, noise: NoiseAssumptions) -> Sources:
-    """Sources of the uncertainty of the natural parameters.
+    """Return the sources of the uncertainty of the natural parameters.
 
     An error of a declared angle acts along the tangent of the circle of readings.
     """
@@ -392,7 +414,10 @@ def _sources(data: Readings, linear: _Linear, noise: NoiseAssumptions) -> Source
 
 
 def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> list[str]:
-    """Warn that an unknown bias changes a result from two positions, and advise measurements against it."""
+    """Return a warning that an unknown bias changes a result from two positions, with advice.
+
+    `linear` is the result from the two positions in `chosen`; `readings` are the whole session.
+    """
     # A bias of 1 mg adds to all readings of an axis.
     moved = linear.derivative.sum(axis=1) / chosen.gravity_mg
     phi = np.degrees(moved[DELTA_PHI])
@@ -420,15 +445,13 @@ def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> lis
 
 
 def _bias_of_four(readings: Readings, chosen: Readings) -> str | None:
-    """Describe the bias that the session's four positions show, and the error that it causes.
-
-    The error is in the result of a method with two positions.
+    """Describe the bias that four positions show, and the error that it causes in a fit of two.
 
     Returns
     -------
     str or None
         A clause with the bias and the change of delta_phi and delta_k that it makes in `chosen`; None if
-        the four positions are not there or do not determine a bias.
+        the session does not have the four positions, or if they do not determine a bias.
     """
     if not all(len(rows) for rows in rows_at(readings, FOUR)):
         return None
@@ -450,7 +473,7 @@ def _bias_of_four(readings: Readings, chosen: Readings) -> str | None:
 
 
 def _pair(delta_k: float, delta_phi_deg: float) -> str:
-    """Format the changes of both results, such as `Δφ by −0.058° and ΔK by +0.00097`."""
+    """Format the changes of ΔK and Δφ by a bias, such as `Δφ by −0.058° and ΔK by +0.00097`."""
     return f"Δφ by {signed(delta_phi_deg, digits=2)}° and ΔK by {signed(delta_k, digits=2)}"
 
 
@@ -493,10 +516,11 @@ def _finish(
 
 
 FREE_TURN = "free-turn"
-"""The method of a continuous recording (`adis_gonio.fitting.free_turn`), which has no positions."""
+"""Name of the method for a continuous recording (`adis_gonio.fitting.free_turn`), which has no
+positions."""
 
 _TWO_REVERSED = (0, 270)
-"""The two positions if the stage turned the other way than declared."""
+"""Declared angles in degrees of the two positions if the stage turned opposite to the declared sense."""
 
 
 @solvable
@@ -557,7 +581,10 @@ def fit(session: Session, method: str | None = None, gyros: GyroCalibration | No
 
 
 def fit_of(readings: Readings, method: str | None = None) -> FitResult:
-    """Fit a method to readings without their `check` dwells; the result is kept for reuse."""
+    """Fit a method to readings without their `check` dwells; the result is kept for reuse.
+
+    Without `method`, use the default method of these readings.
+    """
     if method is not None:
         return readings.once(_fit_training, method)
     return _by_default(readings.training, lambda name: fit_of(readings, name))
@@ -568,7 +595,10 @@ def _fit_training(readings: Readings, method: str) -> FitResult:
 
 
 def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
-    """Fit a method to readings: of three axes in space, of two in the plane."""
+    """Fit a method to readings of three axes in space, or of two axes in the plane.
+
+    Without `method`, use the default method of these readings.
+    """
     _refuse_one_position(readings)
     if method is None:
         return _by_default(readings, lambda name: fit_readings(readings, name))
@@ -582,7 +612,10 @@ def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
 
 
 def _by_default(readings: Readings, fit_by: Callable[[str], FitResult]) -> FitResult:
-    """Fit by the default method, or by `two-position` if `ml` is singular."""
+    """Fit by the default method, or by `two-position` if the default is singular.
+
+    `fit_by` fits by the name of a method.
+    """
     try:
         return fit_by(default_method(readings))
     except SingularError:
@@ -593,7 +626,10 @@ def _by_default(readings: Readings, fit_by: Callable[[str], FitResult]) -> FitRe
 
 
 def applicable_methods(session: Session) -> tuple[str, ...]:
-    """Methods that the positions of a session allow; a fit may still find a parameter undetermined."""
+    """Return the methods that the positions of a session allow.
+
+    A fit may still find a parameter undetermined.
+    """
     if session.free_turn:
         return (FREE_TURN,)
     session = session.used_for("fit")
@@ -607,7 +643,7 @@ def applicable_methods(session: Session) -> tuple[str, ...]:
 
 
 def applicable_to(readings: Readings) -> tuple[str, ...]:
-    """Methods that the positions of these readings allow."""
+    """Return the methods that the positions of these readings allow."""
     return _applicable(
         np.degrees(readings.angle_rad),
         planar=readings.planar,
@@ -627,9 +663,10 @@ def _applicable(angles: Floats, *, planar: bool, free: bool, known_zero: bool) -
 
 @dataclass(frozen=True)
 class _Dwells:
-    """Numbers of dwells of a planar session.
+    """Numbers of dwells of a planar session: all (`count`), and with a declared angle (`declared`).
 
-    `held` has True for each of 0°, 90°, 180°, 270° that is measured.
+    `held` is True for each of 0°, 90°, 180°, 270° that is measured, `free` if the stage's angles are
+    unknown, and `known_zero` if the readings are not in counts.
     """
 
     count: int
@@ -639,17 +676,20 @@ class _Dwells:
     known_zero: bool
 
     def hold(self, *quarters: int) -> bool:
-        """True if the session has declared angles and all these quarter turns (0 to 3) are measured."""
+        """Return True if the stage's angles are known and all these quarter turns are measured.
+
+        The numbers 0 to 3 are for 0° to 270°.
+        """
         return not self.free and all(self.held[k] for k in quarters)
 
     @property
     def has_enough(self) -> bool:
-        """True if there are enough dwells for a fit that uses all positions."""
+        """True if there are enough dwells for the method `ml`, which uses all positions."""
         return self.count >= (2 if self.declared == self.count and not self.free else 3)
 
 
 def _two(readings: Readings) -> tuple[int, int]:
-    """Angles in degrees of the two positions for the method `two-position`: 0 and 90, or 0 and 270.
+    """Return the angles in degrees of the two positions for the method `two-position`: (0, 90) or (0, 270).
 
     Its equations are exact for any two positions a quarter turn apart.
     """
@@ -658,7 +698,7 @@ def _two(readings: Readings) -> tuple[int, int]:
 
 
 def default_method(readings: Readings) -> str:
-    """Name of the default method: `ml`, or `two-position` if only 0° and 90° are measured."""
+    """Return the default method: `ml`, or `two-position` if only two positions 90° apart are measured."""
     return "two-position" if readings.planar and _only_two(readings) else "ml"
 
 
@@ -690,13 +730,13 @@ class Method:
     Attributes
     ----------
     fit : callable
-        From `Readings` to a `FitResult`; raises `FitError` or `SingularError`.
+        Fits `Readings` and returns a `FitResult`; raises `FitError` or `SingularError`.
     refit : callable
-        Repeats a fit: from other readings of all or some of the dwells, and the `Origin` of an earlier
-        result, to a `Fit` of these readings with the noise of that result; raises `FitError`. Used to leave
-        dwells out in the comparison of methods, and for Monte Carlo trials.
+        Repeats a fit on `Readings` of all or some of the dwells, which have the noise of an earlier result,
+        given the `Origin` of this result. It returns a `Fit`; raises `FitError`. Used to leave dwells out
+        in the comparison of methods, and for Monte Carlo trials.
     suits : callable
-        True if the session has the positions that the method needs.
+        Returns True if the session has the positions that the method needs.
     """
 
     fit: Callable[[Readings], FitResult]
@@ -717,6 +757,6 @@ METHOD_TABLE = {
     "mmpm": Method(fit_mmpm, refit_mmpm, lambda d: not d.free and d.declared >= LEAST_MMPM),
     "ml": Method(fit_ml, refit_ml, lambda d: d.has_enough),
 }
-"""All methods of a plane by name. `ml` also fits poses in space."""
+"""All methods for a session of positions, by name. Only `ml` also fits poses in space."""
 METHODS = tuple(METHOD_TABLE)
-"""Names of the methods."""
+"""Names of the methods for a session of positions."""

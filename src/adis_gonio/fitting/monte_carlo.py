@@ -2,7 +2,7 @@
 
 Each trial draws every input from its distribution (noise with few degrees of freedom from Student's,
 quantization from a rectangle, angles as real turns of the part) and fits again by the same method. Nothing
-is linearised, so both agree if the model is linear enough.
+is linearised, so the result agrees with the linear propagation if the model is linear enough.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from adis_gonio.fitting.methods import METHOD_TABLE
 from adis_gonio.fitting.uncertainty import MODEL, TEMPERATURE, Source, repeatability_of
 
 WITHIN = 0.01
-"""Relative difference below which two uncertainties count as equal."""
+"""Relative difference between a Monte Carlo and a linear standard uncertainty below which they count as
+equal."""
 
 
 @dataclass(frozen=True)
@@ -35,15 +36,18 @@ class Propagated:
     Attributes
     ----------
     name, unit : str
+        Name and unit of the parameter.
     linear : Estimate
+        The fitted parameter with its uncertainty by linear propagation.
     u : float
         Standard deviation of the trials.
     low, high : float
-        Probabilistically symmetric interval of 95 %.
+        Ends of the interval of 95 % with equal probabilities below and above it.
     doubt : float
-        Standard error of u, relative.
+        Relative standard error of `u` from the limited number of trials.
     why : str
-        Reason for a difference from the linear u above 1 % and twice its own error; empty without one.
+        Reason for a difference between `u` and the linear u of more than 1 % plus twice the standard error
+        of `u`; empty without such a difference.
     """
 
     name: str
@@ -56,7 +60,7 @@ class Propagated:
     why: str
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON object of the parameter, one entry of `parameters` in the document."""
+        """Return the JSON object of the parameter, one entry of `parameters` in the document."""
         return {
             "u": self.u,
             "low": self.low,
@@ -71,9 +75,10 @@ class Propagated:
 
 
 class MonteCarlo(JsonRecord):
-    """Result of a Monte Carlo propagation: number of successful trials, and each parameter.
+    """Result of a Monte Carlo propagation for a `method`: the distribution of each parameter.
 
-    Its JSON document is the entry `monte_carlo` of a result.
+    `trials` is the number of trials with a result, `failed` of trials without one; `parameters` are the
+    results. Its JSON document is the entry `monte_carlo` of a result.
     """
 
     method: str
@@ -86,7 +91,10 @@ class MonteCarlo(JsonRecord):
         return next(p for p in self.parameters if p.name == name)
 
     def rows(self) -> tuple[list[str], list[list[str]]]:
-        """Head and rows of a table that compares Monte Carlo with linear propagation for each parameter."""
+        """Return head and rows of a table that compares Monte Carlo with linear propagation.
+
+        There is one row for each parameter.
+        """
         head = ["parameter", "unit", "u", "u, linear", "from", "to", "half width", "U, linear"]
         rows = []
         for p in self.parameters:
@@ -96,7 +104,10 @@ class MonteCarlo(JsonRecord):
 
     @property
     def remarks(self) -> list[str]:
-        """Sentences on differences between Monte Carlo and linear propagation, and on failed trials."""
+        """Sentences on differences between Monte Carlo and linear propagation, and on failed trials.
+
+        Without any, one sentence states that both agree.
+        """
         remarks = [f"{p.name}: {p.why}" for p in self.parameters if p.why]
         if self.failed:
             remarks.append(f"{self.failed} trials gave no result and were left out")
@@ -111,7 +122,7 @@ def monte_carlo(result: FitResult, trials: int, rng: np.random.Generator) -> Mon
     result : FitResult
         Result of `adis_gonio.fit`; the noise that it estimated is used.
     trials : int
-        JCGM 101, 7.2: 10⁴ show u to 1 %, 10⁶ an interval's ends to two digits.
+        Number of repetitions. JCGM 101, 7.2: 10⁴ show u to 1 %, 10⁶ an interval's ends to two digits.
 
     Raises
     ------
@@ -144,7 +155,7 @@ def _values(fit: Fit, names: list[str]) -> list[float]:
 
 
 def _drawing(made: Origin, rng: np.random.Generator) -> Callable[[], Readings]:
-    """Function that returns simulated readings at each call.
+    """Return a function that makes simulated readings at each call.
 
     They are the session's readings plus a random error from the distribution of every input.
     """
@@ -181,20 +192,24 @@ def _drawing(made: Origin, rng: np.random.Generator) -> Callable[[], Readings]:
 
 
 def _shared_inputs(data: Readings, by_name: dict[str, Source]) -> list[Floats]:
-    """Changes (n, axes, k) of the readings by k errors that act on all dwells, such as temperature."""
+    """Return changes (n, axes, k) of the readings by k errors that act on all dwells, such as temperature.
+
+    `by_name` are the sources of the uncertainty; the list is empty if none of them acts on all dwells.
+    """
     found = [by_name[name].acts_mg for name in (TEMPERATURE, MODEL) if name in by_name]
     return [columns for columns in found if columns is not None]
 
 
 def _student(rng: np.random.Generator, dof: float) -> float:
-    """Random factor that turns a normal variable into a variable with Student's distribution."""
+    """Return a random factor that turns a normal variable into a variable with Student's distribution."""
     return 1.0 if math.isinf(dof) else math.sqrt(dof / float(rng.chisquare(dof)))
 
 
 def _students(rng: np.random.Generator, dof: Floats, estimate: Any) -> Floats:
-    """Random factors (n, axes) like `_student`; variances that come from one estimate get one factor.
+    """Return random factors (n, axes) that turn normal variables into variables with Student's t.
 
-    `estimate` has the number of the estimate behind each variance.
+    `dof` (n, axes) are degrees of freedom. `estimate` (n, axes) numbers the estimate behind each variance;
+    variances from one estimate get one factor.
     """
     factor = np.ones(estimate.shape)
     for number in np.unique(estimate[np.isfinite(dof)]):
@@ -234,9 +249,10 @@ def _why(made: Origin, linear: Estimate, u: float, doubt: float, k: int) -> str:
 
 
 def _students_u(made: Origin, gradient: Floats) -> float:
-    """Standard deviation of a quantity by linear propagation with Student's distribution for each source.
+    """Return the standard deviation of a quantity by linear propagation with Student's t.
 
-    It is infinite if a source has two degrees of freedom or fewer.
+    Each source has its own degrees of freedom. `gradient` (p,) is the derivative of the quantity by the
+    natural parameters. The result is infinite if a source has two degrees of freedom or fewer.
     """
     assert made.sources is not None
     total = 0.0

@@ -30,7 +30,8 @@ from adis_gonio.fitting.estimation.readings import Readings
 
 _EXCESS = 1e-3
 _LEAST_SCALE = 1e-5
-"""Residual in mg below which averaged readings show only rounding errors."""
+"""Least standard deviation (mg) of a reading that is estimated: a smaller residual shows only rounding
+errors."""
 _LARGEST_SCALE = 1e4
 _LARGEST_SIGMA_RAD = 0.2
 
@@ -42,9 +43,9 @@ class NoiseAssumptions:
     Attributes
     ----------
     scale : float
-        Factor on the placeholder (1 mg) of readings without a stated uncertainty.
+        Standard deviation (mg) of the readings without a stated uncertainty.
     extra_mg : float
-        Standard deviation added to every reading.
+        Standard deviation added to every reading, because the measured noise does not explain the residual.
     sigma_rad : float
         Standard uncertainty of a declared angle; inf for free attitudes.
     dof, sigma_dof, scale_dof : float
@@ -65,7 +66,7 @@ class NoiseAssumptions:
     notes: tuple[str, ...] = ()
 
     def applied(self, readings: Readings) -> Readings:
-        """Copy of the readings with this noise."""
+        """Return a copy of the readings with this noise."""
         # Readings without a stated noise have a placeholder of 1 mg, scaled here.
         factor = np.where(readings.known, 1.0, self.scale**2)[:, None, None]
         covariance = readings.own_covariance * factor + self.extra_mg**2 * np.eye(readings.axes)
@@ -74,10 +75,10 @@ class NoiseAssumptions:
 
 @dataclass(frozen=True)
 class Settled:
-    """A fit of base model and biases after the noise that the session does not state was estimated.
+    """A fit of base model and biases, and the noise that the session does not state, as estimated.
 
-    `chi2` and `dof` are computed with the measured noise: from the readings with a known noise, if there
-    are enough of them to test the model.
+    `determination` is the fit. `chi2` and `dof` (χ² and its degrees of freedom) are computed with the
+    measured noise: from the readings with a known noise, if there are enough of them to test the model.
     """
 
     determination: Determination
@@ -121,7 +122,7 @@ def settle(readings: Readings) -> Settled:
 
 
 def _settle_known(readings: Readings) -> Settled | None:
-    """Fit only the readings with a known noise; None if these are too few to test the model."""
+    """Fit only the readings with a known noise; return None if these are too few to test the model."""
     try:
         first = settle(replace(readings.rows(readings.known), fitted=readings.visible))
     except (FitError, np.linalg.LinAlgError):
@@ -141,10 +142,11 @@ def _without_noise(readings: Readings) -> Settled:
 
 
 def _settle_unknown(readings: Readings, first: Settled) -> Settled:
-    """Estimate the noise of readings that state none, from their residuals in a fit of the other readings.
+    """Estimate the noise of readings that state none, by their residuals against the other readings.
 
-    χ² of all readings less χ² of the known ones is (y − ŷ)ᵀ(S + P)⁻¹(y − ŷ) with the noise S of the others
-    and the covariance P of their prediction ŷ. Its mean is the number of equations that they add.
+    `first` is a fit of the other readings. χ² of all readings minus χ² of the known ones is (y − ŷ)ᵀ(S +
+    P)⁻¹(y − ŷ) with the unstated noise S of the readings y and the covariance P of their prediction ŷ. Its
+    mean is the number of equations that they add.
     """
     determination = determine(first.noise.applied(readings))
     added = determination.dof - first.dof
@@ -172,9 +174,9 @@ def _settle_unknown(readings: Readings, first: Settled) -> Settled:
 
 
 def state_noise(readings: Readings) -> Readings:
-    """Return the readings with an estimated noise for each one that states none.
+    """Return the readings with an estimated noise for each reading that states none.
 
-    This needs other readings with a known noise.
+    The estimate needs other readings with a known noise.
 
     `settle` estimates the noise from the dwells that may be fitted. If no reading states its noise, or too
     few for a test of the model, the readings are returned unchanged.
@@ -218,7 +220,7 @@ class _Follow:
         return fit
 
     def determination(self, noise: NoiseAssumptions) -> Determination:
-        """Fit with `noise`, and find out which parameters the readings then determine."""
+        """Return a fit with `noise` that finds again which parameters the readings determine."""
         return determine(noise.applied(self.readings), self.first.held)
 
 
@@ -248,7 +250,11 @@ def _unknown_readings(
 
 
 def _unknown_fixture(follow: _Follow, noise: NoiseAssumptions, dof: int) -> NoiseAssumptions:
-    """Estimate the standard deviation σ_f of the declared angles by restricted maximum likelihood."""
+    """Estimate the standard deviation σ_f of the declared angles by restricted maximum likelihood.
+
+    `dof` are the degrees of freedom of the residual. With fewer than 2, or if the residual shows no such
+    deviation, the result is `noise` with a note.
+    """
     if dof < 2:
         note = (
             "fixture_sigma_deg is not stated and too few positions show it: declared angles were taken as "
@@ -285,16 +291,17 @@ def _unknown_fixture(follow: _Follow, noise: NoiseAssumptions, dof: int) -> Nois
 
 
 def chi2_quantile(dof: int, level: float) -> float:
-    """Value that χ² with `dof` degrees of freedom exceeds with a probability of `level`."""
+    """Return the value that χ² with `dof` degrees of freedom exceeds with the probability `level`."""
     from scipy.special import chdtri
 
     return float(chdtri(dof, level))
 
 
 def scale_at_dof(cost: Callable[[float], float], dof: int, low: float, high: float) -> float:
-    """Standard deviation between `low` and `high` at which χ² equals its degrees of freedom.
+    """Return the standard deviation at which χ² equals its degrees of freedom `dof`.
 
-    `cost` gives χ², which decreases. Without a solution, the nearer end of the range is returned.
+    `cost` returns χ² for a standard deviation and decreases with it. Without a solution between `low` and
+    `high`, the nearer of the two is returned.
     """
     from scipy.optimize import brentq
 

@@ -43,15 +43,19 @@ Kind = Literal["A", "B"]
 REPEATABILITY, FLICKER, FIXTURE = "repeatability", "1/f noise", "fixture"
 GRAVITY, QUANTIZATION, TEMPERATURE, MODEL = "gravity", "quantization", "temperature", "model choice"
 LINKS = "gyro links"
-"""Name of the additional source in a fit in space that uses the gyros' turns between poses."""
+"""Name of the source of uncertainty that a fit in space has in addition if it uses turns measured by the
+gyros.
+"""
 SOURCES = (REPEATABILITY, FLICKER, FIXTURE, GRAVITY, QUANTIZATION, TEMPERATURE, MODEL)
 
 GRAVITY_HALF_MPS2 = 0.027
-"""Half the range of gravity on the surface of the Earth (9.780 to 9.834 m/s²), a rectangular
-distribution."""
+"""Half the range of gravity on the surface of the Earth (9.780 to 9.834 m/s²), in which local gravity has a
+rectangular distribution.
+"""
 _POOLED, _RESIDUAL, _FIXTURE, _UNSTATED, _EACH = 0, 3, 4, 5, 6
-"""Numbers of the estimates behind parts: samples of all dwells together (+ axis), the residual, the scatter
-of the angles, the scatter of readings without a stated noise, the samples of one dwell (+ 3 n + axis)."""
+"""Numbers of the estimates that variances come from: samples of all dwells together (+ axis), the residual,
+the scatter of the angles, the scatter of readings without a stated noise, the samples of one dwell (+ 3 n +
+axis)."""
 
 
 @dataclass(frozen=True)
@@ -63,29 +67,33 @@ class Source:
     name : str
         One of `SOURCES`.
     kind : {"A", "B"}
-        Evaluated by statistics of this session, or by other knowledge (GUM 3.3.4).
+        `A` if evaluated by statistics of this session, `B` if by other knowledge (GUM 3.3.4).
     distribution : str
         `normal`, `Student` or `rectangular`.
     u : float or None
-        Standard uncertainty of the source itself, rms over dwells and axes; None if unknown.
+        Standard uncertainty of the source itself, in `unit`, rms over dwells and axes; None if unknown.
     unit : str
+        Unit of `u`.
     moves : (p, k) float
         Change of the parameters, in natural units, by one standard uncertainty of each of the k independent
         components of the source.
     dof : (k,) float
         Degrees of freedom of the estimate of each component's variance; inf if it is not estimated.
     estimate : (k,) int
-        Number of that estimate; components with the number of one estimate have a common error.
+        Number of the estimate that each component's variance comes from; components with an equal number
+        have a common error.
     reading_mg2 : (axes, axes) float
-        Contribution to the covariance of a further reading with the length of a dwell of the session.
+        Covariance that the source alone gives a further reading with the length of a dwell of the session.
     note : str
         Remark on the source.
     by_definition : bool
         True if the parameters are stated relative to this source: it changes them, but u excludes it.
     acts_mg : (n, axes, k) float or None
-        Change of the readings by inputs that act on all dwells, at one standard uncertainty.
+        Change of the readings by k inputs that act on all dwells, at one standard uncertainty of each; None
+        if the source has no such input.
     further_mg : (axes, k) float or None
-        Direct effect of the components on a further reading, in addition to the effect on the parameters.
+        Direct effect of the components on a further reading, in addition to their effect on the parameters;
+        None if there is none.
     """
 
     name: str
@@ -103,16 +111,17 @@ class Source:
     further_mg: Floats | None = None
 
     def parts(self, gradient: Floats, reading: Floats | None = None) -> list[tuple[int, float, float]]:
-        """Contributions of the source to the variance of a quantity, one for each independent component.
+        """Return the contributions of the source to the variance of a quantity, one for each component.
 
-        Each contribution is (number of the estimate, degrees of freedom, variance).
+        Each contribution is (number of the estimate, degrees of freedom, variance). A further reading adds
+        its own noise as another contribution.
 
         Parameters
         ----------
         gradient : (m, p) float
-            Derivative by the parameters; the quantity is the root mean square of m values.
+            Derivative of m values by the parameters; the quantity is their root mean square.
         reading : (m, axes) float, optional
-            Derivative by one further reading, per mg.
+            Derivative of the m values by one further reading, per mg; without it only the parameters count.
         """
         m = len(gradient)
         # Parts are independent: their mean squares over the m values add up.
@@ -126,9 +135,10 @@ class Source:
         return found
 
     def _moved(self, gradient: Floats, reading: Floats | None) -> Floats:
-        """Change (m, k) of m quantities by one standard uncertainty of each of the source's k components.
+        """Return the change (m, k) of m quantities by one standard uncertainty of each of k components.
 
-        `gradient` (m, p) and `reading` (m, axes) are the derivatives by the parameters and by a reading.
+        `gradient` (m, p) and `reading` (m, axes) are the derivatives of the quantities by the parameters
+        and by a further reading.
         """
         moved = gradient @ self.moves
         if reading is not None and self.further_mg is not None:
@@ -136,7 +146,11 @@ class Source:
         return np.asarray(moved)
 
     def by_place(self, gradient: Floats, reading: Floats) -> Floats:
-        """Variance (m,) that the source contributes to each of m quantities, such as m angles."""
+        """Return the variance (m,) that the source contributes to each of m quantities, such as m angles.
+
+        `gradient` (m, p) and `reading` (m, axes) are the derivatives of the quantities by the parameters
+        and by a further reading.
+        """
         own = np.einsum("ma,ab,mb->m", reading, self.reading_mg2, reading)
         return np.asarray((self._moved(gradient, reading) ** 2).sum(axis=1) + own)
 
@@ -148,9 +162,9 @@ class Unseen:
     Attributes
     ----------
     biases : tuple of int
-        Axes of the biases.
+        Axes (0 for X) of the biases that were taken as zero.
     skews : tuple of int
-        Numbers of the skews among the base parameters.
+        Indices of these skews among the base parameters.
     """
 
     biases: tuple[int, ...] = ()
@@ -162,7 +176,7 @@ NOTHING_UNSEEN = Unseen()
 
 @dataclass(frozen=True)
 class Sources:
-    """All sources that contribute to the uncertainty of a fit."""
+    """All sources that contribute to the uncertainty of a fit, in `each`."""
 
     each: tuple[Source, ...]
 
@@ -177,30 +191,46 @@ class Sources:
         return np.asarray(moves @ moves.T)
 
     def parts(self, gradient: Floats, reading: Floats | None = None) -> list[tuple[int, float, float]]:
-        """Contributions of all sources to the variance of a quantity; see `Source.parts`."""
+        """Return the contributions of all sources to the variance of a quantity.
+
+        The quantity is the root mean square of m values, with the derivatives `gradient` (m, p) by the
+        parameters and `reading` (m, axes) by one further reading. Each contribution is (number of the
+        estimate, degrees of freedom, variance).
+        """
         return [part for source in self._counted for part in source.parts(gradient, reading)]
 
     def by_place(self, gradient: Floats, reading: Floats) -> Floats:
-        """Total variance (m,) of each of m quantities; see `Source.parts` for the arguments."""
+        """Return the total variance (m,) of each of m quantities, such as m angles.
+
+        `gradient` (m, p) and `reading` (m, axes) are their derivatives by the parameters and by a further
+        reading.
+        """
         return np.asarray(sum(source.by_place(gradient, reading) for source in self._counted))
 
     def roots(self, gradient: Floats, reading: Floats) -> Floats:
-        """Change (m, k) of m quantities by one standard uncertainty of each of k independent components.
+        """Return the change (m, k) of m quantities by one standard uncertainty of each of k components.
 
-        The noise of a further reading itself is not included.
+        The components of all sources are independent. `gradient` (m, p) and `reading` (m, axes) are the
+        derivatives of the quantities by the parameters and by a further reading, whose own noise is not
+        included.
         """
         return np.concatenate([source._moved(gradient, reading) for source in self._counted], axis=1)
 
     def uncertainty(self, gradient: Floats, reading: Floats | None = None) -> tuple[float, float]:
-        """Standard uncertainty and effective degrees of freedom of a quantity; see `Source.parts`."""
+        """Return the standard uncertainty of a quantity and its effective degrees of freedom.
+
+        The quantity is the root mean square of m values, with the derivatives `gradient` (m, p) by the
+        parameters and `reading` (m, axes) by one further reading.
+        """
         parts = self.parts(gradient, reading)
         return math.sqrt(sum(part[2] for part in parts)), dof_of(parts)
 
 
 def dof_of(parts: Sequence[tuple[int, float, float]]) -> float:
-    """Effective degrees of freedom of a sum of variances (Welch–Satterthwaite).
+    """Return the effective degrees of freedom of a sum of variances (Welch–Satterthwaite).
 
-    Variances that come from one estimate are added first, because they have a common error.
+    Each part is (number of its estimate, degrees of freedom, variance). Variances that come from one
+    estimate are added first, because they have a common error.
     """
     by_estimate: dict[int, tuple[float, float]] = {}
     surely = sum(variance for _, dof, variance in parts if math.isinf(dof))
@@ -212,14 +242,14 @@ def dof_of(parts: Sequence[tuple[int, float, float]]) -> float:
 
 
 def response_of(fit: Fit, covariance: Floats, natural: Floats) -> Floats:
-    """Derivative (p, n, axes) of the parameters by each reading, in natural units per mg.
+    """Return the derivative (p, n, axes) of the parameters by each reading, in natural units per mg.
 
     It is valid for weighted least squares.
 
     Parameters
     ----------
     covariance : (p, p) float
-        Inverse information in natural units.
+        Inverse of the Fisher information, in natural units.
     natural : (p,) float
         Size of the natural units in units of the fit.
     """
@@ -227,9 +257,10 @@ def response_of(fit: Fit, covariance: Floats, natural: Floats) -> Floats:
 
 
 def by_rotation_of(fit: Fit, covariance: Floats, natural: Floats) -> Floats | None:
-    """Derivative (p, m, 3) of the parameters by the rotation of each link, in natural units per rad.
+    """Return the derivative (p, m, 3) of the parameters by the rotation of each link.
 
-    None if the fit has no links.
+    It is in natural units per rad; None if the fit has no links. `covariance` (p, p) is the inverse of the
+    Fisher information in natural units, `natural` (p,) the size of these units in units of the fit.
     """
     if fit.data.links is None:
         return None
@@ -244,20 +275,23 @@ def sources_of(
     unseen: Unseen = NOTHING_UNSEEN,
     rotation: Floats | None = None,
 ) -> Sources:
-    """All sources that contribute to the uncertainty of fitted parameters.
+    """Return all sources that contribute to the uncertainty of fitted parameters.
 
     Parameters
     ----------
     data : Readings
         The fitted readings, before `noise` was estimated.
+    noise : NoiseAssumptions
+        Noise of readings and declared angles that the fit used.
     fit : Fit
         Fit of the readings with that noise.
     response : (p, n, axes) float
-        ∂parameter/∂reading in natural units per mg.
+        Derivative of the parameters by each reading, in natural units per mg.
     unseen : Unseen
         Parameters that were taken as zero.
     rotation : (p, m, 3) float, optional
-        ∂parameter/∂rotation of each link, natural units per rad.
+        Derivative of the parameters by the rotation of each link, in natural units per rad; None without
+        links.
     """
     links = () if rotation is None else (_links(fit, rotation),)
     return Sources(
@@ -275,7 +309,10 @@ def sources_of(
 
 
 def _links(fit: Fit, rotation: Floats) -> Source:
-    """Source of uncertainty for the rotations between poses: gyro noise and uncertain gyro parameters."""
+    """Return the source of uncertainty of the rotations between poses: noise and parameters of the gyros.
+
+    `rotation` (p, m, 3) is the derivative of the parameters by the rotation of each link.
+    """
     links = fit.data.links
     assert links is not None
     # Covariance of the parameters from the own errors of all links.
@@ -300,15 +337,16 @@ def _links(fit: Fit, rotation: Floats) -> Source:
 
 
 def _each(response: Floats, roots: Floats) -> Floats:
-    """Changes (p, n·axes) of the parameters by independent errors of each dwell.
+    """Return the changes (p, n·axes) of the parameters by independent errors of each dwell.
 
-    The errors have the covariances of `roots` (n, axes, axes); `response` is ∂parameter/∂reading.
+    The errors have the covariances root·rootᵀ for `roots` (n, axes, axes); `response` (p, n, axes) is the
+    derivative of the parameters by each reading.
     """
     return np.asarray(np.einsum("pna,nab->pnb", response, roots).reshape(len(response), -1))
 
 
 def _root(covariance: Floats) -> Floats:
-    """Matrix roots (n, axes, axes) of covariances: each root times its transpose is the covariance."""
+    """Return matrix roots (n, axes, axes): each root times its transpose is one of the covariances."""
     axes = covariance.shape[1]
     diagonal = np.sqrt(np.maximum(np.einsum("naa->na", covariance), 0.0))
     if not covariance[:, ~np.eye(axes, dtype=bool)].any():
@@ -330,7 +368,7 @@ def _unlimited(k: int) -> tuple[Floats, NDArray[np.intp]]:
 
 
 def _own(data: Readings, noise: NoiseAssumptions) -> Floats:
-    """Covariance (n, axes, axes) of the mean readings from noise that more samples would reduce.
+    """Return the covariance (n, axes, axes) of the mean readings from noise that averaging reduces.
 
     Quantization and 1/f noise are excluded.
     """
@@ -342,7 +380,11 @@ def _own(data: Readings, noise: NoiseAssumptions) -> Floats:
 
 
 def repeatability_of(data: Readings, noise: NoiseAssumptions) -> tuple[Floats, Floats, NDArray[np.intp]]:
-    """Roots (n, axes, axes) of the covariance of `_own`, and the estimates behind its variances."""
+    """Return roots of the readings' covariance, and the origin of its variances.
+
+    The covariance is of noise that averaging reduces. The results are the roots (n, axes, axes), the
+    degrees of freedom (n, axes) and the number of the estimate (n, axes) behind each variance.
+    """
     n, axes = data.mean.shape
     first = np.full(n, _POOLED) if data.pooled else 3 * np.arange(n) + _EACH
     dof = np.where(data.known, data.dof, noise.scale_dof)
@@ -430,7 +472,10 @@ def _fixture(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats
 
 
 def _gravity(data: Readings, fit: Fit, parameters: int) -> Source:
-    """Source of uncertainty for local gravity, which changes all scale factors by one common factor."""
+    """Return the source of uncertainty for local gravity, which changes all scale factors by one factor.
+
+    `parameters` is the number of parameters.
+    """
     base = fit.values.base
     u = GRAVITY_HALF_MPS2 / math.sqrt(3)
     moves = np.zeros((parameters, 1))
@@ -470,9 +515,10 @@ def _quantization(data: Readings, response: Floats) -> Source:
 
 
 def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
-    """Source of uncertainty for the unknown change of each bias with temperature.
+    """Return the source of uncertainty for the unknown change of each bias with temperature.
 
-    Its size is limited by the data sheet and by the residual.
+    `response` (p, n, axes) is the derivative of the parameters by each reading. The size of the change is
+    limited by the data sheet and by the residual.
     """
     axes = data.axes
     figure = VARIANTS[data.sensor].performance.bias_tempco_mg_per_c if data.sensor in VARIANTS else 0.0
@@ -509,9 +555,10 @@ def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
 
 
 def _model(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats, unseen: Unseen) -> Source:
-    """Source of uncertainty for an incomplete model.
+    """Return the source of uncertainty for an incomplete model.
 
-    It covers a residual beyond the noise, and biases and skews that had to be taken as zero.
+    `response` (p, n, axes) is the derivative of the parameters by each reading. The source covers a
+    residual beyond the noise, and biases and skews that had to be taken as zero.
     """
     axes = data.axes
     extra = _each(response, np.tile(noise.extra_mg * np.eye(axes), (len(data), 1, 1)))
@@ -572,7 +619,8 @@ def _model(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats, 
 
 
 ROUNDING = 1e-10
-"""Relative contribution to u below which it counts as rounding error."""
+"""Contribution of a source to the standard uncertainty of a quantity, relative to this uncertainty, below
+which the contribution is a rounding error and counts as zero."""
 
 
 class BudgetRow(JsonRecord):
@@ -583,17 +631,20 @@ class BudgetRow(JsonRecord):
     Attributes
     ----------
     source, kind, distribution : str
-        Name, type (`A` or `B`) and distribution.
+        Name, type (`A` or `B`) and distribution of the source.
     u, unit : float or None, str
-        Standard uncertainty of the source itself; None if unknown.
+        Standard uncertainty of the source itself and its unit; `u` is None if unknown.
     sensitivity : float or None
-        Contribution per u; for a source with independent values in dwells, the root of the sum of squares.
+        Contribution per u of the source; for a source with independent values in dwells, the root of the
+        sum of squares. None if u is unknown or zero.
     contribution : float
         Standard uncertainty of the quantity from this source, in the unit of the quantity.
     dof : float
-        Effective degrees of freedom; inf if unlimited.
+        Effective degrees of freedom of the contribution; inf if unlimited.
+    note : str
+        Remark on the source; empty without one.
     share : float
-        Share of the variance; the shares of a budget add up to 1.
+        Share of the source in the variance of the quantity; the shares of a budget add up to 1.
     """
 
     source: str
@@ -609,14 +660,14 @@ class BudgetRow(JsonRecord):
 
 
 def budget_of(sources: Sources, gradient: Floats, reading: Floats | None = None) -> tuple[BudgetRow, ...]:
-    """Uncertainty budget of one quantity: a row for each source with its share.
+    """Return the uncertainty budget of one quantity: a row for each source with its share.
 
     Parameters
     ----------
     gradient : (m, p) float
-        Derivative by the parameters in natural units; the quantity is the root mean square of m values.
+        Derivative of m values by the parameters in natural units; the quantity is their root mean square.
     reading : (m, axes) float, optional
-        Derivative by one further reading, per mg.
+        Derivative of the m values by one further reading, per mg; without it only the parameters count.
     """
     total, _ = sources.uncertainty(gradient, reading)
     rows = []
@@ -644,12 +695,15 @@ def budget_of(sources: Sources, gradient: Floats, reading: Floats | None = None)
 
 
 _DESCRIBED = 1e-6
-"""Relative size of the rest of a column below which the columns of the parameters describe it."""
+"""Residual of a column after a fit by the columns of the parameters, relative to the column, below which
+the parameters describe it completely."""
 _LARGEST_FACTOR = 1e4
 
 
 def missing_effects(fit: Fit) -> Floats:
-    """Readings (n, axes, k) in mg that effects outside the model could add, at one standard uncertainty.
+    """Return the changes (n, axes, k) of the readings by effects outside the model, in mg.
+
+    Each of the k columns is one standard uncertainty of an independent combination of effects.
 
     Parameters
     ----------
@@ -701,17 +755,18 @@ def _columns(fit: Fit) -> Iterator[Floats]:
 
 
 def _without(rows: Floats, columns: Floats) -> Floats:
-    """Residual (m, d) of the rows after a least-squares fit by the columns (m, p)."""
+    """Return the residual (m, d) of the rows (m, d) after a least-squares fit by the columns (m, p)."""
     return np.asarray(rows - columns @ np.linalg.lstsq(columns, rows, rcond=1e-9)[0])
 
 
 def _factor(strength: Floats, power: Floats) -> float:
-    """Common factor, 1 to 10⁴, on the prior sizes of independent amplitudes, by maximum likelihood.
+    """Return the factor, 1 to 10⁴, on the prior sizes of independent amplitudes, by maximum likelihood.
 
     Parameters
     ----------
     strength, power : (k,) float
-        Squares of the singular values, and of the residual along the singular vectors.
+        Squares of the singular values of the effects' whitened columns, and of the residual along the
+        singular vectors.
     """
     from scipy.optimize import minimize_scalar
 
@@ -724,7 +779,7 @@ def _factor(strength: Floats, power: Floats) -> float:
 
 
 PLACES = 72
-"""Number of angles of a turn over which the uncertainty of a shown angle is averaged."""
+"""Number of angles of a turn over which the uncertainty of the calibrated angle is averaged."""
 
 
 @dataclass(frozen=True)
@@ -734,7 +789,8 @@ class ShownAngle:
     Attributes
     ----------
     gradient : (m, p) float
-        Degrees per unit of the parameters: base and biases in natural units, or all in units of a fit.
+        Degrees per unit of the parameters. From `around` they are base parameters and biases in natural
+        units, from `at_dwells` all parameters in units of the fit.
     reading : (m, 2) float
         Degrees per mg of the reading.
     """
@@ -744,26 +800,27 @@ class ShownAngle:
 
     @classmethod
     def around(cls, fit: Fit) -> ShownAngle:
-        """Derivatives at angles all around the turn, by the base parameters and biases of a planar fit.
+        """Return the derivatives at angles around the turn, by base parameters and biases of a fit.
 
         Angle ψ = atan2(v, u) with u = (U_x − b_x)/(G K_x), v = ((U_y − b_y)/(G K_y) − u sin Δφ)/cos Δφ; the
-        shown angle is α − ψ. Without declared angles there is no α, and the angle is between gravity and X.
+        calibrated angle is α − ψ. Without declared angles there is no α, and the angle is between gravity
+        and X.
         """
         gradient = gradient_of_base(fit.values.base, zero=bool(fit.data.visible[0]))
         return cls(gradient, -np.degrees(_by_reading(fit, _around())))
 
     @classmethod
     def at_dwells(cls, fit: Fit) -> ShownAngle:
-        """Derivatives at the dwells of a planar fit, by all its parameters including those of terms."""
+        """Return the derivatives at the dwells of a planar fit, by all parameters, also of terms."""
         psi = fit.values.base[0] + fit.turn_rad + fit.values.attitude
         slope = _by_reading(fit, psi)
         gradient = np.einsum("na,nap->np", slope, fit.columns)
         return cls(np.degrees(gradient), -np.degrees(slope))
 
     def variances(self, covariance: Floats, reading_mg2: Floats) -> Floats:
-        """Variance (m,) of the calibrated angle in degrees² at each of the m angles.
+        """Return the variance (m,) of the calibrated angle in degrees² at each of the m angles.
 
-        The arguments are the covariances of the parameters and of a reading.
+        `covariance` (p, p) is of the parameters, and `reading_mg2` (2, 2) of a reading.
         """
         # gᵀ C g at each place, for the parameters and for the reading.
         by_parameters = np.einsum("mp,pq,mq->m", self.gradient, covariance, self.gradient)
@@ -772,16 +829,17 @@ class ShownAngle:
 
 
 def gradient_of_base(base: Floats, *, zero: bool) -> Floats:
-    """Derivative (PLACES, 6) in degrees of the calibrated angle by α, K_x, K_y, Δφ and both biases.
+    """Return the derivative (PLACES, 6) of the calibrated angle by α, K_x, K_y, Δφ and both biases.
 
-    The biases are in units of gravity.
+    It is in degrees per natural unit; the biases are in units of gravity.
 
     Parameters
     ----------
     base : (4,) float
-        Base parameters of the plane.
+        Base parameters of the plane: α, K_x, K_y, Δφ.
     zero : bool
-        True if angles are declared, so that α is part of the shown angle.
+        True if angles are declared, so that α is part of the calibrated angle; otherwise its derivative is
+        0.
     """
     _, k_x, k_y, skew = base
     psi = _around()
@@ -801,12 +859,15 @@ def _around() -> Floats:
 
 
 def _by_axis(psi: Floats, skew: float) -> tuple[Floats, Floats]:
-    """Derivatives of the angle ψ by U_x/(G K_x) and by U_y/(G K_y), the scaled readings."""
+    """Return the derivatives of the angle ψ (rad) by the scaled readings U_x/(G K_x) and U_y/(G K_y).
+
+    `skew` is Δφ in rad.
+    """
     return -np.sin(psi) - np.cos(psi) * math.tan(skew), np.cos(psi) / math.cos(skew)
 
 
 def _by_reading(fit: Fit, psi: Floats) -> Floats:
-    """Derivative (m, 2) of the angle ψ by the reading of each axis, in rad per mg."""
+    """Return the derivative (m, 2) of the angle ψ (m,) by the reading of each axis, in rad per mg."""
     _, k_x, k_y, skew = fit.values.base
     by_x, by_y = _by_axis(psi, float(skew))
     return np.asarray(np.stack([by_x / k_x, by_y / k_y], axis=1) / fit.data.gravity_mg)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration
 
 EVERY_S = 0.1
-"""Default time between two readings of the angle, which a person can follow."""
+"""Default time in s between two readings of the angle, slow enough for a person to follow."""
 
 
 @dataclass(frozen=True)
@@ -48,16 +48,16 @@ class LiveAngle:
         Standard uncertainty of the corrected angle: by the noise of the newest samples, and by the
         calibration. Without a calibration by the noise alone. None if unknown, and with a single sample.
     still : bool or None
-        True if no axis varies by more than at rest; None before there are enough samples.
+        True if no axis varies by more than at rest; None until there are enough samples.
     spread_mg : float or None
-        Largest standard deviation of an axis over the newest samples.
+        Largest standard deviation of an axis over the newest samples; None with a single sample.
     temperature_c : float or None
-        Mean over the span; None if the sensor has no thermometer.
+        Mean temperature over the span; None if the sensor has no thermometer.
     lost : int
-        Samples missed since the first.
+        Number of samples missed since the first.
     smoothed : Smoothed or None
-        Angle at one lag before the newest sample, computed from gyros and gravity together; None without
-        gyros and until a lag has passed.
+        Angle at a fixed time (the lag) before the newest sample, computed from gyros and gravity together;
+        None without gyros, and until a lag has passed.
     """
 
     time_s: float
@@ -93,13 +93,14 @@ class AngleMeter:
     measuring : Measuring
         Settings of the sensor.
     noise_mg, step_mg : float
-        Noise of a sample at rest, and step of the converter: a larger variation is motion.
+        Noise of a sample at rest, and step of the analogue-to-digital converter; a larger variation is
+        motion.
     calibration : Calibration or None
-        As `calibration_for` returns it.
+        Calibration for the sensor's present offsets (`calibration_for`); None for the raw angle only.
     every_s : float
-        Least length of a span.
+        Least length in time of the span of samples that one reading averages.
     smoother : SmoothedMeter or None
-        Adds the smoothed angle.
+        Computes the smoothed angle; None for readings without it.
     """
 
     def __init__(
@@ -151,7 +152,7 @@ class AngleMeter:
             self._smoother.restart()
 
     def continue_from(self, before: AngleMeter) -> None:
-        """Continue the time axis and the count of lost samples of a meter that this one replaces."""
+        """Continue the time and the count of lost samples of `before`, a meter that this one replaces."""
         self._resume_s, self._lost = before._last_s, before._lost
 
     def _reading(self, blocks: list[Block], first_s: float) -> LiveAngle:
@@ -211,9 +212,11 @@ class LiveSource:
     Attributes
     ----------
     measuring : Measuring
+        Settings of the sensor.
     stream : SampleStream
+        The running samples, in blocks.
     noise_mg, step_mg : float
-        As `AngleMeter` takes them.
+        Noise of a sample at rest, and step of the analogue-to-digital converter.
     part : str
         Name of the sensor's variant.
     offsets_lsb, gyro_offsets_lsb : tuple of int or None
@@ -226,7 +229,7 @@ class LiveSource:
     noise_mg: float
     step_mg: float
     part: str
-    offsets_lsb: tuple[int, ...] | None
+    offsets_lsb: tuple[int, ...] | None = None
     gyro_offsets_lsb: tuple[int, ...] | None = None
 
 
@@ -255,10 +258,18 @@ def open_live(
     data_ready: bool | None = None,
     gyros: bool = True,
 ) -> Iterator[LiveSource]:
-    """Open a sensor and start sampling, with two blocks per span; its settings are not changed.
+    """Open a sensor and start sampling, with two blocks in each span; its settings are not changed.
+
+    A span is the time that one reading of the angle averages.
 
     Parameters
     ----------
+    url : str
+        Address of the sensor or its bridge.
+    variant : str
+        Name of the sensor's variant.
+    check : bool
+        True to check at the start that the chip is of this variant.
     data_ready : bool or None
         None to start scans at data-ready edges if possible; False polls.
     gyros : bool
@@ -267,15 +278,14 @@ def open_live(
     Raises
     ------
     UsageError, CannotOpenError, BusError, ChipError
-        As `open_source` and the sensor's stream.
+        The sensor cannot be opened, its manual self-test is on, or its samples cannot be read.
     """
     with ExitStack() as stack:
         source = stack.enter_context(open_source(url, variant=variant, check=check))
-        offsets_lsb: tuple[int, ...] | None = None
-        gyro_offsets_lsb: tuple[int, ...] | None = None
+        offsets: tuple[tuple[int, ...], ...] = ()
         if isinstance(source, ChipSource):
-            offsets_lsb = tuple(source.sensor.read(name) for name in ACCEL_OFF)
-            gyro_offsets_lsb = tuple(source.sensor.read(name) for name in GYRO_OFF)
+            source.refuse_self_test()
+            offsets = tuple(tuple(source.sensor.read(name) for name in of) for of in (ACCEL_OFF, GYRO_OFF))
             settings = source.sensor.configuration()
             measuring: Measuring = settings
             count = _block_samples(measuring)
@@ -289,9 +299,7 @@ def open_live(
         stack.enter_context(stream)
         noise_mg = source.expected_noise_mg(measuring)
         part = source.part
-        yield LiveSource(
-            measuring, stream, noise_mg, part.step_mg, part.name, offsets_lsb, gyro_offsets_lsb
-        )
+        yield LiveSource(measuring, stream, noise_mg, part.step_mg, part.name, *offsets)
 
 
 Opener = Callable[[], AbstractContextManager[LiveSource]]
@@ -307,9 +315,9 @@ class LiveBlocks:
     patience_s : float
         Time for which opening is attempted again after a break; 0 raises the error at once.
     broken : callable
-        Called with the error of each break, before the first attempt.
+        Function that is called with the error of each break, before the first attempt.
     sleep : callable
-        Waits so many seconds between two attempts.
+        Function that waits for a given number of seconds between two attempts.
 
     Attributes
     ----------
@@ -385,7 +393,7 @@ def live_angles(
     Raises
     ------
     UsageError
-        The calibration belongs to another part; the lag is negative or too long.
+        The calibration belongs to another part; the lag `lag_s` is negative or too long.
     """
     breaks, source = blocks.breaks, blocks.source
     meter = _meter(source, calibration, lag_s)

@@ -1,7 +1,6 @@
-"""Time steps of samples, and the model of the motion between them.
+"""Time steps of samples, and the linear model of the angle in motion.
 
-Group samples into time steps: means of a few samples, and the turn by the gyros between two steps.
-
+**Time steps.** A step has the means of a few samples, and the turn by the gyros since the step before.
 Within a step, the accelerations are rotated to the middle of the step by the turn that the gyros measured,
 so that motion does not blur their mean. The chip's filter delays gyros and accelerometers equally: the
 integral of filtered rates is the filtered angle, and both belong to a time before the sample by the delay
@@ -53,22 +52,28 @@ from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 ZERO_DPS = 3.0
-"""Standard uncertainty of the zero rate of an uncalibrated gyro (D)."""
+"""Standard uncertainty, in °/s, of the zero rate of an uncalibrated gyro (D)."""
 TURN_ON_DPS = 0.2
-"""Standard uncertainty of a calibrated zero rate after another start or at another temperature (D)."""
+"""Standard uncertainty, in °/s, of a calibrated zero rate after another start or at another temperature
+(D)."""
 GAIN_U = 0.01
-"""Relative error of an uncalibrated gain (D: the sheets at hand state none)."""
+"""Standard uncertainty of the relative gain of an uncalibrated gyro (D: no data sheet states it)."""
 G_DPS_PER_G = 0.05
-"""Standard uncertainty of the gyro's sensitivity to acceleration (CHIP, B)."""
+"""Standard uncertainty, in °/s/g, of the gyro's sensitivity to acceleration (ADIS16350 data sheet, B)."""
 WALK_DPS_PER_RT_S = 0.003
-"""Random walk of a zero (D): an Allan floor of 0.015 °/s within half a minute."""
+"""Random walk of a gyro's zero rate, in °/s/√s (D): it gives a minimum of the Allan deviation of 0.015 °/s
+within half a minute."""
 
 
 class GyroCorrection(Protocol):
     """Interface of an object that corrects gyro readings, such as `calibrate.GyroCalibration`."""
 
     def correct(self, rate_dps: Floats, force_g: Floats, temperature_c: Floats | None) -> Floats:
-        """Return the rates (n, 3) in °/s with the calibrated errors removed."""
+        """Return the rates (n, 3) in °/s with the calibrated errors removed.
+
+        `rate_dps` (n, 3) are the readings of the gyros, `force_g` (n, 3) of the accelerometers.
+        `temperature_c` is None if not measured.
+        """
 
 
 @dataclass(frozen=True)
@@ -81,9 +86,9 @@ class GyroKnowledge:
         Standard uncertainty of the zero rate, the relative gain, and the sensitivity to acceleration along
         each axis of the plane.
     walk_dps_per_rt_s : float
-        Random walk of the zero rate.
+        Random walk of the zero rate, in °/s/√s.
     calibration : GyroCorrection or None
-        Calibration applied to the rates before they are used.
+        Calibration that corrects the rates before they are used; None for uncalibrated gyros.
     """
 
     zero_dps: float = ZERO_DPS
@@ -94,9 +99,10 @@ class GyroKnowledge:
 
     @classmethod
     def of(cls, calibration: GyroCorrection | None, u: Mapping[str, float | None] | None) -> GyroKnowledge:
-        """Make the knowledge of the gyros from a calibration and its standard uncertainties by name.
+        """Make the knowledge of the gyros from a calibration and its standard uncertainties `u` by name.
 
-        Names are `gyro_bias_z`, `gyro_scale_z`, …; the default is the uncertainty of an uncalibrated gyro.
+        Names are `gyro_bias_z`, `gyro_scale_z`, …; a missing one gets the uncertainty of an uncalibrated
+        gyro. None as calibration is an uncalibrated gyro.
         """
         if calibration is None:
             return cls()
@@ -109,7 +115,10 @@ class GyroKnowledge:
         )
 
     def corrected(self, rate_dps: Floats, accel_mg: Floats, temperature_c: float | None) -> Floats:
-        """Return a rate (3,) in °/s with the calibrated errors removed, if there is a calibration."""
+        """Return the rate (3,) in °/s with the calibrated errors removed, if there is a calibration.
+
+        `rate_dps` (3,) and `accel_mg` (3,) are the readings; `temperature_c` is None if not measured.
+        """
         if self.calibration is None:
             return rate_dps
         warm = None if temperature_c is None else np.array([temperature_c])
@@ -117,17 +126,20 @@ class GyroKnowledge:
 
 
 STEP_S = 0.02
-"""Length of a step: short against a tremor of 12 Hz, long against a sample."""
+"""Least length of a time step in s: short against the period of a tremor of 12 Hz, long against the time
+between samples."""
 GAP_PERIODS = 1.5
-"""Sample periods above which the time between samples is a gap."""
+"""Time between two samples, in sample periods, above which it is a gap."""
 HAND_DPS_PER_RT_S = 50.0
-"""Random walk of the rate if a hand turns the sensor during a gap (D): about 90° in 1.5 s."""
+"""Random walk of the rate of turn, in °/s/√s, if a hand may turn the sensor during a gap (D): about 90° in
+1.5 s."""
 BEGIN_S = 0.05
-"""Gap in which a hand may begin to turn; in a shorter one it continues its motion."""
+"""Length of a gap, in s, above which a hand may begin to turn the sensor; during a shorter gap it continues
+its motion."""
 OVER_RANGE = 0.98
-"""Share of the gyro's range above which a sample is saturated."""
+"""Share of the gyro's range above which a reading counts as saturated."""
 SATURATED_DPS = 200.0
-"""Possible rate in excess of the reading of a saturated gyro (D)."""
+"""Standard deviation, in °/s, by which the true rate may exceed the reading of a saturated gyro (D)."""
 
 
 @dataclass(frozen=True)
@@ -139,13 +151,13 @@ class Sensing:
     period_s : float
         Time between samples.
     noise_mg, gyro_noise_dps : float
-        White noise (rms) of a sample ahead of the filter.
+        White noise (rms) of a sample ahead of the sensor's filter.
     filter_m : int
         The number M that sets the length 2^M of the chip's filter; 0 for no filter.
     gyro_range_dps : float or None
-        None if unknown: then no saturation is detected.
+        Largest rate that the gyros measure; None if unknown: then no saturation is detected.
     drift_mg : float
-        Allan floor of the accelerometers; 0 if unknown.
+        Smallest Allan deviation of the accelerometers, which sets their 1/f noise; 0 if unknown.
     gravity_mg : float
         Local gravity.
     """
@@ -162,7 +174,7 @@ class Sensing:
     def step_samples(self) -> int:
         """Number of samples averaged into a time step.
 
-        At least the length of the filter's boxcar, so that the steps are nearly independent.
+        It is at least the length of the filter's boxcar window, so that the steps are nearly independent.
         """
         return max(1, 1 << self.filter_m, round(STEP_S / self.period_s))
 
@@ -173,12 +185,12 @@ class Sensing:
 
     @property
     def step_noise_mg2(self) -> float:
-        """Variance in mg² of the mean acceleration of a time step by white noise."""
+        """Variance in mg² that white noise gives the mean acceleration of a time step."""
         return self.noise_mg**2 / self.step_samples
 
     @property
     def angle_walk_deg2_per_s(self) -> float:
-        """Growth of the angle's variance by the gyro's white noise, in degrees² per second."""
+        """Variance that the gyro's white noise adds to the angle, in degrees² per second."""
         return self.gyro_noise_dps**2 * self.period_s
 
 
@@ -189,11 +201,11 @@ class Increment:
     Attributes
     ----------
     time_s : float
-        Middle of the step, by the samples' times.
+        Time of the middle of the step, by the samples' times.
     length_s : float
-        Time since the middle of the step before.
+        Time since the middle of the step before; 0 for the first step.
     turned_deg : (3,) float
-        Integral of the gyros over that time.
+        Angle turned about each axis in that time: the integral of the gyros.
     unseen_deg2 : float
         Variance of the turn about Z that the gyros did not measure: between samples, in gaps, in
         saturation.
@@ -202,8 +214,9 @@ class Increment:
     gap_s : float
         Longest gap between samples since the step before; 0 if there was none.
     saturated : bool
-        The gyro of Z was at the end of its range.
+        True if the gyro of Z was at the end of its range.
     temperature_c : float or None
+        Temperature at the end of the step; None if not measured.
     """
 
     time_s: float
@@ -234,7 +247,10 @@ class Stepper:
     def feed(
         self, time_s: Floats, accel_mg: Floats, gyro_dps: Floats, temperature_c: Floats | None = None
     ) -> list[Increment]:
-        """Add n samples (times, accelerations, rates, temperatures); return the completed time steps."""
+        """Add n samples (times, accelerations, rates, temperatures); return the completed time steps.
+
+        The shapes are (n,), (n, 3), (n, 3) and (n,); the temperatures may be None.
+        """
         warm = np.full(len(time_s), np.nan) if temperature_c is None else temperature_c
         # Columns: time, three accelerations, three rates, temperature.
         self._rows = np.concatenate([self._rows, np.column_stack([time_s, accel_mg, gyro_dps, warm])])
@@ -309,7 +325,10 @@ class Stepper:
         return saturated
 
     def _follow(self, rate_dps: float, length_s: float) -> None:
-        """Update the estimate of how fast the rate varies (as a random walk) over the last second."""
+        """Update the estimate of how fast the rate varies (as a random walk) over the last second.
+
+        `rate_dps` is the mean rate of a time step, `length_s` the time since the step before.
+        """
         if self._rate_before is not None and length_s > 0:
             share = min(1.0, length_s)
             # Exponential mean of squared changes over one second.
@@ -319,14 +338,16 @@ class Stepper:
 
 
 BACK_S, AHEAD_S = 1.0, 0.5
-"""The disturbance of a step is estimated from the steps in this span before and after it; from fewer if
-later steps have not arrived."""
+"""Length in s of the span of steps before and after a step from which the disturbance of gravity in this
+step is estimated. Fewer steps are used if later ones have not arrived."""
 LEAST_STEPS = 8
 START_MG = 20.0
-"""Assumed disturbance in mg until `LEAST_STEPS` steps are known (D): a sensor held in the hand."""
+"""Standard deviation of the disturbance, in mg, assumed until `LEAST_STEPS` steps are known (D): a sensor
+held in the hand."""
 SHOCK = 16.0
-"""A step is a shock if its squared deviation is this many times the typical square in the span, which
-happens by chance once in nine million Gaussian steps. A shock raises the variance of its own step only."""
+"""Ratio of the squared deviation of a step to the typical square in the span above which the step is a
+shock. Gaussian noise exceeds it once in nine million steps. A shock raises only the variance of this step.
+"""
 STATIONARY = 0.97
 _MEDIAN = 2 * math.log(2)
 
@@ -342,7 +363,7 @@ class Disturbance:
     coloured_mg2 : float
         Variance of the autoregressive process.
     first, second : float
-        Coefficients of the process for the steps one and two before.
+        Coefficients by which the process depends on its values one and two steps before.
     drive_mg2 : float
         Variance of the innovations of the process.
     """
@@ -364,7 +385,7 @@ def disturbance_of(level: Floats, at: int, sensor_mg2: float) -> Disturbance:
     at : int
         Index of the step.
     sensor_mg2 : float
-        Variance of a step's mean by the sensor's own noise.
+        Variance in mg² of a step's mean from the sensor's own noise.
     """
     if len(level) < LEAST_STEPS:
         return coloured(sensor_mg2, START_MG**2, 0.5, 0.0)
@@ -394,8 +415,9 @@ def disturbance_of(level: Floats, at: int, sensor_mg2: float) -> Disturbance:
 def coloured(white_mg2: float, variance_mg2: float, first: float, second: float) -> Disturbance:
     """Return a disturbance with white noise and an autoregressive process of second order.
 
-    `variance_mg2` is the variance of the process, `first` and `second` are its autocorrelations at lags
-    of one and two steps. They are limited to values at which the process is stationary.
+    `white_mg2` is the variance of the white noise, `variance_mg2` the variance of the process; `first` and
+    `second` are the autocorrelations of the process at lags of one and two steps. They are limited to
+    values at which the process is stationary.
     """
     r1 = min(max(first, -STATIONARY), STATIONARY)
     r2 = min(max(second, 2 * r1**2 - STATIONARY), STATIONARY)
@@ -413,7 +435,8 @@ def _places(count: int) -> tuple[Floats, float]:
 
 
 OCTAVES = 17
-"""Octaves of frequency from 2 Hz down to one cycle a day: the calibration may be a day old."""
+"""Number of octaves of frequency from 2 Hz down to one cycle a day, over which the accelerometers' 1/f
+noise acts: the calibration may be a day old."""
 CORNERS_HZ = 2.0 ** np.array([0.5, -1.5, -3.5])
 """Corner frequencies of the 1/f processes, each in the middle of two of the six fastest octaves."""
 DRIFT_STATES = len(CORNERS_HZ)
@@ -423,28 +446,29 @@ _EACH = 2
 def slow_drift_mg(floor_mg: float) -> float:
     """Return the standard deviation in mg, on an axis, of the 1/f noise that the filter does not model.
 
-    This is the noise in the octaves that are slower than the octaves of the state.
+    This is the noise in the octaves slower than those in the state. `floor_mg` is the smallest Allan
+    deviation of the axis.
     """
     return floor_mg * math.sqrt((OCTAVES - _EACH * DRIFT_STATES) / 2)
 
 
 def drift_process_mg2(floor_mg: float) -> float:
-    """Return the variance in mg² of each 1/f process, given the Allan deviation's minimum in mg."""
+    """Return the variance in mg² of each 1/f process; `floor_mg` is the smallest Allan deviation."""
     return floor_mg**2 * _EACH / 2
 
 
 def drift_memory(length_s: float, turn_deg: float) -> Floats:
     """Return the factors (DRIFT_STATES,) by which the 1/f processes decay in a time and a turn.
 
-    A turn also reduces the correlation: the noise belongs to the sensor's axes, and after a turn another
-    axis is perpendicular to gravity.
+    `length_s` is the time, `turn_deg` the turn. A turn also reduces the correlation: the noise belongs to
+    the sensor's axes, and after a turn another axis is perpendicular to gravity.
     """
     return np.asarray(np.exp(-2 * np.pi * CORNERS_HZ * length_s) * math.cos(math.radians(turn_deg)))
 
 
 @dataclass(frozen=True)
 class StateEstimate:
-    """Mean (k,) and covariance (k, k) of the state vector."""
+    """Mean (k,) and covariance (k, k) of the state: the angle and the errors that the filter estimates."""
 
     mean: Floats
     covariance: Floats
@@ -457,17 +481,17 @@ class TimeStep:
     Attributes
     ----------
     transition : (k, k) float
-        F.
+        F, which multiplies the state before.
     shift : (k,) float
-        s.
+        s, the known change of the state.
     process : (k, k) float
-        Q.
+        Q, the covariance of the random change w.
     design : (k,) float
-        h.
+        h, the derivative of the observed angle by the state.
     observed : float or None
-        y; None without an observation.
+        y, the observed angle; None without an observation.
     variance : float
-        r, above 0.
+        r, the variance of the observation, above 0.
     """
 
     transition: Floats
@@ -489,7 +513,9 @@ class Passed:
     innovation, innovation_variance : float
         Observed minus predicted angle, and its variance; 0 and inf without an observation.
     gain : (k,) float
+        Change of the state by the observation, per unit of the innovation.
     step : TimeStep
+        Matrices of the step.
     """
 
     predicted: StateEstimate
@@ -519,7 +545,7 @@ def advance(state: StateEstimate, step: TimeStep) -> Passed:
 
 
 def backward(passed: Sequence[Passed]) -> list[StateEstimate]:
-    """Return the smoothed state of every step, given the observations of all these steps."""
+    """Return the smoothed state of every step in `passed`, given the observations of all these steps."""
     smoothed: list[StateEstimate] = []
     adjoint = _Adjoint(len(passed[0].gain) if passed else 0)
     for one in reversed(passed):
@@ -537,7 +563,7 @@ def smooth_lagged(state: StateEstimate, later: Sequence[Passed]) -> StateEstimat
 
 
 class _Adjoint:
-    """Vector and matrix that carry the information from later observations back to earlier states."""
+    """Vector and matrix that carry the information of later observations back to earlier states."""
 
     def __init__(self, size: int) -> None:
         self._vector, self._matrix = np.zeros(size), np.zeros((size, size))
@@ -548,7 +574,7 @@ class _Adjoint:
         return StateEstimate(state.mean - p @ self._vector, 0.5 * (covariance + covariance.T))
 
     def pass_back(self, one: Passed) -> None:
-        """Carry the information back over one time step, and add the step's own observation."""
+        """Carry the information back over one time step, and add the observation of this step."""
         h, f = one.step.design, one.step.transition
         if np.isfinite(one.innovation_variance):
             # Cᵀ λ − h innovation/variance and Cᵀ Λ C + h hᵀ/variance, C = I − gain hᵀ, written out.
@@ -569,16 +595,16 @@ ANGLE, ZERO, SCALE, G_X, G_Y, LEVER_X, LEVER_Y, NOW, BEFORE = range(9)
 DRIFT = slice(9, 9 + DRIFT_STATES)
 SIZE = 9 + DRIFT_STATES
 LEVER_MM = 50.0
-"""Standard deviation of the sensor's distance from the stage's axis (D)."""
+"""Standard deviation, in mm, of each component of the sensor's distance from the stage's axis (D)."""
 BEND = 0.012
-"""Standard deviation of the raw angle's slope by bias, gains and Δφ of uncalibrated accelerometers: bias
-10 mg, gains ±2 %, ±0.25° (CHIP, B and D)."""
+"""Standard deviation of the relative error in the slope of the angle by gravity against the true angle, for
+uncalibrated accelerometers: bias 10 mg, gains ±2 %, Δφ ±0.25° (ADIS16350 data sheet, B and D)."""
 OPEN_DEG = 90.0
-"""Standard deviation of an unknown angle."""
+"""Standard deviation, in degrees, of an angle about which nothing is known."""
 LEAST_MG = 50.0
 """Smallest component of gravity in the plane, in mg, from which an angle is computed."""
 ACROSS_S = 0.5
-"""Time over which a turn out of the plane keeps its direction (D)."""
+"""Time in s over which a turn out of the plane keeps its direction (D)."""
 _MG_PER_MM = 1.0 / STANDARD_GRAVITY_MPS2
 
 
@@ -589,17 +615,18 @@ class Turned:
     Attributes
     ----------
     increment : Increment
+        Means of the step, before the corrections.
     turn_deg : float
         Turn about Z during the step.
     gravity : complex
-        x − i y of gravity in the plane, in mg: its phase is the angle.
+        Gravity in the plane as the complex number x − i y, in mg: its phase is the angle.
     force_g : (2,) float
         Mean reading of X and Y between this step and the one before, in g.
     rate_dps, spin_rad_s2 : float
-        Rate of turn, and its change.
+        Rate of turn about Z, and its change with time.
     across_dps : float
-        Rate of the angle that the planar model neglects, caused by gravity out of the plane together with
-        turns about X and Y.
+        Error of the angle's rate in the planar model, if gravity has a part out of the plane and the sensor
+        turns about X or Y.
     lost : bool
         True if the gap before the step is so long that the angle is unknown and the sensor may have been
         switched off.
@@ -621,7 +648,7 @@ class Turned:
 
     @property
     def lever_mg(self) -> tuple[complex, complex]:
-        """Change of `gravity` in mg per millimetre of distance from the stage's axis, along X and Y."""
+        """Change of `gravity` in mg for a distance of 1 mm from the stage's axis, along X and along Y."""
         spin = math.radians(self.rate_dps)
         square = spin * spin * _MG_PER_MM
         change = self.spin_rad_s2 * _MG_PER_MM
@@ -634,10 +661,12 @@ class MotionModel:
     Parameters
     ----------
     sensing : Sensing
+        Properties of the sensor.
     gyros : GyroKnowledge
+        Standard uncertainties of the gyro.
     bend : float
-        Standard deviation of the relative error of the accelerometers' angle scale, which varies with the
-        angle.
+        Standard deviation of the relative error in the slope of the angle by gravity against the true
+        angle; the error varies with the angle.
     """
 
     def __init__(self, sensing: Sensing, gyros: GyroKnowledge, bend: float = BEND) -> None:
@@ -647,7 +676,10 @@ class MotionModel:
         self._drift_mg2 = drift_process_mg2(sensing.drift_mg)
 
     def begin(self, angle_deg: float) -> StateEstimate:
-        """Return the state before the first step, with the uncertainty of an unknown angle."""
+        """Return the state before the first step, with the uncertainty of an unknown angle.
+
+        `angle_deg` is its mean angle.
+        """
         gyros = self._gyros
         u = np.array([
             OPEN_DEG, gyros.zero_dps, math.hypot(gyros.scale, self._bend), gyros.g_dps_per_g,
@@ -659,9 +691,10 @@ class MotionModel:
         return StateEstimate(mean, np.diag(u**2))
 
     def step(self, turned: Turned, disturbance: Disturbance, before: StateEstimate) -> TimeStep:
-        """Return the matrices of the linear model for a step, with the angle of gravity as the observation.
+        """Return the matrices of the linear model for a step, with the angle of gravity as observation.
 
-        The observed angle is shifted by whole turns to the value nearest to the predicted angle.
+        `before` is the state after the previous step. The observed angle is shifted by whole turns to the
+        value nearest to the predicted angle.
         """
         length_s = turned.increment.length_s
         f = np.eye(SIZE)

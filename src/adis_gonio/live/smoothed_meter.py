@@ -1,18 +1,13 @@
-"""The smoothed angle of a running sensor.
-
-The angle of the sensor as samples arrive, from gyros and gravity, by a smoother with a fixed lag.
+"""The angle of a moving sensor as samples arrive, from gyros and gravity, by a smoother with a fixed lag.
 
 A Kalman filter runs over time steps of about 20 ms. The reported angle lags behind the newest sample and
 uses all samples up to it. For this the model of every step within the lag is computed again from the
-present estimate of the disturbance around it.
-`smooth` computes the angle of a whole recording with the same model. docs/theory.md explains the
-model.
+present estimate of the disturbance around it. `smooth` computes the angle of a whole recording with this
+model, which docs/theory.md explains.
 
-The smoothed angle of a running sensor, with an uncertainty that includes the calibration.
-
-Impossible values are reported and increase the uncertainty. They are a length of gravity at rest that
-contradicts the calibration, and a zero rate that the gyros' calibration excludes, such as with the file of
-another sensor.
+The uncertainty of the displayed angle includes the calibration. Impossible values are reported and increase
+the uncertainty. They are a length of gravity at rest that contradicts the calibration, and a zero rate that
+the gyros' calibration excludes, such as with the file of another sensor.
 """
 
 from __future__ import annotations
@@ -70,14 +65,16 @@ __all__ = ["LAG_S", "AngleSmoother", "GyroKnowledge", "Sensing", "SmoothedAngle"
 
 SPAN_S = 1.0
 REST_DPS = 1.0
-"""The gyros' zero rates are learnt if the rates of the time steps vary by no more than this over the
-span."""
+"""Largest standard deviation of each rate, in °/s, over the span `SPAN_S` at which the sensor is at rest,
+so that the zero rates are estimated."""
 REST_MG = 10.0
 ACROSS_DPS = 4.0
-"""A mean rate about X and Y over a second is a turn out of the plane if it exceeds this plus `TILT` times
-the rate about Z. Smaller rates come from a bearing's wobble or from axes that are not square."""
+"""Mean rate about X and Y over a second, in °/s, above which the sensor turns out of its plane; `TILT`
+times the rate about Z is added. Smaller rates come from a bearing's wobble or from axes that are not
+square."""
 TILT = 0.1
-"""Largest change within the span of the component of gravity out of the plane, as a share of gravity."""
+"""Largest change, within the span `SPAN_S`, of the component of gravity out of the plane, as a share of
+gravity, at which the sensor is still in its plane."""
 
 
 class PlaneWatch:
@@ -92,7 +89,10 @@ class PlaneWatch:
         self._zero: Floats | None = None
 
     def see(self, rate_dps: Floats, accel_mg: Floats) -> float:
-        """Add a time step; return the error (°/s) of the angle's rate by turns out of the plane."""
+        """Add a time step; return the error (°/s) of the angle's rate because of turns out of the plane.
+
+        It is 0 before the first rest.
+        """
         self._rows.append(np.concatenate([rate_dps, accel_mg]))
         if len(self._rows) == self._rows.maxlen:
             rows = np.array(self._rows)
@@ -129,20 +129,20 @@ class PlaneWatch:
 
 
 LAG_S = 0.5
-"""Default delay of the reported angle; a longer delay reduces its uncertainty little
+"""Default delay of the reported angle in s; a longer delay reduces its uncertainty little
 (docs/results/index.md)."""
 LONGEST_LAG_S = 10.0
 DOUBT = 4.0
-"""The gyros' calibration is rejected if the estimated zero rate differs from it by this many standard
-uncertainties."""
+"""Distance between the estimated zero rate and the calibrated one, in standard uncertainties, from which
+the gyros' calibration is rejected."""
 SATURATED_MG = 100.0
-"""Assumed disturbance of gravity while the gyro is saturated (D), by the acceleration at 40 mm from the
-axis."""
+"""Standard deviation, in mg, of the disturbance of gravity while the gyro is saturated (D), from the
+acceleration at 40 mm from the axis."""
 _NOTES = ("gap", "saturated", "out_of_plane")
 
 Corrected = Callable[[Floats, "float | None"], Floats]
-"""Function that computes gravity (3,) in mg, in orthogonal axes, from a reading (3,) in mg and a
-temperature."""
+"""Type of a function that computes gravity (3,) in mg, in orthogonal axes, from a reading (3,) in mg and a
+temperature in °C or None."""
 
 
 @dataclass(frozen=True)
@@ -157,14 +157,14 @@ class SmoothedAngle:
         Angle within ±180°, which is 0 if gravity is along X, and its standard uncertainty by noise, motion
         and drift.
     rate_dps : float
-        Rate of turn at that time, without the known errors of the gyro.
+        Rate of turn at that time, corrected for the estimated errors of the gyro.
     zero_dps, zero_u_dps : float
-        Zero rate of the gyro after its calibration, and its standard uncertainty.
+        Estimated zero rate that the gyro has after its calibration, and its standard uncertainty.
     accel_mg : (3,) float
-        Reading of the accelerometers in the step of that time.
+        Mean reading of the accelerometers in the time step of this angle.
     notes : tuple of str
-        Events from a second before this time until now: `gap`, `saturated`, `out_of_plane`; and
-        `gyro_calibration` if the gyros' calibration cannot belong to this sensor.
+        Events from a second before this time until the newest sample: `gap`, `saturated`, `out_of_plane`;
+        and `gyro_calibration` if the gyros' calibration cannot belong to this sensor.
     """
 
     time_s: float
@@ -179,7 +179,10 @@ class SmoothedAngle:
 
 @dataclass(frozen=True)
 class Kept:
-    """A filtered time step that the live angle no longer needs, stored for `smooth`."""
+    """A filtered time step (`passed`) that the live angle no longer needs, stored for `smooth`.
+
+    `drift_deg` is the standard deviation of its angle by slow 1/f noise, `time_s` its time.
+    """
 
     time_s: float
     drift_deg: float
@@ -188,7 +191,10 @@ class Kept:
 
 @dataclass(frozen=True)
 class _Seen:
-    """A time step, with its gravity vector rotated back by the turn measured since the last gap."""
+    """A time step, with gravity in the plane turned back to the attitude after the last gap (`level`).
+
+    `segment` is the number of gaps before the step.
+    """
 
     turned: Turned
     level: complex
@@ -202,17 +208,18 @@ class AngleSmoother:
     Parameters
     ----------
     sensing : Sensing
+        Properties of the sensor.
     gyros : GyroKnowledge, optional
         Uncertainties of the gyros; by default of uncalibrated gyros.
     lag_s : float
         Delay of the reported angle; 0 for the filter without smoothing.
     corrected : callable, optional
-        Function that corrects accelerometer readings; by default they are not corrected.
+        Function that corrects accelerometer readings; without it they are not corrected.
     bend : float
-        Standard deviation of the relative error of the accelerometers' angle scale; without a calibration
-        `motion_model.BEND`.
+        Standard deviation of the relative error in the slope of the angle by gravity against the true
+        angle; the default `motion_model.BEND` is for uncalibrated accelerometers.
     keeps : bool
-        Keep every filtered time step, so that `finish` returns them.
+        True to keep every filtered time step, so that `finish` returns them.
 
     Raises
     ------
@@ -256,7 +263,7 @@ class AngleSmoother:
     def feed(
         self, time_s: Floats, accel_mg: Floats, gyro_dps: Floats, temperature_c: Floats | None = None
     ) -> None:
-        """Add samples: increasing times (n,), readings (n, 3), rates (n, 3), temperatures (n,)."""
+        """Add samples: increasing times (n,), readings (n, 3), rates (n, 3), temperatures (n,) or None."""
         for increment in self._stepper.feed(time_s, accel_mg, gyro_dps, temperature_c):
             self._arrive(increment)
 
@@ -271,7 +278,10 @@ class AngleSmoother:
         self._restarted = True
 
     def _arrive(self, increment: Increment) -> None:
-        """Process the time step before this one; both its neighbours are needed for the change of rate."""
+        """Process the time step before `increment`, of which both neighbours are now known.
+
+        Both are needed for the change of rate.
+        """
         if self._waiting is None:
             self._waiting = (increment, None)
             return
@@ -297,7 +307,7 @@ class AngleSmoother:
             self._done -= 1
 
     def _pass(self, state: StateEstimate) -> None:
-        """Advance the Kalman filter by the oldest waiting time step."""
+        """Advance the Kalman filter by the oldest waiting time step, from `state`."""
         passed = advance(state, self._step_of(self._done, state))
         self._state = self._doubt_calibration(passed.filtered)
         if self._kept is not None:
@@ -306,9 +316,10 @@ class AngleSmoother:
         self._done += 1
 
     def _doubt_calibration(self, state: StateEstimate) -> StateEstimate:
-        """Return the state with the uncertainty of an uncalibrated gyro if its zero rate is implausible.
+        """Return the state, with the uncertainty of an uncalibrated gyro if its zero rate is implausible.
 
-        This happens once, if the estimated zero rate contradicts the calibration of the gyros.
+        The uncertainty is increased only once, when the estimated zero rate contradicts the gyros'
+        calibration.
         """
         stated = self._gyros
         if self._doubted or stated.calibration is None or abs(state.mean[ZERO]) < DOUBT * stated.zero_dps:
@@ -323,7 +334,10 @@ class AngleSmoother:
         return StateEstimate(state.mean, covariance)
 
     def finish(self) -> list[Kept]:
-        """Filter all remaining time steps after the last sample; return the steps kept for `smooth`."""
+        """Filter all remaining time steps after the last sample; return the steps kept for `smooth`.
+
+        The list is empty if `keeps` is False.
+        """
         while self._state is not None and self._done < len(self._seen):
             self._pass(self._state)
         return self._kept or []
@@ -419,7 +433,7 @@ class AngleSmoother:
         return at.increment.time_s - self._sensing.delay_s
 
     def _drift_deg(self, at: Turned) -> float:
-        """Return the angle's standard deviation in degrees by slow 1/f noise that is not in the state."""
+        """Return the standard deviation of an angle, in degrees, by slow 1/f noise outside the state."""
         return math.degrees(slow_drift_mg(self._sensing.drift_mg) / max(abs(at.gravity), 1.0))
 
 
@@ -430,7 +444,7 @@ class SmoothedTurn:
     Attributes
     ----------
     time_s, angle_deg, u_deg : (m,) float
-        As in `SmoothedAngle`, one per step; angles are unwrapped.
+        Time, unwrapped angle and its standard uncertainty in each time step.
     """
 
     time_s: Floats
@@ -450,7 +464,10 @@ def smooth(
 ) -> SmoothedTurn:
     """Return the smoothed angles of a whole recording of n times, readings (mg) and rates (°/s).
 
-    The disturbance of a step is estimated over the second before it and the half second after it.
+    The shapes are (n,), (n, 3) and (n, 3); `gyros` has the uncertainties of the gyros (by default
+    uncalibrated), `corrected` corrects readings of the accelerometers, and `bend` is the standard deviation
+    of the relative slope error of the angle by gravity. The disturbance of a step is estimated over the
+    second before it and the half second after it.
     """
     smoother = AngleSmoother(sensing, gyros, lag_s=0.5, corrected=corrected, bend=bend, keeps=True)
     smoother.feed(time_s, accel_mg, gyro_dps)
@@ -466,16 +483,18 @@ def smooth(
 
 
 GENERIC_WALK_DEG = 0.021
-"""Angle random walk in one second of gyros of unknown noise, typical of the sensor family (CHIP, B)."""
+"""Standard deviation, in degrees, of the angle by integrated noise after one second, for gyros of unknown
+noise (ADIS16350 data sheet, B)."""
 LENGTH_K = 3.0
-"""A calibration is rejected if the length of gravity is wrong by this many standard uncertainties."""
+"""Error of the length of gravity, in standard uncertainties, above which a calibration is rejected."""
 LENGTH_FLOOR = 1e-3
-"""Relative error of the length of gravity that is always allowed, because gravity differs from place to
-place and biases change with temperature."""
+"""Standard uncertainty of the length of gravity, as a share of it, that is added to the calibration's:
+gravity differs from place to place, and biases change with temperature."""
 Z_ERROR = 0.05
-"""Relative error of Z if a calibration in the plane does not determine it (CHIP, B and D)."""
+"""Relative error of the reading of Z that is allowed if a calibration in the plane does not determine Z
+(ADIS16350 data sheet, B and D)."""
 _BEND_PER_U = 2.0
-"""Largest slope of an angle error with two cycles per turn, relative to its amplitude."""
+"""Ratio of the largest slope of an angle error with two cycles per turn to its amplitude."""
 
 
 @dataclass(frozen=True)
@@ -489,14 +508,15 @@ class Smoothed:
         with a calibration, else of `angle_deg`. Standard uncertainty by noise, motion, drift and
         calibration.
     lag_s : float
-        Age of the angle at `time_s`: the smoother's lag, its step, the chip's filter delay.
+        Age of the angle at the end of the span: the smoother's lag, its time step, and the delay of the
+        chip's filter.
     rate_dps : float
-        Rate of turn at that time.
+        Rate of turn at the time of the angle.
     gyro_zero_dps, gyro_zero_u_dps : float
-        Zero rate of the gyro after its calibration, as learnt so far.
+        Estimated zero rate that the gyro has after its calibration, and its standard uncertainty.
     notes : tuple of str
-        `gap`, `saturated`, `out_of_plane` (within the last second or so), `calibration`,
-        `gyro_calibration` (does not belong to this part).
+        Events within the last second or so: `gap`, `saturated`, `out_of_plane`; `calibration` or
+        `gyro_calibration` if the calibration of accelerometers or gyros does not belong to this part.
     """
 
     smoothed_deg: float
@@ -513,6 +533,10 @@ def sensing_of(measuring: Measuring, part: str, noise_mg: float) -> Sensing:
 
     Parameters
     ----------
+    measuring : Measuring
+        Settings of the sensor.
+    part : str
+        Name of the sensor's variant.
     noise_mg : float
         Noise (rms) of a sample at rest, after the filter.
     """
@@ -537,8 +561,9 @@ class SmoothedMeter:
     Parameters
     ----------
     sensing : Sensing
+        Properties of the sensor.
     calibration : Calibration or None
-        As `calibration_for` returns it.
+        Calibration for the sensor's present offsets (`calibration_for`); None for uncalibrated angles.
     lag_s : float
         Delay of the reported angle; 0 for the filter without smoothing.
     """
@@ -570,11 +595,15 @@ class SmoothedMeter:
         self._smoother.feed(block.time_s, block.accel_mg, gyro, columns.get("temp_c"))
 
     def restart(self) -> None:
-        """Start again after the link to the sensor broke; see `AngleSmoother.restart`."""
+        """Start again after the link to the sensor broke; the estimated errors of the gyro are kept."""
         self._smoother.restart()
 
     def take_rest(self, mean_mg: Floats, temperature_c: float | None) -> None:
-        """Check the calibration at rest: compare the length of a reading (3,) in mg with local gravity."""
+        """Check the calibration at rest: compare the length of the reading `mean_mg` with local gravity.
+
+        If the length contradicts the calibration, the error is added to the uncertainty of later angles,
+        with a note.
+        """
         calibration = self._calibration
         if calibration is None:
             return
@@ -628,8 +657,12 @@ def corrected_angle(
 
     Parameters
     ----------
+    mean_mg : (3,) float
+        The reading.
+    temperature_c : float or None
+        Its temperature; None for the mean of the session.
     u_mg : (3,) float, optional
-        Standard uncertainty of the reading; by default of the calibration alone.
+        Standard uncertainty of the reading; without it u is the uncertainty by the calibration alone.
     """
     reading_u = None if u_mg is None else [float(u) for u in u_mg[: calibration.axes]]
     try:
@@ -646,7 +679,7 @@ def corrected_angle(
 
 
 def _bend_of(calibration: Calibration) -> float:
-    """Return the standard uncertainty of the calibrated angle's slope (change per degree turned).
+    """Return the standard uncertainty of the slope of the calibrated angle against the true angle.
 
     It is derived from the uncertainty of the angle, without the uncertainty of its zero.
     """

@@ -1,7 +1,6 @@
-"""A page of a result: sections, tables and figures as HTML that loads nothing.
+"""A page of a result: sections, tables and plots in one HTML document that loads nothing.
 
-Line and point plots as inline SVG, drawn by matplotlib.
-
+Plots of lines and points are inline SVG, drawn by matplotlib.
 Every series has its own shape or dash in addition to its colour, so that a page printed in black and white
 is readable. Colours are CSS variables with a fallback: the style sheet of a page adapts them to light and
 dark; a separate SVG uses the fallback on a transparent ground. Text remains text. Equal data give equal
@@ -12,8 +11,6 @@ apply to the whole page, its black does not follow a dark page, and every marker
 `inline_svg` makes an element of a page from it.
 
 Matplotlib is the extra `report`, imported when the first plot is drawn.
-
-Sections, tables and figures, and the self-contained HTML document made of them.
 """
 
 from __future__ import annotations
@@ -51,7 +48,7 @@ def inline_svg(drawing: str, colours: Mapping[str, str], *, title: str, descript
     Parameters
     ----------
     drawing : str
-        Written with `svg.fonttype: none` and a fixed `svg.hashsalt`.
+        Text of the file, written with `svg.fonttype: none` and a fixed `svg.hashsalt`.
     colours : mapping of str to str
         Replacements for the colours of the file, such as `{"#000000": "currentColor"}`.
     title, description : str
@@ -60,7 +57,8 @@ def inline_svg(drawing: str, colours: Mapping[str, str], *, title: str, descript
     Returns
     -------
     str
-        All text escaped; coordinates to a tenth; every id begins with a hash of the content.
+        The element. All text is escaped, coordinates are rounded to a tenth, and every id begins with a
+        hash of the content.
     """
     root = ET.fromstring(drawing)
     box = root.get("viewBox", "")
@@ -167,10 +165,10 @@ _MARKERS: dict[Role, dict[str, Any]] = {
     "model": {"marker": "o", "markersize": 4.0, "markeredgewidth": 0},
 }
 _MOST_MARKERS = 400
-"""Most points with markers and error bars; more points are drawn as dots."""
+"""Largest number of points of a series with markers and error bars; more points are drawn as dots."""
 _MOST_POINTS = 2000
 _CHARACTER = 6.9
-"""Mean width of a character at the size of the labels, in units of the drawing."""
+"""Mean width of a character of a label, in points of the drawing."""
 _SETTINGS: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "adis-gonio",
@@ -193,15 +191,16 @@ class Series:
     Attributes
     ----------
     x, y : (n,) float
-        Points that are not finite (or not positive on a logarithmic axis) are left out.
+        Coordinates. Points that are not finite (or not positive on a logarithmic axis) are left out.
     label : str
-        For the legend; without it the series is not in the legend.
+        Name in the legend; without it the series is not in the legend.
     error : (n,) float, optional
         Half length of the error bars, in the unit of y; with a line, half width of a band around it.
     role : str, optional
         `before` (hollow circle), `after` (disc), `third` (square), `fourth` (triangle) or `model` (thin
         dashed line). Series without a role take these roles one after another.
     style : {"points", "line", "steps"}
+        Markers, a line through the points, or a line in steps.
     """
 
     x: ArrayLike
@@ -248,25 +247,27 @@ def plot(
     Parameters
     ----------
     series : sequence of Series
+        Data to draw.
     x_label, y_label : str
-        With the unit, such as `residual of x / mg`.
+        Names of the axes with the unit, such as `residual of x / mg`.
     title, description : str
         Text for screen readers; not drawn (a page has captions).
     x_log, y_log : bool
-        Logarithmic axes.
+        True for a logarithmic axis.
     x_ticks : mapping of float to str, optional
-        Given ticks, such as `{-1: "from above", 1: "from below"}`.
+        Positions and texts of the ticks, such as `{-1: "from above", 1: "from below"}`; by default from the
+        data.
     x_range : (float, float), optional
-        Limits; by default from the data. Points outside are left out.
+        Limits of the x axis; by default from the data. Points outside are left out.
     zero : bool
-        Draw the line y = 0 and include it in the axis.
+        True to draw the line y = 0 and include it in the axis.
     width, height : int
-        Size of the drawing; it scales with the page.
+        Size of the drawing in points; it scales with the page.
 
     Returns
     -------
     str
-        Safe to put into a page: all text is escaped, every id begins with a hash of the content.
+        The element, safe to put into a page: all text is escaped, every id begins with a hash.
 
     Raises
     ------
@@ -303,7 +304,10 @@ def plot(
 
 
 def _clean(one: Series, x_log: bool, y_log: bool, x_range: tuple[float, float] | None) -> Points:
-    """The points of a series that can be drawn: x, y and error, each (n,)."""
+    """Return the points of a series that can be drawn: x, y and error, each (n,).
+
+    They are finite, within `x_range`, and positive on an axis that is logarithmic (`x_log`, `y_log`).
+    """
     x, y = np.asarray(one.x, dtype=float).ravel(), np.asarray(one.y, dtype=float).ravel()
     error = np.zeros(len(y)) if one.error is None else np.asarray(one.error, dtype=float).ravel()
     low, high = x_range or (-math.inf, math.inf)
@@ -342,13 +346,13 @@ def _draw(axes: Axes, one: Series, points: Points, role: Role) -> Line2D:
 def _upright(
     x: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Vertical strokes at x from `low` to `high`, all (n,), joined to one line with gaps, (3n,)."""
+    """Return vertical strokes at x from `low` to `high`, all (n,), joined to one line with gaps, (3n,)."""
     gap = np.full(len(x), np.nan)
     return np.stack([x, x, gap], axis=1).ravel(), np.stack([low, high, gap], axis=1).ravel()
 
 
 def _scale(axes: Axes, x_range: tuple[float, float] | None, x_ticks: Mapping[float, str] | None) -> None:
-    """Set the limits and the ticks of both axes."""
+    """Set the limits and the ticks of both axes; None leaves them to the data."""
     from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator, NullLocator
 
     if x_range is not None:
@@ -396,7 +400,7 @@ class Figure:
     svg : str
         Result of `adis_gonio.page.document.plot`; inserted into the page unchanged.
     caption : str
-        Plain text.
+        Plain text below the plot.
     """
 
     svg: str
@@ -410,9 +414,9 @@ class KeyFigure:
     Attributes
     ----------
     name, value : str
-        Such as `ΔK` and `0.0108 ± 0.0004`.
+        Texts such as `ΔK` and `0.0108 ± 0.0004`.
     note : str
-        One line below it, in small print.
+        One line of small print below the value.
     """
 
     name: str
@@ -429,13 +433,15 @@ class Table:
     Attributes
     ----------
     head : sequence of str
+        Names of the columns.
     rows : sequence of sequence of str
-        As many cells as `head` has.
+        Cells of each row, as many as `head` has.
     caption : str
+        Plain text for the table.
     numeric : collection of int
-        Columns of numbers.
+        Numbers (from 0) of the columns that hold numbers.
     strong : collection of int
-        Rows to emphasise.
+        Numbers (from 0) of the rows to emphasise.
     """
 
     head: Sequence[str]
@@ -452,6 +458,7 @@ class Section:
     Attributes
     ----------
     title : str
+        Heading of the section.
     words : sequence of str
         Paragraphs of plain text.
     points : sequence of str
@@ -459,8 +466,9 @@ class Section:
     figures : sequence of Figure
         Figures, side by side if there is room.
     tables : sequence of Table
+        Tables, one below the other.
     notes : sequence of str
-        Small print.
+        Sentences in small print.
     """
 
     title: str
@@ -470,7 +478,7 @@ class Section:
     tables: Sequence[Table] = ()
     notes: Sequence[str] = ()
     parts: Sequence[Section] = ()
-    """Subsections."""
+    """Subsections of the section."""
     key: Sequence[KeyFigure] = ()
     """Main results of the section, shown in large numerals."""
     sheet: bool = False
@@ -496,16 +504,22 @@ def render(
 ) -> str:
     """Return a complete HTML page that loads nothing; every text is escaped and printable.
 
-    A kind of page is, for example, `Calibration report`.
+    The kind of page, `kind`, is for example `Calibration report`.
 
     Parameters
     ----------
     shape : str
-        Subject, in the line below the title.
+        Text in the line below the title, which states the subject of the page.
     begun : str
-        ISO time in UTC, or nothing.
+        Start of the session as ISO time in UTC; empty if unknown.
+    sections : sequence of Section
+        Contents of the page.
     closing : str
         Last sentence of the page.
+    simulated : bool
+        True to mark the page as the result of a simulation.
+    software : str
+        Name and version of the program.
     """
     environment = Environment(
         loader=PackageLoader("adis_gonio.page", "."),
@@ -534,10 +548,10 @@ def _filled(section: Section) -> bool:
 
 
 def _number_kept(cell: str) -> str:
-    """Text of a number with unbreakable spaces, so that a line may break only before its uncertainty."""
+    """Return a number's text with unbreakable spaces; a line may break only before its uncertainty."""
     return cell.replace(" ", NO_BREAK).replace(f"{NO_BREAK}±", " ±")
 
 
 def _unit_kept(head: str) -> str:
-    """Text of a column head with an unbreakable space between the slash and the unit."""
+    """Return a column head's text with an unbreakable space between the slash and the unit."""
     return head.replace(" / ", f" /{NO_BREAK}")

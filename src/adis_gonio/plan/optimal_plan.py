@@ -1,9 +1,9 @@
-"""The best plan for a number of positions: criteria, search and text.
+"""The best plan for a number of positions, and the fewest positions for a tolerance.
 
-The search for a plan: candidate positions, criteria on the information matrix, exchange of positions.
+A search exchanges candidate positions to improve a criterion, computed from the information matrix.
 
-The information M (p, p) covers start angle, gains, Δφ and biases in natural units (1 rad, 1, local
-gravity), then of the amplitudes of the possible effects, each in its typical size on a bench, with the
+The information M (p, p) is on start angle, gains, Δφ and biases in natural units (1 rad, 1, local
+gravity), then on the amplitudes of the possible effects, each in its typical size on a bench, with the
 prior of `advice` (`TYPICALS` of them) about zero. V = M⁻¹ is the covariance, V_b its part of the base
 model.
 
@@ -22,8 +22,6 @@ Coordinate exchange (Meyer and Nachtsheim, Technometrics 37, 1995) after Fedorov
 takes the best position given the other dwells; then the dwells are exchanged in pairs, because the order
 matters for the shared noise and for changes with time. Two consecutive dwells never have the same angle,
 because a stage that was not turned repeats its error.
-
-The best plan for a number of positions, the fewest positions for a tolerance, and their text.
 """
 
 from __future__ import annotations
@@ -81,28 +79,31 @@ MEANING: dict[Best, str] = {
     "parameters": "generalised u of the parameters, (det V)^(1/2p) in natural units",
     "tell-apart": "least separation of a typical effect from all others, in standard uncertainties",
 }
-"""Meaning of `Criterion.figure`, for each criterion."""
+"""Quantity that each criterion of a search describes, as the user sees it (`Criterion.figure`)."""
 Choice = NDArray[np.intp]
-"""Index of a candidate position for each dwell, (n,)."""
+"""Plan as an array (n,): the index of a candidate position for each dwell."""
 _MEAN_WEIGHT = 0.01
-"""Weight of the mean separation relative to the smallest separation, so that the mean decides between plans
-with equal smallest separations."""
+"""Weight of the mean separation of the effects relative to the smallest separation, in the score
+`tell-apart`. The mean decides between plans with equal smallest separations."""
 _NOTHING = 1e-12
-"""Squared separation that counts as no information."""
+"""Squared separation of an effect, below which a plan has no information on it."""
 _LOOSE = 1.0
 """Prior standard deviation of a base parameter in natural units, so large that it has no influence."""
 _HIDDEN = 1e-6
-"""No plan shows an effect if a smaller share of its column is outside the span of the base model."""
+"""Share of an effect's column outside the span of the base model, at or below which no plan shows the
+effect."""
 _LEAST_GAIN = 1e-7
 """Smallest increase of a criterion that counts as an improvement and not as a rounding error."""
 _MOST_SWEEPS = 50
 _WORK = 240
-"""Limit of the number of ascents times dwells; for long plans only the best starts are used."""
+"""Limit of the number of improved starts times the number of dwells; for long plans only the best starts
+are improved."""
 _PAIRS = 300
 """Largest number of swaps of two dwells that are tried in a pass; if there are more pairs, they are
 sampled."""
 SIMPLER = 1e-3
-"""Decrease of a score (a logarithm of variance) that is accepted for a simpler order of the positions."""
+"""Decrease of a plan's score (a logarithm of variance) that is accepted for a simpler order of its
+positions."""
 
 
 @dataclass(frozen=True)
@@ -112,10 +113,11 @@ class Criterion:
     Attributes
     ----------
     name : {"angle", "parameters", "tell-apart"}
+        Quantity that a plan is scored by; `MEANING` describes it.
     base : int
         Number of parameters of the base model.
     gradient : (m, base) float
-        Derivatives of the shown angle in degrees by the base parameters, at m places of the turn.
+        Derivatives of the calibrated angle in degrees by the base parameters, at m angles of the turn.
     precision : (p,) float
         Inverse prior variance of each parameter.
     """
@@ -141,21 +143,28 @@ class Criterion:
         return np.asarray(apart.min(axis=1) + _MEAN_WEIGHT * apart.mean(axis=1))
 
     def _angle_variance(self, covariance: Floats) -> Floats:
-        """Return the largest variance (k,) of the shown angle over the turn, in degrees².
+        """Return the largest variance (k,) of the calibrated angle over the turn, in degrees².
 
-        The variance at a place with gradient g is gᵀ V g, with the covariance V of the base parameters.
+        The variance at an angle with the gradient g is gᵀ V g, with the covariance V of the base
+        parameters.
         """
         own = covariance[:, : self.base, : self.base]
         return np.asarray(np.einsum("mp,kpq,mq->km", self.gradient, own, self.gradient).max(axis=1))
 
     def separations(self, information: Floats) -> Floats:
-        """Return each effect's typical amplitude divided by its standard uncertainty, (k, q)."""
+        """Return each effect's typical amplitude divided by its standard uncertainty, (k, q), for k plans.
+
+        `information` (k, p, p) are their information matrices, which include the prior.
+        """
         # Diagonal of each covariance matrix, for the amplitudes.
         variance = np.einsum("kpp->kp", np.linalg.inv(information))[:, self.base :]
         return np.asarray(np.sqrt(np.maximum(1 / variance - self.precision[self.base :], 0.0)))
 
     def figure(self, information: Floats) -> float:
-        """Return the criterion of one plan as the quantity that `MEANING` describes, not as a score."""
+        """Return the criterion of one plan as the quantity that `MEANING` describes, not as a score.
+
+        `information` (p, p) is its information matrix, which includes the prior.
+        """
         stack = information[None]
         if self.name == "angle":
             return float(np.sqrt(self._angle_variance(np.asarray(np.linalg.inv(stack)))[0]))
@@ -171,7 +180,7 @@ class Candidates:
     Attributes
     ----------
     angle_deg, approach : (m,) float
-        The positions.
+        Angle and side of approach of each candidate position; the side is 0 if no effect depends on it.
     columns : (n, m, 2, p) float
         Derivative in mg of each reading by each of p parameters: base parameters in natural units,
         amplitudes of effects in units of their typical size.
@@ -179,13 +188,13 @@ class Candidates:
         Covariance in mg² of a reading by its noise and the fixture's errors, without noise that dwells
         share.
     own : (n, 2) float
-        Additional variance of each dwell, which depends on its time.
+        Additional variance in mg² of a reading in each dwell, which depends on its time.
     shared : (2 n, 2 n) float
         Covariance in mg² of the noise that dwells share, in the order dwell by dwell and axis by axis.
     base : int
         Number of parameters of the base model and biases, the first of the p.
     gradient : (k, base) float
-        Derivative of the shown angle in degrees by the base parameters, around the turn.
+        Derivative of the calibrated angle in degrees by the base parameters, at k angles around the turn.
     """
 
     angle_deg: Floats
@@ -204,13 +213,13 @@ class Candidates:
 
     @property
     def precision(self) -> Floats:
-        """Inverse prior variance of each parameter, (p,)."""
+        """Inverse prior variance of each parameter, (p,), in its unit in `columns`."""
         precision = np.full(self.columns.shape[3], 1 / TYPICALS**2)
         precision[: self.base] = 1 / _LOOSE**2
         return precision
 
     def criterion(self, best: Best) -> Criterion:
-        """Return the named criterion for plans from these candidate positions."""
+        """Return the criterion named `best` for plans from these candidate positions."""
         return Criterion(best, self.base, self.gradient, self.precision)
 
     def _covariance(self, choice: Choice) -> Floats:
@@ -224,9 +233,9 @@ class Candidates:
         return covariance
 
     def information(self, choice: Choice) -> Floats:
-        """Return the information matrix (p, p) of the plan that measures position choice[k] in dwell k.
+        """Return the information matrix (p, p) of the plan with the position choice[k] in dwell k.
 
-        It includes the prior.
+        The numbers in `choice` are indices of candidate positions. The matrix includes the prior.
         """
         n, p = self.dwells, self.columns.shape[3]
         # Rows of the plan's Jacobian, J; the information is Jᵀ C⁻¹ J.
@@ -237,9 +246,9 @@ class Candidates:
     def exchanged(self, choice: Choice, dwell: int) -> Floats:
         """Return the information matrices (m, p, p) of the plans with one dwell moved to each position.
 
-        With correlated readings the information is the sum of the information of all other readings and the
-        information of this reading given the others: with B = C_ir C_rr⁻¹,
-        (J_i − B J_r)ᵀ (C_ii − B C_ri)⁻¹ (J_i − B J_r).
+        `choice` is the present plan, `dwell` the index of the moved dwell. With correlated readings the
+        information is the sum of the information of all other readings and the information of this reading
+        given the others: with B = C_ir C_rr⁻¹, (J_i − B J_r)ᵀ (C_ii − B C_ri)⁻¹ (J_i − B J_r).
         """
         n, p = self.dwells, self.columns.shape[3]
         rows = self.columns[np.arange(n), choice].reshape(2 * n, p)
@@ -260,7 +269,7 @@ class Candidates:
         return np.asarray(rest + innovation.transpose(0, 2, 1) @ np.linalg.solve(given, innovation))
 
     def plan(self, name: str, choice: Choice) -> Plan:
-        """Convert a choice of candidate positions (one number for each dwell) to a named plan.
+        """Return a plan of this name from a choice of candidate positions (one index for each dwell).
 
         If no effect depends on the side of approach, all positions are approached from below: an unexpected
         backlash of the stage then changes only the start angle.
@@ -287,12 +296,14 @@ def _side(approach: float) -> Approach:
 def candidates(bench: Bench, dwells: int, beware: Sequence[str], grid_deg: float) -> Candidates:
     """Return the candidate positions of a search: on a grid of angles and at even spacing.
 
-    If an effect depends on the side of approach, each angle is a candidate from both sides.
+    The grid has steps of `grid_deg`; the plan has `dwells` positions.
+
+    If an effect in `beware` depends on the side of approach, each angle is a candidate from both sides.
 
     Raises
     ------
     UsageError
-        An effect that the positions do not influence, or that no plan can show.
+        `beware` names an effect that the positions do not influence, or that no plan can show.
     """
     # The grid and the even spacing, without duplicates.
     even = 360.0 * np.arange(dwells) / dwells
@@ -331,7 +342,10 @@ def candidates(bench: Bench, dwells: int, beware: Sequence[str], grid_deg: float
 
 
 def _fit_everywhere(bench: Bench, readings: Readings, place: Floats, side: Floats) -> Fit:
-    """Return the base model with biases of an ideal sensor at all m positions in each dwell."""
+    """Return the base model with biases of an ideal sensor at all m positions in each dwell.
+
+    The positions have the angles `place` (m,) in degrees and the sides of approach `side` (m,).
+    """
     n, m = len(readings), len(place)
     angle = np.radians(np.tile(place, n))
     conditions = Conditions(
@@ -355,7 +369,10 @@ def _fit_everywhere(bench: Bench, readings: Readings, place: Floats, side: Float
 
 
 def _refuse_hidden(term: NamedTerm, base: Floats, columns: Floats) -> None:
-    """Raise a `UsageError` if no plan can show the effect, because the base model already contains it."""
+    """Raise a `UsageError` if no plan can show the effect, because the base model already contains it.
+
+    `columns` are the derivatives of the readings by the effect, `base` by the base model.
+    """
     rows = columns.reshape(-1, columns.shape[2])
     within = base.reshape(len(rows), -1)
     size = np.maximum(np.linalg.norm(within, axis=0), 1e-300)
@@ -370,7 +387,7 @@ def _refuse_hidden(term: NamedTerm, base: Floats, columns: Floats) -> None:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """The best plan found by a search: the position number of each dwell, and its score."""
+    """The best plan found by a search: the index of each dwell's candidate position, and its score."""
 
     choice: Choice
     score: float
@@ -379,7 +396,7 @@ class SearchResult:
 def search(
     ground: Candidates, criterion: Criterion, starts: Sequence[Choice], rng: np.random.Generator
 ) -> SearchResult:
-    """Return the best plan reached from several starts, in the simplest order that is as good.
+    """Return the best plan reached from several starts, in ascending or descending order if as good.
 
     Parameters
     ----------
@@ -416,7 +433,7 @@ class _Climb:
         return bool((np.diff(self.ground.angle_deg[choice]) == 0).any())
 
     def from_(self, start: Choice) -> SearchResult:
-        """Improve a plan by exchanging positions and swapping dwells until its score no longer rises."""
+        """Return an improved plan: positions are exchanged and dwells swapped until the score stays."""
         found = SearchResult(start.copy(), self.score(start))
         for _ in range(_MOST_SWEEPS):
             before = found.score
@@ -426,7 +443,7 @@ class _Climb:
         return found
 
     def _exchange(self, found: SearchResult) -> SearchResult:
-        """Move each dwell in turn to the position that gives the plan the highest score."""
+        """Return a plan in which each dwell in turn moved to the position with the highest score."""
         choice, score = found.choice.copy(), found.score
         for dwell in self.rng.permutation(len(choice)).tolist():
             check()
@@ -442,7 +459,7 @@ class _Climb:
         return SearchResult(choice, score)
 
     def _swap(self, found: SearchResult) -> SearchResult:
-        """Swap the positions of pairs of dwells if this raises the score of the plan."""
+        """Return a plan in which pairs of dwells were swapped if this raised the score."""
         choice, score = found.choice.copy(), found.score
         pairs = np.array(list(itertools.combinations(range(len(choice)), 2)))
         for one, two in self.rng.permutation(pairs)[:_PAIRS].tolist():
@@ -461,26 +478,27 @@ LEAST, MOST = 4, 100
 """Fewest and most positions of a searched plan: fewer do not determine a bias, and with more a search does
 not improve the plan."""
 DRAWN = 3
-"""Random plans at the start of a search, in addition to even spacing in several orders and tumble."""
+"""Number of random plans at the start of a search, in addition to even spacing in several orders and the
+plan `tumble`."""
 _GOLDEN = (3 - math.sqrt(5)) / 2
 LEAST_GRID_DEG, WIDEST_GRID_DEG = 1.0, 60.0
 
 
 class Gain(JsonRecord):
-    """Comparison of the best plan with another plan of as many positions; one value of `gain` in JSON.
+    """Comparison of the best plan with another plan of as many positions; an entry of `gain` in JSON.
 
     Attributes
     ----------
     over : str
-        The other plan.
+        Name of the other plan.
     figure : float
         Criterion of the other plan, as the quantity that `MEANING` describes.
     criterion : float
-        Figure of the other plan divided by the figure of the best plan (for `tell-apart` the inverse);
+        The other plan's `figure` divided by the figure of the best plan (for `tell-apart` the inverse);
         above 1 if the best plan is better.
     u : dict of str to float
-        Ratio of the standard uncertainties, the other plan to the best plan, for each parameter and the
-        angle.
+        Ratio of standard uncertainties, after the other plan to after the best plan, for each parameter and
+        the angle.
     """
 
     over: str = field(metadata=HIDDEN)
@@ -495,16 +513,22 @@ class BestPlan:
 
     Attributes
     ----------
+    prediction : Prediction
+        The plan, with its predicted uncertainties and detectable effects.
     best : {"angle", "parameters", "tell-apart"}
+        Criterion of the search.
     beware : tuple of str
-        Effects that the session may have, which the plan shall detect.
+        Effects that the session may have, which the plan shall detect or include in the fit.
     figure : float
         The criterion of the plan, as the quantity that `MEANING` describes.
     separations : dict of str to float
-        For each amplitude of these effects, its typical size divided by its standard uncertainty.
+        Typical size of each amplitude of these effects, divided by its standard uncertainty.
     gains : tuple of Gain
         Comparison with even spacing, and with tumble if the number of positions is even.
     seed : int
+        Seed of the search.
+    grid_deg : float
+        Step of the searched angles.
     """
 
     prediction: Prediction
@@ -556,6 +580,11 @@ def best_plan(
 
     Parameters
     ----------
+    positions : int
+        Number of positions of the plan.
+    best : {"angle", "parameters", "tell-apart"}
+        Criterion: smallest u of the angle, smallest u of the parameters, or best distinction of the effects
+        in `beware`.
     beware : sequence of str
         Effects that a session may have: `tell-apart` distinguishes them; the other criteria add them to the
         fit.
@@ -628,7 +657,7 @@ def interleaved_plan(positions: int) -> Plan:
 def _rivals(positions: int) -> tuple[Plan, ...]:
     """Return the usual plans with which the best plan is compared.
 
-    These are even spacing and, for an even number of at least six positions, the tumble.
+    They are even spacing and, for an even number of at least six positions, the plan `tumble`.
     """
     tumble = (plan("tumble", positions // 2),) if positions % 2 == 0 and positions >= 6 else ()
     return (even_plan(positions), *tumble)
@@ -648,7 +677,8 @@ def _starts(ground: Candidates, positions: int, rng: np.random.Generator) -> lis
 def _gain(ours: Prediction, figure: float, other: Plan, ground: Candidates, criterion: Criterion) -> Gain:
     """Compare the best plan with another plan: ratio of the criterion and of each uncertainty.
 
-    The criterion of the other plan is computed at the nearest angles of the grid.
+    `ours` is the prediction for the best plan, `figure` its criterion. The criterion of the other plan is
+    computed at the nearest angles of the grid.
     """
     theirs = criterion.figure(ground.information(ground.nearest(other)))
     reach = predict_uncertainty(other, ours.bench)
@@ -674,12 +704,15 @@ def fewest_positions(
     """Search for the best plan with the fewest positions after which the angle conforms to a tolerance.
 
     The search begins with the smallest sufficient number of interleaved positions, and reduces the number
-    as long as the best plan can decide.
+    as long as a session with the best plan would show that the angle conforms.
+
+    `best` is the criterion, `beware` has effects that the session may have, `grid_deg` is the step of the
+    searched angles, and `seed` determines the search.
 
     Raises
     ------
     UsageError
-        A plan of `MOST` positions cannot decide.
+        A plan of `MOST` positions cannot show that the angle conforms.
     """
     count = _fewest_interleaved(bench, tolerance)
     found = best_plan(bench, count, best, beware, grid_deg=grid_deg, seed=seed)
@@ -698,7 +731,7 @@ def _decides(reach: PlanUncertainty, tolerance: Tolerance) -> bool:
 
 
 def _fewest_interleaved(bench: Bench, tolerance: Tolerance) -> int:
-    """Return the smallest number of interleaved positions that can decide, by bisection.
+    """Return the smallest number of interleaved positions that can show conformity, by bisection.
 
     In one slow turn, more positions can be worse than fewer: the 1/f noise of a longer session has the
     period of the turn. Interleaved positions avoid that.
@@ -725,7 +758,7 @@ def _fewest_interleaved(bench: Bench, tolerance: Tolerance) -> int:
 
 
 def positions_in(bench: Bench, minutes: float) -> int:
-    """Return the number of positions that fit into a time, by the time model of a session.
+    """Return the number of positions that fit into a time in minutes, by the time model of a session.
 
     Raises
     ------
@@ -766,7 +799,10 @@ _FIGURE: dict[Best, str] = {
 def prediction_lines(
     prediction: Prediction, found: BestPlan | None = None, tolerance: Tolerance | None = None
 ) -> Iterator[str]:
-    """Yield the lines of text that describe a prediction and the search, starting with the headline."""
+    """Yield the lines of text that describe a prediction, starting with the headline.
+
+    `found` adds the search that gave the plan, `tolerance` the conformity of the angle; None omits them.
+    """
     yield headline(prediction)
     if tolerance is not None:
         yield from fold_text(_decision(prediction.reach, tolerance), WIDTH)
@@ -796,7 +832,7 @@ def prediction_lines(
 
 
 def headline(prediction: Prediction) -> str:
-    """Return a line with the plan's number of positions, its duration and the predicted angle error."""
+    """Return a line with the plan's number of positions, its duration and the predicted u of the angle."""
     minutes = f"{max(prediction.seconds / 60, 1):.0f} min"
     count = counted(len(prediction.plan), "position")
     u, expanded = prediction.reach.angle.u, prediction.reach.angle_worst.U
@@ -867,7 +903,7 @@ def _sight_lines(sight: Sight) -> Iterator[str]:
 def _columns(cells: Sequence[str], least: int = 38) -> Iterator[str]:
     """Yield lines in which text cells are arranged in as many columns as the width allows.
 
-    The cells run down each column.
+    A column has at least `least` characters; the cells run down each column.
     """
     width = max(least, *(len(cell) for cell in cells)) if cells else least
     across = max(1, (WIDTH - 2) // width)

@@ -49,12 +49,13 @@ from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.proposals import LEAST_SEPARATION, widest_terms
 
 LARGEST_FIXTURE_DEG = 30.0
-"""Largest uncertainty of a declared angle, set by hand and eye without a stage."""
+"""Largest standard uncertainty of a declared angle, in degrees: an angle set by hand and eye without a
+stage."""
 LARGEST_NOISE_MG = 10_000.0
 LARGEST_START_DEG = 3600.0
 _STAGES = 16
 _LARGEST_CHANGE = 0.05
-"""Stage errors are neglected if they change no uncertainty by a larger fraction."""
+"""Relative change of an uncertainty by errors of the stage, up to which these errors are neglected."""
 _DEPENDS = (
     "with so few positions the result depends on the errors of the stage: the figures are medians of "
     f"{_STAGES} imagined sessions"
@@ -66,7 +67,7 @@ _SURROUNDINGS = {
     "supply_v": "the supply",
     "variance_mg2": "vibration",
 }
-"""Conditions that no plan of positions sets."""
+"""Words for conditions that no plan of positions sets, by name of the condition."""
 
 
 @dataclass(frozen=True)
@@ -76,19 +77,19 @@ class Bench:
     Attributes
     ----------
     fixture_deg : float
-        Standard uncertainty of a stage angle.
+        Standard uncertainty of a declared angle of the stage.
     sensor : str
         Name of the sensor's variant, which determines the default noise.
     noise_mg : float or None
         White noise (rms) of a sample without the chip's filter; None for the variant's typical value.
     flicker_mg : float or None
-        Minimum of the Allan deviation (1/f noise); None for the variant's typical value.
+        Smallest Allan deviation of an axis (1/f noise); None for the variant's typical value.
     start_deg : float
         Approximate angle α of the sensor at the stage's zero.
     gravity_mps2 : float
         Local gravity.
     settings : Settings
-        Dwell, settling, rate and filter.
+        Dwell time, settling time, sample rate and filter.
 
     Raises
     ------
@@ -133,12 +134,12 @@ class Bench:
 
     @property
     def floor_mg(self) -> float:
-        """Minimum of the Allan deviation in mg: the given value or the variant's."""
+        """Smallest Allan deviation of an axis in mg: the given value or the variant's."""
         return self.part.performance.bias_instability_mg if self.flicker_mg is None else self.flicker_mg
 
     @property
     def samples(self) -> int:
-        """Number of samples of a dwell."""
+        """Number of samples in a dwell."""
         return round(self.settings.dwell_s / sample_period_s(self.settings.smpl_prd))
 
     @property
@@ -154,7 +155,7 @@ class Bench:
 
     @property
     def each_s(self) -> float:
-        """Expected time in s for one position, before a session has measured it."""
+        """Expected time in s for one position, with turning and settling."""
         return expected_each_s(self.settle_s, self.settings.dwell_s)
 
     def begins_s(self, plan: Plan) -> Floats:
@@ -170,7 +171,8 @@ class Bench:
     def mean_mg2(self) -> tuple[float, float]:
         """Variance in mg² of a dwell's mean: by white noise, and by the resolution of the converter.
 
-        Averaging more samples lowers only the first.
+        The converter is the analogue-to-digital converter. Averaging more samples lowers only the first
+        variance.
         """
         step = self.part.accel_mg_per_lsb
         # The filter: two boxcars of 2^M taps, convolved.
@@ -209,7 +211,7 @@ def expected_readings(plan: Plan, bench: Bench, off_deg: Floats | None = None) -
     Parameters
     ----------
     off_deg : (n,) float, optional
-        True angle of the stage minus the declared angle; by default 0.
+        True angle of the stage minus the declared angle of each position; by default 0.
 
     Raises
     ------
@@ -265,22 +267,23 @@ def ideal_mg(angle_rad: Floats, bench: Bench) -> Floats:
 
 @dataclass(frozen=True)
 class PlanUncertainty:
-    """Uncertainties that a plan reaches; every value is NaN, because no part was measured.
+    """Uncertainties after a session with a plan; every value is NaN, because no part was measured.
 
     Attributes
     ----------
     method : str
-        Method of the fit.
+        Name of the method of the fit.
     parameters : dict of str to Value
         Parameters that the plan determines.
     angle, angle_worst : Value
-        Angle in degrees that the calibrated goniometer shows of a reading as long as a dwell: root mean
-        square over the turn, and at the worst angle. No uncertainty if the plan does not determine it.
+        Angle in degrees that the calibrated goniometer shows, for a reading as long as a dwell: u as root
+        mean square over the turn, and u at the worst angle. No u if the plan does not determine the angle.
     fitted_deg : float
-        Part of `angle_worst` due to the fitted parameters, which a plan can lower, as a standard
-        uncertainty; NaN if the angle is not determined.
+        Part of u of `angle_worst` from the fitted parameters, which a better plan can lower; NaN if the
+        angle is not determined.
     roots_deg : (m, k) float or None
-        Change of the calibrated angle around the turn by one standard uncertainty of independent causes.
+        Change of the calibrated angle at m angles around the turn by one standard uncertainty of each of k
+        independent causes; None if the angle is not determined.
     undetermined : tuple of str
         Parameters that the plan cannot determine.
     notes : tuple of str
@@ -297,7 +300,7 @@ class PlanUncertainty:
     roots_deg: Floats | None = field(default=None, compare=False)
 
     def conformity(self, tolerance: Tolerance) -> Conformity | None:
-        """Conformity of the calibrated angle with a tolerance after such a session.
+        """Return the conformity of the calibrated angle with a tolerance after such a session.
 
         None if the plan does not determine the angle.
         """
@@ -330,9 +333,11 @@ class ConfoundedPair:
 
     Attributes
     ----------
+    one, other : str
+        Names of the two effects.
     separation : float
-        Distance in standard uncertainties between one effect at its detectable amplitude and the other's
-        best imitation of it; the smaller one of both directions.
+        Distance in standard uncertainties between one effect at its detectable amplitude and the best
+        imitation of it by the other effect; the smaller distance of both directions.
     """
 
     one: str
@@ -350,7 +355,7 @@ class Sight(JsonRecord):
     Attributes
     ----------
     detectable : dict of str to Detectable
-        For each effect of the catalogue, the amplitude that 90 of 100 sessions would find.
+        Amplitude of each effect of the catalogue that 90 of 100 sessions would find, by name of the effect.
     confounded : tuple of ConfoundedPair
         Pairs that the plan cannot distinguish, the worst first.
     """
@@ -361,7 +366,10 @@ class Sight(JsonRecord):
 
 @dataclass(frozen=True)
 class Prediction:
-    """Prediction for a plan on a bench: the uncertainties and the detectable effects."""
+    """Prediction for a session with a plan on a bench: uncertainties and detectable effects.
+
+    They are `reach` and `sight`.
+    """
 
     plan: Plan
     bench: Bench
@@ -392,14 +400,20 @@ def predict(plan: Plan, bench: Bench) -> Prediction:
     UsageError
         The plan does not turn in a plane.
     FitError
-        It has too few positions, or determines neither ΔK nor Δφ.
+        The plan has too few positions, or determines neither ΔK nor Δφ.
     """
     sight = predict_sight(expected_readings(plan, bench).training)
     return Prediction(plan, bench, predict_uncertainty(plan, bench), sight)
 
 
 def predict_uncertainty(plan: Plan, bench: Bench) -> PlanUncertainty:
-    """Predict the uncertainties of a calibration by this plan; raises the errors of `predict`."""
+    """Predict the uncertainties of a calibration by this plan.
+
+    Raises
+    ------
+    FitError
+        The plan has too few positions, or determines neither ΔK nor Δφ.
+    """
     offsets = np.random.default_rng(0).normal(0.0, bench.fixture_deg, (_STAGES, len(plan)))
     exact = _reach(fit_readings(expected_readings(plan, bench).training))
     if _agree(exact, _reach_off(plan, bench, offsets[0])):
@@ -408,7 +422,10 @@ def predict_uncertainty(plan: Plan, bench: Bench) -> PlanUncertainty:
 
 
 def _reach_off(plan: Plan, bench: Bench, off_deg: Floats) -> PlanUncertainty | None:
-    """Predict the uncertainties if stage angles are wrong by `off_deg` (n,); None if no fit succeeds."""
+    """Predict the uncertainties if stage angles are wrong by `off_deg` (n,).
+
+    None if the fit to such a session fails.
+    """
     try:
         return _reach(fit_readings(expected_readings(plan, bench, off_deg).training))
     except FitError:
@@ -425,7 +442,8 @@ def _agree(one: PlanUncertainty, other: PlanUncertainty | None) -> bool:
 def _median(exact: PlanUncertainty, sessions: Sequence[PlanUncertainty | None]) -> PlanUncertainty:
     """Return the median of each uncertainty over simulated sessions.
 
-    A parameter that fewer than half of the sessions determine has no uncertainty.
+    `exact` is the prediction without errors of the stage; None in `sessions` is a session without a fit. A
+    parameter that fewer than half of the sessions determine has no uncertainty.
     """
 
     def median(value: Value, u_of: Callable[[PlanUncertainty], float | None]) -> Value:
@@ -488,10 +506,10 @@ def _reach(result: FitResult) -> PlanUncertainty:
 def predict_sight(readings: Readings) -> Sight:
     """Predict which effects a session with such readings detects and distinguishes.
 
-    The detectable amplitude is defined as in `trace` (`tracing.findings`), at its error level, in addition
-    to the start angle, gains, Δφ and biases. Two effects are not distinguished if one of them, at its
-    detectable amplitude, differs by less than `LEAST_SEPARATION` standard uncertainties from the other's
-    best imitation; `advice` uses the same limit for a measurement that is worth while.
+    The detectable amplitude is the one that a trace would find in 90 of 100 sessions, in addition to the
+    start angle, gains, Δφ and biases. Two effects are not distinguished if one of them, at its detectable
+    amplitude, differs by less than `LEAST_SEPARATION` standard uncertainties from the other's best
+    imitation; the advice of a trace uses this limit for a measurement that is worth while.
 
     Parameters
     ----------
@@ -542,8 +560,9 @@ def _confounded_pairs(
 def _separation(columns: Floats, others: Floats, limit: Detectable) -> float:
     """Return the distance between an effect and the best imitation of it by another effect.
 
-    The effect has its detectable amplitude, the other effect any amplitude. The distance is in standard
-    uncertainties; if the effect has several columns, the smallest distance counts.
+    `columns` and `others` are the whitened derivatives of the readings by the two effects. The first effect
+    has its detectable amplitude `limit`, the other effect any amplitude. The distance is in standard
+    uncertainties; if the first effect has several columns, the smallest distance counts.
     """
     size = np.maximum(np.linalg.norm(others, axis=0), 1e-300)
     u, s, _ = np.linalg.svd(others / size, full_matrices=False)
@@ -554,7 +573,7 @@ def _separation(columns: Floats, others: Floats, limit: Detectable) -> float:
 
 
 def planned_terms(readings: Readings, names: Sequence[str]) -> tuple[NamedTerm, ...]:
-    """Return terms for the named effects, each on all axes.
+    """Return terms for the named effects, each on all axes, at the expected readings of a plan.
 
     Raises
     ------

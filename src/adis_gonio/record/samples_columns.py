@@ -141,6 +141,8 @@ COLUMNS: dict[str, SamplesColumn] = {
 """Columns of the format by name, in the order in which they are written."""
 
 _ALIASES = {alias: name for name, column in COLUMNS.items() for alias in (*column.aliases, name)}
+_OF_UNIT = {("t", unit): "temp_c" for unit in COLUMNS["temp_c"].units}
+"""Columns of an alias with a unit that the column of the alias alone does not have."""
 
 
 @dataclass(frozen=True)
@@ -197,7 +199,7 @@ def recognise_column(text: str) -> tuple[str, str, bool] | None:
         return text, "", True
     base, unit = split_unit(text)
     base = _SPACES.sub("_", base.strip(" /").lower()).strip("_")
-    name = _ALIASES.get(base)
+    name = _OF_UNIT.get((base, unit.lower()), _ALIASES.get(base))
     if name is not None:
         return name, unit, base == name and not unit
     stem, _, end = base.rpartition("_")

@@ -640,7 +640,7 @@ class _Assignment:
                     raise self._fail(f"column '{cell}' occurs twice")
                 raise self._fail(
                     f"both '{other.text}' and '{cell}' may be {column.name}; say which: "
-                    f"--columns {column.name}={cell}"
+                    f"--columns '{column.name}={cell}'"
                 )
             if other is None or column.plain:
                 found[column.name] = column

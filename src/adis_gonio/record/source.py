@@ -329,7 +329,7 @@ class ChipSource(SampleSource):
         asked = (settings.smpl_prd, settings.filter_m, settings.gyro_range_dps)
         self.sensor.configure(smpl_prd=asked[0], filter_m=asked[1], gyro_range_dps=asked[2])
         self._borrow_data_ready(settings)
-        self._refuse_self_test()
+        self.refuse_self_test()
         now = self.sensor.configuration()
         if (now.smpl_prd, now.filter_m, now.gyro_range_dps) != asked:
             self.give_back()
@@ -339,7 +339,7 @@ class ChipSource(SampleSource):
             )
         return now
 
-    def _refuse_self_test(self) -> None:
+    def refuse_self_test(self) -> None:
         """Raise `ChipError` if the manual self-test is on, because its stimulus shifts all readings."""
         control = BY_NAME["MSC_CTRL"]
         stimulus = control.field("positive").mask | control.field("negative").mask

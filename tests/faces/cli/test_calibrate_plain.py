@@ -90,7 +90,11 @@ def test_the_end_of_the_input_ends_the_session_and_resume_goes_on(bench):
     status, said, _ = bench("\n", "--plan", "four-position")
     assert status == 1
     assert "--resume -o" in said.err
-    status, said, path = bench("\n\n\n", "--resume")
+    status, said, path = bench("", "--plan", "tumble", "--resume")
+    assert status == 2
+    assert "has the plan four-position with 4 positions" in said.err
+    # The same command again, with --resume, goes on.
+    status, said, path = bench("\n\n\n", "--plan", "four-position", "--resume")
     assert status == 0
     assert "1 of 4 positions done" in said.err
     assert len(load_session(path).dwells) == 4

@@ -575,7 +575,8 @@ class ReplayBus(SpiBus):
                     f" {_hexadecimal(frames)}"
                 )
         raise ProtocolError(
-            f"{self._path}: no further record answers {name} {_hexadecimal(frames)}{self._damage}"
+            f"{self._path}: no further record answers this call ({name} {_hexadecimal(frames)}".rstrip()
+            + f"); repeat the recorded command with its options{self._damage}"
         )
 
     def _exchange(self, frames: Words) -> Words:

@@ -42,15 +42,16 @@ from adis_gonio.fitting.gyros.turn_integration import dps_per_unit
 from adis_gonio.model.records import Dwell, Session
 
 LEAST = 128
-"""Smallest number of samples of a record that is used."""
+"""Smallest number of samples with which a record is used."""
 _GAP = 2.5
-"""Number of sample periods between two samples above which a record ends."""
+"""Time between two samples, in sample periods, above which a record ends."""
 _EVEN = 1.5
 _MANY_LOST = 1e-3
 _SHORT = 4
 """Largest ratio of the length of the longest record to the length of a record that is used."""
 _FAST = 100_000
-"""Samples from which a record is cut to a length with a fast transform (less than 2 % is lost)."""
+"""Number of samples from which a record is cut to a length with a fast transform (less than 2 % is
+lost)."""
 
 
 @dataclass(frozen=True)
@@ -60,18 +61,19 @@ class Rests:
     Attributes
     ----------
     part : {"gyro", "accelerometer"}
+        Sensors that the samples come from.
     unit : str
-        `dps`, `mg`, or `counts`.
+        Unit of the samples: `dps`, `mg`, or `counts`.
     period_s : float
         Time between samples.
     filter_m : int or None
-        The chip's filter; None if the file does not state it.
+        Parameter M of the chip's filter; None if the file does not state it.
     records : tuple of (n, axes) float
         Samples in `unit`, with the first sample of each record subtracted.
     positions : tuple of int
-        Dwell of each record.
+        Number of the dwell that each record comes from.
     step : (axes,) float
-        Step of the converter in `unit`; 0 unknown.
+        Step of the analogue-to-digital converter in `unit`; 0 if unknown.
     notes : tuple of str
         Remarks for the user.
     """
@@ -97,7 +99,7 @@ class Rests:
 
 
 def rests_of(session: Session, part: Part) -> Rests:
-    """Records of a session at rest: its dwells, or the still parts of a continuous recording.
+    """Return the records of a session at rest: its dwells, or the still parts of a recording.
 
     Raises
     ------
@@ -161,6 +163,8 @@ def _records(
 ) -> tuple[list[Floats], list[int], int]:
     """Split the samples of dwells at gaps into records without gaps.
 
+    A gap is 2.5 sample periods `period_s` or longer; `where` names the session in messages.
+
     Returns the records, the number of the dwell of each, and the number of samples lost in the gaps.
     """
     records, positions, lost = [], [], 0
@@ -178,7 +182,10 @@ def _records(
 
 
 def _unit(session: Session, part: Part, where: str) -> tuple[str, float]:
-    """Unit of the result (dps, mg or counts), and the factor that converts samples of the file to it."""
+    """Return the unit of the result (dps, mg or counts), and the factor from the file's samples to it.
+
+    `where` names the session in messages.
+    """
     unit = session.gyro_unit if part == "gyro" else session.accel_unit
     if unit == "counts":
         return "counts", 1.0
@@ -190,9 +197,10 @@ def _unit(session: Session, part: Part, where: str) -> tuple[str, float]:
 
 
 def _period(dwells: list[Dwell], where: str) -> float:
-    """Mean time in s between the samples of the longest dwell, without its gaps.
+    """Return the mean time in s between the samples of the longest dwell, without its gaps.
 
-    The mean is over all its samples, because clocks with a coarse resolution repeat times.
+    `where` names the session in messages. The mean is over all its samples, because clocks with a coarse
+    resolution repeat times.
     """
     longest = max(dwells, key=len)
     if len(longest) < 2:
@@ -208,7 +216,7 @@ def _period(dwells: list[Dwell], where: str) -> float:
 
 
 def _quick(size: int) -> int:
-    """Largest number of samples up to `size` for which the Fourier transform is fast.
+    """Return the largest number of samples up to `size` for which the Fourier transform is fast.
 
     Short records are not cut.
     """
@@ -219,12 +227,14 @@ def _quick(size: int) -> int:
 
 MOST_M = 6
 _PASSED = 0.01
-"""Least |H|² of the chip's filter that is fitted: above that frequency, rounding and the ends of a
-record show."""
+"""Smallest squared gain |H|² of the chip's filter at which the spectrum is fitted: at higher frequencies
+rounding and the ends of a record disturb it.
+"""
 _FINE = 0.5
-"""Noise in steps of the converter above which rounding is additive noise."""
+"""Ratio of the noise to the step of the converter above which rounding acts as additive noise."""
 _BANDS = ((0.04, 0.3), (0.3, 1.0))
-"""Parts of the band, above the slow noise, in which records are compared."""
+"""Bands in which the noise of records is compared, as shares of the highest fitted frequency; the slow
+noise is below them."""
 _LOUDER = 1.1
 _TRIAL = 1 << 16
 """Largest number of samples used to find a filter setting that the file does not state."""
@@ -243,11 +253,14 @@ def fit_allan(session: Session, part: Part = "gyro", *, filter_m: int | None = N
     Parameters
     ----------
     session : Session
-        With dwells, or continuous with rests: each is a record with its own mean and slope.
+        Session with dwells, or a continuous recording with rests: each is a record with its own mean and
+        slope.
     part : {"gyro", "accelerometer"}
+        Sensors whose noise is fitted.
     filter_m : int, optional
-        M of the chip's filter, 0 to 6; by default the session's, or, of a known sensor, by the spectrum.
-        Other sensors count as unfiltered in the band in which these noises explain their spectrum.
+        Parameter M of the chip's filter, 0 to 6. By default it is the session's, or, for a known sensor,
+        the one that the spectrum shows. Other sensors count as unfiltered in the band in which these noises
+        explain their spectrum.
 
     Raises
     ------
@@ -300,9 +313,10 @@ def _flat(record: Floats) -> Floats:
 
 
 def _rounding(flat: Sequence[Floats], step: float, m: int) -> tuple[Floats, bool]:
-    """Autocovariance, by lag, of the errors that rounding to `step` causes behind a filter of parameter m.
+    """Return the autocovariance, by lag, of the errors that rounding to `step` causes.
 
-    Also returns True if the step is too large against the noise for a prediction of this autocovariance.
+    The rounding is behind a filter of parameter m; `flat` are the records without their slopes. The second
+    result is True if the step is too large against the noise for a prediction.
     """
     # Changes within the filter's window are white noise, without the slow noise.
     lag = 1 << m
@@ -318,7 +332,7 @@ def _rounding(flat: Sequence[Floats], step: float, m: int) -> tuple[Floats, bool
 
 
 def _highest(m: int) -> float:
-    """Highest frequency, in cycles per sample, at which the filter passes enough power for the fit."""
+    """Return the highest frequency, in cycles per sample, at which the filter passes enough power."""
     if m == 0:
         return 0.5
     grid = np.linspace(0.0, 0.5**m, 2049)
@@ -326,7 +340,7 @@ def _highest(m: int) -> float:
 
 
 def _filter_seen(rests: Rests) -> int:
-    """Estimate the filter setting m of the chip, as the most likely one given the samples."""
+    """Return the filter setting m of the chip that is most likely given the samples."""
     record = max(rests.records, key=len)[:_TRIAL]
     losses = np.zeros(MOST_M + 1)
     for axis in range(rests.axes):
@@ -357,14 +371,15 @@ def _fitted(data: Ordinates, band: float, kinds: Sequence[Kind]) -> _Fitted:
 
 
 def _kinds(m: int) -> Sequence[Kind]:
-    """Noise processes to fit; if the chip's filter is on (m > 0), quantization noise is not among them."""
+    """Return the noise processes to fit; with the chip's filter on (m > 0), without quantization noise."""
     return KINDS if m == 0 else KINDS[1:]
 
 
 def _widest(data: Ordinates, band: float, kinds: Sequence[Kind]) -> _Fitted:
     """Fit the noise processes to the widest frequency band in which they explain the spectrum.
 
-    The band starts as the full one and is halved. If no band is explained, return the best fit.
+    The search starts at `band` (highest frequency in cycles per sample) and halves it. If no band is
+    explained, it returns the fit that explains its band best.
     """
     tried = []
     while True:
@@ -420,10 +435,10 @@ def _axis(rests: Rests, axis: int, m: int) -> AxisNoise:
 
 
 def _quiet(parts: Sequence[Ordinates], highest: float) -> list[int]:
-    """Select the records with about as little noise as the quietest, because vibration disturbs the others.
+    """Return the indices of records with about as little noise as the quietest; vibration disturbs others.
 
-    Starting with the quietest, each record counts that is not louder than the earlier ones together in
-    either of two bands.
+    `highest` is the highest fitted frequency in cycles per sample. Starting with the quietest, each record
+    counts that is not louder than the earlier ones together in either of two bands.
     """
     bands = [(low * highest, high * highest) for low, high in _BANDS]
     level = np.empty((len(parts), len(bands)))
@@ -446,10 +461,10 @@ def _quiet(parts: Sequence[Ordinates], highest: float) -> list[int]:
 
 
 def _drawn(fitted: _Fitted, profiles: dict[Kind, Profile]) -> Floats:
-    """Squared coefficients for the predicted Allan curve, with zero for processes that may be absent.
+    """Return the squared coefficients (4,) for the predicted Allan curve.
 
-    If the data show slow noise but cannot tell flicker noise from random walk, both keep their
-    coefficients.
+    They are zero for processes that may be absent. If the data show slow noise but cannot tell flicker
+    noise from random walk, both keep their coefficients.
     """
     lacking = [kind for kind, found in profiles.items() if not found.present and kind != "white"]
     absent = {KINDS.index(kind): 0.0 for kind in lacking}
@@ -460,7 +475,7 @@ def _drawn(fitted: _Fitted, profiles: dict[Kind, Profile]) -> Floats:
 
 
 def _slow(fitted: _Fitted) -> float:
-    """p-value of the hypothesis that the record has neither flicker noise nor random walk.
+    """Return the p-value of the hypothesis that the records have no flicker noise and no random walk.
 
     It is an upper bound, because both coefficients are on the boundary of their range.
     """
@@ -473,7 +488,11 @@ def _slow(fitted: _Fitted) -> float:
 
 
 def _ramp(fitted: _Fitted, slopes: list[float], period_s: float, unit: str) -> Value:
-    """Drift of an axis, in `unit` per second, with u: the weighted mean of the slopes of all records."""
+    """Return the drift of an axis, in `unit` per second, with u: the mean slope of all records.
+
+    `period_s` is the time between samples, `slopes` are the slopes of straight lines through the records,
+    per sample; the mean is weighted.
+    """
     rest = fitted.likelihood.slopes(fitted.theta)
     # Weighted mean of the slopes, each corrected by the slope of the likelihood.
     weight = np.array([1 / u**2 if u > 0 else 0.0 for _, u in rest])
@@ -487,7 +506,7 @@ def _ramp(fitted: _Fitted, slopes: list[float], period_s: float, unit: str) -> V
 def _joined(lines: list[SpectralLine]) -> tuple[SpectralLine, ...]:
     """Merge sinusoids that several records show at one frequency (within 1 %).
 
-    The sinusoid with the largest amplitude represents them.
+    The sinusoid with the largest amplitude represents the others.
     """
     kept: list[SpectralLine] = []
     for line in sorted(lines, key=lambda one: -one.amplitude):

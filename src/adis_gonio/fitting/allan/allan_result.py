@@ -31,13 +31,13 @@ _NAMES: dict[Part, tuple[str, ...]] = {
         "acceleration_random_walk",
     ),
 }
-"""Names of `spectral_likelihood.KINDS` by part."""
+"""Names of the noise processes in `spectral_likelihood.KINDS`, by sensor part."""
 _UNITS = {
     "dps": ("deg", "dps/√Hz", "dps", "dps/√s"),
     "mg": ("mg·s", "mg/√Hz", "mg", "mg/√s"),
     "counts": ("counts·s", "counts/√Hz", "counts", "counts/√s"),
 }
-"""Their units by the unit of the samples."""
+"""Units of the coefficients of the noise processes, by the unit of the samples."""
 _MPS_PER_MG_S = 9.80665e-3
 _ALSO: dict[tuple[str, Kind], tuple[str, float]] = {
     ("dps", "white"): ("deg/√h", 60.0),
@@ -55,9 +55,11 @@ class NoiseParameter:
     Attributes
     ----------
     kind : {"quantization", "white", "flicker", "walk"}
+        Kind of the noise process; `white` is angle or velocity random walk, `flicker` bias instability.
     name : str
         Such as `angle_random_walk`. `bias_instability` is the floor of the Allan deviation.
     unit : str
+        Unit of the coefficient.
     profile : Profile
         Likelihood of the coefficient, in `unit`.
     """
@@ -67,18 +69,18 @@ class NoiseParameter:
     unit: str
     profile: Profile
     also: tuple[str, float] | None = None
-    """A second unit in common use, and the factor from `unit` to it."""
+    """A second unit in common use, and the factor from `unit` to it; None if there is none."""
 
     @property
     def present(self) -> bool:
-        """True if the data rule out that this noise process is absent."""
+        """True if a test of the hypothesis that this noise process is absent rejects it."""
         return self.profile.present
 
     @property
     def value(self) -> Value | None:
         """Coefficient of the process with u, ν, k and U; None if the process may be absent.
 
-        U is the longer side of the 95 % interval.
+        U is the longer side of the 95 % interval, so k = U/u.
         """
         if not self.present:
             return None
@@ -95,9 +97,10 @@ class NoiseParameter:
         return self.profile.low, self.profile.high
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON object of a noise process: value, u, ν, k, U, interval, upper limit and detectable size.
+        """Return the JSON object of a noise process: value, u, ν, k, U, interval and limits.
 
-        The first five are null if the process may be absent.
+        The first five are null if the process may be absent. The limits are the upper limit and the
+        detectable size.
         """
         value, found = self.value, self.profile
         empty = {"value": None, "u": None, "dof": None, "k": None, "U": None, "unit": self.unit}
@@ -123,7 +126,11 @@ class NoiseParameter:
 
 
 def parameters(part: Part, unit: str, profiles: dict[Kind, Profile]) -> tuple[NoiseParameter, ...]:
-    """Noise processes of one axis, with their names and units for an accelerometer or a gyro."""
+    """Return the noise processes of one axis, with names and units for an accelerometer or a gyro.
+
+    `unit` is the unit of the samples (`dps`, `mg` or `counts`); `profiles` has the likelihood of each
+    fitted process.
+    """
     named = zip(KINDS, _NAMES[part], _UNITS[unit], strict=True)
     return tuple(
         NoiseParameter(kind, name, own, profiles[kind], _ALSO.get((unit, kind)))
@@ -141,20 +148,24 @@ class AxisNoise:
     axis : str
         `x`, `y` or `z`.
     parameters : tuple of NoiseParameter
-        In the order of `spectral_likelihood.KINDS`; without quantization behind the chip's filter.
+        Noise processes in the order of `spectral_likelihood.KINDS`; with the chip's filter on, without
+        quantization.
     ramp : Value
         Drift per second: weighted mean of the slopes of straight lines through the records.
     slow_p_value : float
-        p-value of the hypothesis that there is neither flicker noise nor random walk.
+        p-value of the hypothesis that the axis has no flicker noise and no random walk; small if slow noise
+        is present.
     adequacy : float
-        p-value of the spectrum under the fitted noise; small if this does not explain the spectrum.
+        p-value of the spectrum under the fitted noise; small if this noise does not explain the spectrum.
     band_hz : (float, float)
         Lowest and highest fitted frequency.
     lines : tuple of SpectralLine
-        Subtracted sinusoids.
+        Sinusoids that were found in the records and subtracted before the fit.
     step : float
-        Step of the converter, 0 if unknown; the coefficients do not include its rounding.
+        Step of the analogue-to-digital converter, 0 if unknown; the coefficients do not include its
+        rounding.
     curve : AllanCurve
+        Allan deviation of the axis, measured and by the fitted noise.
     notes : tuple of str
         Remarks for the user, one line each.
     """
@@ -179,11 +190,11 @@ class AxisNoise:
 
     @property
     def ramps(self) -> bool:
-        """True if the axis drifts: its slope over the records is larger than its noise explains."""
+        """True if the axis drifts: the size of its drift is larger than U of the drift."""
         return self.ramp.U is not None and abs(self.ramp.value) > self.ramp.U
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON object of the axis: its noise processes, Allan deviation, drift and sinusoids."""
+        """Return the JSON object of the axis: its noise processes, Allan deviation, drift and sinusoids."""
         return json_object(
             parameters={parameter.name: parameter for parameter in self.parameters},
             ramp={**self.ramp.as_dict(), "present": self.ramps},
@@ -204,24 +215,27 @@ class AllanResult:
     Attributes
     ----------
     part : {"gyro", "accelerometer"}
+        Sensors that were fitted.
     unit : str
         `dps`, `mg` or `counts`.
     title, sensor, source : str
-        Of the session.
+        Title, sensor and file of the session.
     simulated : bool
-        The file states that it is simulated.
+        True if the file states that it is simulated.
     period_s : float
         Time between samples.
     filter_m : int
-        The chip's filter in front of the densities.
+        Parameter M of the chip's filter that the samples have passed.
     filter_known : bool
-        False if the spectrum and not the file determines it.
+        True if the file or the user states the filter, False if the spectrum shows it.
     positions : tuple of int
-        Dwell of each record.
+        Number of the dwell that each record comes from.
     samples : tuple of int
-        Length of each record.
+        Number of samples of each record.
     axes : tuple of AxisNoise
+        Noise of each axis.
     notes : tuple of str
+        Remarks for the user on the session.
     """
 
     part: Part
@@ -256,7 +270,7 @@ class AllanResult:
         raise KeyError(axis)
 
     def as_dict(self) -> dict[str, Any]:
-        """The JSON document that `adis-gonio allan --json` prints."""
+        """Return the JSON document that `adis-gonio allan --json` prints."""
         return json_object(
             part=self.part,
             unit=self.unit,
@@ -276,7 +290,7 @@ class AllanResult:
         )
 
     def summary(self) -> str:
-        """Table of at most 80 columns with notes, as `adis-gonio allan` prints it."""
+        """Return a table of at most 80 columns with notes, as `adis-gonio allan` prints it."""
         return "\n".join(table_lines(self))
 
     def __repr__(self) -> str:
@@ -295,14 +309,16 @@ _MANY_DOF = 9999
 
 
 def name_shown(parameter: NoiseParameter) -> str:
-    """Name of a noise process for people, such as `angle random walk`."""
+    """Return the name of a noise process for people, such as `angle random walk`."""
     return parameter.name.replace("_", " ")
 
 
 def notes_of(axis: AxisNoise, *, narrowed: bool, coarse: bool, loud: Sequence[int]) -> Iterator[str]:
     """Yield sentences for the user on the noise of an axis, such as excess noise, sinusoids or drift.
 
-    `loud` has the dwell numbers of records that were left out because of their larger noise.
+    `narrowed` is True if only a part of the frequency band was fitted, `coarse` if the noise is small
+    against the step of the converter. `loud` has the dwell numbers of records that were left out because of
+    their larger noise.
     """
     if loud:
         which = ", ".join(map(str, loud[:8])) + (", …" if len(loud) > 8 else "")
@@ -338,7 +354,7 @@ def notes_of(axis: AxisNoise, *, narrowed: bool, coarse: bool, loud: Sequence[in
 
 
 def missing(parameter: NoiseParameter) -> str:
-    """Text for a process that may be absent: its upper limit, and the size that would be detected."""
+    """Return the text for a process that may be absent: its upper limit, and the detectable size."""
     found = parameter.profile
     limit = f"not present: at most {format_number(found.high)} (95 %)"
     if parameter.kind == "white":
@@ -347,7 +363,7 @@ def missing(parameter: NoiseParameter) -> str:
 
 
 def cells(parameter: NoiseParameter) -> Sequence[tuple[str, ...]]:
-    """Table rows, with the columns `HEAD`, for a noise process that is present.
+    """Return the table rows, with the columns `HEAD`, for a noise process that is present.
 
     A second row gives the value in another common unit, if there is one.
     """
@@ -368,7 +384,7 @@ def cells(parameter: NoiseParameter) -> Sequence[tuple[str, ...]]:
 
 
 def headline(result: AllanResult) -> str:
-    """One line of text with the total length, the number and the sample rate of the records."""
+    """Return one line of text with the total length, the number and the sample rate of the records."""
     records = counted(len(result.samples), "record")
     rate_hz = format_number(1 / result.period_s, 4)
     held = f"{format_number(result.duration_s, 4)} s in {records} at {rate_hz} Hz"

@@ -1,6 +1,6 @@
 """Noise processes of a part at rest, and the likelihood of their coefficients.
 
-Noise processes of IEEE Std 952-1997, Annex C, in a sampled and filtered record; its Allan deviation.
+The processes are defined in IEEE Std 952-1997, Annex C, in a sampled and filtered record.
 
 Coefficients are squared standard deviations, so every density is linear in them. T is the sampling
 period. The Allan variance at τ and the two-sided density at f of each process, per squared coefficient,
@@ -24,8 +24,7 @@ The variance of the Allan deviation follows from the fitted noise of the record 
 assumed kind: for Gaussian noise Var σ̂² = 2/M² Σ (M − |l|) R(l)², with R the autocovariance of the M
 overlapping differences, and the degrees of freedom are 2 (σ²)²/Var σ̂².
 
-Restricted maximum likelihood of the noise processes on the spectrum of a record at rest.
-
+The coefficients are fitted to the spectrum of a record at rest by restricted maximum likelihood.
 Sinusoids (a vibrating table, hum) are subtracted from the record first, and the ordinates around them are
 left out. The spectrum consists of DCT-II ordinates: the lowest ones individually, the higher ones as
 means of narrow bins.
@@ -57,16 +56,18 @@ Kind = Literal["quantization", "white", "flicker", "walk"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
 FLOOR_OF_B = math.sqrt(2 * math.log(2) / math.pi)
-"""Floor of the Allan deviation over the standard's coefficient of bias instability."""
+"""Ratio of the smallest Allan deviation under flicker noise to the standard's coefficient B of bias
+instability."""
 _FLICKER_ALLAN = 4 * math.log(2)
 """Allan variance of noise with the two-sided density h/f, in units of h."""
 _TABLE = 256
 
 
 def variances(filter_m: int, n: int, k: Floats, period_s: float) -> Floats:
-    """Variances (len(k), 4) of the DCT-II coefficients k of n samples, for each noise process in `KINDS`.
+    """Return the variances (len(k), 4) of DCT-II coefficients, for each noise process in `KINDS`.
 
-    Each column is for a process with a squared coefficient of 1.
+    They are the coefficients with indices `k` of `n` samples behind the filter M = `filter_m`, `period_s`
+    apart. Each column is for a process with a squared coefficient of 1.
     """
     angle = np.pi * k / n
     frequency = k / (2 * n)
@@ -80,10 +81,11 @@ def variances(filter_m: int, n: int, k: Floats, period_s: float) -> Floats:
 
 
 def ordinate_variances(autocovariance: Floats, n: int, k: Floats) -> Floats:
-    """Variances (len(k),) of DCT-II coefficients k of n samples of a process with a short autocovariance.
+    """Return the variances (len(k),) of DCT-II coefficients of a process with a short autocovariance.
 
-    They are exact and include the ends of the record: with a = πk/n, Σ_t φ_k(t) φ_k(t+l) = ((n − l) cos(la)
-    − sin(la)/sin(a))/n.
+    They are the coefficients with indices `k` of `n` samples; `autocovariance` is by lag. The variances are
+    exact and include the ends of the record: with a = πk/n, Σ_t φ_k(t) φ_k(t+l) = ((n − l) cos(la) −
+    sin(la)/sin(a))/n.
     """
     angle = np.pi * k / n
     total = np.full(len(k), autocovariance[0])
@@ -95,7 +97,7 @@ def ordinate_variances(autocovariance: Floats, n: int, k: Floats) -> Floats:
 
 
 def line(n: int, k: Floats) -> Floats:
-    """DCT-II coefficients, at the indices k, of the straight line 0, 1, … n − 1.
+    """Return the DCT-II coefficients, at the indices k, of the straight line 0, 1, … n − 1.
 
     Coefficients with an even index are zero.
     """
@@ -105,9 +107,10 @@ def line(n: int, k: Floats) -> Floats:
 
 
 def variograms(filter_m: int, lags: int, period_s: float) -> Floats:
-    """Half the mean squared difference (lags, 4) of two samples, for each noise process in `KINDS`.
+    """Return half the mean squared difference (lags, 4) of two samples, for each process in `KINDS`.
 
-    The rows are for the lags 0, 1, … in samples. Each column is for a squared coefficient of 1.
+    The rows are for the distances 0, 1, … `lags` − 1 in samples, behind the filter M = `filter_m`;
+    `period_s` is the time between samples. Each column is for a squared coefficient of 1.
     """
     own = _autocovariance(filter_weights(filter_m))
     reach = len(own) - 1
@@ -135,7 +138,7 @@ def _padded(values: Floats, size: int) -> Floats:
 
 
 def _cin(x: NDArray[np.floating[Any]]) -> Floats:
-    """Cosine integral Cin(x): the integral of (1 − cos t)/t from 0 to x."""
+    """Return the cosine integral Cin(x): the integral of (1 − cos t)/t from 0 to x."""
     inside = np.maximum(x, 1e-9)
     value = np.log(inside) + np.euler_gamma - special.sici(inside)[1]
     return np.where(x > 0, value, 0.0)
@@ -143,7 +146,7 @@ def _cin(x: NDArray[np.floating[Any]]) -> Floats:
 
 @lru_cache(maxsize=1)
 def _edge_table() -> Floats:
-    """Variances of the DCT-II coefficients 1 … `_TABLE` of flicker noise, each multiplied by its frequency.
+    """Return the variances of the DCT-II coefficients 1 … `_TABLE` of flicker noise times frequency.
 
     They include the effect of the ends of a record, and come from the variogram 2h Cin(πl) of noise with
     density h/|f| below half the sampling rate. The record is so long that its length has no effect.
@@ -166,10 +169,10 @@ def _edge(k: Floats) -> Floats:
 
 
 LEAST_DIFFERENCES = 8
-"""Smallest number of differences of means from which an Allan deviation is computed."""
+"""Smallest number of differences between neighbouring means from which an Allan deviation is computed."""
 _EXACT = 512
-"""Largest averaging time in samples with the filter in the computation; longer ones use a coarser
-lattice."""
+"""Largest averaging time, in samples, at which the expected Allan variance is computed sample by sample
+with the filter; for longer times it is computed from means of several samples."""
 _LATTICE = 32
 
 
@@ -181,10 +184,10 @@ class AllanCurve(JsonRecord):
     tau_s : (t,) float
         Averaging times.
     deviation, low, high, dof : (t,) float
-        Overlapping estimate, pooled over the records, its 95 % interval (χ²) and its effective degrees of
-        freedom.
+        Overlapping estimate of the Allan deviation, pooled over the records, its 95 % interval (χ²) and its
+        effective degrees of freedom.
     model : (t,) float
-        Expected deviation by the fitted noise.
+        Expected Allan deviation by the fitted noise.
     """
 
     tau_s: Floats
@@ -196,23 +199,27 @@ class AllanCurve(JsonRecord):
 
 
 def octaves(longest: int) -> list[int]:
-    """Averaging times of the Allan variance, in samples: 1, 2, 4, … as far as `longest` samples allow."""
+    """Return averaging times of the Allan variance, in samples: 1, 2, 4, … .
+
+    The largest leaves enough differences in a record of `longest` samples.
+    """
     return [1 << j for j in range(longest.bit_length()) if 2 * (1 << j) + LEAST_DIFFERENCES <= longest]
 
 
 def overlapping(samples: Sequence[Floats]) -> tuple[list[int], Floats]:
-    """Overlapping Allan deviation of the samples, pooled over records.
+    """Compute the overlapping Allan deviation of samples, pooled over records.
 
     Parameters
     ----------
     samples : sequence of (n, axes) float
-        Records of one rate.
+        Records with one sample rate.
 
     Returns
     -------
     m : list of int
         Averaging times in samples, at octaves.
     deviation : (len(m), axes) float
+        Allan deviation at these times, in the unit of the samples.
     """
     times = octaves(max(len(part) for part in samples))
     totals = np.zeros((len(times), samples[0].shape[1]))
@@ -233,13 +240,18 @@ def overlapping(samples: Sequence[Floats]) -> tuple[list[int], Floats]:
 def curve(
     records: Sequence[Floats], squares: Floats, filter_m: int, period_s: float, rounding: Floats
 ) -> AllanCurve:
-    """Allan deviation of an axis from its records, and the deviation that the fitted noise predicts.
+    """Compute the Allan deviation of an axis from its records, and the one that its noise predicts.
 
     Parameters
     ----------
     records : sequence of (n,) float
+        Samples of each record.
     squares : (4,) float
-        Squared coefficients of the fitted processes.
+        Squared coefficients of the fitted noise processes, in the order of `KINDS`.
+    filter_m : int
+        Parameter M of the filter that the samples have passed.
+    period_s : float
+        Time between samples.
     rounding : (lags,) float
         Autocovariance of the converter's rounding, in the squared unit of the samples.
     """
@@ -254,9 +266,11 @@ def curve(
 def _expected(
     m: int, lengths: Sequence[int], squares: Floats, filter_m: int, period_s: float, rounding: Floats
 ) -> tuple[float, float]:
-    """Expected Allan variance at m samples for a noise model, and the dof of its estimate.
+    """Return the expected Allan variance at m samples under a noise model, and the dof of its estimate.
 
-    The estimate pools records of these `lengths`; `squares` are the squared coefficients of the model.
+    The estimate pools records of these `lengths`, with samples `period_s` apart behind the filter M =
+    `filter_m`; `squares` are the squared coefficients of the model, `rounding` the autocovariance, by lag,
+    of the converter's rounding.
     """
     coarse = 1 if m <= _EXACT else m // _LATTICE
     step = m // coarse
@@ -286,9 +300,11 @@ def _expected(
 def _variogram(
     squares: Floats, filter_m: int, lags: int, period_s: float, coarse: int, rounding: Floats
 ) -> Floats:
-    """Half the mean squared difference of two means of `coarse` samples, by their distance.
+    """Return half the mean squared difference of two means of `coarse` samples, by their distance.
 
-    The distances are 0, 1, … `lags` − 1 such means. `squares` are the squared coefficients of the model.
+    The distances are 0, 1, … `lags` − 1 such means of samples `period_s` apart behind the filter M =
+    `filter_m`. `squares` are the squared coefficients of the model, `rounding` the autocovariance, by lag,
+    of the converter's rounding.
     """
     if coarse == 1:
         own = variograms(filter_m, lags, period_s) @ squares
@@ -301,11 +317,11 @@ def _variogram(
 
 MOST = 12
 _LOWEST = 24
-"""Fewest cycles per record of a sinusoid that can be separated from slow noise."""
+"""Fewest cycles per record at which a sinusoid can be separated from slow noise."""
 _WIDTH = 48
 """Number of ordinates on each side from which the noise power at an ordinate is estimated."""
 _LEAKS = 4
-"""Ordinates on either side into which a sinusoid leaks behind Hann's window."""
+"""Number of ordinates on either side of a sinusoid into which its power leaks (Hann's window)."""
 
 
 class SpectralLine(JsonRecord):
@@ -314,9 +330,9 @@ class SpectralLine(JsonRecord):
     Attributes
     ----------
     frequency_hz : float
-        Frequency after sampling: a vibration above half of the rate appears as its alias.
+        Frequency after sampling: a vibration above half the sample rate appears as its alias.
     amplitude : float
-        In the unit of the samples, behind the sensor's filter.
+        Amplitude in the unit of the samples, behind the sensor's filter.
     """
 
     frequency_hz: float
@@ -331,7 +347,9 @@ def subtract_sinusoids(
     Parameters
     ----------
     record : (n,) float
-        Without its linear slope.
+        Samples without their linear slope.
+    period_s : float
+        Time between samples.
     highest : float
         Highest frequency of a sinusoid in cycles per sample.
     """
@@ -353,9 +371,10 @@ def subtract_sinusoids(
 
 
 def _peak(record: Floats, highest: float, taken: NDArray[np.bool_]) -> tuple[float, float] | None:
-    """Find the strongest sinusoid of a record: its frequency in cycles per record, and power over noise.
+    """Return the frequency of a record's strongest sinusoid in cycles per record, and its power.
 
-    Returns None if no sinusoid exceeds the noise clearly.
+    The power is relative to the noise around it. Frequencies up to `highest` (cycles per sample) count that
+    are not in `taken`. The result is None if no sinusoid exceeds the noise clearly.
     """
     n = len(record)
     last = int(highest * n)
@@ -378,9 +397,9 @@ def _peak(record: Floats, highest: float, taken: NDArray[np.bool_]) -> tuple[flo
 
 
 def _level(power: Floats) -> Floats:
-    """Mean power of the noise around each ordinate of a spectrum.
+    """Return the mean power of the noise around each ordinate of a spectrum.
 
-    It is the higher one of the levels by the medians on both sides.
+    It is the higher one of two estimates by the median, one from each side of the ordinate.
     """
     step = _WIDTH // 4
     # Medians over four cells of `step` ordinates; the median of exponential noise is ln 2 times its mean.
@@ -406,9 +425,10 @@ def _subtract_sinusoid(record: Floats, place: float) -> tuple[Floats, float]:
 SINGLES = 64
 """Number of the lowest ordinates that have a bin each."""
 _RELATIVE, _ABSOLUTE = 1 / 32, 1 / 1024
-"""Widest bin: relative to its frequency, and in cycles per sample."""
+"""Limits of the width of a bin: relative to its frequency, and in cycles per sample; the smaller one
+counts."""
 _POINTS = 16
-"""Largest number of ordinates of a bin at which the noise densities are computed."""
+"""Largest number of ordinates of a bin at which the densities of the noise processes are computed."""
 
 
 @dataclass(frozen=True)
@@ -420,13 +440,14 @@ class Ordinates:
     frequency : (b,) float
         Highest frequency of each bin in cycles per sample.
     weight : (b,) float
-        Number of ordinates.
+        Number of ordinates in each bin.
     power : (b,) float
-        Mean of their squares.
+        Mean of the squares of these ordinates.
     shapes : (b, 4) float
-        Mean variance per squared coefficient of each of `spectral_likelihood.KINDS`.
+        Mean variance that each noise process in `KINDS` gives the ordinates of a bin, at a squared
+        coefficient of 1.
     rounding : (b,) float
-        Mean variance of the converter's rounding.
+        Mean variance of the ordinates from the converter's rounding.
     lines : tuple of (first, ordinate, line)
         For each record: the bin of its first single ordinate, the (s,) single ordinates, and the ordinates
         of a line of slope 1 per sample.
@@ -441,11 +462,11 @@ class Ordinates:
 
     @property
     def columns(self) -> dict[str, Any]:
-        """All attributes with one row for each frequency bin, by name."""
+        """All attributes that have one row for each frequency bin, by name."""
         return {name: value for name, value in vars(self).items() if name != "lines"}
 
     def below(self, frequency: float) -> Ordinates:
-        """Copy without the bins above a frequency, in cycles per sample.
+        """Return a copy without the bins above a frequency, in cycles per sample.
 
         The ordinates of the straight line are cut likewise; the lowest bins suffice to fit it.
         """
@@ -467,10 +488,15 @@ def ordinates(
     Parameters
     ----------
     record : (n,) float
+        Samples without their linear slope.
+    filter_m : int
+        Parameter M of the filter that the samples have passed.
+    period_s : float
+        Time between samples.
     rounding : (lags,) float
-        Autocovariance of the converter's rounding.
+        Autocovariance, by lag, of the converter's rounding.
     masked : (l,) int
-        Ordinates to leave out.
+        Indices of ordinates to leave out, such as the ordinates near a sinusoid.
     """
     n = len(record)
     lines = np.asarray(fft.dct(record, type=2, norm="ortho"), np.float64)[1:]
@@ -512,12 +538,13 @@ class _Grid:
     starts : (b,) int
         First ordinate of each bin.
     highest : (b,) float
-        Highest frequency in cycles per sample.
+        Highest frequency of each bin in cycles per sample.
     points : (p,) float
         Ordinates at which densities are computed, `_POINTS` per bin at most.
     first, count : (b,) int
-        First point and number of points of a bin.
+        Index among `points` of the first point of a bin, and number of its points.
     shapes : (b, 4) float
+        Mean variance of each noise process in a bin, at a squared coefficient of 1.
     """
 
     starts: NDArray[np.intp]
@@ -528,7 +555,7 @@ class _Grid:
     shapes: Floats
 
     def mean(self, values: Floats) -> Floats:
-        """Mean (b,) in each bin of the values (p,) at its points."""
+        """Return the mean (b,) in each bin of the values (p,) at its points."""
         return np.asarray(np.add.reduceat(values, self.first) / self.count, np.float64)
 
 
@@ -548,18 +575,20 @@ def _grid(n: int, filter_m: int, period_s: float) -> _Grid:
 
 @lru_cache(maxsize=8)
 def _rounded(rounding: bytes, n: int, filter_m: int, period_s: float) -> Floats:
-    """Mean variance (b,) in each frequency bin that the converter's rounding causes.
+    """Return the mean variance (b,) in each frequency bin that the converter's rounding causes.
 
-    `rounding` are the bytes of the autocovariance of the rounding errors.
+    The record has `n` samples `period_s` apart behind the filter M = `filter_m`. `rounding` are the bytes
+    of the autocovariance of the rounding errors.
     """
     grid = _grid(n, filter_m, period_s)
     return grid.mean(ordinate_variances(np.frombuffer(rounding), n, grid.points))
 
 
 def _bins(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Divide the ordinates 1 … n − 1 into bins: the first of each, and the ordinate after its last.
+    """Divide the ordinates 1 … n − 1 into bins.
 
-    Low ordinates have a bin each; at higher frequencies the bins are wider.
+    Return the first ordinate of each bin, and the ordinate after its last. Low ordinates have a bin each;
+    at higher frequencies the bins are wider.
     """
     edges = list(range(1, min(SINGLES, n - 1) + 1))
     at = edges[-1] + 1
@@ -582,15 +611,15 @@ class Profile:
     Attributes
     ----------
     value : float
-        Maximum of the likelihood.
+        Coefficient at the maximum of the likelihood.
     u : float
-        By the Fisher information; nan at zero.
+        Standard uncertainty by the Fisher information; NaN if the value is zero.
     low, high : float
         Profile-likelihood interval of 95 %; `low` is 0 if the coefficient may be absent.
     p_value : float
-        Probability of such data if the coefficient is absent.
+        Probability of data that favour the noise process at least as much, if it is absent.
     detectable : float
-        Coefficient that this record shows with 90 % power.
+        Coefficient that a record like this one shows to be present with a probability of 90 %.
     """
 
     value: float
@@ -602,12 +631,15 @@ class Profile:
 
     @property
     def present(self) -> bool:
-        """True if the data rule out that this noise process is absent."""
+        """True if a test of the hypothesis that this noise process is absent rejects it (`p_value`)."""
         return self.p_value < SLOW_NOISE
 
     @property
     def dof(self) -> float:
-        """Degrees of freedom at which a standard deviation would have this relative uncertainty."""
+        """Degrees of freedom of a standard deviation with the relative uncertainty u/value.
+
+        NaN if u is NaN.
+        """
         return self.value**2 / (2 * self.u**2) if self.u > 0 else math.nan
 
 
@@ -617,9 +649,9 @@ class Likelihood:
     Parameters
     ----------
     data : Ordinates
-        The weight of an empty bin is 0.
+        Spectrum of the records; the weight of an empty bin is 0.
     without : collection of int
-        Indices of coefficients that the model lacks.
+        Indices of noise processes in `KINDS` that the model lacks.
     """
 
     def __init__(self, data: Ordinates, without: Collection[int] = ()) -> None:
@@ -645,11 +677,11 @@ class Likelihood:
         self._d = np.concatenate([d for _, _, d in data.lines])
 
     def expected(self, theta: Floats) -> Floats:
-        """Expected variance (k,) in each distinct frequency bin for the squared coefficients θ."""
+        """Return the expected variance (k,) in each distinct frequency bin, for squared coefficients θ."""
         return np.asarray(np.maximum(self._shapes @ theta + self._rounding, self._least), np.float64)
 
     def _lines(self, v: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Terms and sums for the weighted fit of a straight line to each of r records with ordinates.
+        """Return terms and sums for the weighted fit of a straight line to each of r records.
 
         The bins have the variances v. The results are the terms (s,) of a = Σ d²/v and of b = Σ c d/v over
         the single ordinates of all records, then a (r,) and b (r,); c are the ordinates of a record, and d
@@ -660,7 +692,7 @@ class Likelihood:
         return square, product, np.where(a > 0, a, np.inf), b
 
     def deviance(self, theta: Floats) -> float:
-        """Deviance, −2 log likelihood up to a constant, of the squared coefficients θ."""
+        """Return the deviance, −2 log likelihood up to a constant, of the squared coefficients θ."""
         v = self.expected(theta)
         total = float(self._weight @ (np.log(v) + self._power / v))
         _, _, a, b = self._lines(v)
@@ -668,7 +700,10 @@ class Likelihood:
         return total + float((np.log(a[seen]) - b[seen] ** 2 / a[seen]).sum())
 
     def slope_and_information(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Gradient (4,) of the deviance by the squared coefficients θ, and Fisher information (4, 4)."""
+        """Return the gradient (4,) of the deviance by the squared coefficients θ, and their information.
+
+        The Fisher information is a matrix (4, 4).
+        """
         v = self.expected(theta)
         relative = self._shapes / v[:, None]
         slope = relative.T @ (self._weight * (1 - self._power / v))
@@ -683,12 +718,14 @@ class Likelihood:
         return slope, information / 2
 
     def maximum(self, start: Floats, fixed: dict[int, float] | None = None) -> tuple[Floats, float]:
-        """θ (4,) ≥ 0 of the largest likelihood and its deviance, by projected Fisher scoring.
+        """Return the θ (4,) ≥ 0 of the largest likelihood and its deviance, by projected Fisher scoring.
 
         Parameters
         ----------
-        fixed : dict
-            Values of fixed coefficients, by index.
+        start : (4,) float
+            Squared coefficients at which the search starts.
+        fixed : dict, optional
+            Values of fixed squared coefficients, by index; None if all are free.
         """
         held = fixed or {}
         theta = np.where(self._has, np.maximum(start, 0.0), 0.0)
@@ -734,7 +771,7 @@ class Likelihood:
         return min((self.maximum(start) for start in starts), key=lambda found: found[1])
 
     def u_squared(self, theta: Floats, index: int) -> float:
-        """Standard uncertainty of the squared coefficient θ[index], by the Fisher information.
+        """Return the standard uncertainty of the squared coefficient θ[index], by the Fisher information.
 
         Other coefficients count as free if they are above zero.
         """
@@ -745,14 +782,17 @@ class Likelihood:
         return float(scale[index] * math.sqrt(max(inverse[index, index], 0.0)))
 
     def slopes(self, theta: Floats) -> list[tuple[float, float]]:
-        """Slope per sample of the straight line fitted to each record, and its standard uncertainty."""
+        """Return the slope per sample of the straight line fitted to each record, with its u.
+
+        The standard uncertainty u is inf for a record without a line.
+        """
         _, _, a, b = self._lines(self.expected(theta))
         slope, u = np.zeros(len(self._has_line)), np.full(len(self._has_line), np.inf)
         slope[self._has_line], u[self._has_line] = b / a, np.where(np.isfinite(a), 1 / np.sqrt(a), np.inf)
         return list(zip(slope.tolist(), u.tolist(), strict=True))
 
     def adequacy(self, theta: Floats) -> float:
-        """p-value of the spectrum under the model θ: small if these noise processes do not explain it.
+        """Return the p-value of the spectrum under the model θ: small if θ does not explain the spectrum.
 
         The test compares the mean power in groups of neighbouring ordinates with the model.
         """
@@ -777,9 +817,10 @@ class Likelihood:
 
 
 def profile(likelihood: Likelihood, theta: Floats, least: float, index: int) -> Profile:
-    """Estimate of one coefficient with its interval, by the likelihood maximized over the others.
+    """Estimate one coefficient with its interval, by the likelihood maximized over the others.
 
-    `theta` is the maximum of the likelihood over all squared coefficients, and `least` its deviance.
+    `theta` is the maximum of the likelihood over all squared coefficients, and `least` its deviance;
+    `index` is the coefficient's index.
     """
     absent, deviance = likelihood.maximum(theta.copy(), {index: 0.0})
     ratio = max(deviance - least, 0.0)
@@ -825,9 +866,9 @@ def _root_below(beyond: Callable[[float], float], top: float) -> float:
 
 
 def _detectable(likelihood: Likelihood, absent: Floats, index: int) -> float:
-    """Smallest coefficient that nine of ten records like this one would detect.
+    """Return the smallest coefficient that nine of ten records like this one would show to be present.
 
-    `absent` (4,) is the best model without this process.
+    `index` is the index of the noise process, `absent` (4,) the best model without it.
     """
     at = absent.copy()
     without = likelihood.u_squared(at, index)

@@ -1,16 +1,16 @@
 """`Fit`: a model with parameter values and readings, and every quantity derived from them.
 
 Base parameters and terms are fitted together; attitudes (the deviation δ ~ N(0, σ_f²) of a declared angle
-in the plane, any unit vector in space) are nuisance parameters, eliminated dwell by dwell: with C = L Lᵀ
-the covariance of a reading and t its tangent, rows are whitened by (I − β û ûᵀ) L⁻¹, û ∥ L⁻¹ t, β = 1 − (1
-+ σ_f² |L⁻¹ t|²)^(−1/2), which is the inverse root of C + σ_f² t tᵀ and, for σ_f → ∞, the projection that
+in the plane, any unit vector in space) are nuisance parameters, eliminated in each dwell: with C = L Lᵀ the
+covariance of a reading and t its tangent, rows are whitened by (I − β û ûᵀ) L⁻¹, û ∥ L⁻¹ t, β = 1 − (1 +
+σ_f² |L⁻¹ t|²)^(−1/2), which is the inverse root of C + σ_f² t tᵀ and, for σ_f → ∞, the projection that
 removes the direction t. σ_f = 0 is least squares with declared angles, σ_f = ∞ the fit of an ellipse;
 neither limit needs special code.
 
 With noise that dwells share (1/f noise, F = Φ Φᵀ over all readings), rows whitened in this way have the
-covariance 1 + A Aᵀ, A = W Φ. They are multiplied by its symmetric inverse root 1 − A g(Aᵀ A) Aᵀ,
-g(λ) = 1/(r (r + 1)) with r = √(1 + λ). This root changes the rows less than any other root, so that a row
-still belongs to its dwell.
+covariance 1 + A Aᵀ, A = W Φ. They are multiplied by its symmetric inverse root 1 − A g(Aᵀ A) Aᵀ, g(λ) =
+1/(r (r + 1)) with r = √(1 + λ). This root changes the rows less than any other root, so that a row still
+belongs to its dwell.
 
 Known rotations between poses in space add two rows for each link (`estimation.links`), and their own modes
 to Φ.
@@ -37,12 +37,12 @@ from adis_gonio.model.measurement import Measurement, PlanarTurn
 from adis_gonio.model.records import MG_PER_G
 
 NAMELESS_SPREAD = 0.1
-"""Prior standard deviation of an unnamed amplitude, in `Measurement.full` (100 mg; 100 mrad for an angle).
-If time and the previous position are collinear, their difference and a gain of twenty would cancel without
-it."""
+"""Prior standard deviation of an amplitude of an unnamed term, as a share of `Measurement.full` (100 mg;
+100 mrad for an angle). Without it a difference of covariates that are collinear, such as time and the
+previous position, would cancel against a gain of twenty."""
 _DAMPING = (1.0, 0.5, 0.2, 0.05, 0.01)
 _RUN_AWAY = 1e100
-"""Slopes above this would overflow when squared."""
+"""Largest derivative of whitened readings that a fit accepts; above this it would overflow when squared."""
 _LEAST_GAIN = 1e-6
 """Decrease of χ² in an iteration below which a refit has converged."""
 
@@ -56,7 +56,8 @@ class Values:
     base : (p,) float
         Base parameters in the order of `Measurement.parameters`, natural units.
     attitude : (n, …) float
-        Attitude of each dwell, in the form of the measurement.
+        Attitude of each dwell, in the form that the measurement uses: in the plane the deviation from the
+        declared angle, in space a unit vector.
     terms : tuple of (q,) float
         Values of each term.
     """
@@ -78,9 +79,11 @@ class Fit:
     Attributes
     ----------
     data : Readings
+        Readings of the session.
     terms : tuple of Term
         Terms that are added to the base model.
     values : Values
+        Values of all parameters, and attitudes of the dwells.
     with_prior : bool
         True if a prior keeps base parameters and unnamed amplitudes near values that sensors have. With few
         positions some directions are undetermined, and a fit without a prior would run to gains of twenty.
@@ -95,22 +98,25 @@ class Fit:
 
     @classmethod
     def begin(cls, data: Readings, *, with_prior: bool = True) -> Fit:
-        """Return the base model at starting values, not yet fitted to the readings."""
+        """Return the base model at starting values, not yet fitted to the readings.
+
+        `with_prior` adds the prior that keeps parameters near values that sensors have.
+        """
         base, attitude = data.model.begin(
             data.mean, data.turn_rad, np.isfinite(data.angle_rad), data.conditions
         )
         return cls(data, (), Values(base, attitude), with_prior)
 
     def with_terms(self, terms: Sequence[Term], values: Sequence[Floats]) -> Fit:
-        """Copy with these terms, each at the given values (q,)."""
+        """Return a copy with these terms, each at the given values (q,); nothing is fitted."""
         return replace(self, terms=tuple(terms), values=replace(self.values, terms=tuple(values)))
 
     def value_of(self, term: Term) -> Floats:
-        """Fitted values (q,) of one of the terms."""
+        """Return the fitted values (q,) of one of the terms."""
         return self.values.terms[self.terms.index(term)]
 
     def slice_of(self, index: int) -> slice:
-        """Slice of the parameter array with the values of the term number `index`."""
+        """Return the slice of the parameter array with the values of the term with this index."""
         start = len(self.values.base) + sum(len(own) for own in self.values.terms[:index])
         return slice(start, start + len(self.values.terms[index]))
 
@@ -118,7 +124,10 @@ class Fit:
 
     @cached_property
     def turn_rad(self) -> Floats:
-        """Angle (n,) in rad by which the stage has turned the sensor, including errors of the stage."""
+        """Angle (n,) in rad by which the stage has turned the sensor, including fitted errors of the stage.
+
+        The sign is opposite to the declared angle.
+        """
         turn = self.data.turn_rad
         for term, own in zip(self.terms, self.values.terms, strict=True):
             if term.enters_angle:
@@ -127,7 +136,7 @@ class Fit:
 
     @cached_property
     def ideal(self) -> Floats:
-        """Readings (n, axes) by the base model without biases and further terms, at the fitted attitudes.
+        """Readings (n, axes) by the base model at the fitted attitudes, without biases and other terms.
 
         They include the scale factors and misalignments.
         """
@@ -140,11 +149,11 @@ class Fit:
 
     @cached_property
     def predicted(self) -> Floats:
-        """Readings (n, axes) that the model predicts at the fitted attitudes."""
+        """Readings (n, axes) in mg that the model predicts at the fitted attitudes, with all terms."""
         return self._predicted(self.ideal)
 
     def _predicted(self, ideal: Floats) -> Floats:
-        """Readings (n, axes) that the model predicts: ideal readings plus the effects of all terms."""
+        """Return the readings (n, axes) that the model predicts: ideal readings plus all terms."""
         predicted = ideal
         for term, own in zip(self.terms, self.values.terms, strict=True):
             if not term.enters_angle:
@@ -153,18 +162,21 @@ class Fit:
 
     @property
     def misfit(self) -> Floats:
-        """Residual (n, axes) of each reading: reading minus prediction at the fitted attitude."""
+        """Residual (n, axes) in mg of each reading: reading minus prediction at the fitted attitude."""
         return self.data.mean - self.predicted
 
     @cached_property
     def declared_misfit(self) -> Floats:
-        """Residual (n, axes) of each reading from its prediction at the declared angle (first order)."""
+        """Reading minus prediction (n, axes) at the declared angle instead of the fitted attitude, in mg.
+
+        It is computed to first order in the deviation of the angle.
+        """
         deviation = self.data.model.deviation_rad(self.values.attitude)
         return self.misfit + (self.tangent @ deviation[:, :, None])[:, :, 0]
 
     @cached_property
     def gravity(self) -> Floats:
-        """Gravity (n, axes) that the calibrated sensor would report for each reading."""
+        """Gravity (n, axes) that the calibrated sensor shows in each dwell, as a share of local gravity."""
         added = np.zeros(self.data.mean.shape)
         for index, term in enumerate(self.terms):
             if not term.enters_angle:
@@ -172,7 +184,7 @@ class Fit:
         return self.data.model.calibrated(self.values.base, self.data.mean - added)
 
     def added(self, index: int) -> Floats:
-        """Contribution (n, axes) of the term number `index` to the readings.
+        """Return the contribution (n, axes) of the term with this index to the readings.
 
         If the term is an error of the angle, the contribution is computed to first order.
         """
@@ -184,9 +196,10 @@ class Fit:
 
     @cached_property
     def whitener(self) -> Floats:
-        """Matrix (n, rows, axes) for each dwell that converts residuals to unit covariance.
+        """Matrix (n, rows, axes) for each dwell that converts its residual to unit covariance.
 
-        The covariance includes the uncertainty of the declared angle; a free angle removes its direction.
+        The covariance includes the uncertainty of the declared angle; if the angle is free, the direction
+        in which it moves the reading is removed.
         """
         root = self.data.own_root
         along = root @ self.tangent
@@ -211,14 +224,14 @@ class Fit:
 
     @cached_property
     def link_rows(self) -> LinkRows | None:
-        """Equations for the links between poses at the fitted attitudes; None if there are no links."""
+        """Equations of the links between poses at the fitted attitudes; None if there are no links."""
         if self.data.links is None:
             return None
         return LinkRows.at(self.data.links, self.values.attitude, self.tangent, self.data.own_root)
 
     @cached_property
     def modes(self) -> Floats | None:
-        """Contribution of each shared mode of unit variance to the whitened rows, (rows, k).
+        """Effect (rows, k) of each shared mode of unit variance on the whitened rows; None without modes.
 
         The modes of the readings' 1/f noise come first, then the modes of the links' gyros.
         """
@@ -233,10 +246,10 @@ class Fit:
 
     @cached_property
     def _shared(self) -> tuple[Floats, Floats] | None:
-        """Factors of the symmetric inverse square root of 1 + A Aᵀ, the covariance with shared noise.
+        """Factors of the symmetric inverse root of 1 + A Aᵀ, the covariance with shared noise.
 
         The first factor is A (rows, k), the shared modes. The second is V g(λ) Vᵀ (k, k) with Aᵀ A = V λ
-        Vᵀ.
+        Vᵀ. None without shared noise.
         """
         if self.data.model.freedom == 0 and self.data.links is None:
             return self.data.once(
@@ -252,7 +265,7 @@ class Fit:
         return self._without_shared(self._own(columns))
 
     def _own(self, columns: Floats) -> Floats:
-        """Convert columns of readings (n, axes, d) to whitened rows, ignoring noise that rows share."""
+        """Convert columns of readings (n, axes, d) to whitened rows, ignoring noise that dwells share."""
         whitened = self.white_by_dwell(columns)
         flat: Floats = whitened.reshape(whitened.shape[0] * whitened.shape[1], columns.shape[2])
         links = self.link_rows
@@ -267,12 +280,12 @@ class Fit:
     def white_by_dwell(self, columns: Floats) -> Floats:
         """Convert columns of readings (n, axes, d) to whitened rows of each dwell, (n, rows, d).
 
-        Noise that several rows share is ignored.
+        Noise that several dwells share is ignored.
         """
         return np.asarray(self.whitener @ columns)
 
     def by_reading(self, slope: Floats) -> Floats:
-        """Derivative (d, n, axes) of d weighted sums of whitened rows by each reading.
+        """Return the derivative (d, n, axes) of d weighted sums of whitened rows by each reading.
 
         The weights are the columns of `slope` (rows, d).
         """
@@ -285,9 +298,9 @@ class Fit:
         return found if links is None else found + links.by_reading(slope[of_dwells:])
 
     def by_rotation(self, slope: Floats) -> Floats:
-        """Derivative (m, 3, d) of d weighted sums of whitened rows by the rotation of each link, per rad.
+        """Return the derivative (m, 3, d) of d weighted sums of whitened rows by each link's rotation.
 
-        The weights are the columns of `slope` (rows, d).
+        It is per rad. The weights are the columns of `slope` (rows, d).
         """
         links = self.link_rows
         assert links is not None
@@ -326,15 +339,15 @@ class Fit:
         return self.tangent * columns[:, None, :]
 
     def candidate(self, term: Term) -> Floats:
-        """Derivative (n, axes, d) of the readings by the amplitudes of a new term, at amplitude zero."""
+        """Return the derivative (n, axes, d) of the readings by the amplitudes of a new term, at zero."""
         return self.as_readings(term, term.columns(self.ideal, self.data.conditions))
 
     def candidates(self, terms: Sequence[Term]) -> tuple[Floats, NDArray[np.intp]]:
-        """Derivatives of the readings by the amplitudes of M terms, as columns (n, axes, P) side by side.
+        """Return the derivatives of the readings by the amplitudes of M terms, side by side.
 
-        The second result (M,) is the number of columns of each term.
-
-        Unnamed terms with the same basis share their columns of an axis, which are computed once.
+        The first result (n, axes, P) has a column for each amplitude. The second (M,) is the number of
+        columns of each term. Unnamed terms with an equal basis share their columns of an axis, which are
+        computed once.
         """
         conditions = self.data.conditions
         driven = self.data.model.stimulus(self.ideal, conditions)
@@ -380,9 +393,10 @@ class Fit:
         return self.white(self.columns)
 
     def linear(self) -> tuple[Floats, list[Floats], Floats]:
-        """Linear problem for choosing terms, in whitened rows.
+        """Return the linear problem for choosing terms, in whitened rows.
 
-        Returns the base columns (rows, p), the columns of each term, and the target (rows,).
+        It consists of the base columns (rows, p), the columns of each term, and the target (rows,): the
+        residual plus the contributions of the terms.
         """
         target = self.residual.ravel()
         blocks = []
@@ -396,12 +410,12 @@ class Fit:
 
     @property
     def chi2(self) -> float:
-        """Weighted sum of the squared residuals (χ²) of the readings."""
+        """Sum of the squared whitened residuals (χ²) of the readings, and of the links if there are any."""
         return float((self.residual**2).sum())
 
     @cached_property
     def equations(self) -> int:
-        """Number of equations that the readings give; the unknown angle of a dwell uses up one of them."""
+        """Number of equations that the readings give; an unknown angle of a dwell uses up one of them."""
         spare = (
             0 if self.data.free else int(np.isinf(self.data.fixture).sum()) * (self.data.model.freedom == 1)
         )
@@ -409,7 +423,7 @@ class Fit:
 
     @cached_property
     def _half(self) -> Floats:
-        """Root (p + q, k) of the covariance of all parameters; root times transposed root gives it."""
+        """Root (p + q, k) of the covariance of all parameters: root times its transpose gives it."""
         # Scale columns to unit length first: parameters have different units.
         scaled = self._with_prior(self.jacobian)
         size = np.linalg.norm(scaled, axis=0)
@@ -426,7 +440,7 @@ class Fit:
 
     @cached_property
     def used(self) -> float:
-        """Effective number of fitted parameters; informative priors make a parameter count less than 1."""
+        """Effective number of fitted parameters; one with an informative prior counts less than 1."""
         used = float(((self.jacobian @ self._half) ** 2).sum())
         if all(term.prior_sd is None for term in self.terms):
             used = float(round(used))  # the base's prior is wide: a parameter counts fully or not at all
@@ -434,7 +448,7 @@ class Fit:
 
     @property
     def dof(self) -> float:
-        """Degrees of freedom of χ²: equations minus effective parameters."""
+        """Degrees of freedom of χ²: number of equations minus effective number of fitted parameters."""
         return self.equations - self.used
 
     # -- priors ------------------------------------------------------------------------------------
@@ -460,7 +474,10 @@ class Fit:
 
     @cached_property
     def loss(self) -> float:
-        """Quantity that the fit minimizes: χ² of the readings plus squared distances from the priors."""
+        """Quantity that the fit minimizes: χ² of the readings plus squared distances from the prior means.
+
+        Distances are in standard deviations of the prior.
+        """
         return self.chi2 + float((self._away**2).sum())
 
     def _with_prior(self, rows: Floats) -> Floats:
@@ -469,9 +486,9 @@ class Fit:
         return np.concatenate([rows, np.diag(precision)[precision > 0]])
 
     def base_step(self, left: Floats) -> Floats:
-        """Least-squares changes (p, k) of the base parameters that explain k whitened residuals (rows, k).
+        """Return the least-squares changes (p, k) of the base parameters that explain k residuals.
 
-        The priors of the base parameters count as further rows.
+        `left` (rows, k) are whitened residuals. The priors of the base parameters count as further rows.
         """
         count = len(self.values.base)
         held = self._prior[0][:count] > 0
@@ -485,7 +502,10 @@ class Fit:
     # -- refitting ---------------------------------------------------------------------------------
 
     def settled(self, passes: int = 2) -> Fit:
-        """Copy in which the attitude of each dwell is fitted again, with the parameters unchanged."""
+        """Return a copy in which the attitude of each dwell is fitted again, with unchanged parameters.
+
+        `passes` is the number of Gauss–Newton steps.
+        """
         data, model = self.data, self.data.model
         freedom = model.freedom
         fixed = data.fixture == 0
@@ -526,8 +546,10 @@ class Fit:
 
         Parameters
         ----------
+        iterations : int
+            Largest number of steps.
         tolerance : float
-            Decrease of χ² at which the iteration ends; relative to χ²/1000 if that is above 1.
+            Decrease of χ² below which the iteration ends; if χ² is above 1000, as a share of χ²/1000.
         within : (p + q, k) float, optional
             Orthonormal directions in which parameters may move; all by default.
         """
@@ -561,7 +583,7 @@ class Fit:
         return fit
 
     def _tried(self, step: Floats) -> Fit:
-        """Return the fit after a change of its parameters; unchanged if no sensor has such values."""
+        """Return the fit after a step of its parameters; unchanged if the model fails at the new values."""
         try:
             with np.errstate(over="ignore", invalid="ignore"):
                 trial = self._stepped(step).settled()
@@ -583,7 +605,7 @@ class Fit:
         return replace(self, values=Values(base, old.attitude, tuple(terms)))
 
     def again(self, data: Readings) -> Fit:
-        """Fit these terms to other readings.
+        """Fit these terms to other readings, with the base model from new starting values.
 
         Amplitudes start at zero if the other readings give no information on them.
         """
@@ -600,7 +622,7 @@ class Fit:
     # -- dwells that were not fitted ------------------------------------------------------------------
 
     def on(self, data: Readings) -> Fit:
-        """Copy with these parameters for other dwells; only the attitudes of these dwells are fitted."""
+        """Return a copy with these parameters for other dwells, of which only the attitudes are fitted."""
         return self._placed_on(data).settled(4)
 
     def _placed_on(self, data: Readings) -> Fit:
@@ -613,21 +635,24 @@ class Fit:
         return replace(self, data=data, values=replace(self.values, attitude=attitude))
 
     def angle_error_rad(self, data: Readings) -> Floats | None:
-        """Calibrated minus declared angle (n,) of the dwells in `data`; None without declared angles."""
+        """Return the calibrated minus the declared angle (n,) of the dwells in `data`.
+
+        None in space, or if an angle is not declared.
+        """
         if not isinstance(data.model, PlanarTurn) or data.conditions.angle_rad is None:
             return None
         # A stage at a larger angle than declared has turned ψ = α − θ the other way.
         return -self._placed_on(replace(data, fixture_rad=np.inf)).settled(4).values.attitude
 
     def carried(self, there: Fit) -> Floats:
-        """Root (rows, k) of the covariance that this fit's parameters give to the predictions of `there`.
+        """Return a root (rows, k) of the covariance of predictions from this fit's uncertain parameters.
 
-        `there` is this fit on other dwells (`on`); its rows are whitened.
+        `there` is this fit on other dwells (`on`), which it predicts; its rows are whitened.
         """
         return np.asarray(there.jacobian @ self._half)
 
     def can_predict(self, data: Readings, most: float) -> NDArray[np.bool_]:
-        """Mask (n,) of the dwells in `data` that this fit predicts with sufficient certainty.
+        """Return a mask (n,) of the dwells in `data` that this fit predicts with sufficient certainty.
 
         The variance of the prediction must be at most `most` times the variance of the noise.
         """
@@ -639,7 +664,10 @@ class Fit:
 
 
 def _factors(modes: Floats | None) -> tuple[Floats, Floats] | None:
-    """The factors that `Fit._shared` describes, from the shared modes (rows, k); None without modes."""
+    """Return the factors that `Fit._shared` describes, from the shared modes (rows, k).
+
+    None without modes.
+    """
     if modes is None:
         return None
     values, vectors = np.linalg.eigh(modes.T @ modes)
@@ -653,9 +681,10 @@ def _fixed_factors(data: Readings) -> tuple[Floats, Floats] | None:
 
 
 def adequacy(chi2: float, dof: float, noise_dof: float) -> float:
-    """p-value of χ² for a model fitted with measured noise: small if the model does not explain the data.
+    """Return the p-value of χ² for a model fitted with measured noise: small if the model is inadequate.
 
-    `noise_dof` is the number of degrees of freedom of the measured noise.
+    `chi2` and `dof` are χ² and its degrees of freedom; `noise_dof` are the degrees of freedom of the
+    measured noise (inf if it is known exactly).
     """
     from scipy.special import chdtrc, fdtrc
 
@@ -667,12 +696,12 @@ def adequacy(chi2: float, dof: float, noise_dof: float) -> float:
 
 
 def nameless_spread(model: Measurement, term: Term) -> float:
-    """Prior standard deviation of each amplitude of an unnamed term, in the unit of the term."""
+    """Return the prior standard deviation of each amplitude of an unnamed term, in the term's unit."""
     return NAMELESS_SPREAD * (MG_PER_G if term.enters_angle else model.full)
 
 
 def amplitude_spreads(model: Measurement, terms: Sequence[Term], widths: NDArray[np.intp]) -> Floats:
-    """Prior standard deviations (P,) of the amplitudes of M terms, one after another.
+    """Return the prior standard deviations (P,) of the amplitudes of M terms, one after another.
 
     `widths` (M,) are the numbers of amplitudes of the terms.
     """
@@ -684,12 +713,12 @@ def amplitude_spreads(model: Measurement, terms: Sequence[Term], widths: NDArray
 
 
 def predictable_dwells(rest: Floats, left: Floats, most: float) -> NDArray[np.bool_]:
-    """Mask (n,) of dwells that a fit to other dwells predicts with a variance of at most `most`.
+    """Return a mask (n,) of dwells that a fit to other dwells predicts with sufficient certainty.
 
-    `left` (n, r, p) are the whitened rows of these dwells, and `rest` (m, p) those of the fit.
-
-    With whitened columns X, the prediction of held-out rows has the covariance 1 + X_b (X₋bᵀ X₋b)⁻¹ X_bᵀ in
-    units of the noise (Cook and Weisberg, Residuals and Influence in Regression, 1982).
+    The variance of the prediction must be at most `most` times the variance of the noise. `left` (n, r, p)
+    are the whitened rows of these dwells, and `rest` (m, p) the whitened rows of the fit. With whitened
+    columns X, the prediction of held-out rows has the covariance 1 + X_b (X₋bᵀ X₋b)⁻¹ X_bᵀ in units of the
+    noise (Cook and Weisberg, Residuals and Influence in Regression, 1982).
     """
     if not len(rest):
         return np.zeros(len(left), dtype=bool)

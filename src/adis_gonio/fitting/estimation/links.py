@@ -36,17 +36,19 @@ class Links:
     Attributes
     ----------
     before, after : (m,) int
-        Rows of the readings, `after` increasing.
+        Rows of the readings (one for each dwell) before and after the turn, `after` increasing.
     rotation : (m, 3, 3) float
         Φ: converts components of a direction in the sensor before the turn to components after it.
     offset_rad : (m, 3) float
-        Mean of ε; not zero if Φ was computed at other parameters than the centre of the gyros' prior.
+        Mean of the rotation error ε; not zero if Φ was computed at other gyro parameters than the centre of
+        their prior.
     own_rad2 : (m, 3, 3) float
-        Covariance of the link's own error in ε.
+        Covariance of the part of ε that is the link's own error (noise, zero rate).
     next_rad2 : (m, 3, 3) float
-        Covariance of the own error with that of the next link, which begins at the end of this one.
+        Covariance of the link's own error with the own error of the next link, if the next link begins in
+        the dwell in which this link ends.
     modes_rad : (m, 3, q) float
-        Contribution of each of q independent modes of unit variance to ε.
+        Contribution to ε of each of q independent modes of unit variance, which act on all links.
     """
 
     before: NDArray[np.intp]
@@ -66,7 +68,7 @@ class Links:
         return np.asarray(self.after[:-1] == self.before[1:])
 
     def only(self, links: NDArray[np.bool_] | NDArray[np.intp]) -> Links:
-        """Copy with the selected links, in their order."""
+        """Return a copy with the selected links, in their order."""
         index = np.arange(len(self))[links]
         return Links(
             self.before[index], self.after[index], self.rotation[index], self.offset_rad[index],
@@ -74,7 +76,7 @@ class Links:
         )  # fmt: skip
 
     def rows(self, kept: NDArray[np.intp]) -> Links | None:
-        """Links that connect two of the kept readings, with new row numbers; None if there are none."""
+        """Return the links that connect two of the kept readings, with new row numbers; None if none."""
         # New number of each kept reading, −1 for the others.
         place = np.full(max(int(self.after.max()), int(kept.max(initial=0))) + 1, -1, dtype=np.intp)
         place[kept] = np.arange(len(kept))
@@ -85,11 +87,11 @@ class Links:
         return replace(self.only(whole), before=before[whole], after=after[whole])
 
     def moved(self, by_rad: Floats) -> Links:
-        """Copy with `by_rad` (m, 3) added to the mean of ε, the rotation error of each link."""
+        """Return a copy with `by_rad` (m, 3) added to the mean of ε, the rotation error of each link."""
         return replace(self, offset_rad=self.offset_rad + by_rad)
 
     def drawn(self, rng: np.random.Generator) -> Links:
-        """Copy with a random draw of the rotation errors ε added to their mean, for simulations."""
+        """Return a copy with random rotation errors ε added to their mean, for simulations."""
         own = self._own.lower_times(rng.standard_normal(3 * len(self))).reshape(-1, 3)
         return self.moved(own + self.modes_rad @ rng.standard_normal(self.modes_rad.shape[2]))
 
@@ -98,7 +100,7 @@ class Links:
         return Band.of(self.own_rad2, self.next_rad2[:-1] * self.joined[:, None, None])
 
     def own_product(self, columns: Floats) -> Floats:
-        """Multiply the covariance of the links' own errors by columns (m, 3, d)."""
+        """Return the product of the covariance of the links' own errors and columns (m, 3, d)."""
         product: Floats = self.own_rad2 @ columns
         shared = self.next_rad2[:-1] * self.joined[:, None, None]
         product[:-1] += shared @ columns[1:]
@@ -113,10 +115,11 @@ class LinkRows:
     Attributes
     ----------
     links : Links
+        The links.
     estimator : (n, 2, axes) float
-        T of each reading: error of the attitude by an error of the reading, rad per mg.
+        T of each reading: change of the fitted attitude by an error of the reading, rad per mg.
     misclosure : (m, 2) float
-        y minus the contribution of the mean of ε.
+        y of each link minus the contribution of the mean of ε.
     carried : (m, 2, 2) float
         F: derivative of the attitude after a link by the attitude before it.
     turned : (m, 2, 3) float
@@ -134,12 +137,12 @@ class LinkRows:
 
     @classmethod
     def at(cls, links: Links, attitude: Floats, tangent: Floats, root: Floats) -> LinkRows:
-        """Equations of links, linearised at the attitudes (n, 3) of the dwells.
+        """Make the equations of links, linearised at the attitudes (n, 3) of the dwells.
 
         Parameters
         ----------
         tangent : (n, axes, 2) float
-            ∂reading/∂attitude along `across(attitude)`.
+            Derivative of the reading by the attitude along the two directions `across(attitude)`.
         root : (n, axes, axes) float
             Inverse Cholesky factor of the covariance of the readings.
         """
@@ -169,24 +172,30 @@ class LinkRows:
         return cls(links, estimator, misclosure, carried, turned, band)
 
     def white(self, columns: Floats) -> Floats:
-        """Convert columns of readings (n, axes, d) to rows (2 m, d) with unit covariance, two per link."""
+        """Convert columns of readings (n, axes, d) to rows (2 m, d) with unit covariance, two per link.
+
+        Modes that all links share are not part of this covariance.
+        """
         moved = self.estimator @ columns
         rows = moved[self.links.after] - self.carried @ moved[self.links.before]
         return self.band.solved(rows.reshape(-1, columns.shape[2]))
 
     @property
     def residual(self) -> Floats:
-        """Whitened misclosure (2 m,): gravity measured after each link minus gravity carried along it."""
+        """Whitened misclosure (2 m,): direction of gravity after each link minus gravity before it, turned.
+
+        The turn is the rotation of the link.
+        """
         return self.band.solved(self.misclosure.reshape(-1, 1))[:, 0]
 
     @property
     def modes(self) -> Floats:
-        """Whitened effect (2 m, q) of the q errors that all links share."""
+        """Whitened effect (2 m, q) on the rows of the q modes that act on all links."""
         rows = self.turned @ self.links.modes_rad
         return self.band.solved(rows.reshape(-1, rows.shape[2]))
 
     def by_reading(self, slope: Floats) -> Floats:
-        """Derivative (d, n, axes) by the readings of d weighted sums of the whitened rows.
+        """Return the derivative (d, n, axes) by the readings of d weighted sums of the whitened rows.
 
         The weights are the columns of `slope` (2 m, d).
         """
@@ -197,7 +206,7 @@ class LinkRows:
         return np.asarray(np.einsum("nkd,nka->dna", moved, self.estimator))
 
     def by_rotation(self, slope: Floats) -> Floats:
-        """Derivative (m, 3, d) by the rotation errors ε of d weighted sums of the whitened rows.
+        """Return the derivative (m, 3, d) by the rotation errors ε of d weighted sums of the whitened rows.
 
         The weights are the columns of `slope` (2 m, d).
         """
@@ -243,7 +252,7 @@ class Band:
         return np.asarray(solve_banded((0, width), upper, columns))
 
     def lower_times(self, column: Floats) -> Floats:
-        """Multiply L by a column (k,)."""
+        """Return the product of L and a column (k,)."""
         product = self.lower[0] * column
         for k in range(1, len(self.lower)):
             product[k:] += self.lower[k, : len(column) - k] * column[: len(column) - k]
@@ -251,7 +260,7 @@ class Band:
 
 
 def _crossing(vectors: Floats) -> Floats:
-    """Matrices (n, 3, 3) of the cross product: x ↦ vector × x."""
+    """Return matrices (n, 3, 3) of the cross product by each vector: x ↦ vector × x."""
     x, y, z = vectors.T
     zero = np.zeros(len(vectors))
     return np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)

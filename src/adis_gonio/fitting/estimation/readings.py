@@ -52,17 +52,20 @@ from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn, 
 from adis_gonio.model.records import ACCEL_UNITS, MG_PER_MPS2, Dwell, Session
 
 MOST_SHARED = 2000
-"""Largest number of dwells for which the covariance of shared 1/f noise is computed. For more dwells the
-matrix is too large, and shared noise is small in the mean of so many readings."""
+"""Largest number of dwells for which the 1/f noise that dwells share is modelled. For more dwells its
+covariance matrix is too large, and shared noise is small in the mean of so many readings."""
 HISTORY_POINTS = 2000
 LEAST_TURNING, LEAST_AREA = 4, 0.5
-"""Least number of positions, and area (1 for a good sensor), at which the sense of rotation is certain."""
+"""Least number of positions, and least area of the ellipse of readings (1 for a good sensor), at which the
+sense of rotation is certain."""
 TURNING_U, TURNING_BIAS = 0.03, 0.1
-"""Standard deviations in g of a reading about its first harmonic, and of a bias, in that decision."""
+"""Standard deviations in g of a reading about its first harmonic, and of a bias, in the test of the sense
+of rotation."""
 OFF_UNIT = 2.0
-"""Factor from 1 g beyond which readings at rest are in another unit: no gain of a sensor is so far off."""
+"""Factor by which the length of readings at rest may differ from 1 g. Beyond it the unit is wrong, because
+no gain of a sensor is so far from 1."""
 UNEQUAL = 0.5
-"""Relative distance of a reading's length from the median length that no bias explains."""
+"""Difference of a reading's length from the median length, as a share of it, that no bias explains."""
 
 
 @dataclass(frozen=True)
@@ -74,9 +77,11 @@ class Unit:
     name : str
         `mg` or `dps` for any unit of known size, or `counts`.
     zero, per_mg : (axes,) float
-        Value in the file at zero, and counts per mg; both rough for counts, 0 and 1 for mg.
+        Value in the file at zero acceleration, and counts per mg; both rough for counts, 0 and 1 for a
+        known unit.
     scale : float
-        Factor that is applied to the values of the file first: mg per unit, or 1 if that is unknown.
+        Factor by which the values of the file are multiplied first: mg per unit, or 1 if the unit is
+        unknown.
     """
 
     name: str
@@ -95,7 +100,10 @@ class Unit:
 
 
 def in_mg(axes: int, scale: float = 1.0) -> Unit:
-    """Unit of readings with a known scale, for a number of axes; the zero is 0."""
+    """Return the unit of readings with a known scale, for a number of axes.
+
+    `scale` is in mg per unit of the file; the zero is 0.
+    """
     return Unit("mg", np.zeros(axes), np.ones(axes), scale)
 
 
@@ -106,25 +114,26 @@ class Readings(ComputedOnce):
     Attributes
     ----------
     mean : (n, axes) float
-        Mean of each dwell; two columns in a planar session, three in space.
+        Mean of each dwell in mg; two columns in a planar session, three in space.
     own_covariance : (n, axes, axes) float
         Covariance of the means in mg² without the noise that dwells share. If `known` is False, it is a
         placeholder: 1 mg² on each axis.
     dof : (n,) float
         Degrees of freedom of that covariance; inf if it was stated.
     known : (n,) bool
-        False if the uncertainty is unknown.
+        False for readings whose uncertainty is unknown.
     angle_rad : (n,) float
-        Declared angle θ; NaN if unknown.
+        Declared angle θ of each dwell; NaN if unknown.
     conditions : Conditions
-        Conditions of each reading.
+        Conditions of each reading, such as time and temperature.
     gravity_mg : float
         Local gravity.
     fixture_rad : float
         Standard uncertainty of a declared angle; inf if attitudes are free, 0 if it is not stated.
     fixture_stated : bool
+        True if the session states the uncertainty of a declared angle.
     check : (n,) bool
-        Dwells that take no part in the choice of a model or in its fit.
+        True for dwells that take no part in the choice of a model or in its fit.
     position, samples : (n,) int
         Numbers of the dwells in the file, and their numbers of samples.
     unit : Unit
@@ -145,11 +154,13 @@ class Readings(ComputedOnce):
     notes : tuple of str
         Remarks on the noise, for the result.
     fitted : (p,) bool or None
-        Base parameters that are fitted; None: those that these dwells determine. Folds use the session's.
+        True for base parameters that are fitted. None: the parameters that these dwells determine are
+        fitted. Parts of a session use the mask of the whole session.
     measurement : Measurement or None
-        The measured quantity; None: a turn in the plane for two axes, poses in space for three.
+        The measured quantity. None: gravity in the plane of a turn for two axes, in space for three.
     converter : Converter or None
-        Steps and limits in all samples, including dwells at a limit; None without samples.
+        Steps and limits of the analogue-to-digital converter in all samples, including dwells at a limit;
+        None without samples.
     links : Links or None
         Rotations of the sensor between poses, measured by its gyros; None if none are used.
     """
@@ -212,7 +223,7 @@ class Readings(ComputedOnce):
 
     @property
     def noise_dof(self) -> float:
-        """Degrees of freedom of the noise of all readings together.
+        """Degrees of freedom of the noise of all readings together; inf if it was stated.
 
         If dwells share one estimate (`pooled`), these are its degrees of freedom; otherwise the sum over
         the dwells.
@@ -236,12 +247,12 @@ class Readings(ComputedOnce):
 
     @cached_property
     def turn_rad(self) -> Floats:
-        """Declared angle (n,) in rad with the sign reversed; 0 for a dwell without a declared angle."""
+        """Declared angle (n,) of the stage in rad with the sign reversed; 0 if no angle is declared."""
         return np.where(np.isfinite(self.angle_rad), -self.angle_rad, 0.0)
 
     @property
     def free(self) -> bool:
-        """True if attitudes are unknown and no declared angle restricts them."""
+        """True if the attitudes are unknown and no declared angle restricts them."""
         return self.model.freedom > 0 and bool(np.isinf(self.fixture).all())
 
     @property
@@ -256,7 +267,10 @@ class Readings(ComputedOnce):
 
     @cached_property
     def visible(self) -> NDArray[np.bool_]:
-        """Mask (p,) of the base parameters that are fitted; the others keep their nominal values."""
+        """Mask (p,) of the base parameters that are fitted; the others keep their nominal values.
+
+        It is `fitted`, if given, otherwise the parameters that these dwells determine.
+        """
         if self.fitted is not None:
             return self.fitted
         return self.model.visible(self.mean, np.isfinite(self.fixture))
@@ -280,7 +294,7 @@ class Readings(ComputedOnce):
         return _inverse_root(self.own_covariance)
 
     def rows(self, index: NDArray[np.bool_] | NDArray[np.intp]) -> Readings:
-        """Copy with the selected dwells."""
+        """Return a copy with the selected dwells."""
         by_dwell = [
             "mean", "own_covariance", "dof", "known", "angle_rad", "check", "position", "samples",
         ]  # fmt: skip
@@ -295,7 +309,7 @@ class Readings(ComputedOnce):
 
     @cached_property
     def training(self) -> Readings:
-        """Dwells that may be fitted (no `check` dwells), with one choice of base parameters for all fits.
+        """Readings of the dwells that may be fitted (no `check` dwells), for all fits of the session.
 
         If too few of these dwells have a known noise for a test of a model, the noise of every dwell counts
         as unknown: one noise for all is estimated from the residual.
@@ -314,7 +328,7 @@ class Readings(ComputedOnce):
         return rows if testable or rows.noise_known else rows.without_noise()
 
     def without_noise(self) -> Readings:
-        """Copy in which the noise of every reading is unknown."""
+        """Return a copy in which the noise of every reading is unknown."""
         n = len(self)
         return replace(
             self,
@@ -346,7 +360,11 @@ def from_means(
     fixture_rad: float = 0.0,
     **others: object,
 ) -> Readings:
-    """Make readings from mean values (n, axes) in mg and their covariance (n, axes, axes) in mg²."""
+    """Make readings from mean values (n, axes) in mg and their covariance (n, axes, axes) in mg².
+
+    `gravity_mg` is local gravity, `fixture_rad` the standard uncertainty of a declared angle; `others` are
+    further attributes of `Readings`.
+    """
     n, axes = mean.shape
     angle = conditions.angle_rad
     made = Readings(
@@ -375,7 +393,7 @@ def _refuse_other_units(session: Session, readings: Readings) -> None:
     Parameters
     ----------
     readings : Readings
-        Of this session.
+        Readings of this session.
     """
     if not readings.unit.known:
         return
@@ -398,7 +416,10 @@ def _refuse_other_units(session: Session, readings: Readings) -> None:
 
 
 def _as_another(session: Session, length: float) -> str:
-    """Advice for a message: the units in which the reading at rest is 1 g, and how to state one."""
+    """Return advice for a message: the units in which the readings at rest are 1 g long.
+
+    `length` is their length in g by the stated unit. The text is empty if no unit fits.
+    """
     own = mg_per_unit(session)
     fits = [
         unit
@@ -457,8 +478,8 @@ def readings_of(session: Session) -> Readings:
     Raises
     ------
     DataError
-        All-zero or stuck data, no usable dwell, readings that are not finite or nowhere near 1 g, angles
-        that turn the other way.
+        All-zero or stuck data, no usable dwell, readings that are not finite or far from 1 g, or declared
+        angles of the opposite sense of rotation.
     """
     return session.once(_checked_readings)
 
@@ -472,7 +493,7 @@ def _checked_readings(session: Session) -> Readings:
 
 
 def reduced(session: Session) -> Readings:
-    """Reduce all dwells to readings like `readings_of`, without the check that their length is 1 g."""
+    """Reduce all dwells to readings without a check that their length is 1 g."""
     source = session.source or "session"
     axes = 2 if session.plane == "xy" else 3
     dwells, converter, notes = _usable(session, axes)
@@ -559,7 +580,10 @@ def reduced(session: Session) -> Readings:
 
 
 def _without_noise(session: Session, dwells: list[Dwell], axes: int) -> bool:
-    """True if an axis has equal samples within each dwell, so that the file seems to repeat averages."""
+    """Return True if an axis has equal samples within each dwell: the file seems to repeat averages.
+
+    `axes` is the number of examined axes.
+    """
     if session.accel_unit == "lsb":  # a converter's step may hide the noise
         return False
     ranges = [np.ptp(dwell.accel[:, :axes], axis=0) > 0 for dwell in dwells]
@@ -567,7 +591,10 @@ def _without_noise(session: Session, dwells: list[Dwell], axes: int) -> bool:
 
 
 def _usable(session: Session, axes: int) -> tuple[list[Dwell], screening.Converter, list[str]]:
-    """Select the usable dwells; also return the converter's steps and limits, and notes on the others."""
+    """Return the usable dwells, the converter's steps and limits, and notes for the user.
+
+    The notes are on dwells at a limit of the range; `axes` is the number of axes in use.
+    """
     source = session.source or "session"
     dwells = [dwell for dwell in session.dwells if len(dwell)]
     if not dwells:
@@ -591,7 +618,9 @@ def _of_flicker(
 ) -> tuple[Floats, Floats | None]:
     """Split the 1/f noise of dwell means into own variances (m, axes) and shared modes (n, axes, k).
 
-    Together they describe the deviation from the bias of a session twice as long (`covariance_of_means`).
+    `flicker` (axes,) is its Allan variance. The m `dwells` have several samples; `many` are their rows
+    among the n readings. Together both parts describe the deviation from the mean of a session twice as
+    long (`covariance_of_means`). The modes are None if the dwells share no noise.
     """
     begin, end = (np.zeros(len(dwells)),) * 2
     if _keeps_modes(len(dwells), flicker):
@@ -609,16 +638,21 @@ def _keeps_modes(dwells: int, flicker: Floats) -> bool:
 
 
 def flicker_parts(begin_s: Floats, end_s: Floats, flicker: Floats) -> tuple[Floats, Floats | None]:
-    """Variance of dwell means by 1/f noise: variances of single means, and modes that means share.
+    """Split the 1/f noise of dwell means into variances of single means and modes that means share.
 
     Parameters
     ----------
+    begin_s, end_s : (m,) float
+        Begin and end of each dwell.
     flicker : (axes,) float
-        Allan variance in mg².
+        Allan variance of the 1/f noise in mg².
 
     Returns
     -------
-    (m, axes) float in mg², and (m, axes, k) float in mg or None; see `_of_flicker`.
+    (m, axes) float in mg²
+        Variance of each mean alone.
+    (m, axes, k) float in mg, or None
+        Contribution of each of k independent modes to the means; None if they share no noise.
     """
     m, axes = len(begin_s), len(flicker)
     if not _keeps_modes(m, flicker):
@@ -633,9 +667,10 @@ def flicker_parts(begin_s: Floats, end_s: Floats, flicker: Floats) -> tuple[Floa
 
 
 def _unit_of_counts(mean: Floats, gravity_mg: float) -> Unit:
-    """Find zero and counts per mg of each axis from readings in several positions.
+    """Return the zero and the counts per mg of each axis, from readings in several positions.
 
-    All readings have the length of gravity, so they are on an ellipse or ellipsoid.
+    `mean` (n, axes) are the readings in counts. All have the length of gravity `gravity_mg`, so they are on
+    an ellipse or ellipsoid.
     """
     if float(np.ptp(mean, axis=0).max()) <= 0:
         raise FitError(
@@ -679,7 +714,10 @@ def _means(series: list[Floats | None]) -> Floats | None:
 
 
 def _history(dwells: list[Dwell], start: float) -> tuple[Floats, Floats] | None:
-    """Times and temperatures during the session, averaged to at most `HISTORY_POINTS` points."""
+    """Return times and temperatures of the session, averaged to at most `HISTORY_POINTS` points.
+
+    `start` is the time in s of the first sample. None if the times do not increase.
+    """
     time = np.concatenate([dwell.time_s for dwell in dwells]) - start
     temperature = np.concatenate([d.temperature_c for d in dwells if d.temperature_c is not None])
     if (np.diff(time) <= 0).any():
@@ -694,9 +732,10 @@ def _history(dwells: list[Dwell], start: float) -> tuple[Floats, Floats] | None:
 
 
 def _loads(dwells: list[Dwell], mean: Floats, start: float) -> tuple[Floats, Floats] | None:
-    """Times and readings in mg at the beginning and end of each dwell, which describe the load over time.
+    """Return times and readings in mg at the beginning and end of each dwell: the load over time.
 
-    The load is taken as linear during moves. None if the times do not increase.
+    `mean` (n, axes) are the mean readings. The load is taken as linear during moves; `start` is the time in
+    s of the first sample. None if the times do not increase.
     """
     ends = np.array([dwell.time_s[[0, -1]] for dwell in dwells]) - start
     # A dwell of one sample has one time, others have a begin and an end.
@@ -706,7 +745,7 @@ def _loads(dwells: list[Dwell], mean: Floats, start: float) -> tuple[Floats, Flo
 
 
 def mg_per_unit(session: Session) -> float:
-    """Factor from the unit of the accelerometers to mg; 1 for counts of unknown size."""
+    """Return the factor from the unit of the accelerometers to mg; 1 for counts of unknown size."""
     if session.accel_unit == "lsb":
         if session.sensor not in VARIANTS:
             raise DataError(
@@ -717,17 +756,19 @@ def mg_per_unit(session: Session) -> float:
 
 
 def quantization_variance(rows: Sequence[Floats], mg: Floats, quantum: Floats) -> Floats:
-    """Variance (dwells, axes) in mg² that the converter's step adds to the mean of a dwell's samples.
+    """Return the variance (dwells, axes) in mg² that the converter's step adds to the mean of a dwell.
 
-    `mg` converts samples to mg.
+    `rows` are the samples of each dwell, `mg` the factor (axes,) from samples to mg, `quantum` the step
+    (axes,) in mg.
     """
     return quantized_means(np.array([r.var(axis=0) for r in rows]) * mg**2, quantum)
 
 
 def quantized_means(variance_mg2: Floats, quantum_mg: Floats) -> Floats:
-    """Variance (dwells, axes) in mg² that steps (axes,) of the converter add to means.
+    """Return the variance (dwells, axes) in mg² that steps (axes,) of the converter add to means.
 
-    `variance_mg2` is the variance of the samples, including their rounding.
+    `quantum_mg` are the steps, `variance_mg2` (dwells, axes) is the variance of the samples, including
+    their rounding.
     """
     step = np.where(quantum_mg > 0, quantum_mg, 1.0)
     # Noise before the converter, in steps: subtract the variance of rounding.
@@ -740,7 +781,10 @@ def quantized_means(variance_mg2: Floats, quantum_mg: Floats) -> Floats:
 
 
 def _flicker(session: Session, noise: spectrum.MeanNoise) -> Floats:
-    """Allan variance (axes,) in mg² of the 1/f noise, measured or from the data sheet."""
+    """Return the Allan variance (axes,) in mg² of the 1/f noise: measured, or the figure of the part.
+
+    The figure is limited to the amount that the dwells allow.
+    """
     variant = VARIANTS.get(session.sensor)
     stated = 0.0 if variant is None else variant.performance.bias_instability_mg**2
     if session.accel_unit == "counts":
@@ -750,9 +794,10 @@ def _flicker(session: Session, noise: spectrum.MeanNoise) -> Floats:
 
 
 def conic_through(points: Floats) -> tuple[Floats, Floats]:
-    """Centre (d,) and matrix Q (d, d) of the ellipse or ellipsoid (p − c)ᵀ Q (p − c) = 1 through points.
+    """Return centre (d,) and matrix (d, d) of the ellipse or ellipsoid through points (n, d).
 
-    Algebraic least squares on centred and scaled points: with all quadratic terms if there are enough
+    Points p on it have (p − c)ᵀ Q (p − c) = 1 with the centre c and the matrix Q. They are found by
+    algebraic least squares on centred and scaled points: with all quadratic terms if there are enough
     points and they give an ellipsoid, otherwise with fewer (no mixed terms, then a sphere).
 
     Raises
@@ -802,14 +847,14 @@ PARTS: tuple[str, ...] = tuple(_READERS)
 
 
 def known_part(part: str) -> str:
-    """Check the name of a sensor part, `accel` or `gyro`, and return it; `UsageError` for other names."""
+    """Return the name of a sensor part, `accelerometer` or `gyro`; `UsageError` for other names."""
     if part not in _READERS:
         raise UsageError(f"a sensor has no part '{part}'; it has {', '.join(PARTS)}")
     return part
 
 
 def readings_of_part(session: Session, part: str) -> Readings:
-    """Reduce a session to readings of its gyros or, like `readings_of`, of its accelerometers."""
+    """Reduce a session to readings of its gyros or of its accelerometers, as `part` names."""
     module, name = _READERS[known_part(part)]
     reader: Callable[[Session], Readings] = getattr(import_module(module), name)
     return reader(session)

@@ -38,8 +38,9 @@ _LEAST_RUN = 32
 _CHIP_RUN = 512
 _LIVELY = 0.6
 _MOST_GRAVITY = 1.1
-"""Largest length, in units of gravity, of a dwell mean that a limit of the range can explain: the true
-reading is longer than the cut one. The tenth above 1 allows for gains and biases."""
+"""Largest length, in units of local gravity, of a dwell mean at which a limit of the range can be the
+reason for constant samples: the true reading is longer than the mean. The tenth above 1 allows for gains
+and biases."""
 
 
 def refuse_dead_data(session: Session, limits: Sequence[Limit], mg_per_unit: float | None) -> None:
@@ -48,8 +49,9 @@ def refuse_dead_data(session: Session, limits: Sequence[Limit], mg_per_unit: flo
     Parameters
     ----------
     session : Session
+        Session whose dwells are examined.
     limits : sequence of Limit
-        Limits that the samples show.
+        Limits of the range that the samples show.
     mg_per_unit : float or None
         Size of the samples' unit in mg; None if unknown.
     """
@@ -82,7 +84,10 @@ def refuse_dead_data(session: Session, limits: Sequence[Limit], mg_per_unit: flo
 
 
 def limit_notes(limits: Sequence[Limit], unit: str) -> list[str]:
-    """Sentences for the user, one for each limit of the range, with the dwells that it excludes."""
+    """Return sentences for the user, one for each limit of the range, with the dwells that it excludes.
+
+    `unit` is the unit of the samples.
+    """
     lines = []
     for limit in limits:
         where = f"the extreme value {limit.value:g} {unit} ({name_positions(limit.positions)})"
@@ -97,9 +102,10 @@ def limit_notes(limits: Sequence[Limit], unit: str) -> list[str]:
 
 
 def dwells_at_limit(dwells: Sequence[Dwell], limits: Sequence[Limit], gravity: float | None) -> set[int]:
-    """Positions of dwells with a mean changed by a limit of the range, if gravity allows such a reading.
+    """Return the positions of dwells whose mean a limit of the range changes, if gravity allows that.
 
-    The limit must be reached in two or more dwells.
+    `gravity` is local gravity in the unit of the samples; None, if the unit is unknown, gives no dwell. The
+    limit must be reached in two or more dwells.
     """
     if gravity is None:
         return set()
@@ -117,7 +123,7 @@ def dwells_at_limit(dwells: Sequence[Dwell], limits: Sequence[Limit], gravity: f
 
 
 def longest_runs(accel: Floats) -> Floats:
-    """Largest number of equal samples in a row on each axis, (axes,)."""
+    """Return the largest number of equal samples in a row on each axis, (axes,)."""
     runs = []
     for axis in range(accel.shape[1]):
         change = np.flatnonzero(np.diff(accel[:, axis]))
@@ -126,7 +132,7 @@ def longest_runs(accel: Floats) -> Floats:
 
 
 def dwells_too_still(dwells: Sequence[Dwell]) -> list[int]:
-    """Positions of the dwells in which an axis is suspiciously constant.
+    """Return the positions of dwells in which an axis is suspiciously constant.
 
     It is constant for half of the dwell, and four times longer than in the other dwells.
     """
@@ -143,7 +149,10 @@ def dwells_too_still(dwells: Sequence[Dwell]) -> list[int]:
 
 
 def _is_lively(dwells: Sequence[Dwell], healthy: NDArray[np.bool_], axis: int) -> bool:
-    """True if an axis has so much noise in the healthy dwells that no converter step could hide it."""
+    """Return True if an axis has so much noise in the healthy dwells that no converter step could hide it.
+
+    `healthy` is True for each dwell that counts.
+    """
     deviations, steps = [], []
     for dwell, use in zip(dwells, healthy, strict=True):
         if use:
@@ -154,7 +163,7 @@ def _is_lively(dwells: Sequence[Dwell], healthy: NDArray[np.bool_], axis: int) -
 
 
 def dwells_reading_alike(dwells: Sequence[Dwell]) -> list[int]:
-    """Positions of dwells with constant samples that read equal values at different angles."""
+    """Return the positions of dwells with constant samples that read equal values at different angles."""
     constant = [d for d in dwells if len(d) == 1 or not np.ptp(d.accel, axis=0).any()]
     if len(constant) < 2:
         return []
@@ -169,14 +178,16 @@ def dwells_reading_alike(dwells: Sequence[Dwell]) -> list[int]:
 
 
 _PILE, _STEEP = 20, 5
-"""Least samples at an extreme value, and least ratio to the value next to it, that show a limit."""
+"""Least number of samples at an extreme value, and least ratio of this number to the number at the value
+next to it, that show a limit of the range."""
 _LEAST_VALUES = 20
 """Least number of different values of an axis for evidence of a limit: a coarse converter gives few."""
 _LIVELY = 0.6
-"""Noise, in steps of the converter, below which samples pile up everywhere (0.5 at an edge between
-codes)."""
+"""Standard deviation of the noise, in steps of the converter, below which samples pile up at any value (0.5
+at an edge between codes)."""
 _HARMLESS = 0.1
-"""Largest shift of a clipped mean, in its standard uncertainty, at which it still counts as the reading."""
+"""Largest change of a mean by samples cut at a limit, in standard uncertainties of the mean, at which the
+mean still counts as the reading."""
 
 
 @dataclass(frozen=True)
@@ -186,16 +197,17 @@ class Limit:
     Attributes
     ----------
     axis : int
+        Number of the axis, 0 for X.
     value : float
-        In the unit of the samples.
+        Extreme value in the unit of the samples.
     samples : int
         Number of samples at the limit.
     inside : int
         Number of samples at the value next to the limit.
     positions : tuple of int
-        Dwells that have samples at the limit.
+        Numbers of the dwells that have samples at the limit.
     spoiled : tuple of int
-        Dwells with a mean that the limit changes.
+        Numbers of the dwells with a mean that the limit changes.
     """
 
     axis: int
@@ -213,7 +225,7 @@ class Converter:
     Attributes
     ----------
     steps : (axes,) float
-        Steps as `steps_of` gives them.
+        Smallest difference between two values of each axis; 0 for a constant axis.
     limits : tuple of Limit
         At most two for each axis.
     """
@@ -228,7 +240,7 @@ class Converter:
 
 
 def converter_of(dwells: Sequence[Dwell]) -> Converter:
-    """Find the converter's step and limits of the range on each axis, from the samples of dwells."""
+    """Return the converter's steps and limits of the range on each axis, from the samples of dwells."""
     steps = steps_of([dwell.accel for dwell in dwells])
     return Converter(steps, _limits(dwells, steps))
 
@@ -248,9 +260,9 @@ def _limits(dwells: Sequence[Dwell], steps: Floats) -> tuple[Limit, ...]:
 
 
 def _pile(columns: Sequence[Floats], sign: float) -> tuple[float, int, int]:
-    """Largest value of the samples, the number of samples with it, and the number with the next value.
+    """Return the largest value of the samples, the number of samples with it, and with the next value.
 
-    For sign −1, the smallest value.
+    For sign −1 it is the smallest value. `columns` are the samples of one axis in each dwell.
     """
     most = max if sign > 0 else min
     extreme = most(float(column.max() if sign > 0 else column.min()) for column in columns)
@@ -265,7 +277,7 @@ def _pile(columns: Sequence[Floats], sign: float) -> tuple[float, int, int]:
 
 
 def _many_values(columns: Sequence[Floats]) -> bool:
-    """True if an axis has enough different values for a test for a limit of the range."""
+    """Return True if an axis has enough different values for a test for a limit of the range."""
     seen: Floats = np.empty(0)
     for column in columns:
         seen = np.union1d(seen, column)
@@ -288,7 +300,7 @@ def _limit(dwells: Sequence[Dwell], axis: int, value: float, inside: int) -> Lim
 
 
 def _moves(share: float, n: int) -> bool:
-    """True if cutting off this share of a normal distribution at a limit changes the mean of n samples.
+    """Return True if cutting off this share of a normal distribution changes the mean of n samples.
 
     Changes that are small against the noise of the mean do not count.
     """
@@ -302,7 +314,7 @@ def _moves(share: float, n: int) -> bool:
 
 
 def steps_of(dwells: Sequence[Floats]) -> Floats:
-    """Smallest difference (axes,) between two values that the converter can give; 0 for a constant axis.
+    """Return the smallest difference (axes,) between two values of the converter; 0 if constant.
 
     Parameters
     ----------

@@ -42,22 +42,27 @@ from adis_gonio.base.arrays import Floats
 _CELLS = 32
 _LOWEST = 3
 _ALONE = 64
-"""Number of lowest ordinates that are kept one by one, since some are used individually."""
+"""Number of the lowest ordinates (values of a periodogram) that are not joined into bins, because some are
+used one by one."""
 _AT_ONCE = 1 << 17
 """Number of samples for which spectra are computed in one call, to limit the memory."""
 _LEAST_WEIGHT = 6.0
 _GAINS = (1.323, 2.773)
-"""Upper 25 % quantiles of χ² with one and two degrees of freedom: prefer the narrower band in doubt."""
+"""Gains in likelihood by one and by two further terms above which the terms are needed: 75 % quantiles of
+χ². The low quantiles prefer the narrower band in doubt."""
 _CHOICE_COST = 0.5
-"""Share of the degrees of freedom that remains after the data have chosen band and order (0.45 to 0.7 in
-simulations with the chip's filter)."""
+"""Factor on the degrees of freedom of the density because the data have chosen band and order (0.45 to 0.7
+in simulations with the chip's filter).
+"""
 _SLOPE = 32
 _FLICKER_POWER = (-1.5, -0.6)
 _CLEARLY = 2.0
-"""Gain in −2 log likelihood above which a power of f counts as better. In simulations with 32 ordinates 1/f
-noise gains 3 or more; the chip's filter loses, or has a power of −2 in dwells shorter than its window."""
+"""Gain in −2 log likelihood above which 1/f noise counts as the better description of the lowest ordinates.
+In simulations with 32 ordinates 1/f noise gains 3 or more; the chip's filter loses, or has a power of −2 in
+dwells shorter than its window."""
 _NOT_QUITE = 0.05
-"""Largest gain of further terms relative to the gain of h/f: real noise is not 1/f at all frequencies."""
+"""Largest gain of likelihood by further terms, as a share of the gain by h/f, at which h/f still describes
+the noise: real noise is not 1/f at all frequencies."""
 _LEAST_CYCLES = 3.5
 """Least number of cycles in a dwell at the frequency at which the density is 1/e of its value at zero. In
 simulations with the chip's filter 3 cycles give two thirds of the true variance, and 6 give all of it."""
@@ -78,9 +83,9 @@ class MeanNoise:
     pooled : bool
         True if all dwells share one spectral density.
     flicker : (axes,) float
-        Allan variance of the 1/f noise that the dwells show, zero if they show none.
+        Allan variance of the 1/f noise that the dwells show; zero if they show none.
     flicker_limit : (axes,) float
-        Upper limit (95 %) of that Allan variance.
+        Upper limit (95 %) of the Allan variance of 1/f noise in the dwells.
     too_short : bool
         True if dwells are too short to distinguish correlation from drift.
     """
@@ -95,10 +100,11 @@ class MeanNoise:
 
 @dataclass(frozen=True)
 class _Ordinates:
-    """Periodograms (spectra) of all dwells of equal length.
+    """Periodograms (spectra) of all `dwell` indices with an equal number `n` of samples.
 
     The lowest ordinates (values of a periodogram) are separate. Higher ones of a long dwell are joined into
-    bins of frequency, which never cross a limit between the bands of the fit.
+    bins of frequency, which never cross a limit between the bands of the fit. `weight` is the number of
+    ordinates of each bin.
     """
 
     dwell: NDArray[np.intp]
@@ -111,12 +117,17 @@ class _Ordinates:
     by_period: Floats
     """Sum of weight over frequency (k,)."""
     cross: Floats
-    """(d, k, axes, axes): real part of the cross-periodograms, weighted means of the bins."""
+    """Real part (d, k, axes, axes) of the cross-periodograms of d dwells, as weighted means in the bins."""
 
 
 @dataclass(frozen=True)
 class _Foot:
-    """Fitted shape of the noise density near frequency zero, relative to its mean over a band."""
+    """Fitted shape of the noise density near frequency zero, relative to its mean over a band.
+
+    `band` is the end of the band in cycles per sample, `log_zero` the logarithm of the density at zero with
+    its variance, `coefficients` the polynomial. `beside_flicker` is True if 1/f noise was fitted in
+    addition.
+    """
 
     band: float
     log_zero: float
@@ -131,13 +142,13 @@ class _Foot:
 
     @property
     def corner(self) -> float:
-        """Frequency at which the density has fallen to 1/e of its value at zero, or the end of the band."""
+        """Frequency at which the density falls to 1/e of its value at zero, at most the end of the band."""
         x = np.linspace(0.0, 1.0, 65)
         fallen = np.flatnonzero(self.log_shape(x) < -1)
         return self.band * (float(x[fallen[0]]) if fallen.size else 1.0)
 
     def log_shape(self, x: Floats) -> Floats:
-        """Logarithm of the ratio of the density at x = f/band to the density at zero."""
+        """Return the logarithm of the ratio of the density at x = f/band to the density at zero."""
         return _basis(x, len(self.coefficients) - 1) @ self.coefficients - self.log_zero
 
 
@@ -149,7 +160,7 @@ def noise_of_means(samples: Sequence[Floats], scale: Floats | float = 1.0) -> Me
     samples : d arrays (n, axes)
         Samples of each dwell, n at least 2; any unit.
     scale : float or (axes,) float
-        Factor by which the samples are multiplied.
+        Factor by which the samples are multiplied first.
     """
     groups = _periodograms(samples, scale)
     foot = _choose_foot(groups)
@@ -235,14 +246,15 @@ def _bins(frequency: Floats) -> NDArray[np.intp]:
 
 
 def _basis(x: Floats, order: int) -> Floats:
-    """Even polynomials (n, order + 1) of x: Legendre polynomials of 2x² − 1, up to this order."""
+    """Return even polynomials (n, order + 1) of x: Legendre polynomials of 2x² − 1, up to this order."""
     return np.asarray(np.polynomial.legendre.legvander(2 * x * x - 1, order), dtype=np.float64)
 
 
 def _whittle(design: Floats, weight: Floats, mean: Floats) -> tuple[Floats, Floats, float]:
-    """Fit the logarithm of a density as a linear combination of the columns of `design` (Fisher scoring).
+    """Fit the logarithm of a density as a linear combination of the columns of `design`.
 
-    Returns the coefficients, their covariance and −2 log likelihood (Whittle).
+    `mean` are mean ordinates with their `weight`. Return the coefficients, their covariance and −2 log
+    likelihood (Whittle), by Fisher scoring.
     """
     inverse = np.asarray(np.linalg.pinv(design.T @ (weight[:, None] * design)), dtype=np.float64)
     beta = np.zeros(design.shape[1])
@@ -261,9 +273,12 @@ def _whittle(design: Floats, weight: Floats, mean: Floats) -> tuple[Floats, Floa
 def _whittle_with_flicker(
     design: Floats, inverse_x: Floats, weight: Floats, mean: Floats
 ) -> tuple[Floats, Floats, float]:
-    """Fit the density exp(polynomial) + h/x, with 1/f noise h/x; return results as `_whittle` does.
+    """Fit the density exp(polynomial) + h/x, with 1/f noise h/x.
 
-    h is fitted but not returned; its uncertainty is included in the covariance.
+    Return the coefficients of the polynomial, their covariance and −2 log likelihood (Whittle). The
+    polynomial combines the columns of `design`; `mean` are mean ordinates with their `weight`. h is fitted
+    but not returned; its uncertainty is included in the covariance. `inverse_x` is the mean of 1/x for each
+    ordinate.
     """
     terms = design.shape[1]
     beta = np.zeros(terms + 1)
@@ -294,7 +309,7 @@ def _whittle_with_flicker(
 
 
 def _rises_like_flicker(groups: list[_Ordinates]) -> bool:
-    """True if 1/f noise explains the density at the lowest frequencies better than filtered noise."""
+    """Return True if 1/f noise explains the lowest ordinates better than filtered noise does."""
     lowest = _lowest(groups)
     if lowest is None:
         return False
@@ -306,7 +321,7 @@ def _rises_like_flicker(groups: list[_Ordinates]) -> bool:
 
 
 def _flicker_at_foot(groups: list[_Ordinates]) -> bool:
-    """True if white noise plus 1/f noise fits the lowest ordinates better than filtered noise does.
+    """Return True if white noise plus 1/f noise fits the lowest ordinates better than filtered noise does.
 
     Over a wide band the decrease of a long filter resembles h/f plus a polynomial; here the filter is flat.
     """
@@ -319,16 +334,17 @@ def _flicker_at_foot(groups: list[_Ordinates]) -> bool:
 
 
 def _by_filter(k: Floats, total: Floats, mean: Floats) -> float:
-    """−2 log likelihood of the lowest ordinates under a density that is flat near zero, as behind a filter.
+    """Return −2 log likelihood of the lowest ordinates under a density that is flat near zero.
 
-    `k` are the numbers of the ordinates, `total` their weights and `mean` their pooled values.
+    Filtered noise has such a density. `k` are the numbers of the ordinates, `total` their weights and
+    `mean` their pooled values.
     """
     x2 = (k / _SLOPE) ** 2
     return _whittle(np.stack([np.ones(_SLOPE), x2, x2**2], axis=1), total, mean)[2]
 
 
 def _lowest(groups: list[_Ordinates]) -> tuple[Floats, Floats, Floats] | None:
-    """Lowest ordinates of the spectrum, pooled over dwells: numbers, weights and means.
+    """Return numbers, weights and means of the spectrum's lowest ordinates, pooled over dwells.
 
     None if no dwell has enough ordinates.
     """
@@ -375,9 +391,11 @@ def _choose_foot(groups: list[_Ordinates]) -> _Foot:
 
 
 def _polynomial_foot(band: float, x: Floats, weight: Floats, mean: Floats) -> _Foot | None:
-    """Fit the log density in a band by a polynomial of the lowest sufficient order; None if there is none.
+    """Fit the log density in a band by a polynomial of the lowest sufficient order.
 
-    An order is sufficient if one or two further terms do not improve the fit clearly.
+    `mean` are mean ordinates at the frequencies `x` (relative to the end of the `band`), with their
+    `weight`. An order is sufficient if one or two further terms do not improve the fit clearly; None if no
+    order is.
     """
     fits: list[tuple[Floats, Floats, float]] = []
     for order in range(min(3, len(x))):
@@ -412,7 +430,8 @@ def _beside_flicker(
 ) -> tuple[Floats, Floats] | None:
     """Fit a polynomial plus 1/f noise; return the polynomial's coefficients and covariance.
 
-    None if one or two further terms of the polynomial explain the density as well as 1/f noise.
+    `mean` are mean ordinates at the relative frequencies `x`, with their `weight`; `inverse_x` is the mean
+    of 1/x. None if one or two further terms of the polynomial explain the density as well as 1/f noise.
     """
     for order in range(min(3, len(x) - 2)):
         one, two = (_whittle(_basis(x, order + k), weight, mean)[2] for k in (1, 2))
@@ -432,9 +451,10 @@ def _beside_flicker(
 
 
 def _cells(groups: list[_Ordinates], band: float) -> tuple[Floats, Floats, Floats, Floats] | None:
-    """Mean ordinates of all dwells in cells of frequency below `band`, relative to each dwell's mean.
+    """Return the mean ordinates of all dwells in cells of frequency below `band`.
 
-    Returns x = f/band, weight, mean, and mean of 1/x of the cells that are not empty.
+    The results are x = f/band, weight, mean relative to each dwell's mean, and mean of 1/x of the cells
+    that are not empty. None if the band has too few ordinates.
     """
     total, moment, first = np.zeros(_CELLS), np.zeros(_CELLS), np.zeros(_CELLS)
     inverse = np.zeros(_CELLS)
@@ -467,7 +487,10 @@ def _cells(groups: list[_Ordinates], band: float) -> tuple[Floats, Floats, Float
 
 
 def _homogeneous(level: Floats, weight: Floats) -> bool:
-    """True if all dwells may have one noise density, by Bartlett's test for each axis at 0.1 %."""
+    """Return True if all dwells may have one noise density, by Bartlett's test for each axis at 0.1 %.
+
+    `level` (d, axes, axes) are the densities of the dwells, `weight` (d,) the numbers of their ordinates.
+    """
     use = weight > 0
     if use.sum() < 2:
         return True
@@ -486,7 +509,11 @@ def _homogeneous(level: Floats, weight: Floats) -> bool:
 
 
 def _without_chance_correlation(level: Floats, dof: Floats) -> Floats:
-    """Set correlations between axes to zero if chance explains them (below three standard errors)."""
+    """Return densities in which correlations between axes are zero if chance explains them.
+
+    Chance explains correlations below three standard errors. `level` (d, axes, axes) are the densities of
+    the dwells, `dof` (d,) their degrees of freedom.
+    """
     deviation = np.sqrt(np.maximum(np.diagonal(level, axis1=1, axis2=2), 1e-300))
     correlation = level / (deviation[:, :, None] * deviation[:, None, :])
     keep = np.abs(correlation) > 3 / np.sqrt(dof)[:, None, None]
@@ -497,7 +524,7 @@ def _without_chance_correlation(level: Floats, dof: Floats) -> Floats:
 
 
 def _all_flicker(groups: list[_Ordinates]) -> Floats:
-    """Allan variance (axes,) of 1/f noise if all power in the lowest ordinates were 1/f noise.
+    """Return the Allan variance (axes,) of 1/f noise if all power in the lowest ordinates were 1/f noise.
 
     The sensor's 1/f noise is equal in all dwells, so louder dwells have a smaller weight.
     """
@@ -516,7 +543,10 @@ def _all_flicker(groups: list[_Ordinates]) -> Floats:
 
 
 def _reciprocal(level: Floats) -> Floats:
-    """Return 1/level for each dwell and axis; 0 for a level so small that it is only rounding error."""
+    """Return 1/level for each dwell and axis; 0 for a level that is only a rounding error.
+
+    `level` are noise densities.
+    """
     least = np.maximum(1e-9 * level.max(axis=tuple(range(level.ndim - 1))), 1e-300)
     return np.where(level > least, 1 / np.maximum(level, least), 0.0)
 
@@ -524,7 +554,11 @@ def _reciprocal(level: Floats) -> Floats:
 def _flicker(
     groups: list[_Ordinates], density: Floats, foot: _Foot, dof: float, n: Floats
 ) -> tuple[Floats, Floats]:
-    """Allan variance (axes,) of 1/f noise from the lowest ordinates, and its 95 % upper limit (axes,)."""
+    """Return the Allan variance (axes,) of 1/f noise by the lowest ordinates, and its 95 % upper limit.
+
+    The 1/f noise is the excess of these ordinates over the `density` (d, axes, axes) at zero times its
+    fitted shape, `foot`. `dof` are the degrees of freedom of the density, `n` (d,) the numbers of samples.
+    """
     from scipy.special import fdtri
 
     axes = density.shape[1]
@@ -555,12 +589,12 @@ def _flicker(
 
 
 MOST_MODES = 128
-"""Largest number of modes of the covariance. For 1000 dwells the other modes, faster than about 16 dwells,
-are treated as independent noise of each dwell."""
+"""Largest number of modes that describe noise shared by dwells. For 1000 dwells the other modes, faster
+than about 16 dwells, are treated as independent noise of each dwell."""
 
 
 def covariance_of_means(begin_s: Floats, end_s: Floats) -> Floats:
-    """Covariance (n, n) of dwell means by 1/f noise with an Allan variance of 1.
+    """Return the covariance (n, n) of dwell means under 1/f noise with an Allan variance of 1.
 
     The means are relative to the mean of a session twice as long.
 
@@ -596,9 +630,10 @@ _SHORTEST_S = 1e-9
 
 
 def _in_order(begin_s: Floats, end_s: Floats) -> tuple[Floats, Floats]:
-    """Begin and end of the dwells of a session, corrected if the given times are impossible.
+    """Return begin and end of the dwells of a session, corrected if the given times are impossible.
 
-    Dwells without length or with overlaps are taken as consecutive.
+    `begin_s` and `end_s` are the given times. Dwells without length or with overlaps are taken as
+    consecutive.
     """
     length = end_s - begin_s
     # Shorter dwells are not plausible, and their squares would underflow.
@@ -611,7 +646,7 @@ def _in_order(begin_s: Floats, end_s: Floats) -> tuple[Floats, Floats]:
 
 
 def spans(times_s: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """Begin and end (n,) of each dwell in s; the end includes the period of the last sample.
+    """Return begin and end (n,) of each dwell in s; the end includes the period of the last sample.
 
     Each dwell has two or more samples.
     """
@@ -621,9 +656,9 @@ def spans(times_s: Sequence[Floats]) -> tuple[Floats, Floats]:
 
 
 def scatter_of_means(dwells: int) -> float:
-    """Expected variance of dwell means about their average by 1/f noise with an Allan variance of 1.
+    """Return the expected variance of dwell means about their average under 1/f noise.
 
-    The dwells are consecutive and equally long.
+    The 1/f noise has an Allan variance of 1; the dwells are consecutive and equally long.
     """
     return 1.0 if dwells < 2 else dwells * math.log(dwells) / (2 * (dwells - 1) * math.log(2))
 

@@ -29,11 +29,11 @@ class Term(ABC):
     Attributes
     ----------
     label : str
-        Unique in a session; for display only.
+        Text for display, unique in a session.
     covariates : tuple of str
-        Covariates that it depends on.
+        Covariates that the term depends on.
     cost : float
-        Cost of choosing it among all terms, in nats: −ln of its prior probability.
+        Cost of choosing the term among all terms, in nats: −ln of its prior probability.
     """
 
     label: str
@@ -72,33 +72,40 @@ class Term(ABC):
 
     @abstractmethod
     def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """Derivative of the readings or the angle by the amplitudes, at amplitude zero.
+        """Return the derivative of the readings or the angle by the amplitudes, at amplitude zero.
 
-        The shape is (n, axes, d) in the readings' unit, or (n, d) in rad for an angle.
+        `ideal` (n, axes) are the readings by the base model. The shape is (n, axes, d) in the readings'
+        unit, or (n, d) in rad for an angle.
         """
 
     @abstractmethod
     def start(self, amplitudes: Floats) -> Floats:
-        """Starting values (p,) of all parameters of the term, for given amplitudes (d,)."""
+        """Return starting values (p,) of all parameters of the term, for given amplitudes (d,)."""
 
     @abstractmethod
     def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Contribution of the term to the readings (n, axes) in their unit, or to the angle (n,) in rad."""
+        """Return the contribution to the readings (n, axes) in their unit, or to the angle (n,) in rad.
+
+        `values` (p,) are all parameters of the term, `ideal` (n, axes) the readings by the base model.
+        """
 
     @abstractmethod
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Derivative of `added` by the p values: (n, axes, p), or (n, p) for an angle."""
+        """Return the derivative of the contribution by the p values: (n, axes, p), or (n, p) for an angle.
+
+        `ideal` (n, axes) are the readings by the base model.
+        """
 
     def amplitude_index(self, values: Floats) -> list[int]:
-        """Indices of the amplitudes among the values (p,), without shape parameters."""
+        """Return the indices of the amplitudes among the values (p,), without shape parameters."""
         return list(range(len(values)))
 
     def bounds(self) -> Floats | None:
-        """Lower and upper limit (p, 2) of each value; None without limits."""
+        """Return the lower and upper limit (p, 2) of each value; None without limits."""
         return None
 
     def limited(self, old: Floats, new: Floats) -> Floats:
-        """Return the new values, limited to the range that one iteration of a fit may reach from `old`."""
+        """Return the new values, limited to the range that one step of a fit may reach from `old`."""
         return new
 
 
@@ -109,10 +116,12 @@ class NamedTerm(Term):
     Attributes
     ----------
     effect : Effect
+        The effect of the catalogue.
     shapes : tuple of (int, float)
-        Index among the parameters, and value, of each shape.
+        Index among the effect's parameters, and fixed value, of each shape parameter such as a time
+        constant.
     spread : float or None
-        Prior standard deviation of each value about zero.
+        Prior standard deviation of each value about zero; None without a prior.
     begins : float
         Rough amplitude about which the linear problem is expanded; 0 if none is known.
     """
@@ -124,7 +133,10 @@ class NamedTerm(Term):
 
     @classmethod
     def offset(cls, axes: Sequence[str], spread: float | None = None) -> NamedTerm:
-        """Make the term of a constant offset of each of these axes."""
+        """Make the term of a constant offset of each of these axes.
+
+        `spread` is the prior standard deviation of each offset; None without a prior.
+        """
         constant = constant_effect(axes)
         return cls(constant.name, (), 0.0, constant, spread=spread)
 
@@ -135,12 +147,12 @@ class NamedTerm(Term):
 
     @property
     def constant(self) -> bool:
-        """True for an effect of the group `constant` (`Effect.prior`)."""
+        """True for an effect that the catalogue lists as constant, such as a bias."""
         return self.effect.prior == "constant"
 
     @property
     def prior_sd(self) -> float | None:
-        """Prior standard deviation of each value, from the attribute `spread`."""
+        """Prior standard deviation of each value about zero, from `spread`; None without a prior."""
         return self.spread
 
     @property
@@ -160,16 +172,16 @@ class NamedTerm(Term):
         return [k for k in range(len(self.effect.parameters)) if k not in fixed]
 
     def amplitude_index(self, values: Floats) -> list[int]:
-        """Indices of the amplitudes, from the attribute `amplitudes`; `values` has no effect."""
+        """Return the indices of the amplitudes, from the attribute `amplitudes`; `values` has no effect."""
         return self.amplitudes
 
     def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """Derivative of the readings or the angle by the amplitudes, at amplitude zero."""
+        """Return the derivative of the readings or the angle by the amplitudes, at amplitude zero."""
         values = self.start(np.zeros(len(self.amplitudes)))
         return self.effect.derivative(values, ideal, conditions)[..., self.amplitudes]
 
     def start(self, amplitudes: Floats) -> Floats:
-        """Starting values (p,) with the given amplitudes (d,) and the shape parameters of this term."""
+        """Return starting values (p,) with the given amplitudes (d,) and this term's shape parameters."""
         values = np.zeros(len(self.amplitudes) + len(self.shapes))
         values[self.amplitudes] = amplitudes
         for index, shape in self.shapes:
@@ -177,13 +189,13 @@ class NamedTerm(Term):
         return values
 
     def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Contribution of the effect to the readings or the angle, computed by `Effect.added`."""
+        """Return the contribution of the effect to the readings (n, axes), or to the angle (n,) in rad."""
         if self.enters_angle:
             return self.effect.attitude_rad(values, conditions)
         return self.effect.reading(values, ideal, conditions)
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Derivative of the contribution by the values, computed by `Effect.derivative`."""
+        """Return the derivative by the values of the effect's contribution to the readings or the angle."""
         return self.effect.derivative(values, ideal, conditions)
 
     @cached_property
@@ -191,7 +203,7 @@ class NamedTerm(Term):
         return np.array([[p.low, p.high] for p in self.effect.parameters])
 
     def bounds(self) -> Floats:
-        """Limits (p, 2) of the values, as the catalogue states them for this effect."""
+        """Return the limits (p, 2) of the values, as the catalogue states them for this effect."""
         return self._bounds
 
     @cached_property
@@ -213,22 +225,27 @@ class NamedTerm(Term):
 
 
 ROUNDING = 1e-9
-"""Largest value of a basis function below which it counts as zero; others reach to about 1."""
+"""Largest size of a basis function over the dwells at which it is a rounding error and counts as zero;
+other functions reach about 1."""
 
 
 @dataclass(frozen=True)
 class Basis:
-    """Basis functions of an unnamed term: of the conditions, or of the stimulus of each axis.
+    """Basis functions of an unnamed term: of the conditions, or of each axis's stimulus.
+
+    The stimulus of an axis is the quantity that its gain multiplies, such as acceleration.
 
     Attributes
     ----------
     form : str
-        Formula, in the words for the covariates.
+        Formula for display, with words for the covariates.
     covariates : tuple of str
+        Covariates that the functions depend on.
     common : callable or None
-        Conditions → (n, q), equal on every axis.
+        From `Conditions` to values (n, q) that are equal on every axis; None for functions by axis.
     by_axis : callable or None
-        (stimulus (n, axes), axis) → (n, q): functions of the stimulus, in g for accelerometers.
+        From the stimulus (n, axes), in g for accelerometers, and an axis to values (n, q); None for common
+        functions.
     approximates : bool
         True for polynomials and harmonics that approximate a function of unknown form.
     with_constant : bool
@@ -246,7 +263,7 @@ class Basis:
     )
 
     def over(self, conditions: Conditions) -> Floats:
-        """Values (n, q) of the functions `common` at the conditions; the last result is kept for reuse.
+        """Return values (n, q) of the functions `common` at the conditions; the last result is kept.
 
         A function that is only rounding error at these conditions is set to zero, such as the sine of the
         fifth harmonic at multiples of 36°. Otherwise a fit could give it an amplitude of 10¹⁴.
@@ -260,7 +277,7 @@ class Basis:
 
 
 def in_g(ideal: Floats, conditions: Conditions) -> Floats:
-    """Stimulus (n, axes) of accelerometers, which scale errors multiply: the ideal readings in g."""
+    """Return the stimulus (n, axes) of accelerometers, which scale errors multiply: ideal readings in g."""
     return ideal / MG_PER_G
 
 
@@ -284,14 +301,19 @@ class NamelessTerm(Term):
     Attributes
     ----------
     where : {"bias", "gain", "misalignment", "angle"}
-        A misalignment turns the axis against the others: it adds the basis times the other readings.
+        Quantity that the term changes. A misalignment turns the axis against the others: it adds the basis
+        times the other readings.
     axes : tuple of int
         Axes on which it acts, with separate amplitudes; empty for the angle.
     basis : Basis
+        Basis functions of the term.
     shrinkage : float or None
-        Prior standard deviation of each amplitude, if the functions are features of a Gaussian process.
+        Prior standard deviation of each amplitude, if the functions are features of a Gaussian process;
+        otherwise None.
+    tangent_rad : float
+        Change of the angle in rad per unit of amplitude of a basis function, for a term of the angle.
     stimulus : callable
-        (ideal, conditions) → (n, axes): the quantity that gains multiply, as `Measurement.stimulus`.
+        From ideal readings and conditions to the quantity (n, axes) that gains multiply.
     """
 
     where: Where
@@ -303,7 +325,7 @@ class NamelessTerm(Term):
 
     @property
     def prior_sd(self) -> float | None:
-        """Prior standard deviation of each amplitude, from the attribute `shrinkage`."""
+        """Prior standard deviation of each amplitude, from `shrinkage`; None without a prior."""
         return self.shrinkage
 
     @property
@@ -329,7 +351,7 @@ class NamelessTerm(Term):
         return f"{head} follows {self.basis.form}"
 
     def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """Derivative by the amplitudes, which is the basis functions applied to each axis or the angle.
+        """Return the derivative by the amplitudes: the basis functions applied to each axis or the angle.
 
         Amplitudes are in the readings' unit (for a scale error, at full stimulus) or in mrad.
         """
@@ -340,7 +362,7 @@ class NamelessTerm(Term):
         return join_columns(blocks, ideal.shape)
 
     def on_axis(self, axis: int, driven: Floats, conditions: Conditions) -> Floats:
-        """Derivatives (n, q) of the readings of one axis by the amplitudes of this term.
+        """Return the derivatives (n, q) of the readings of one axis by the amplitudes of this term.
 
         If the term is a scale error, the basis functions are multiplied by the stimulus `driven` (n, axes).
         """
@@ -358,13 +380,13 @@ class NamelessTerm(Term):
         return rows
 
     def start(self, amplitudes: Floats) -> Floats:
-        """Starting values: the amplitudes, because an unnamed term has no shape parameters."""
+        """Return starting values: the amplitudes, because an unnamed term has no shape parameters."""
         return np.array(amplitudes, dtype=float)
 
     def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Contribution to the readings or the angle: columns times amplitudes."""
+        """Return the contribution to the readings or the angle: columns times amplitudes."""
         return np.asarray(self.columns(ideal, conditions) @ values)
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Derivative by the values: the columns, because an unnamed term is linear in its amplitudes."""
+        """Return the derivative by the values: the columns, since the term is linear in them."""
         return self.columns(ideal, conditions)

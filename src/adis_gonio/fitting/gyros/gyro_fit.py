@@ -54,25 +54,28 @@ DRIFTS = {
     "drift from dwell to dwell": effect("gyro_drift", AXES, steps=1),
     "warm-up": effect("gyro_warm_up", AXES),
 }
-"""Drifts of the zero rate that may imitate a g-sensitivity."""
+"""Drifts of the zero rate that may imitate a g-sensitivity, by the words for a message."""
 SCORED = ("drift with time", "drift from dwell to dwell")
-"""Drifts that are scored on left-out dwells. A warm-up is not linear: the trace scores it."""
+"""Drifts that are tested by their prediction of left-out dwells. A warm-up is not linear; only a trace
+tests it."""
 BEGIN_TAU = 1 / 3
-"""First time constant of a warm-up, in lengths of the session."""
+"""Starting value of the time constant of a warm-up, as a share of the session's length."""
 LIMIT = 0.1
-"""Largest standard uncertainty of a parameter that counts as determined, in 1 dps/g, a gain of 1, 1 rad."""
+"""Largest standard uncertainty with which a parameter counts as determined: 0.1 dps/g of a g-sensitivity,
+0.1 of a gain (1 is perfect), 0.1 rad of a misalignment."""
 _NOTHING = 1e-14
-"""Smallest relative information in a direction that is more than rounding."""
+"""Smallest eigenvalue of the information matrix, relative to the largest, that is not a rounding error."""
 TIME_BASE_U = 50e-6 / math.sqrt(3)
 """Relative standard uncertainty of the samples' times: a crystal of ±50 ppm, uniform (an estimate, D).
 Times are the host's, so the chip's own clock does not count. An angle is rate times time: all gains
 share this error."""
 LARGEST_DPS = 10.0
-"""Zero rate above which another cause is more probable: ten times the typical rate of this class (D)."""
+"""Zero rate in °/s above which another cause than the gyro is more probable: ten times the typical zero
+rate of this class (D)."""
 
 
 def gyro_doubts(session: Session, zero_dps: Sequence[float]) -> tuple[str, ...]:
-    """Reasons to doubt the gyros of a session, one line each: large zero rates, or constant samples.
+    """Return reasons to doubt the gyros of a session: large zero rates, or constant samples.
 
     Parameters
     ----------
@@ -101,7 +104,7 @@ _STEP_DEG = 1e-4
 
 
 def rotation_and_skews_deg(misalignment_deg: Floats) -> Floats:
-    """Rotation vector (3) of the gyro triad and its three skews xy, xz, yz, in degrees, as one array (6,).
+    """Return the rotation vector of the gyro triad and its three skews xy, xz, yz, in degrees, (6,).
 
     The argument (3, 3) is the misalignment of each gyro (row) towards each axis (column), in degrees.
     """
@@ -116,16 +119,16 @@ def rotation_and_skews_deg(misalignment_deg: Floats) -> Floats:
 
 
 def alignment(parameters: Mapping[str, Value], covariance: Floats) -> dict[str, Value] | None:
-    """Rotation and skews of the gyro triad in degrees with u, computed from the gyros' misalignments.
+    """Return rotation and skews of the gyro triad in degrees with u, from the gyros' misalignments.
 
     The names are `triad_rotation_x …` and `gyro_skew_xy …`.
 
     Parameters
     ----------
     parameters : mapping of str to Value
-        Of a gyro fit.
+        Parameters of a gyro fit, by name.
     covariance : (p, p) float
-        Of the parameters, in their order.
+        Covariance of these parameters, in their order.
 
     Returns
     -------
@@ -151,16 +154,17 @@ def alignment(parameters: Mapping[str, Value], covariance: Floats) -> dict[str, 
 
 @dataclass(frozen=True)
 class GyroScore:
-    """Prediction errors of one model for the dwells, in °/s by gyro axis: rms and largest.
+    """Errors with which one model predicts the dwells, in °/s by gyro axis.
 
-    Each dwell is predicted by a fit to all other dwells.
+    `rms_dps` has their root mean square and `max_dps` the largest size. Each dwell is predicted by a fit to
+    all other dwells.
     """
 
     rms_dps: dict[str, float]
     max_dps: dict[str, float]
 
     def as_dict(self) -> dict[str, Any]:
-        """One entry of the JSON key `scores`: rms over all axes, largest residual, and rms by axis."""
+        """Return one entry of the JSON key `scores`: rms over all axes, largest error, and rms by axis."""
         both = np.array(list(self.rms_dps.values()))
         return {
             "residual_rms_dps": float(np.sqrt((both**2).mean())),
@@ -183,18 +187,27 @@ class GyroFit(ParameterTable):
     chi2, dof : float, int
         Weighted sum of the squared residuals by the measured noise, and its degrees of freedom.
     residual_dps : (n, 3) float
-        Reading minus model of each interval used.
+        Reading minus model of each interval (dwell or turn) used.
     positions : tuple of int
         Number of each dwell, or of the dwell in which a turn ends.
     turns : int
         Number of turns among the intervals.
     undetermined : tuple of str
+        Parameters that the session does not determine; they are fixed at the values of perfect gyros.
     doubts : tuple of str
-        The warnings that doubt the gyros or their rest.
+        Reasons to doubt the gyros, or that they were at rest; they are also in `warnings`.
     inflation : mapping of str to float
-        Factor on the noise variance of each gyro by its residual; 1 if both agree.
+        Factor on the noise variance of each gyro, by its axis, that explains its residual; 1 if the
+        residual agrees with the measured noise.
+    reference_temperature_c : float or None
+        Mean temperature of the fitted dwells; None if not recorded.
+    provenance, overrides : Provenance or None, mapping
+        Origin of the readings (None if no session was given), and values of its file that were overridden.
+    fit : Fit or None
+        The fitted model on its readings.
     scores : mapping of str to GyroScore
-        `zero rate`, `gyro` and models with a drift on the same dwells, left out one by one.
+        Prediction errors of the models `zero rate`, `gyro` and `gyro` with a drift, on the same dwells,
+        left out one by one.
     """
 
     parameters: dict[str, Value]
@@ -248,7 +261,7 @@ class GyroFit(ParameterTable):
         return f"{dwells} and {counted(self.turns, 'turn')}" if self.turns else dwells
 
     def calibration(self) -> GyroCalibration:
-        """Calibration that converts readings to rates of turn, for the chip's present offset registers.
+        """Return the calibration that converts readings to rates of turn, for the chip's present offsets.
 
         Raises
         ------
@@ -260,11 +273,14 @@ class GyroFit(ParameterTable):
         return gyro_calibration_as_it_is(estimates_of_gyro_fit(self), self.provenance)
 
     def caption_and_parameters(self) -> tuple[str, Entries]:
-        """Caption of the table in notebooks, which names the method, and the parameters by name."""
+        """Return the caption of the table in notebooks, and the parameters by name.
+
+        The caption names the method.
+        """
         return f"fit by method {self.method}", self.as_dict()["parameters"].items()
 
     def as_dict(self) -> dict[str, Any]:
-        """The JSON document that `adis-gonio fit --sensor-part gyro --json` prints."""
+        """Return the JSON document that `adis-gonio fit --sensor-part gyro --json` prints."""
         return json_object(
             method=self.method,
             part=self.part,
@@ -294,8 +310,8 @@ def fit_gyro(session: Session, accelerometers: Calibration | None = None) -> Gyr
     Parameters
     ----------
     accelerometers : Calibration, optional
-        Calibration of the accelerometers of the same sensor, for directions that the session does not
-        determine.
+        Calibration of the accelerometers of the session's sensor, for directions of gravity that the
+        session does not determine.
 
     Raises
     ------
@@ -332,8 +348,8 @@ def _fit_session(session: Session, readings: Readings | None = None) -> GyroFit:
 def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
     """Fit the gyro model to readings; `scored=False` omits the scores and the fits with a drift.
 
-    The scores are the prediction errors for dwells that are left out of the fit, one at a time. Both take
-    most of the time.
+    The scores are the errors with which the model predicts dwells left out of the fit one at a time. Scores
+    and drifts take most of the time.
     """
     if len(data) < 1:
         raise FitError("no dwell holds samples of the gyros")
@@ -388,9 +404,12 @@ class _Model:
 
     Attributes
     ----------
+    data, terms : Readings, tuple of NamedTerm
+        Readings to fit, and effects in addition to the zero rates.
     names : tuple of str
-        Base parameters and parameters of the terms.
+        Names of the base parameters, then of the parameters of the terms.
     free : (p,) bool
+        True for parameters that are fitted; the others are fixed at the values of perfect gyros.
     """
 
     data: Readings
@@ -400,7 +419,7 @@ class _Model:
 
     @classmethod
     def of(cls, data: Readings, effects: Sequence[Effect]) -> _Model:
-        """Build the model from all effects with recorded conditions, and find its free parameters."""
+        """Build the model from the effects whose conditions are recorded, and find its free parameters."""
         seen = [one for one in effects if not data.conditions.lacks(one.needs)]
         terms = tuple(NamedTerm(one.name, (), 0.0, one) for one in seen)
         names = (*data.model.names, *(p.name for term in terms for p in term.effect.parameters))
@@ -408,9 +427,9 @@ class _Model:
         return whole.narrowed({})
 
     def narrowed(self, inflation: Mapping[str, float]) -> _Model:
-        """Copy in which only parameters that the readings determine are free.
+        """Return a copy in which only parameters that the readings determine are free.
 
-        `inflation` has the factor on the noise variance of each gyro; 1 by default.
+        `inflation` has the factor on the noise variance of a gyro, by its axis; 1 by default.
         """
         free = self._determined(inflation)
         return self if (free == self.free).all() else replace(self, free=free)
@@ -435,16 +454,17 @@ class _Model:
 
     @property
     def lost(self) -> list[str]:
-        """Names, as in a result, of the parameters that the readings do not determine."""
+        """Names of the parameters that the readings do not determine, as a result reports them."""
         return [_stated_name(name) for name, free in zip(self.names, self.free, strict=True) if not free]
 
     def _determined(self, inflation: Mapping[str, float]) -> NDArray[np.bool_]:
-        """Mask (p,) of the parameters that the readings determine.
+        """Return a mask (p,) of the parameters that the readings determine.
 
-        The parameter with the largest uncertainty is fixed, and the others are examined again, until all
-        uncertainties are below `LIMIT`. A fixed parameter may still be off by `LIMIT`, so that another one
-        is not determined either if only their sum is. The zero rates are always free. All gyros are
-        examined together, because the error of a turn's reference is common to them.
+        `inflation` has the factor on the noise variance of a gyro, by its axis; 1 by default. The parameter
+        with the largest uncertainty is fixed, and the others are examined again, until all uncertainties
+        are below `LIMIT`. A fixed parameter may still be wrong by `LIMIT`, so that another parameter is not
+        determined either if only their sum is. The zero rates are always free. All gyros are examined
+        together, because the error of a turn's reference is common to them.
         """
         free = self.free.copy()
         # Columns scaled so that `LIMIT` holds for all of them alike.
@@ -467,7 +487,7 @@ def _lacks(data: Readings, name: str) -> bool:
 
 
 def _gyro_of(name: str) -> str:
-    """Letter of the gyro that a parameter belongs to, such as x for `g_sensitivity_xy`.
+    """Return the letter of the gyro that a parameter belongs to, such as x for `g_sensitivity_xy`.
 
     The name of a parameter that all gyros share gives another letter, which is no axis.
     """
@@ -475,7 +495,7 @@ def _gyro_of(name: str) -> str:
 
 
 def _natural(names: Sequence[str]) -> Floats:
-    """Factor (p,) from the unit of `LIMIT` to the unit of each parameter: degrees per rad, otherwise 1."""
+    """Return the factor (p,) from the unit of `LIMIT` to each parameter's: degrees per rad, or 1."""
     return np.array([math.degrees(1.0) if "misalignment" in name else 1.0 for name in names])
 
 
@@ -491,9 +511,10 @@ def _covariance(fit: Fit, free: NDArray[np.bool_]) -> Floats:
 
 
 def _inflation(model: _Model) -> dict[str, tuple[float, float]]:
-    """Factor on the noise variance of each gyro that explains its residual, with its degrees of freedom.
+    """Return the factor on the noise variance of each gyro that explains its residual, with its dof.
 
-    The factor is 1 if the residual agrees with the measured noise.
+    The factor is 1 if the residual agrees with the measured noise. The second number are the factor's
+    degrees of freedom.
     """
     data, fit = model.data, model.fit
     out = {}
@@ -511,7 +532,7 @@ def _inflation(model: _Model) -> dict[str, tuple[float, float]]:
 # -- parameters of a result -------------------------------------------------------------------------------
 
 _STATED = {"gyro_scale_error": "gyro_scale"}
-"""Name in results, by the name in the catalogue, of parameters for which these differ."""
+"""Name of a parameter in results, by its name in the catalogue, if both differ."""
 _UNITS = {"gyro_bias": "dps", "gyro_scale": "1", "gyro_misalignment": "deg", "g_sensitivity": "dps/g"}
 
 
@@ -527,16 +548,16 @@ def _unit(name: str) -> str:
 def stated_parameters(
     names: Sequence[str], values: Floats, covariance: Floats, free: NDArray[np.bool_] | None = None
 ) -> tuple[list[str], Floats, Floats]:
-    """Names, values and covariance of the free parameters, in the form that a result reports.
+    """Return names, values and covariance of the free parameters, as a result reports them.
 
     Scale errors become scale factors K, misalignments become directions D.
 
     Parameters
     ----------
     values, covariance : (p,) float, (p, p) float
-        Of the base model and the effects.
+        Fitted parameters of the base model and the effects, in the order of `names`.
     free : (p,) bool, optional
-        Determined parameters; by default all.
+        True for determined parameters; by default for all.
     """
     kept = np.flatnonzero(np.ones(len(values)) if free is None else free)
     slope = central_differences(
@@ -548,10 +569,12 @@ def stated_parameters(
 
 
 def gains_and_directions(names: Sequence[str], values: Floats) -> Floats:
-    """Convert fitted scale errors and misalignments in (p,) to scale factors K and misalignments of D.
+    """Convert fitted scale errors and misalignments to scale factors K and misalignments of D.
 
-    A gyro that adds e Ω_i + Σ sin m_p Ω_p − (1 − c) Ω_i, c² = 1 − Σ sin² m_p, to Ω_i has the row
-    (c + e, sin m_p, …) of K D. K is the length of this row, and its direction has the misalignments.
+    `values` (p,) are all parameters; the others are unchanged.
+
+    A gyro that adds e Ω_i + Σ sin m_p Ω_p − (1 − c) Ω_i, c² = 1 − Σ sin² m_p, to Ω_i has the row (c + e,
+    sin m_p, …) of K D. K is the length of this row, and its direction has the misalignments.
     """
     out = values.copy()
     at = {name: k for k, name in enumerate(names)}
@@ -572,9 +595,10 @@ def gains_and_directions(names: Sequence[str], values: Floats) -> Floats:
 
 
 def _scores(data: Readings, model: _Model) -> dict[str, GyroScore]:
-    """Prediction errors of the zero rate alone, the full gyro model, and this model with each drift.
+    """Return the errors with which models predict left-out dwells, by name of the model.
 
-    Each dwell at rest is left out once and predicted by a fit to all others.
+    The models are the zero rate alone, the full gyro model, and this model with each drift. Each dwell at
+    rest is left out once and predicted by a fit to all others. Empty with fewer than three intervals.
     """
     if len(data) < 3:
         return {}
@@ -587,9 +611,9 @@ def _scores(data: Readings, model: _Model) -> dict[str, GyroScore]:
 
 
 def _left_out(model: _Model, rows: NDArray[np.intp]) -> GyroScore | None:
-    """Score a model on rows of the readings, each predicted by a fit to all other rows.
+    """Return the score of a model on rows of the readings, each predicted by a fit to all others.
 
-    Returns None if a fit without one of the rows does not determine the model's free parameters.
+    None if a fit without one of the rows does not determine the model's free parameters.
     """
     data, residuals = model.data, []
     for row in rows.tolist():
@@ -623,7 +647,7 @@ def _warnings(data: Readings, model: _Model, inflation: dict[str, tuple[float, f
 
 
 def _kinds(names: Sequence[str]) -> list[str]:
-    """Shorten a list of parameter names: `gyro_misalignment_xy, xz` instead of two full names."""
+    """Return shortened parameter names: `gyro_misalignment_xy, xz` instead of two full names."""
     groups: dict[str, list[str]] = {}
     for name in names:
         stem, axes = name.rsplit("_", 1)
@@ -632,7 +656,7 @@ def _kinds(names: Sequence[str]) -> list[str]:
 
 
 def _remedy(data: Readings, model: _Model) -> str:
-    """Advice to the user: the measurements that would determine the undetermined parameters."""
+    """Return advice: the measurements that would determine the undetermined parameters."""
     steps = []
     if any(name.startswith("g_") for name in model.lost) or _lacks(data, "g_sensitivity"):
         steps.append("measure poses with each axis up and down")
@@ -642,9 +666,10 @@ def _remedy(data: Readings, model: _Model) -> str:
 
 
 def _drifting(data: Readings, model: _Model, parameters: dict[str, Value]) -> list[str]:
-    """Warn if a drift in the model would change a g-sensitivity by more than its standard uncertainty.
+    """Return a warning if a drift in the model would change a g-sensitivity by more than its u.
 
-    Also warns if a g-sensitivity cannot be determined in addition to the drift.
+    The text also warns of a g-sensitivity that cannot be determined in addition to the drift. `parameters`
+    are the fitted ones without a drift.
     """
     warnings = []
     for word in DRIFTS:
@@ -683,8 +708,9 @@ class Gains:
     Attributes
     ----------
     values : mapping of str to Value
-        `gyro_scale_x …` of the gyros with a turn about their axis.
+        Scale factors `gyro_scale_x …` of the gyros with a turn about their axis.
     turns : int
+        Number of turns in the fit.
     """
 
     values: dict[str, Value]
@@ -700,18 +726,21 @@ class Gains:
         return f"gain of {gyros} {shown}, by {counted(self.turns, 'turn')} (fit --sensor-part gyro)"
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON object: the scale factors by parameter name, and the number of turns as `turns_used`."""
+        """Return the JSON object: scale factors by parameter name, and the number of turns."""
         return {name: value.as_dict() for name, value in self.values.items()} | {"turns_used": self.turns}
 
 
 def gains_in(result: GyroFit) -> Gains | None:
-    """Scale factors in a fit of the gyros; None if no turn determines a scale factor."""
+    """Return the scale factors in a fit of the gyros; None if no turn determines a scale factor."""
     found = {name: value for name, value in result.parameters.items() if name.startswith(_STEM)}
     return Gains(found, result.turns) if found and result.turns else None
 
 
 def gains_of(session: Session) -> Gains | None:
-    """Fit the gyros of a session and return their scale factors; None if no turn determines one."""
+    """Fit the gyros of a session and return their scale factors; None if no turn determines one.
+
+    None also if the fit fails.
+    """
     try:
         if not any(turn.gyro is not None and len(turn) for turn in session.turns):
             return None
@@ -727,9 +756,13 @@ class GyroEstimates:
     Attributes
     ----------
     method : str
+        Name of the method, as a result has it.
     estimates : mapping of str to objects with `value`, `u`, `unit`
+        Estimated parameters by name.
     covariance : (names, (p, p) float) or None
+        Names of parameters and their covariance in this order; None if unknown.
     not_corrected : tuple of NotCorrected
+        Effects that were found and that a calibration does not correct.
     doubts : tuple of str
         Reasons not to write offsets from these estimates to the chip, one line each; usually empty.
     remarks : tuple of str
@@ -745,7 +778,10 @@ class GyroEstimates:
 
 
 def estimates_of_gyro_fit(result: GyroFit) -> GyroEstimates:
-    """Convert the result of `fit --sensor-part gyro` to `GyroEstimates`; excess residuals become doubts."""
+    """Convert the result of `fit --sensor-part gyro` to `GyroEstimates`.
+
+    A residual larger than the noise becomes a doubt.
+    """
     large = [f"{axis} {math.sqrt(own):.2g}" for axis, own in result.inflation.items() if own > 1]
     doubts = [f"the gyros' residual is larger than their noise ({', '.join(large)} times)"] if large else []
     return GyroEstimates(
@@ -758,13 +794,20 @@ def estimates_of_gyro_fit(result: GyroFit) -> GyroEstimates:
 
 
 def gyro_calibration_as_it_is(found: GyroEstimates, where: Provenance | None) -> GyroCalibration:
-    """Return the calibration for the chip's present offset registers; see `gyro_as_written`."""
+    """Return the calibration for the chip's present offset registers.
+
+    `where` is the session that the estimates come from; None if unknown. Fails with `SessionError` if a
+    write of offsets was interrupted.
+    """
     made = make_gyro_calibration(found, where)
     return made if where is None else gyro_as_written(made, where)
 
 
 def make_gyro_calibration(found: GyroEstimates, where: Provenance | None) -> GyroCalibration:
-    """Return the calibration for the offset registers as they were while the session was recorded."""
+    """Return the calibration for the offset registers as they were while the session was recorded.
+
+    `where` is the session that the estimates come from; None if unknown.
+    """
     about: dict[str, Any] = {}
     if where is not None:
         about = {name: getattr(where, name) for name in ("temperature_c", "supply_v", "source")}
@@ -774,9 +817,10 @@ def make_gyro_calibration(found: GyroEstimates, where: Provenance | None) -> Gyr
 
 
 def gyro_as_written(gyro: GyroCalibration, where: Provenance) -> GyroCalibration:
-    """Adapt a calibration to the offsets that were written to the chip after its session.
+    """Return a calibration adapted to the offsets that were written to the chip after its session.
 
-    Gyro offsets change the zero rates; accelerometer offsets change the measured force.
+    Gyro offsets change the zero rates; accelerometer offsets change the measured force. Fails with
+    `SessionError` if a write of gyro offsets was interrupted.
     """
     if where.gyro_write_open:
         raise SessionError(f"{where.source}: {INTERRUPTED}")

@@ -38,29 +38,37 @@ if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 
 SHEET_GAIN = 0.02
-"""Limit of the relative error of a gyro's scale factor (CHIP: sensitivity ±2 %)."""
+"""Largest relative error of a gyro's scale factor (ADIS16350 data sheet: sensitivity ±2 %)."""
 SHEET_FRAME_DEG = 0.5
-"""Limit of the angle between a triad and the package (CHIP), for gyros and accelerometers."""
+"""Largest angle in degrees between a triad and the package, for gyros and accelerometers (ADIS16350 data
+sheet)."""
 SHEET_ASYMMETRY = 0.002
-"""Limit of the gain's dependence on the sign of the rate (CHIP: nonlinearity ±0.2 % of full scale)."""
+"""Largest relative change of a gyro's gain with the sign of the rate (ADIS16350 data sheet: nonlinearity
+±0.2 % of full scale)."""
 UNKNOWN_GAIN, UNKNOWN_MISALIGNMENT_DEG, UNKNOWN_G_DPS = 0.05, 2.0, 0.1
-"""Standard uncertainties of gyros without a data sheet: estimates (D)."""
+"""Standard uncertainties of gain, misalignment and g-sensitivity (°/s/g) of gyros without a data sheet:
+estimates (D)."""
 _STEP = 1e-6
 _NAMES = (
     *(f"gyro_scale_{i}" if i == j else f"gyro_misalignment_{i}{j}" for i in AXES for j in AXES),
     *(f"g_sensitivity_{i}{j}" for i in AXES for j in AXES),
 )
-"""Names in a calibration of the first 18 of `PARAMETERS`."""
+"""Names of the first 18 of the 21 gyro parameters, as a calibration has them."""
 
 
 @dataclass(frozen=True)
 class GyroPrior:
-    """Prior of the parameters of three gyros, from a data sheet or a calibration, in `PARAMETERS` order.
+    """Prior of the parameters of three gyros, from a data sheet or a calibration.
+
+    The 21 parameters are the matrix of gains and directions (9), the g-sensitivity (9) and the asymmetry of
+    the gains (3).
 
     Attributes
     ----------
     values : (21,) float
+        Prior mean of the parameters.
     covariance : (21, 21) float
+        Prior covariance of the parameters.
     """
 
     values: Floats
@@ -75,10 +83,10 @@ class GyroPrior:
 
     @classmethod
     def of_sheet(cls, sensor: str) -> GyroPrior:
-        """Prior of the gyros: perfect, with rectangular distributions within the limits of the data sheet.
+        """Make the prior of perfect gyros, with rectangular distributions within data-sheet limits.
 
-        Gains and misalignments of each gyro are independent. The whole triad is rotated against the
-        triad of the accelerometers: the direction of each in the package is equally uncertain.
+        Gains and misalignments of each gyro are independent. The whole triad is rotated against the triad
+        of the accelerometers: the direction of each in the package is equally uncertain.
         """
         values = np.concatenate([np.eye(3).ravel(), np.zeros(turn_integration.PARAMETERS - 9)])
         gain, per_g = UNKNOWN_GAIN, UNKNOWN_G_DPS
@@ -101,7 +109,7 @@ class GyroPrior:
         return cls(values, covariance)
 
     def calibrated(self, gyros: GyroCalibration) -> GyroPrior:
-        """Replace the prior of each parameter that a calibration of the gyros determines."""
+        """Return a copy in which parameters that a calibration of the gyros determines have its values."""
         values, covariance = self.values.copy(), self.covariance.copy()
         names = np.array(_NAMES)
         known = np.flatnonzero([name in gyros for name in names])
@@ -115,7 +123,7 @@ class GyroPrior:
         return GyroPrior(values, covariance)
 
     def with_g_sensitivity(self, gram: Floats, product: Floats, variance: Floats) -> GyroPrior:
-        """Update the g-sensitivity of each gyro by the zero rates of dwells.
+        """Return a copy with the g-sensitivity of each gyro updated by the zero rates of dwells.
 
         Parameters
         ----------
@@ -152,7 +160,8 @@ def _parameters(gyros: GyroCalibration, values: Floats) -> Floats:
 EARTH_DPS = 360.0 / 86164.0
 """Rate of rotation of the earth in °/s."""
 _CONTRAST = np.array([-0.5, 1.0, -0.5])
-"""Weights of dwell, turn, dwell: zero rate over the turn minus its estimate."""
+"""Weights of dwell, turn and dwell whose sum is the zero rate over the turn minus its estimate by the two
+dwells."""
 
 
 @dataclass(frozen=True)
@@ -162,18 +171,18 @@ class Leg:
     Attributes
     ----------
     positions : (int, int)
-        Numbers of the dwells.
-    time_s, rate_dps, force_g, size_dps : (n,), (n, 3) float
+        Numbers of the dwells before and after the turn.
+    time_s, rate_dps, force_g, size_dps : (n,), then (n, 3) float
         Samples: rates minus the mean zero rate of both dwells, force minus its mean in both, and |rate|
         without the noise of the samples.
     zero_dps2 : (3,) float
-        Variance of the subtracted zero rate.
+        Variance of the zero rate that was subtracted.
     missing_rad2 : float
-        Variance of the angle about each axis by lost samples.
+        Variance of the angle about each axis because samples were lost.
     spans_s : (3, 2) float
         Begin and end of the dwell before, the turn and the dwell after.
     shared_dps2 : (3,) float
-        Variance of the mean of the dwell after.
+        Variance of the mean rate in the dwell after, which the next turn shares.
     """
 
     positions: tuple[int, int]
@@ -194,14 +203,15 @@ class GyroLinks:
     Attributes
     ----------
     legs : tuple of Leg
-        In the order of time.
+        Samples of each turn that gives a link, in the order of time.
     prior : GyroPrior
+        Prior of the gyros' parameters.
     noise_dps2 : (3, 3) float
-        Covariance of a sample, by its density at frequency zero.
+        Covariance of a sample's noise, by its spectral density at frequency zero.
     allan_dps2 : (3,) float
-        Allan variance of the 1/f noise.
+        Allan variance of the gyros' 1/f noise.
     refused : tuple of (int, int, str)
-        Turns without a link: the two dwells and the reason.
+        Turns without a link: numbers of the dwells before and after, and the reason.
     """
 
     legs: tuple[Leg, ...]
@@ -214,7 +224,7 @@ class GyroLinks:
     def _wander(self) -> tuple[Floats, Floats]:
         """Effect of 1/f noise on the angle of each turn, for an Allan variance of 1.
 
-        Returns its variance (m,) for each turn, and its covariance (m,) with the next turn.
+        It is the variance (m,) for each turn, and its covariance (m,) with the next turn.
         """
         own, following = np.zeros(len(self.legs)), np.zeros(len(self.legs))
         for k, leg in enumerate(self.legs):
@@ -229,7 +239,7 @@ class GyroLinks:
         return own, following
 
     def at(self, values: Floats, position: Sequence[int]) -> Links:
-        """Links between readings, linearised at parameters (21,) of the gyros.
+        """Return links between readings, linearised at parameters `values` (21,) of the gyros.
 
         Parameters
         ----------
@@ -278,7 +288,7 @@ def gyro_links(session: Session, prior: GyroPrior | None = None) -> GyroLinks | 
     Parameters
     ----------
     prior : GyroPrior, optional
-        Prior knowledge of the gyros; by default their data sheet.
+        Prior of the gyros' parameters; by default from their data sheet.
     """
     if session.gyro_unit == "counts" or not any(dwell.gyro is not None for dwell in session.dwells):
         return None
@@ -307,7 +317,7 @@ def gyro_links(session: Session, prior: GyroPrior | None = None) -> GyroLinks | 
 
 
 def _leg(session: Session, turn: Turn, rests: GyroDwells) -> Leg | str:
-    """Samples of a turn from one dwell to the next, or the reason why it gives no link."""
+    """Return the samples of a turn from one dwell to the next, or the reason why it gives no link."""
     before, after = (rests.by_position.get(position) for position in (turn.before, turn.position))
     if before is None or after is None:
         return "one of its dwells has no gyros"
@@ -339,7 +349,7 @@ def _leg(session: Session, turn: Turn, rests: GyroDwells) -> Leg | str:
 
 
 def _by_dwells(prior: GyroPrior, rests: GyroDwells) -> GyroPrior:
-    """Update the prior of the g-sensitivity with the zero rates measured in the dwells."""
+    """Return the prior with the g-sensitivity updated by the zero rates measured in the dwells."""
     if len(rests.dwells) < 2 or not np.isfinite(rests.force_g).all():
         return prior
     # Least squares of zero rates on forces, both minus their means.

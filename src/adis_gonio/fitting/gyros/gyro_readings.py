@@ -42,8 +42,8 @@ if TYPE_CHECKING:
 __all__ = ["RateIntervals", "gyro_readings_of", "rate_intervals"]
 
 LEAST_FORCE_G = 0.02
-"""Smallest range of a force component that counts: below it, its share cannot be separated from the zero
-rate."""
+"""Smallest change, in g, of a component of the force over the intervals at which its g-sensitivity is
+fitted: below it the effect cannot be separated from the zero rate."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,8 @@ class RateIntervals:
     position : (n,) int
         Number of the dwell, or of the dwell in which the turn ends.
     rotation_dps : (n, 3) float
-        True mean rate by the reference, right-handed in the accelerometers' frame; 0 for dwells.
+        True mean rate of the sensor by gravity or the declared angle, right-handed in the accelerometers'
+        frame; 0 for dwells.
     rotation_covariance_dps2 : (n, 3, 3) float
         Covariance of `rotation_dps` that is independent in each turn; 0 for dwells.
     rotation_modes_dps : (n, 3, k) float or None
@@ -100,18 +101,21 @@ class RateIntervals:
     abs_dps : (n, 3) float
         Mean of |rate − zero rate| over a turn; 0 for dwells.
     temperature_c, supply_v : (n,) float or None
+        Mean temperature and supply voltage; None if not recorded.
     temperatures_c : (n, 3) float or None
-        Temperatures of the three gyros' dies, if the file has all three.
+        Temperatures of the three gyros' dies; None unless the file has all three.
     check : (n,) bool
         True if the dwell, or a dwell next to the turn, takes no part in a fit.
     samples : (n,) int
+        Number of samples in each interval.
     allan_dps2 : (3,) float
         Allan variance of the 1/f noise.
     allan_shown : bool
         True if the dwells show the 1/f noise, False if it is the variant's figure, an estimate.
     pooled : bool
+        True if one estimate of noise serves all intervals.
     references : tuple of str
-        Reference of the rotation of each interval: `rest`, `gravity` or `declared`.
+        Origin of the rotation of each interval: `rest`, `gravity` or `declared`.
     refused : tuple of str
         Turns that are not used, with the reason.
     notes : tuple of str
@@ -151,10 +155,10 @@ class RateIntervals:
         return self.end_s - self.begin_s
 
     def drift(self) -> tuple[Floats, Floats | None]:
-        """Contribution of 1/f noise to the mean rates of the intervals, as their covariance in two terms.
+        """Return the covariance that 1/f noise gives the mean rates of the intervals, in two parts.
 
         The first is an independent variance (n, 3) of each interval; the second are modes (n, 3, k) that
-        the intervals share, or None.
+        the intervals share, or None if they share no noise.
         """
         return flicker_parts(self.begin_s, self.end_s, self.allan_dps2)
 
@@ -166,12 +170,15 @@ class GyroDwells:
     Attributes
     ----------
     dwells : tuple of Dwell
+        Dwells with two or more samples of the gyros.
     rows : tuple of (n, 3) float
-        Rates of each, in the file's unit.
+        Rates of each dwell, in the file's unit.
     scale, per_g : float
-        Units of the gyros in °/s and of the accelerometers in g; `per_g` is NaN if unknown.
+        Size of the gyros' unit in °/s and of the accelerometers' unit in g; `per_g` is NaN if unknown.
     noise : MeanNoise
+        Noise of the mean rates, in (°/s)².
     sampling : Sampling
+        Period and filter delay of the samples.
     allan_dps2 : (3,) float
         Allan variance of the 1/f noise.
     """
@@ -186,12 +193,12 @@ class GyroDwells:
 
     @property
     def by_position(self) -> dict[int, int]:
-        """Row of each dwell by its number in the session."""
+        """Index of each dwell in `dwells`, by its number in the session."""
         return {dwell.position: k for k, dwell in enumerate(self.dwells)}
 
     @cached_property
     def mean_dps(self) -> Floats:
-        """Mean rate (n, 3) of each gyro in each dwell in °/s: its zero rate under the force there."""
+        """Mean reading (n, 3) of each gyro in each dwell in °/s: its zero rate under the force there."""
         return self.scale * np.array([row.mean(axis=0) for row in self.rows])
 
     @cached_property
@@ -208,7 +215,7 @@ class GyroDwells:
 
     @cached_property
     def spans_s(self) -> Floats:
-        """Begin and end (n, 2) of each dwell, with the filter's delay subtracted."""
+        """Begin and end (n, 2) of each dwell in s, with the filter's delay subtracted."""
         return np.column_stack(spans([dwell.time_s for dwell in self.dwells])) - self.sampling.delay_s
 
 
@@ -218,7 +225,7 @@ def gyro_dwells_of(session: Session) -> GyroDwells:
     Raises
     ------
     DataError
-        The session has no gyros, or none of its dwells has two samples; they are in counts, or not finite.
+        The session has no gyros, or no dwell with two samples; the gyros are in counts, or not finite.
     """
     source = session.source or "session"
     dwells = tuple(dwell for dwell in session.dwells if dwell.gyro is not None and len(dwell) > 1)
@@ -261,7 +268,8 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
     Parameters
     ----------
     calibration : Calibration, optional
-        Calibration of the accelerometers of the same sensor, for parameters that the session lacks.
+        Calibration of the accelerometers of the same sensor, for their parameters that the session does not
+        determine.
 
     Raises
     ------
@@ -312,9 +320,9 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
 
 
 def _consecutive(turns: Sequence[Turn]) -> dict[int, int]:
-    """Number of consecutive whole turns, by the dwell in which the last of them ends.
+    """Return, by the dwell in which a turn ends, the number of whole turns in the row it belongs to.
 
-    Such turns have no other move between them and share the error of the direction of their axis.
+    Whole turns in a row have no other move between them and share the error of the direction of their axis.
     """
     consecutive = {turn.position: 1 for turn in turns}
     group: list[int] = []
@@ -328,9 +336,9 @@ def _consecutive(turns: Sequence[Turn]) -> dict[int, int]:
 
 
 def _surroundings(part: Dwell | Turn) -> dict[str, Any]:
-    """Mean temperature, supply voltage and temperatures of the three gyro dies in a dwell or turn, by name.
+    """Return mean temperature, supply voltage and temperatures of the gyro dies, by name.
 
-    NaN if not recorded.
+    They are means over a dwell or turn; NaN if not recorded.
     """
     found: dict[str, Any] = {"temperatures_c": np.full(3, math.nan)}
     for name in ("temperature_c", "supply_v"):
@@ -368,7 +376,10 @@ def _intervals_of_dwells(session: Session, rests: GyroDwells) -> list[_Interval]
 def _interval_of_turn(
     session: Session, turn: Turn, rests: GyroDwells, triad: turn_integration.Triad, consecutive: int
 ) -> _Interval | str:
-    """Mean rates during a turn as a row of the table, or the reason why the turn gives none."""
+    """Return mean rates during a turn as a row of the table, or the reason why the turn gives none.
+
+    `consecutive` is the number of whole turns in a row to which the turn belongs.
+    """
     before, after = (rests.dwells[rests.by_position[k]] for k in (turn.before, turn.position))
     path = turn_integration.path_between(session, turn, before, after)
     integral = (
@@ -414,7 +425,11 @@ def _declared(
     delay_s: float,
     consecutive: int,
 ) -> turn_integration.Reference | str:
-    """True rotation by a declared angle about the vertical, or the reason why it is unknown."""
+    """Return the true rotation by a declared angle about the vertical, or why it is unknown.
+
+    `declared_deg` is the angle, `delay_s` the delay of the sensor's filter, and `consecutive` the number of
+    whole turns in a row.
+    """
     steady, covariance = turn_integration.steady_force(
         path, integral.begin_s + delay_s, integral.end_s + delay_s
     )
@@ -435,7 +450,10 @@ def _declared(
 def _by_gravity(
     integral: turn_integration.Integral, triad: turn_integration.Triad, positions: tuple[int, int]
 ) -> turn_integration.Reference | str:
-    """True rotation in a turn between two dwells, from gravity at both, or why it is unknown."""
+    """Return the true rotation in a turn between two dwells by gravity at both, or why it is unknown.
+
+    `positions` are the numbers of the dwells before and after.
+    """
     if triad.psi_deg is not None:
         here, there = (triad.psi_deg.get(position) for position in positions)
         if here is None or there is None:
@@ -450,7 +468,7 @@ def _by_gravity(
 
 
 def gyro_readings_of(session: Session) -> Readings:
-    """Readings of all intervals, including `check` intervals; computed once for each session.
+    """Return gyro readings of all intervals, also of `check` intervals; computed once per session.
 
     Raises
     ------
@@ -466,12 +484,14 @@ def _gyro_readings(session: Session) -> Readings:
 
 
 def gyro_readings_by(session: Session, accelerometers: Calibration) -> Readings:
-    """Readings of all intervals, with true rotations by a given calibration of the accelerometers.
+    """Return gyro readings of all intervals, with true rotations by given accelerometers.
+
+    `accelerometers` is the calibration of the accelerometers of the same sensor.
 
     Raises
     ------
     DataError
-        As `gyro_readings_of`.
+        The session has no gyros, or their unit is not known.
     UsageError
         The calibration is of another part, or states no uncertainties.
     """
@@ -491,9 +511,9 @@ def readings_of_intervals(
 ) -> Readings:
     """Convert intervals of rates to readings, the input of `fit` and `trace`.
 
-    The covariance of a reading is the covariance of the interval, plus the covariance of the true
-    rotation, plus its independent part of the 1/f noise. `Readings.slow` has the modes that intervals
-    share.
+    `sensor` is the name of the variant, `gravity_mg` local gravity. The covariance of a reading is the
+    covariance of the interval, plus the covariance of the true rotation, plus its independent part of the
+    1/f noise. `Readings.slow` has the modes that intervals share.
     """
     n = len(intervals)
     own, slow = intervals.drift()
@@ -547,9 +567,9 @@ def _conditions(intervals: RateIntervals, force: Floats | None) -> Conditions:
 
 
 def _changing_force(force_g: Floats) -> tuple[Floats | None, list[str]]:
-    """Replace components of the force (n, 3) that do not change by 0, and add a remark on them.
+    """Return the force (n, 3) with components that do not change replaced by 0, and a remark on them.
 
-    The forces are None if no component changes.
+    The force is None if no component changes or the accelerometers are in counts.
     """
     if not np.isfinite(force_g).all():
         return None, ["accelerometers in counts: the gyros' g-sensitivity is not determined"]

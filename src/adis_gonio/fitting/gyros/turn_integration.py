@@ -1,6 +1,4 @@
-"""Turns by the gyros: rates integrated from rest to rest, and angles that other sources give.
-
-Integrate the rates of the three gyros over a turn, from rest to rest, to its angle and attitude.
+"""Turns by the gyros: rates integrated from rest to rest, and the true rotation by other sources.
 
 The mean rate of a turn needs only the integral of the rates (`integrate`). The trapezoidal rule runs on the
 times of the samples, from the last sample of one dwell to the first sample of the next. The Bartlett filter
@@ -78,21 +76,23 @@ if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration
 
 LONGEST_GAP_S = 0.25
-"""Longest gap that is bridged within a turn; a hand's submovements take longer (`sim.hand`)."""
+"""Longest gap between samples, in s, that is bridged within a turn; the single movements of a turning hand
+take longer."""
 MARGIN_S = 1.0
-"""Time at rest that is integrated before and after the motion."""
+"""Time at rest, in s, that is integrated before and after the motion."""
 WINDOW_S = 0.1
-"""Length of the windows whose mean rate decides between motion and rest."""
+"""Length in s of the windows whose mean rate decides between motion and rest."""
 MOVING_DPS = 1.0
-"""Mean rate in °/s above which a sensor moves; at rest it shows less in every attitude."""
+"""Mean rate of a window, in °/s, above which the sensor moves; at rest it is smaller in every attitude."""
 MOVING_NOISE = 6.0
-"""Mean rate of a window above which the sensor moves, in standard deviations of the mean."""
+"""Mean rate of a window, in standard deviations of its noise, above which the sensor moves."""
 SHIFTED_G = 0.01
-"""Change of the accelerometers' reading that shows another attitude (0.6°)."""
+"""Change of the accelerometers' reading, in g, above which the attitude has changed (0.6°)."""
 HELD_NOISE = 6.0
-"""Largest integral of an omitted rest, in its standard uncertainties."""
+"""Largest integral of the rates over an omitted rest, in its standard uncertainties."""
 PARAMETERS = 21
-"""Of three gyros: A (9, row by row), g-sensitivity (9, row by row) in °/s/g, asymmetry (3)."""
+"""Number of parameters of three gyros: gains and directions A (9, row by row), g-sensitivity (9, row by
+row) in °/s/g, asymmetry of the gains (3)."""
 NOT_RECORDED = "nothing was recorded between the dwells"
 _BRIDGED_NEAR_S = 1.0
 _LEAST_BRIDGES = 8
@@ -107,14 +107,14 @@ class Sampling:
     period_s : float
         Time between samples without a loss.
     filter_m : int
-        M of the Bartlett filter; 0 if unknown.
+        Parameter M of the Bartlett filter; 0 if unknown.
     range_dps : float
-        Range of the gyros; inf if unknown.
+        Largest rate that the gyros measure; inf if unknown.
     density_dps2 : (3, 3) float
         Spectral density of the noise at frequency zero, two-sided, per sample: the sum of n samples has n
         times this variance.
     drift_dps : (3,) float
-        Allan deviation of the 1/f noise.
+        Allan deviation of the 1/f noise of each gyro.
     """
 
     period_s: float
@@ -130,7 +130,7 @@ class Sampling:
 
     @property
     def window(self) -> int:
-        """Number of samples per mean in the test for motion, at least the length of the filter."""
+        """Number of samples in a window of the test for motion, at least the length of the filter."""
         return max(8, round(WINDOW_S / self.period_s), int(2 * 2**self.filter_m - 1))
 
     @property
@@ -147,9 +147,9 @@ class Path:
     Attributes
     ----------
     time_s : (n,) float
-        Increasing.
+        Times of the samples, increasing.
     rate_dps, force_g : (n, 3) float
-        Readings of the gyros and of the accelerometers.
+        Readings of the gyros and of the accelerometers, in °/s and g.
     zero_dps, rest_g : (2, 3) float
         Means of the gyros and of the accelerometers in each of the two dwells.
     """
@@ -168,20 +168,20 @@ class Integral:
     Attributes
     ----------
     begin_s, end_s : float
-        Interval of the turn, with the filter's delay subtracted.
+        Begin and end of the turn, with the filter's delay subtracted.
     angle_deg : (3,) float
-        Integral of the readings, zero rate included.
+        Integral of the gyros' readings, with the zero rates.
     covariance_deg2 : (3, 3) float
-        From noise and bridged gaps, without changes of the zero rate.
+        Covariance of `angle_deg` from noise and bridged gaps, without changes of the zero rate.
     turned_deg : (3,) float
         Integral of the rates minus the mean zero rate of both dwells; it serves to count turns and to find
         the axis.
     force_g : (3,) float
-        Mean reading of the accelerometers.
+        Mean reading of the accelerometers during the turn.
     mean_abs_dps : (3,) float
-        Mean of |rate − zero rate|, which an asymmetry of the scale factor multiplies.
+        Mean of |rate − zero rate|, by which an asymmetry of the scale factor is multiplied.
     samples, bridged : int
-        Number of samples, and of lost scans in the interval.
+        Numbers of samples and of lost scans in the interval.
     """
 
     begin_s: float
@@ -201,12 +201,12 @@ class Integral:
 
 
 def dps_per_unit(session: Session) -> float:
-    """Factor from the unit of the session's gyros to °/s."""
+    """Return the factor from the unit of the session's gyros to °/s."""
     return 180.0 / math.pi if session.gyro_unit == "radps" else 1.0
 
 
 def g_per_unit(session: Session) -> float:
-    """Factor from the unit of the session's accelerometers to g; NaN for counts."""
+    """Return the factor from the unit of the session's accelerometers to g; NaN for counts."""
     return math.nan if session.accel_unit == "counts" else 1e-3 * mg_per_unit(session)
 
 
@@ -216,7 +216,10 @@ def three_axes(accel: Floats) -> Floats:
 
 
 def path_between(session: Session, turn: Turn, before: Dwell, after: Dwell) -> Path | None:
-    """Samples from the end of a dwell to the beginning of the next; None if there are none."""
+    """Return the samples from the end of a dwell to the beginning of the next; None without any.
+
+    None also without gyros in a dwell, or if the times do not increase.
+    """
     if turn.gyro is None or not len(turn) or before.gyro is None or after.gyro is None:
         return None
     per_dps, per_g = dps_per_unit(session), g_per_unit(session)
@@ -279,9 +282,10 @@ def integrate(path: Path, sampling: Sampling) -> Integral | str:
 
 
 def _shows_another_attitude(path: Path, here_g: Floats, dwell: int) -> bool:
-    """True if the mean of the readings `here_g` (n, 3) differs from the mean in one of the two dwells.
+    """Return True if the mean of the readings `here_g` (n, 3) differs from the mean in a dwell.
 
-    `dwell` is 0 or 1. A turn about the vertical changes no reading.
+    `dwell` is 0 for the dwell before the turn, 1 for the dwell after it. A turn about the vertical changes
+    no reading.
     """
     off = np.abs(here_g.mean(axis=0) - path.rest_g[dwell])
     noise = here_g.std(axis=0) / math.sqrt(len(here_g))
@@ -289,7 +293,7 @@ def _shows_another_attitude(path: Path, here_g: Floats, dwell: int) -> bool:
 
 
 def _moving(path: Path, sampling: Sampling) -> NDArray[np.bool_]:
-    """For each sample (n,), True if the mean rate around it is too large for a sensor at rest."""
+    """Return True for each sample (n,) if the mean rate around it is too large for a sensor at rest."""
     rate = path.rate_dps - path.zero_dps.mean(axis=0)
     # Means of windows that shrink at both ends, by differences of the cumulative sum.
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(rate, axis=0)])
@@ -303,7 +307,10 @@ def _moving(path: Path, sampling: Sampling) -> NDArray[np.bool_]:
 
 
 def _is_rest(path: Path, sampling: Sampling, low: int, high: int, zero_dps: Floats) -> bool:
-    """True if the rates between two rows show only the zero rate of the adjacent dwell and noise."""
+    """Return True if the rates between two rows show only a zero rate and noise.
+
+    `low` and `high` are the rows, `zero_dps` is the zero rate of the adjacent dwell.
+    """
     time, rate = path.time_s[low : high + 1], path.rate_dps[low : high + 1] - zero_dps
     length = float(time[-1] - time[0])
     if length <= 0:
@@ -316,7 +323,10 @@ def _is_rest(path: Path, sampling: Sampling, low: int, high: int, zero_dps: Floa
 
 
 def integral_over(path: Path, sampling: Sampling, begin: int, end: int) -> Integral | str:
-    """Integrate the rates between two samples to a rotation; if impossible, return the reason as text."""
+    """Integrate the rates between two samples to a rotation; if impossible, return the reason as text.
+
+    `begin` and `end` are the rows of the samples in `path`.
+    """
     rows = slice(begin, end + 1)
     time, rate, force = path.time_s[rows], path.rate_dps[rows], path.force_g[rows]
     weight, length = _trapezoid_weights(time), float(time[-1] - time[0])
@@ -340,13 +350,13 @@ def integral_over(path: Path, sampling: Sampling, begin: int, end: int) -> Integ
 
 
 def _trapezoid_weights(time_s: Floats) -> Floats:
-    """Weights (n,) in s of the samples in an integral over time by the trapezoidal rule."""
+    """Return the weights (n,) in s of the samples in an integral over time by the trapezoidal rule."""
     steps = np.diff(time_s)
     return np.asarray((np.append(steps, 0.0) + np.append(0.0, steps)) / 2)
 
 
 def smooth_blocks(rate: Floats, window: int) -> Floats:
-    """Replace each sample by the mean of its block of `window` samples.
+    """Replace each sample of `rate` (n, 3) by the mean of its block of `window` samples.
 
     Without this, noise around zero would add to a mean of absolute rates.
     """
@@ -358,12 +368,11 @@ def smooth_blocks(rate: Floats, window: int) -> Floats:
 
 
 def _bridges(time: Floats, rate: Floats, sampling: Sampling) -> tuple[Floats, int] | None:
-    """Uncertainty that gaps in the samples add to the integrated angle, and the number of lost samples.
+    """Return the covariance that gaps in the samples add to the integrated angle, and the lost samples.
 
     The rate is interpolated linearly over a gap. The covariance (3, 3) in deg² comes from the error that
-    such an interpolation makes in complete samples near the gap.
-
-    None if there are too few complete samples.
+    such an interpolation makes in complete samples near the gap. The second result is the number of lost
+    samples. None if there are too few complete samples.
     """
     period = sampling.period_s
     lost = np.rint(np.diff(time) / period).astype(int) - 1
@@ -391,9 +400,9 @@ def _bridges(time: Floats, rate: Floats, sampling: Sampling) -> tuple[Floats, in
 
 
 def period_of(times_s: list[Floats]) -> float:
-    """Usual time between samples in s: the median over all dwells, unaffected by lost samples.
+    """Return the usual time between samples in s: the median over all dwells.
 
-    NaN without samples.
+    Lost samples do not affect it. NaN without samples.
     """
     steps = [np.diff(time) for time in times_s if len(time) > 1]
     return float(np.median(np.concatenate(steps))) if steps else math.nan
@@ -406,7 +415,7 @@ class AssumedGyros:
     Attributes
     ----------
     sensitivity : (3, 3) float
-        A: scale factors times sensitive directions, one row for each gyro.
+        A: scale factors times unit vectors along the sensitive axes, one row for each gyro.
     per_g : (3, 3) float
         g-sensitivity in °/s/g.
     asymmetry : (3,) float
@@ -419,12 +428,12 @@ class AssumedGyros:
 
     @classmethod
     def of(cls, values: Floats) -> AssumedGyros:
-        """Make the gyros from an array of values in the order of `PARAMETERS`."""
+        """Make the gyros from an array of 21 values: A, g-sensitivity (both row by row), asymmetry."""
         return cls(values[:9].reshape(3, 3), values[9:18].reshape(3, 3), values[18:])
 
 
 def gyro_directions(misalignment_deg: Floats) -> Floats:
-    """Unit vectors (3, 3) along the sensitive axes of the gyros, one row for each gyro.
+    """Return unit vectors (3, 3) along the sensitive axes of the gyros, one row for each gyro.
 
     `misalignment_deg` (3, 3) has the angle of each gyro (row) towards each other axis (column).
     """
@@ -441,11 +450,11 @@ class Attitude:
     rotation : (3, 3) float
         Φ: converts components of a direction in the sensor before the turn to components after it.
     by_parameter : (3, 21) float
-        ∂ε/∂(A, g-sensitivity, asymmetry), rad, rad/(°/s/g), rad.
+        Derivative of the rotation error ε by A, g-sensitivity and asymmetry, in rad, rad/(°/s/g) and rad.
     by_zero : (3, 3) float
-        ∂ε/∂(zero rate), rad/(°/s).
+        Derivative of the rotation error ε by the zero rates, in rad/(°/s).
     noise_rad2 : (3, 3) float
-        Covariance of ε by white noise of the rates.
+        Covariance of ε from the white noise of the rates.
     """
 
     rotation: Floats
@@ -467,15 +476,17 @@ def attitude(
     Parameters
     ----------
     time_s : (n,) float
+        Times of the samples.
     rate_dps : (n, 3) float
-        Readings minus the zero rate without force.
+        Readings of the gyros minus their zero rates in the two dwells.
     force_g : (n, 3) float
-        Readings of the accelerometers minus the force that belongs to that zero rate.
+        Readings of the accelerometers minus their mean in the two dwells, to which these zero rates belong.
     gyros : AssumedGyros
+        Parameters of the gyros.
     noise_dps2 : (3, 3) float
-        Covariance of one sample, by the spectral density at frequency zero.
+        Covariance of the noise of one sample, by the spectral density at frequency zero.
     magnitude_dps : (n, 3) float, optional
-        |rate| without the noise of the samples; by default |`rate_dps`|.
+        |rate| without the noise of the samples; by default the absolute values of `rate_dps`.
     """
     inverse = np.linalg.inv(gyros.sensitivity)
     free = rate_dps - force_g @ gyros.per_g.T
@@ -502,7 +513,7 @@ def attitude(
 
 
 def _to_end(steps_rad: Floats) -> Floats:
-    """Rotation Φ(t₁, t) (n + 1, 3, 3) from the time of each sample to the end of the turn.
+    """Return the rotation Φ(t₁, t) (n + 1, 3, 3) from the time of each sample to the end of the turn.
 
     The argument has the angles (n, 3) turned between samples. The products run within about √n blocks of
     about √n steps, all blocks at once, then over the blocks.
@@ -525,15 +536,18 @@ def _to_end(steps_rad: Floats) -> Floats:
 
 
 MARK_U_DEG = 0.1
-"""Standard uncertainty of setting a part against a mark or a stop (an estimate, D)."""
+"""Standard uncertainty, in degrees, of setting a part against a mark or a stop (an estimate, D)."""
 FARTHEST_DEG = 90.0
-"""Largest distance from a declared angle; a gain error of 2 % in ten turns is less."""
+"""Largest difference, in degrees, between the gyro's angle and the declared angle at which the declared
+angle is accepted; a gain error of 2 % in ten turns gives less."""
 LEAST_REFERENCE_DEG = 20.0
-"""Smallest turn, in degrees, from which a scale factor is determined."""
+"""Smallest angle of a turn, in degrees, from which a gyro's scale factor is determined."""
 LEAST_INCLINED = math.sin(math.radians(15))
-"""Smallest sine of the angle between the axis of a turn and gravity for a reference by gravity."""
+"""Smallest sine of the angle between the axis of a turn and gravity at which gravity shows the turn's
+angle."""
 STRAIGHT = math.cos(math.radians(5))
-"""Least mean cosine between the rate and the axis of a turn in space."""
+"""Smallest ratio of the angle turned to the path of the rotation vector at which a turn in space is about
+one axis: the cosine of 5°."""
 _BLOCKS = 400
 
 
@@ -544,12 +558,15 @@ class Reference:
     Attributes
     ----------
     kind : {"gravity", "declared"}
+        Origin of the rotation: gravity before and after the turn, or a declared angle.
     angle_deg : (3,) float
         Rotation vector, right-handed about the accelerometers' axes.
     covariance_deg2 : (3, 3) float
-        Its covariance; an unobserved component has a standard uncertainty of `UNSEEN` times the angle.
+        Covariance of the rotation vector; an unobserved component has a standard uncertainty of `UNSEEN`
+        times the angle.
     modes_deg : (3, k) float or None
-        Change of the rotation by one standard uncertainty of each of k errors that turns share.
+        Change of the rotation by one standard uncertainty of each of k errors that turns share; None
+        without such errors.
     """
 
     kind: Literal["gravity", "declared"]
@@ -559,18 +576,19 @@ class Reference:
 
 
 UNSEEN = 0.2
-"""Relative standard uncertainty of an unobserved component: every gyro is more accurate."""
+"""Standard uncertainty of an unobserved component of a rotation, as a share of its angle: every gyro is
+more accurate."""
 
 
 def reference_on_stage(integral: Integral, psi_deg: tuple[float, float], u_deg: float) -> Reference | str:
-    """True rotation about the stage's axis, from the angle ψ of gravity before and after the turn.
+    """Return the true rotation about the stage's axis, by gravity, or why it is unknown.
 
     Parameters
     ----------
     psi_deg : pair of float
-        Angle of gravity from X to Y before and after.
+        Angle ψ of gravity from X to Y before and after the turn.
     u_deg : float
-        Standard uncertainty of their difference.
+        Standard uncertainty of the difference of both angles.
     """
     seen = float(integral.turned_deg[2])
     part = psi_deg[0] - psi_deg[1]
@@ -584,10 +602,12 @@ def reference_on_stage(integral: Integral, psi_deg: tuple[float, float], u_deg: 
 
 
 def reference_in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad: float) -> Reference | str:
-    """True rotation about the axis that the gyros show, with its angle from gravity before and after.
+    """Return the true rotation about the gyros' axis, by gravity, or why it is unknown.
 
     Parameters
     ----------
+    gravity : pair of (3,) float
+        Direction of gravity before and after the turn.
     u_rad : float
         Standard uncertainty of each direction of gravity.
     """
@@ -626,23 +646,23 @@ def reference_as_declared(
     axis_rad2: Floats,
     consecutive: int = 1,
 ) -> Reference | str:
-    """True rotation about the vertical by a declared angle, such as whole turns from mark to mark.
+    """Return the true rotation about the vertical by a declared angle, or why it is unknown.
 
     Parameters
     ----------
     declared_deg : float
-        Angle, positive counter-clockwise seen from above, up to whole turns.
+        Declared angle, positive counter-clockwise seen from above, up to whole turns.
     steady : (3,) float
         Constant part of the calibrated accelerometers' reading during the turn: opposite to the upward
         axis, in any unit.
     u_mark_deg : float
-        Standard uncertainty of meeting the mark, each time.
+        Standard uncertainty of setting the part to the mark, each time.
     axis_rad2 : (3, 3) float
-        Covariance of that direction by errors of this turn alone; its component along the direction does
-        not count.
+        Covariance of the direction of `steady` by errors of this turn alone; its component along the
+        direction does not count.
     consecutive : int
-        Number of consecutive declared turns. One ends where the next begins, so an error of the
-        mark between them is in both, and twice in their difference.
+        Number of declared turns in a row. One ends where the next begins, so an error of the mark between
+        them is in both, and twice in their difference.
     """
     up = -steady / np.linalg.norm(steady)
     seen = float(up @ integral.turned_deg)
@@ -668,12 +688,14 @@ def reference_as_declared(
 
 
 def steady_force(path: Path, begin_s: float, end_s: float) -> tuple[Floats, Floats]:
-    """Constant component of the accelerometers' reading while the sensor turns about one axis.
+    """Return the constant component of the accelerometers' reading during a turn about one axis.
+
+    The turn is the part of `path` from `begin_s` to `end_s`, in its times.
 
     Returns
     -------
     (3,) and (3, 3) float
-        In the unit of `Path.force_g`, and its covariance by the residual's noise at frequency zero,
+        The component in g, and its covariance by the residual's noise at frequency zero,
         because a hand's shaking is not white.
     """
     rows = (path.time_s >= begin_s) & (path.time_s <= end_s)
@@ -706,23 +728,24 @@ def steady_force(path: Path, begin_s: float, end_s: float) -> tuple[Floats, Floa
 
 
 Source = tuple[Mapping[str, float], Sequence[str], "Floats | None"]
-"""Values by name as results state them (degrees, mg), and a covariance in the order of the names."""
+"""Values of parameters by name as results state them (degrees, mg), names of parameters, and their
+covariance in the order of these names; None if it is unknown."""
 
 GAINS = tuple(f"scale_{axis}" for axis in AXES)
 SKEWS = tuple(f"skew_{AXES[i]}{AXES[j]}" for i, j in SKEW_AXES)
 BIASES = tuple(f"bias_{axis}" for axis in AXES)
 NAMES = (*GAINS, *SKEWS, *BIASES)
 CONSISTENT = 4.0
-"""Largest difference of the declared angle and the angle by gravity, in standard uncertainties, to
-average both."""
+"""Largest difference between the declared angle and the angle by gravity, in standard uncertainties, at
+which both are averaged."""
 UNKNOWN_SKEW_DEG = 0.25
 UNKNOWN_BIAS_MG = 50.0
-"""Of a part without a measurement: the one real ADIS16350 showed +57, −21, +46 mg. The default of 10 mg of
-simulated parts is an estimate, and no limit."""
+"""Standard uncertainty, in mg, of an accelerometer's bias without a measurement: the one real ADIS16350
+showed +57, −21, +46 mg. The default of 10 mg of simulated parts is an estimate, and no limit."""
 UNKNOWN_ACCEL_GAIN = 0.02
 _NOMINAL = np.array([1.0] * 3 + [0.0] * 6)
 _NATURAL = np.array([1.0] * 3 + [math.pi / 180] * 3 + [1.0] * 3)
-"""Factors from the units of results to the units used here: skews from degrees to rad."""
+"""Factors from the units of results to the units of `Axes.values`: skews from degrees to rad."""
 _STEP = 0.01
 _NOT_CALIBRATED = (
     "the accelerometers' biases are not determined: u of the directions of axes includes them;"
@@ -743,9 +766,10 @@ class Axes:
     values : (9,) float
         Scale factors, skews in rad, biases in mg.
     factor : (9, k) float
-        Factor of the covariance, which is factor factorᵀ.
+        Matrix F with the covariance F Fᵀ of the values; its columns are independent errors of one standard
+        uncertainty.
     known : frozenset of str
-        Names of the measured parameters.
+        Names of the parameters that were measured.
     """
 
     values: Floats
@@ -754,7 +778,7 @@ class Axes:
 
     @classmethod
     def of(cls, prior: tuple[float, float, float], *sources: Source) -> Axes:
-        """Combine sources of the nine parameters; if several give a parameter, the first one counts.
+        """Combine sources of the nine parameters; if several state a parameter, the first counts.
 
         Parameters
         ----------
@@ -779,14 +803,17 @@ class Axes:
         return cls(values, vectors * np.sqrt(np.maximum(variance, 0.0)), frozenset(known))
 
     def direction(self, force_g: Floats) -> Floats:
-        """Direction of gravity (…, 3) in the accelerometers' frame, from readings (…, 3) in g.
+        """Return the direction of gravity (…, 3) in the accelerometers' frame, from readings (…, 3) in g.
 
         The vectors are not normalized.
         """
         return _direction(self.values, force_g)
 
     def modes(self, force_g: Floats) -> Floats:
-        """Change (3, k) of the direction that a reading shows, by each column of `factor`."""
+        """Return the change (3, k) of the unit vector that a reading shows, by each column of `factor`.
+
+        The reading (3,) is in g.
+        """
 
         def unit(values: Floats) -> Floats:
             vector = _direction(values, force_g)
@@ -795,7 +822,7 @@ class Axes:
         return central_differences(unit, self.values, _STEP, self.factor.T)
 
     def u_rad(self) -> float:
-        """Standard uncertainty in rad of a direction, along each of the two axes perpendicular to it.
+        """Return the standard uncertainty in rad of a direction, along each axis perpendicular to it.
 
         It is the mean over directions along the three axes.
         """
@@ -815,13 +842,15 @@ class Triad:
     Attributes
     ----------
     axes : Axes
-        Direction of gravity by a reading, and its changes that all turns of the session share.
+        Calibration of the accelerometers, with errors that all turns of the session share.
     u_rad : float
-        Standard uncertainty of such a direction, each way across it.
+        Standard uncertainty of a direction of gravity, along each axis perpendicular to it.
     psi_deg : mapping or None
-        On a stage: angle ψ of gravity in each dwell and its standard uncertainty, by position.
+        Angle ψ of gravity in each dwell and its standard uncertainty, by number of the dwell; None if the
+        session has no stage.
     gravity : mapping
-        In space: direction of gravity (3,) in each dwell, by position.
+        Direction of gravity (3,) in each dwell of a session in space, by number of the dwell; otherwise
+        empty.
     notes : tuple of str
         Remarks for the user.
     """
@@ -834,7 +863,7 @@ class Triad:
 
 
 def triad_of(session: Session, calibration: Calibration | None = None) -> Triad:
-    """Calibrate the accelerometers of a session by a fit to this session, as far as it determines them.
+    """Return the accelerometers of a session, calibrated by a fit to it as far as it determines them.
 
     Parameters
     ----------
@@ -890,6 +919,7 @@ def _triad_in_space(session: Session, *sources: Source, noise_mg: float = 0.0) -
     """Make the triad of a session in space from `sources` of its nine parameters.
 
     Parameters without a source have the spread that the data sheet gives for this family of sensors.
+    `noise_mg` is the noise of a mean reading.
     """
     variant = VARIANTS.get(session.sensor)
     prior = (UNKNOWN_ACCEL_GAIN, math.radians(UNKNOWN_SKEW_DEG) / math.sqrt(3), UNKNOWN_BIAS_MG)
@@ -911,10 +941,11 @@ def _triad_in_space(session: Session, *sources: Source, noise_mg: float = 0.0) -
 
 
 def _with_declared(readings: Readings, psi: Floats, u: Floats) -> dict[int, tuple[float, float]]:
-    """Average declared angle and angle ψ by gravity of each dwell, weighted by uncertainties.
+    """Return the angle ψ of each dwell in degrees with u, averaged with its declared angle.
 
-    Both are angles of one stage: ψ + θ is the start angle α for all dwells, apart from errors. Angles that
-    disagree are not averaged.
+    `psi` and `u` (n,) are the angles by gravity in degrees with their u; the average is weighted by the
+    uncertainties. ψ + θ is the start angle α for all dwells, apart from errors. Angles that disagree are
+    not averaged. The keys are the numbers of the dwells.
     """
     sigma = math.degrees(readings.fixture_rad)
     theta = np.degrees(readings.angle_rad)

@@ -22,31 +22,38 @@ from adis_gonio.base.arrays import Floats, wrap_radians
 from adis_gonio.fitting.slips.position_model import PUSH_MG, Name, Pattern, Rows, common_zero, patterns_of
 
 NOWHERE_RAD = 10.0
-"""Standard deviation of the error of an undeclared angle."""
+"""Standard deviation, in rad, of the error of an undeclared angle: so large that the angle is unknown."""
 MORE_RAD = tuple(math.radians(value) for value in (0.0, 0.05, 0.2, 0.8))
-"""Scatter of positions beyond a stated fixture, or the scatter itself if none is stated (0: 0.01°)."""
+"""Possible scatter of positions, in rad, in addition to the stated uncertainty of a declared angle; without
+a stated uncertainty the scatter itself (0 stands for 0.01°)."""
 MORE_STATED, MORE_UNSTATED = (0.8, 0.12, 0.06, 0.02), (0.25, 0.25, 0.25, 0.25)
 LEAST_RAD = math.radians(0.01)
 ROUGH = (0.0, 0.001, 0.005)
-"""Possible standard deviations of readings in addition to their noise, in g."""
+"""Possible standard deviations of readings in addition to their noise, as a share of gravity."""
 ROUGH_PRIOR = (0.6, 0.3, 0.1)
 LARGER = (1.0, 8.0)
-"""Possible factors on the typical size of all effects of the catalogue."""
+"""Possible factors on the typical sizes of the catalogue's effects, common to all effects."""
 LARGER_PRIOR = (0.7, 0.3)
 WANDERS = ((math.radians(0.1), 0.0), (math.radians(0.5), 0.0), (0.0, 0.002))
-"""Rotation of a part that turns slowly in its mount at the end of a session (standard deviation of a
-random walk), and drift of the bias of an axis, in g."""
+"""Possible slow changes during a session: rotation of the part in its mount by the end (standard deviation
+of a random walk, rad), and drift of the bias of an axis (as a share of gravity)."""
 WANDERS_PRIOR = 0.02
 """Prior probability of each entry of `WANDERS`."""
 NEGLIGIBLE = 40.0
-"""Distance from the best in nats beyond which the case without gyro is not computed for all patterns."""
+"""Difference of log probability (nats) to the best fault, above which the case of a useless gyro is not
+computed for all faults."""
 GYRO_FAILS = 0.01
-"""Prior probability of a useless gyro: another unit, another axis, dead."""
+"""Prior probability that the gyro is useless: another unit, another axis, dead."""
 
 
 @dataclass(frozen=True)
 class ScatterPoint:
-    """Standard deviations of the ordinary errors in a session: one grid point, with ln of its prior."""
+    """One assumption on the ordinary errors of a session: their standard deviations, with its prior.
+
+    `position_rad` is of positions and `reading` of readings (share of gravity); `effects` is a factor on
+    the typical size of the catalogue's effects. `turns_rad` and `drifts` are slow changes by the end of the
+    session. `log_prior` is ln of the prior probability.
+    """
 
     position_rad: float
     reading: float
@@ -57,9 +64,9 @@ class ScatterPoint:
 
 
 def scatters(fixture_rad: float | None) -> list[ScatterPoint]:
-    """Grid of possible standard deviations of the ordinary errors.
+    """Return possible standard deviations of the ordinary errors, as a grid with prior probabilities.
 
-    `fixture_rad` is the stated uncertainty of a declared angle, if known.
+    `fixture_rad` is the stated standard uncertainty of a declared angle; None if it is not stated.
     """
     more = MORE_UNSTATED if fixture_rad is None else MORE_STATED
     stated = LEAST_RAD if fixture_rad is None else max(fixture_rad, LEAST_RAD / 10)
@@ -87,11 +94,11 @@ class KnownFaults:
     Attributes
     ----------
     error_rad : (n,) float
-        Errors of the positions by these faults, at the sizes at which the model is linearised.
+        Error of each position by these faults, at the sizes at which the model is linearised.
     zero_rad : float
         Start angle α, estimated after these faults are corrected.
     columns : (m, q) float
-        Directions in which their sizes are free.
+        Changes of the rows of the linear model by the free sizes of these faults.
     """
 
     error_rad: Floats
@@ -100,9 +107,9 @@ class KnownFaults:
 
     @classmethod
     def of(cls, rows: Rows, accepted: Sequence[Pattern]) -> KnownFaults:
-        """Combine the faults that were accepted so far to one object.
+        """Combine the faults that were accepted so far.
 
-        If there are none, all declared angles are taken as correct.
+        Without any, all declared angles are taken as correct.
         """
         error = sum((p.error_rad for p in accepted), np.zeros(len(rows)))
         zero = common_zero(wrap_radians(rows.seen_rad + error)[rows.declared])
@@ -110,7 +117,7 @@ class KnownFaults:
         return cls(error, zero, np.hstack([none, *(p.columns for p in accepted)]))
 
     def residual(self, rows: Rows) -> Floats:
-        """Residual (m,) of each row of the linear model, given these faults."""
+        """Return the residual (m,) of each row of the linear model, given these faults."""
         return rows.observed(self.error_rad, self.zero_rad)
 
 
@@ -122,8 +129,12 @@ class Whitened:
 
     Attributes
     ----------
+    rows : Rows
+        Rows of the linear model, not scaled.
+    scatter : ScatterPoint
+        Assumption on the ordinary errors.
     design : (m, p + q) float
-        Columns of all values with a prior: calibration, effects, sizes of known faults.
+        Columns of all values with a prior: calibration, effects, and sizes of known faults.
     prior_sd : (p + q,) float
         Prior standard deviation of the value of each column of `design`.
     root, inverse : (m, m) float
@@ -139,7 +150,10 @@ class Whitened:
 
     @classmethod
     def at_each(cls, rows: Rows, grid: Sequence[ScatterPoint], known: Floats) -> Iterator[Whitened]:
-        """Whiten for each point of the grid; `known` (m, q) are directions in which sizes are free."""
+        """Yield the whitened rows for each point of the grid.
+
+        The columns of `known` (m, q) are changes of the rows by free sizes of known faults.
+        """
         design = np.hstack([rows.design, known])
         free = np.full((len(grid), known.shape[1]), np.pi)
         larger = np.array([[scatter.effects] for scatter in grid])
@@ -156,7 +170,10 @@ class Whitened:
                 yield cls(rows, scatter, design, own, *roots)
 
     def weight(self, z: Floats) -> Floats:
-        """Log of prior times likelihood (k,) of this grid point, for k columns of whitened residuals."""
+        """Return the log of prior times likelihood (k,) of this grid point, for k columns of residuals.
+
+        `z` (m, k) are whitened residuals.
+        """
         scale = -np.log(np.diag(self.root)).sum() - 0.5 * len(self.root) * math.log(2 * math.pi)
         return np.asarray(scale + self.scatter.log_prior - 0.5 * (z * z).sum(axis=0))
 
@@ -170,11 +187,11 @@ class Whitened:
 
 
 _TOGETHER = 10**6
-"""Numbers in the matrices that are factorised together."""
+"""Largest number of matrix elements that are factorised in one call."""
 
 
 def _noise(rows: Rows, grid: Sequence[ScatterPoint]) -> Floats:
-    """Covariance (g, m, m) of the rows from noise and ordinary errors, at each point of the grid."""
+    """Return the covariance (g, m, m) of the rows from noise and ordinary errors, at each grid point."""
     n = len(rows)
     every = [(s.position_rad, s.reading, s.turns_rad, s.drifts) for s in grid]
     position, reading, turns, drifts = np.array(every).T[:, :, None]
@@ -198,11 +215,12 @@ class Weighed:
     Attributes
     ----------
     none : float
-        ln of the probability of no further fault, not normalized.
+        ln of the probability that there is no further fault, not normalized.
     named : mapping of (int, Name) to float
-        Such a logarithm for each pair of a fault, by its number, and one of its names.
+        Logarithm of such a probability for each pair of a fault, by its index, and one of its possible
+        names.
     scatter : ScatterPoint
-        Most probable point of the grid under the most probable case.
+        Most probable assumption on the ordinary errors, under the most probable fault or none.
     """
 
     none: float
@@ -211,7 +229,7 @@ class Weighed:
 
     @property
     def likeliest(self) -> tuple[int, Name]:
-        """Number of the most probable fault and the most probable name for it.
+        """Index of the most probable fault, and the most probable name for it.
 
         Raises `ValueError` if there is no possible fault.
         """
@@ -219,9 +237,9 @@ class Weighed:
 
     @property
     def best(self) -> int | None:
-        """Number of the fault that is most probable in total over its names.
+        """Index of the fault that is most probable in total over its names.
 
-        None if no further fault is more probable.
+        None if no fault is more probable than none.
         """
         whole: dict[int, float] = {}
         for (k, _), value in self.named.items():
@@ -233,9 +251,10 @@ class Weighed:
 def weigh(
     rows: Rows, grid: Sequence[ScatterPoint], patterns: Sequence[Pattern], known: KnownFaults
 ) -> Weighed:
-    """Compute the probability of each further fault, given the known faults.
+    """Return the log probability of each further fault, given the known faults.
 
-    It is the sum of two cases: the gyro works, or the gyro is useless.
+    The probability is the sum of two cases: the gyro works, or the gyro is useless. `patterns` are the
+    possible faults.
     """
     table, keys = _weighed(rows, grid, patterns, known)
     logs = np.logaddexp.reduce(table, axis=1)
@@ -259,9 +278,10 @@ def weigh(
 def _weighed(
     rows: Rows, grid: Sequence[ScatterPoint], patterns: Sequence[Pattern], known: KnownFaults
 ) -> tuple[Floats, list[tuple[int, Name]]]:
-    """Log of prior times likelihood (1 + names, grid): of no further fault, then of each fault and name.
+    """Return the log of prior times likelihood (1 + names, grid) of each further fault under each name.
 
-    Also returns the pairs of fault number and name that rows 1, 2, … belong to.
+    Row 0 is for no further fault. The second result are the pairs of fault index and name that rows 1, 2, …
+    belong to.
     """
     m = len(rows.by_error)
     shifted = [rows.observed(known.error_rad + p.error_rad, p.zero_rad) for p in patterns]
@@ -290,14 +310,14 @@ def _weighed(
 
 
 def _of_name(pattern: Pattern, name: Name, moments: Floats) -> Floats:
-    """Log prior of a fault under a name, plus the increase of log likelihood by fitting its size.
+    """Return the log prior of a fault under a name, plus the gain in log likelihood by its size.
 
     The result has one value for each point of the grid.
 
     Parameters
     ----------
     moments : (5, grid) float
-        Of the whitened directions v and w and the residual z: vv, vz, ww, wz, vw.
+        Scalar products of the whitened directions v and w and the residual z: vv, vz, ww, wz, vw.
     """
     log_prior, amplitude = pattern.names[name]
     vv, vz, ww, wz, vw = moments
@@ -312,7 +332,7 @@ def _of_name(pattern: Pattern, name: Name, moments: Floats) -> Floats:
 
 
 def _pushes(vv: Floats, vz: Floats, ww: Floats, wz: Floats, vw: Floats) -> Floats:
-    """Increase of the log likelihood if two amplitudes are free, averaged over several prior sizes.
+    """Return the gain in log likelihood if two amplitudes are free, averaged over several prior sizes.
 
     The arguments are scalar products of the whitened directions v and w of the amplitudes and the residual
     z.
@@ -327,11 +347,11 @@ def _pushes(vv: Floats, vz: Floats, ww: Floats, wz: Floats, vw: Floats) -> Float
 
 
 POWER = 0.99
-"""Share of sessions that show a detectable error."""
+"""Share of simulated sessions in which an error must be found to count as detectable."""
 SIZES_DEG = np.geomspace(0.02, 90.0, 120)
-"""Sizes in degrees of the simulated errors, from which the smallest detectable one is chosen."""
+"""Sizes in degrees of the simulated position errors, from which the smallest detectable one is chosen."""
 _DRAWN = 200
-"""Number of simulated sessions."""
+"""Number of simulated sessions for the smallest detectable error."""
 
 
 @dataclass(frozen=True)
@@ -344,6 +364,12 @@ class Detectability:
     ----------
     position : tuple of int
         Numbers of the dwells.
+    rows : Rows
+        Linear model of the session.
+    grid : tuple of ScatterPoint
+        Assumptions on the ordinary errors.
+    known : KnownFaults
+        Accepted faults.
     """
 
     position: tuple[int, ...]
@@ -352,12 +378,11 @@ class Detectability:
     known: KnownFaults
 
     def detectable_deg(self, name: Name, certain: float) -> dict[int, float]:
-        """Smallest error in degrees at each position that 99 % of simulated sessions show clearly.
+        """Return the smallest error in degrees at each position that 99 % of simulated sessions show.
 
-        Clearly means that the probability of a fault, given the session, exceeds `certain`.
-
-        An error of each size is put into sessions simulated with the scatter of this one. Only names with
-        one free size count, and only one fault at a time.
+        A session shows it if the probability of a fault called `name`, given the session, exceeds
+        `certain`. An error of each size is put into sessions simulated with the scatter of this one. Only
+        names with one free size count, and only one fault at a time. A value is inf if no size is shown.
         """
         every = patterns_of(self.rows, self.known.error_rad)
         patterns = [p for p in every if name in p.names and p.columns.shape[1] == 1]
@@ -382,7 +407,7 @@ class Detectability:
         return found
 
     def _odds(self, pattern: Pattern, name: Name, drawn: list[tuple[Whitened, Floats]]) -> Floats:
-        """Log odds (sizes, sessions) of a fault with this name against no fault, in simulated sessions.
+        """Return the log odds (sizes, sessions) of a fault with this name against none, by simulation.
 
         Each session has this fault in each size; `drawn` are the sessions' ordinary errors and noise.
         """

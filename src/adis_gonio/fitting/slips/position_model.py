@@ -1,6 +1,7 @@
 """Linear model of the angles of a session, and all faults that positions may have.
 
-The angles are by gravity and by the gyro, against the declared angles.
+A fault is an error that makes the angle or the reading of a position wrong. The model compares the angles
+by gravity and by the gyro with the declared angles.
 
 ψ = α − φ is the angle of gravity to X. The part is at φ = θ + e, with declared angle θ and its error e.
 The rows are linear around a calibration of the session that is near the truth:
@@ -49,19 +50,23 @@ from adis_gonio.model.effects import Conditions, Enters, catalogue
 from adis_gonio.model.measurement import PlanarTurn
 
 SLOW_DPS = 3.0
-"""Mean rate over a tenth of a second below which a hand rests: its tremor is one or two degrees per
-second."""
+"""Mean rate over a tenth of a second, in °/s, below which a turning hand rests: its tremor is one or two
+degrees per second."""
 LEAST_S = 0.15
-"""Shortest rest; a hand that changes its grip, or looks at a mark, takes longer."""
+"""Shortest rest in s; a hand that changes its grip, or looks at a mark, rests longer."""
 AFTERWARDS = 0.5
-"""Prior probability that a slip happens after the stage has stopped, so with a rest before it."""
+"""Prior probability that a slip happens after the stage has stopped, so that the sensor rests before it
+slips."""
 NEAR_MARK, ASTRAY = 0.05, 0.1
-"""Distance from the mark at which hands rest to correct themselves, and the farthest overshoot, both in
-lengths of the move."""
+"""Distance from the mark within which hands rest to correct themselves, and the farthest overshoot, both as
+a share of the move."""
 ORDINARY = (0.5, 0.45, 0.05)
-"""Share of the rests of any move that are near its end, anywhere on its way, anywhere at all."""
+"""Shares of the rests in a move without a slip that are near its end, anywhere on its way, anywhere at
+all.
+"""
 REST_GAIN, LEAST_RAD = 0.02, math.radians(0.1)
-"""Uncertainty of the rest of a turn by a gyro: relative, and its minimum."""
+"""Standard uncertainty of the angle from a rest to the end of a turn by a gyro: as a share of the angle,
+and its minimum in rad."""
 
 
 @dataclass(frozen=True)
@@ -71,21 +76,21 @@ class Halts:
     Attributes
     ----------
     left_rad : (m,) float
-        Rotation of the sensor after each rest until the end, in the direction of declared angles.
+        Rotation of the sensor from each rest to the end of the turn, in the direction of declared angles.
     turned_rad : float
-        The whole turn.
+        Rotation of the sensor over the whole turn.
     """
 
     left_rad: Floats
     turned_rad: float
 
     def log_odds(self, error_rad: Floats, u_rad: Floats) -> Floats:
-        """Log likelihood ratio (g,) of a slip in this turn, for g sizes, by the rests that the gyro shows.
+        """Return the log likelihood ratio (g,) of a slip in this turn to none, by the gyro's rests.
 
         Parameters
         ----------
         error_rad, u_rad : (g,) float
-            Size of the slip, and its standard uncertainty.
+            Sizes of the slip, and their standard uncertainties.
         """
         m = len(self.left_rad)
         if not m:
@@ -98,7 +103,7 @@ class Halts:
         return np.asarray(np.log(1 - AFTERWARDS + AFTERWARDS * ratio))
 
     def _ordinary(self) -> Floats:
-        """Probability density (m,) of each rest if the move has no slip."""
+        """Return the probability density (m,) of each rest if the move has no slip."""
         size = max(abs(self.turned_rad), LEAST_RAD)
         left = self.left_rad * np.sign(self.turned_rad) if self.turned_rad else self.left_rad
         sd = math.hypot(NEAR_MARK * size, LEAST_RAD)
@@ -111,7 +116,7 @@ class Halts:
 
 
 def halts_of(path: Path, sampling: Sampling) -> Halts:
-    """Find the rests between the first and the last movement of a recorded turn about z."""
+    """Return the rests between the first and the last movement of a recorded turn about z."""
     rate = path.rate_dps[:, 2] - path.zero_dps[:, 2].mean()
     steps = np.diff(path.time_s, append=path.time_s[-1])
     means = (rate + np.append(rate[1:], rate[-1])) / 2
@@ -134,21 +139,22 @@ def halts_of(path: Path, sampling: Sampling) -> Halts:
 
 @dataclass(frozen=True)
 class Increments:
-    """Rotation of the sensor from each dwell to the next, measured by the gyro along the axis of rotation.
+    """Rotation of the sensor from each dwell to the next, by the gyro along the axis of rotation.
 
     Attributes
     ----------
     angle_rad : (n - 1,) float
-        Integral of the rate minus its zero, in the direction of declared angles; NaN without a complete
-        record of the turn.
+        Integral of the rate minus its zero rate, in the direction of declared angles; NaN without a
+        complete record of the turn.
     u_rad : (n - 1,) float
-        Standard uncertainty by noise and by the drift of the zero between the dwells; without gain and
-        g-sensitivity, which the turns share.
+        Standard uncertainty of the angle by noise and by the drift of the zero rate between the dwells;
+        without gain and g-sensitivity, which the turns share.
     force_gs : (n - 1, 2) float
-        Integral over the turn of the readings of X and Y minus their course between the two dwells, in
-        g·s: a g-sensitivity of 1 rad/s/g changes the angle by this.
+        Integral over the turn of the readings of X and Y minus their mean at rest, in g·s: a g-sensitivity
+        of 1 rad/s/g changes the angle by this.
     halts : tuple of (Halts or None)
-        Rests on the way of each turn; None if only the whole turn is known. Empty if no turn has rests.
+        Rests during each turn; None for a turn of which only the whole angle is known. Empty if no turn has
+        rests.
     """
 
     angle_rad: Floats
@@ -159,17 +165,18 @@ class Increments:
 
 @dataclass(frozen=True)
 class Angles:
-    """Input of the diagnosis: n dwells of a turn in the plane, in the order of the recording.
+    """Input of the search for wrong positions: n dwells of a turn in the plane, in recorded order.
 
     Attributes
     ----------
     position : (n,) int
         Numbers of the dwells.
     declared_rad : (n,) float
-        Declared angles; NaN if there is none.
+        Declared angle of each dwell; NaN if there is none.
     reading_mg : (n, 2) float
-        Means of X and Y.
+        Mean readings of X and Y.
     covariance_mg2 : (n, 2, 2) float
+        Covariance of each mean reading.
     conditions : Conditions
         Conditions of the dwells, for effects that may be in the readings.
     gravity_mg : float
@@ -177,9 +184,9 @@ class Angles:
     fixture_rad : float or None
         Standard uncertainty of a declared angle; None if not stated.
     bias_mg : float
-        Standard deviation of a bias of this sensor before a measurement.
+        Prior standard deviation of a bias of this sensor.
     turns : Increments or None
-        None without gyros.
+        Rotation from each dwell to the next by the gyro; None without gyros.
     """
 
     position: tuple[int, ...]
@@ -197,26 +204,31 @@ class Angles:
 
 
 GAIN = 0.02
-"""Prior standard deviation of the relative error of a scale factor (CHIP, B: ±2 %)."""
+"""Prior standard deviation of the relative error of an accelerometer's scale factor (ADIS16350 data sheet,
+B: ±2 %)."""
 SKEW_RAD = math.radians(0.75)
-"""Prior standard deviation of the misalignment (CHIP, B: ±0.25° and ±0.5°)."""
+"""Prior standard deviation of the misalignment Δφ, in rad (ADIS16350 data sheet, B: ±0.25° and ±0.5°)."""
 GYRO_GAIN = 0.01
-"""Standard deviation of a gyro's gain (D: the sheets at hand state none)."""
+"""Prior standard deviation of the relative error of a gyro's gain (D: no data sheet states it)."""
 GYRO_FORCE_RAD = math.radians(0.1)
-"""Standard deviation of a gyro's g-sensitivity in rad/s/g: twice the sheet's 0.05 °/s/g (CHIP, B)."""
+"""Prior standard deviation of a gyro's g-sensitivity in rad/s/g: twice the 0.05 °/s/g of the ADIS16350 data
+sheet (B)."""
 TYPICAL = 3.0
-"""Standard deviation of an effect that may be present, in typical magnitudes of the catalogue."""
+"""Prior standard deviation of an effect that may be present, in units of its typical size in the
+catalogue."""
 BASE = 5
-"""Number of calibration parameters: two scale factors, the misalignment, two biases."""
+"""Number of calibration parameters of the linear model: two scale factors, the misalignment, two biases."""
 _LOOKED_FOR = {"dwell", "cycles"}
-"""Choices of effects that the patterns themselves look for: in one dwell, or by cycles of the stage."""
+"""Choices of catalogue effects that are left out of the model, because the faults describe them: an effect
+in one dwell, or with the cycles of the stage."""
 ROUNDS = 4
 
 
 NOMINAL = np.array([1.0, 1.0, 0.0, 0.0, 0.0])
 """Calibration of a perfect sensor: K_x, K_y, Δφ in rad, b_x and b_y in mg."""
 TURNED_AWAY = 4.0
-"""Length in robust standard deviations above which a reading hardly counts in the first calibration."""
+"""Deviation of a reading's length, in robust standard deviations, above which the reading hardly counts in
+the first calibration."""
 
 
 @dataclass(frozen=True)
@@ -226,14 +238,16 @@ class Rows:
     Attributes
     ----------
     seen_rad : (n,) float
-        y of each dwell: the start angle α that its reading shows at its declared angle, within ±π.
+        Start angle α that the reading of each dwell shows at its declared angle (y), within ±π.
     length : (n,) float
+        Length of each reading minus the length by the model, as a share of gravity.
     gyro_rad : (g,) float
-        γ of each turn: the angle measured by the gyro.
+        Angle γ of each turn by the gyro.
     turn : (g,) int
         Dwell in which each turn ends.
     design : (2n + g, p) float
-        Columns: α, the calibration, effects, the gyro's.
+        Derivatives of the rows by the start angle α, the calibration, the effects, and the gyro's
+        parameters.
     prior_sd, prior_mean : (p,) float
         Prior of the values of the columns, as differences from the calibration of the linear model.
     effect : (p,) bool
@@ -241,15 +255,17 @@ class Rows:
     by_error : (2n + g, n) float
         Derivative of the rows by the error e of each position.
     noise : (2n + g, 2n + g) float
+        Covariance of the rows from the noise of readings and gyro.
     reading : (2n + g, 2) float
-        ∂row/∂reading of its dwell on each axis, per G.
+        Derivative of each row by its dwell's reading on each axis, which is in units of gravity.
     course : (n,) float
         Time of each dwell as a share of the session.
     declared_rad : (n,) float
-        θ; the angle by gravity for a dwell without one.
+        Declared angle θ of each dwell; the angle by gravity for a dwell without one.
     declared : (n,) bool
+        True for dwells with a declared angle.
     halts : mapping of int to Halts
-        Rests on the way to a dwell, if known.
+        Rests in the turn before a dwell, by index of the dwell, if known.
     """
 
     seen_rad: Floats
@@ -272,7 +288,7 @@ class Rows:
         return len(self.declared)
 
     def without_gyro(self) -> Rows:
-        """Copy of the linear model without the rows for turns measured by the gyro."""
+        """Return a copy of the linear model without the rows for turns measured by the gyro."""
         n = 2 * len(self)
         return replace(
             self, gyro_rad=self.gyro_rad[:0], turn=self.turn[:0], design=self.design[:n],
@@ -280,9 +296,9 @@ class Rows:
         )  # fmt: skip
 
     def observed(self, error_rad: Floats, zero_rad: float) -> Floats:
-        """Residual (m,) of each row if the positions have these errors and the start angle α is `zero_rad`.
+        """Return the residual (m,) of each row if the positions have these errors.
 
-        The sensor is then at the declared angle plus `error_rad` (n,).
+        The sensor is at the declared angle plus `error_rad` (n,), and the start angle α is `zero_rad`.
         """
         angle = wrap_radians(self.seen_rad + error_rad - zero_rad)
         asked = (self.declared_rad + error_rad)[self.turn] - (self.declared_rad + error_rad)[self.turn - 1]
@@ -290,7 +306,10 @@ class Rows:
 
 
 def common_zero(angle_rad: Floats) -> float:
-    """Median of angles (n,) on the circle: the angle with the least sum of distances; 0 if n is 0."""
+    """Return the median of angles (n,) on the circle: the one with the least sum of distances.
+
+    0 without angles.
+    """
     if not len(angle_rad):
         return 0.0
     apart = np.abs(wrap_radians(angle_rad[:, None] - angle_rad[None, :])).sum(axis=0)
@@ -301,7 +320,8 @@ def common_zero(angle_rad: Floats) -> float:
 class _Local:
     """Model of the readings, linearised at each reading.
 
-    Changes have components along and across the circle of readings.
+    `psi_rad` is the angle of gravity by each reading; `along` and `across` convert changes of a reading to
+    changes of the angle and of the length. `left_mg` is reading minus model.
     """
 
     psi_rad: Floats
@@ -334,9 +354,10 @@ def _base_sd(angles: Angles) -> Floats:
 
 
 def calibrate_by_length(angles: Angles) -> Floats:
-    """First estimate (5,) of the calibration, which uses no declared angle.
+    """Return a first estimate (5,) of the calibration, which uses no declared angle.
 
-    Each calibrated reading must have the length of gravity.
+    Each calibrated reading must have the length of gravity. The values are K_x, K_y, Δφ in rad, b_x and b_y
+    in mg.
     """
     calibration = NOMINAL
     sd = _base_sd(angles)
@@ -356,7 +377,7 @@ def calibrate_by_length(angles: Angles) -> Floats:
 
 
 def rows_at(angles: Angles, calibration: Floats) -> Rows:
-    """Linear model of readings and gyro turns, linearised at a calibration (5,)."""
+    """Return the linear model of readings and gyro turns, linearised at a calibration (5,)."""
     near, n = _local(angles, calibration), len(angles)
     seen_by = near.psi_rad + (near.along * near.left_mg).sum(axis=1)
     declared = np.isfinite(angles.declared_rad)
@@ -416,7 +437,10 @@ def rows_at(angles: Angles, calibration: Floats) -> Rows:
 
 
 def _turns(angles: Angles) -> tuple[NDArray[np.intp], Floats, Floats, Floats]:
-    """Turns with a complete gyro record: the dwell in which each ends, its angle, u and force."""
+    """Return the turns with a complete gyro record: end dwell, angle, its u, and integral of the force.
+
+    The end dwell is the index of the dwell in which a turn ends.
+    """
     if angles.turns is None:
         return np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0), np.zeros((0, 2))
     watched = np.flatnonzero(np.isfinite(angles.turns.angle_rad))
@@ -429,10 +453,10 @@ def _turns(angles: Angles) -> tuple[NDArray[np.intp], Floats, Floats, Floats]:
 
 
 def _effect_columns(angles: Angles, near: _Local) -> tuple[Floats, Floats, Floats]:
-    """Derivatives of the readings by each effect of the catalogue that may act in addition.
+    """Return derivatives by each effect of the catalogue that may act in addition.
 
-    Returns columns (n, 2, q) in mg of effects on readings, columns (n, r) of effects on the angle ψ, and
-    the prior size (q + r,) of each effect.
+    They are columns (n, 2, q) in mg of effects on readings, and columns (n, r) of effects on the angle ψ.
+    The third result is the prior size (q + r,) of each effect.
     """
     conditions = _by_gravity(angles.conditions, near, angles)
     added: list[Floats] = []
@@ -463,7 +487,7 @@ def _effect_columns(angles: Angles, near: _Local) -> tuple[Floats, Floats, Float
 
 
 def _by_gravity(conditions: Conditions, near: _Local, angles: Angles) -> Conditions:
-    """Replace the declared angles in `conditions` by the angles from gravity.
+    """Return the conditions with the declared angles replaced by the angles from gravity.
 
     A declared angle may be wrong.
     """
@@ -478,10 +502,11 @@ LARGEST_DEG = 360.0
 
 
 def possible_entries(declared_deg: float, others_deg: Iterable[float] = ()) -> tuple[float, ...]:
-    """Angles in degrees that one typing error turns into `declared_deg`; this angle is not included.
+    """Return the angles in degrees that one typing error turns into `declared_deg`, without itself.
 
     The errors are a sign, a quarter or half turn (90 for 270), two digits exchanged, one digit wrong,
-    dropped or doubled, a misplaced decimal point, and the angle of another position of the session.
+    dropped or doubled, a misplaced decimal point, and the angle of another position of the session
+    (`others_deg`).
     """
     found = {*_wrongly_typed(declared_deg), *others_deg}
     return tuple(sorted(v + 0.0 for v in found if abs(v) <= LARGEST_DEG and v != declared_deg))
@@ -489,7 +514,7 @@ def possible_entries(declared_deg: float, others_deg: Iterable[float] = ()) -> t
 
 @lru_cache(1000)  # one search for faults asks several times for each angle of a session
 def _wrongly_typed(declared_deg: float) -> frozenset[float]:
-    """Like `possible_entries`, without the other positions and without a limit."""
+    """Return the angles in degrees, of any size, that one typing error turns into `declared_deg`."""
     text = f"{abs(declared_deg):g}"
     sign = -1.0 if declared_deg < 0 else 1.0
     written = {text[:k] + text[k + 1] + text[k] + text[k + 2 :] for k in range(len(text) - 1)}
@@ -517,26 +542,26 @@ SHARE: dict[Name, float] = {
     "gravity_wrong": 0.01,
     "gyro_wrong": 0.02,
 }
-"""Prior probability that a session has such a fault, at one of all its places."""
+"""Prior probability that a session has a fault of each name, at any one of its positions or turns."""
 ACCUSED: frozenset[Name] = frozenset(
     {"mistyped", "misset", "swapped", "slipped", "reversed", "gravity_wrong"}
 )
-"""Names that accuse a position; an error of a gyro accuses none."""
+"""Names of faults that make a position wrong; `gyro_wrong` does not."""
 LEAST_SLIP_RAD = math.radians(0.02)
-"""Size below which all slips are equally probable."""
+"""Size of a slip, in rad, below which all sizes are equally probable."""
 LISTED, WHOLE = 0.9, 0.07
-"""Share of mistakes on the list of `possible_entries`, and share of other whole degrees.
-
-Of errors in numbers that people copied 79 % were one wrong digit, 10 % two exchanged digits, 9 % another
-error (Verhoeff, Error Detecting Decimal Codes, 1969)."""
+"""Share of typing errors on the list of `possible_entries`, and share of other errors that give whole
+degrees. Of errors in numbers that people copied 79 % were one wrong digit, 10 % two exchanged digits, 9 %
+another error (Verhoeff, Error Detecting Decimal Codes, 1969)."""
 PUSH_MG = (10.0, 50.0, 250.0)
-"""Prior standard deviations of a wrong reading, such as by an acceleration, in mg."""
+"""Prior standard deviations, in mg, of the error of a wrong reading, such as by an acceleration."""
 NEAR_RAD = math.radians(6.0)
-"""Largest distance of gravity from both angles of a swap, before any calibration, for the swap to be
-considered."""
+"""Largest difference, in rad, between the angle by gravity before any calibration and the swapped angle, in
+both dwells, for a swap to be considered."""
 
 AmplitudePrior = Callable[[Floats, Floats], Floats]
-"""(estimates (g,), their standard uncertainties (g,)) → ln ∫ exp(−(a − estimate)²/2u²) p(a) da."""
+"""Function of estimated sizes (g,) and their standard uncertainties (g,) that returns ln ∫ exp(−(a −
+estimate)²/2u²) p(a) da, with the prior p of the size a."""
 Names = dict[Name, tuple[float, AmplitudePrior | None]]
 
 
@@ -547,17 +572,19 @@ class Pattern:
     Attributes
     ----------
     dwells : tuple of int
-        Rows of the affected dwells; for a fault of the gyro, the dwell in which the turn ends.
+        Indices of the affected dwells; for a fault of the gyro, the dwell in which the turn ends.
     error_rad : (n,) float
         Error of each position at which the model is linearised.
     columns : (m, q) float
         Change of the rows of the model by each free size of the fault; q is 0, 1 or 2.
     unit : (n,) float
-        Error of each position for a size of 1, if one size is free.
+        Error of each position for a size of 1, if one size is free; otherwise 0.
     amplitude : float
         Size of the fault that is already in `error_rad`.
+    zero_rad : float
+        Start angle α if the positions have these errors.
     names : mapping of Name to (float, AmplitudePrior or None)
-        ln of the prior of each name, and the prior of the size; None without a free size.
+        ln of the prior of each possible name, and the prior of the size; None without a free size.
     """
 
     dwells: tuple[int, ...]
@@ -570,12 +597,12 @@ class Pattern:
 
     @property
     def name(self) -> Name:
-        """First name of a cause in `names`."""
+        """First name in `names`."""
         return next(iter(self.names))
 
 
 def patterns_of(rows: Rows, before_rad: Floats) -> list[Pattern]:
-    """All patterns of errors that one further fault could cause.
+    """Return all patterns of errors that one further fault could cause.
 
     `before_rad` (n,) are the errors of the positions by the faults already accepted.
     """
@@ -685,9 +712,10 @@ def _gyro(rows: Rows, zero: float) -> Iterator[Pattern]:
 
 
 def _any_size(estimate: Floats, u: Floats) -> Floats:
-    """Log evidence of a slip of unknown size, from its estimate and u in rad.
+    """Return the log evidence of a slip of unknown size, from its estimated size and u in rad.
 
-    Each order of magnitude of the slip is equally probable, up to half a turn.
+    `estimate` and `u` (g,) are for g cases. Each order of magnitude of the slip is equally probable, up to
+    half a turn.
     """
     # Density 1/size up to half a turn, constant below the least slip.
     size = np.maximum(np.maximum(np.abs(wrap_radians(estimate)), u), LEAST_SLIP_RAD)
@@ -696,14 +724,18 @@ def _any_size(estimate: Floats, u: Floats) -> Floats:
 
 
 def _slip_after_rests(halts: Halts, estimate: Floats, u: Floats) -> Floats:
-    """Log evidence of a slip of unknown size, given the rests that the gyro recorded in the turn."""
+    """Return the log evidence of a slip of unknown size, given the rests of the sensor in the turn.
+
+    `estimate` and `u` are its estimated size and standard uncertainty in rad.
+    """
     return _any_size(estimate, u) + halts.log_odds(wrap_radians(estimate), u)
 
 
 def _typing_error(listed_rad: Floats, declared_deg: float, estimate: Floats, u: Floats) -> Floats:
-    """Log evidence of a wrongly typed angle, from the estimated error and its u in rad.
+    """Return the log evidence of a wrongly typed angle, from the estimated error and its u in rad.
 
-    The intended angle is on the list of usual angles, a whole degree, or any angle.
+    `estimate` and `u` (g,) are for g cases. The intended angle is `declared_deg` plus one of the possible
+    errors `listed_rad`, a whole degree, or any angle.
     """
     spread = u * math.sqrt(2 * math.pi)
     # Mean over the list of Gaussians around each possible entry.

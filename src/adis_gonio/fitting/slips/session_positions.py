@@ -1,6 +1,7 @@
-"""Diagnosis of wrong positions: reduce a session to angles, search for faults, report them.
+"""Find wrong positions of a session: reduce it to angles, search for faults, report them.
 
-The input are the declared angles of a session, its readings, and its gyro turns.
+A fault is an error that makes the angle or the reading of a position wrong, such as a slip of the part. The
+input are the declared angles of a session, its readings, and its gyro turns.
 """
 
 from __future__ import annotations
@@ -60,7 +61,8 @@ MEANINGS: dict[Name, str] = {
 }
 
 SIZED: frozenset[Name] = frozenset({"mistyped", "misset", "slipped"})
-"""Names of faults with an error of one size at one position or at all later ones."""
+"""Names of faults that have one free size: an error of one position, or of a position and all later
+ones."""
 
 
 class Named(JsonRecord):
@@ -70,10 +72,12 @@ class Named(JsonRecord):
 
     Attributes
     ----------
+    name : Name
+        Name of the cause.
     positions : tuple of int
-        Accused positions; of a lasting change the first one.
+        Positions with the error; for a lasting change the first one.
     probability : float
-        Share of the probability of all faults that accuse a position.
+        Share of this cause in the probability of all faults that make a position wrong.
     """
 
     name: Name
@@ -83,29 +87,30 @@ class Named(JsonRecord):
 
 @dataclass(frozen=True)
 class PositionFinding:
-    """One position away from its declared angle, or with a wrong reading.
+    """A position that differs from its declared angle, or has a wrong reading.
 
     Attributes
     ----------
     position : int
-        Number of the dwell; of a lasting change the first one.
+        Number of the dwell; for a lasting change the first one.
     finding : Name
-        The most probable cause.
+        Name of the most probable cause.
     declared_deg : float or None
-        None without a declared angle.
+        Declared angle; None if there is none.
     gravity_deg, gyro_deg : Angle or None
-        By the reading with the session's own calibration, and by the turn from the dwell before; None
-        without one. Calibration and neighbours are those without the accepted faults.
+        Angle of the part by its reading with the session's own calibration, and by the turn from the dwell
+        before; the second is None without a gyro. Calibration and neighbours are without the accepted
+        faults.
     angle_deg : Angle
-        Combined angle of the part.
+        Angle of the part by gravity and gyro together.
     error_deg : Angle
-        Angle of the part minus declared angle.
+        Angle of the part minus the declared angle.
     meant_deg : float or None
-        Intended entry, if a usual typing error makes the declared angle of it.
+        Angle that was probably meant, if the declared angle is a usual typing error of it; otherwise None.
     others : tuple of int
         Other positions of the same fault: the second of a swap, all later ones of a slip.
     probability : float
-        Probability of a fault here.
+        Probability that this position has a fault.
     names : tuple of Named
         The smallest set of names with 95 % of that probability, the most probable first. An error of the
         first or the last position has the same effect as a slip next to it.
@@ -198,7 +203,7 @@ class PositionFinding:
         return ", or ".join(dict.fromkeys(own))
 
     def as_dict(self) -> dict[str, Any]:
-        """One entry of the JSON list `positions`."""
+        """Return one entry of the JSON list `positions`."""
         document: dict[str, Any] = {
             "position": self.position, "finding": self.finding, "declared_deg": self.declared_deg
         }  # fmt: skip
@@ -218,7 +223,7 @@ class PositionFinding:
 
 
 def listed(findings: Sequence[PositionFinding]) -> dict[str, Any]:
-    """The entry `positions` of a JSON result, as a mapping; empty if no position is suspected."""
+    """Return the entry `positions` of a JSON result, as a mapping; empty if no position is suspected."""
     return {"positions": [found.as_dict() for found in findings]} if findings else {}
 
 
@@ -243,14 +248,17 @@ def _signed(angle: Angle) -> str:
 
 
 CERTAIN = 0.99
-"""Posterior probability of a fault above which a position is reported."""
+"""Posterior probability of a fault from which a position is reported."""
 MOST_FAULTS = 6
 LARGEST = 120
-"""Largest number of dwells of a diagnosis, because it computes the covariance of all rows."""
+"""Largest number of dwells in which wrong positions are searched, because the covariance of all rows is
+computed."""
 LEAST = 3
-"""Smallest number of dwells of which one can be wrong and the others right; with a gyro two."""
+"""Smallest number of declared dwells of which one can be recognised as wrong; with a gyro one less is
+enough."""
 SETTLED_RAD = math.radians(0.5)
-"""Largest change of angles by the last calibration; its square is 0.004°."""
+"""Largest change of an angle, in rad, by a second calibration, at which the search is not repeated: the
+square of the change is 0.004°."""
 
 
 @dataclass(frozen=True)
@@ -260,11 +268,12 @@ class Diagnosis:
     Attributes
     ----------
     findings : tuple of PositionFinding
-        Accused positions, in their order.
+        Positions with an error, in their order.
     scatter_deg : float
-        Standard deviation of a position without the findings.
+        Standard deviation of a position about its declared angle, without the findings; NaN if positions
+        were not examined.
     sight : Detectability or None
-        Detectable errors; None without a diagnosis.
+        Computes the detectable errors of each position; None if positions were not examined.
     """
 
     findings: tuple[PositionFinding, ...] = ()
@@ -272,9 +281,9 @@ class Diagnosis:
     sight: Detectability | None = field(default=None, repr=False, compare=False)
 
     def detectable_deg(self, name: Name = "slipped") -> dict[int, float]:
-        """For each position, the smallest error in degrees that is found with a probability of 99 %.
+        """Return the smallest error in degrees of each position that is found with a probability of 99 %.
 
-        `name` is the kind of error. The value is inf if no error of up to half a turn would be found.
+        `name` is the kind of error. A value is inf if no error of up to half a turn would be found.
         """
         return {} if self.sight is None else self.sight.detectable_deg(name, CERTAIN)
 
@@ -291,7 +300,7 @@ class Diagnosis:
 def diagnose(angles: Angles) -> Diagnosis:
     """Compute the probability of every fault at every position, and report the certain faults.
 
-    The faults are listed in `position_model`.
+    The faults are listed in `position_model`. Too few or too many dwells give no findings.
     """
     declared = int(np.isfinite(angles.declared_rad).sum())
     watched = angles.turns is not None and bool(np.isfinite(angles.turns.angle_rad).any())
@@ -317,7 +326,7 @@ def diagnose(angles: Angles) -> Diagnosis:
 def _search(rows: Rows, grid: Sequence[ScatterPoint]) -> tuple[list[Pattern], Weighed]:
     """Accept faults one after another, the most probable first, while a fault is more probable than none.
 
-    Returns the accepted faults and the probabilities after the last one.
+    Return the accepted faults, and the probabilities of further faults after the last one.
     """
     accepted: list[Pattern] = []
     while True:
@@ -338,9 +347,10 @@ def _weigh_others(
 
 
 def _posterior(rows: Rows, accepted: Sequence[Pattern], scatter: ScatterPoint) -> tuple[Floats, Floats]:
-    """Posterior mean (p + q,) and covariance of the p calibration parameters and q sizes of faults.
+    """Return the posterior mean (p + q,) and covariance of the calibration and the sizes of faults.
 
-    `accepted` are the faults, and `scatter` the standard deviations of the ordinary errors.
+    There are p calibration parameters and q sizes of the `accepted` faults; `scatter` are the standard
+    deviations of the ordinary errors.
     """
     known = KnownFaults.of(rows, accepted)
     (white,) = Whitened.at_each(rows, [scatter], known.columns)
@@ -386,9 +396,10 @@ def _findings(
 def _set_of_names(
     position: Sequence[int], patterns: Sequence[Pattern], weighed: Weighed
 ) -> tuple[Named, ...]:
-    """Most probable faults of the session with their probabilities, as a 95 % credible set.
+    """Return the most probable faults with their probabilities, as a 95 % credible set.
 
-    The probabilities are relative to all faults that accuse a position.
+    `position` are the numbers of the dwells. The probabilities are relative to all faults that make a
+    position wrong.
     """
     accusing = {key: value for key, value in weighed.named.items() if key[1] in ACCUSED}
     total = np.logaddexp.reduce(list(accusing.values()))
@@ -405,7 +416,10 @@ def _set_of_names(
 
 @dataclass(frozen=True)
 class _Account:
-    """Computes the error of each position that one fault affects, given all accepted faults."""
+    """Computes the error of each position that one fault (`pattern`) affects, given all accepted faults.
+
+    `rows` are the linear model and `scatter` the standard deviations of the ordinary errors.
+    """
 
     position: Sequence[int]
     rows: Rows
@@ -419,7 +433,7 @@ class _Account:
 
     @cached_property
     def posterior(self) -> tuple[Floats, Floats]:
-        """Posterior mean and covariance of the calibration parameters and the sizes of faults."""
+        """Posterior mean (p + q,) and covariance of the calibration parameters and the sizes of faults."""
         return _posterior(self.rows, self.accepted, self.scatter)
 
     @cached_property
@@ -442,7 +456,11 @@ class _Account:
         return error, u
 
     def finding(self, k: int, name: Name, probability: float, names: tuple[Named, ...]) -> PositionFinding:
-        """Finding for the position k: its error, the most probable cause and the other causes."""
+        """Return the finding for the position with index k: its error and its possible causes.
+
+        `probability` is the probability of a fault there, `name` the most probable cause, and `names` are
+        all probable causes.
+        """
         declared = _degrees(self.rows.declared_rad[k])
         gravity, gyro = self._gravity(k), self._gyro(k)
         actual = _weighted_mean([gravity, gyro])
@@ -472,10 +490,11 @@ class _Account:
         )
 
     def _intended(self, k: int, name: Name, declared: float, actual: Angle) -> float | None:
-        """Angle in degrees that the operator probably meant to enter; None if unknown.
+        """Return the angle in degrees that the operator probably meant to enter; None if unknown.
 
-        For swapped positions it is the angle of the other position. For a typing error it is the nearest
-        angle on the list of usual angles, else a whole degree.
+        The position has the index k, and `actual` is the estimated error of the declared angle. For swapped
+        positions the result is the declared angle of the other position. For a typing error it is the
+        nearest angle on the list of usual angles, else a whole degree.
         """
         if name == "swapped":
             other = next(j for j in self.pattern.dwells if j != k)
@@ -497,7 +516,7 @@ class _Account:
         return None
 
     def _stated(self, e: float, row: int, variance: float) -> Angle:
-        """Convert an error in rad to an `Angle` in degrees with its standard uncertainty.
+        """Convert an error `e` in rad to an `Angle` in degrees with its standard uncertainty.
 
         The u combines `variance` with the uncertainty of the calibration at one row of the linear model.
         """
@@ -507,19 +526,22 @@ class _Account:
         return math.degrees(float(wrap_radians(np.array(e)))), math.degrees(u)
 
     def _model(self, row: int) -> float:
-        """Value that the calibration, at its posterior mean, predicts for one row of the linear model."""
+        """Return the value that the calibration, at its posterior mean, predicts for one row."""
         columns = self.rows.design[row]
         return float(columns @ self.posterior[0][: len(columns)])
 
     def _gravity(self, k: int) -> Angle:
-        """Error of the position k in degrees, from its reading calibrated by all other positions."""
+        """Return the error in degrees of the position with index k, by its reading.
+
+        The reading is calibrated by all positions, given the accepted faults.
+        """
         rows, known = self.rows, self.known
         about = wrap_radians(rows.seen_rad[k] + known.error_rad[k] - known.zero_rad)
         e = known.error_rad[k] - (about - self._model(k))
         return self._stated(e, k, float(rows.noise[k, k]) + self.scatter.reading**2)
 
     def _gyro(self, k: int) -> Angle | None:
-        """Error of the position k in degrees, from the turn that the gyro measured between two positions.
+        """Return the error in degrees of the position with index k, by a turn that the gyro measured.
 
         It is the turn from the position before, or else the turn to the next one. None if both records are
         incomplete.
@@ -542,7 +564,7 @@ def _degrees(angle_rad: float) -> float:
 
 
 def _weighted_mean(found: Sequence[Angle | None]) -> Angle:
-    """Weighted mean of angles in degrees with u; None entries are ignored.
+    """Return the weighted mean of angles in degrees with its u; None entries are ignored.
 
     All angles are first unwrapped to within half a turn of the first.
     """
@@ -555,13 +577,14 @@ def _weighted_mean(found: Sequence[Angle | None]) -> Angle:
 
 
 BIAS_MG = 60.0
-"""Standard deviation of a bias before a measurement: one real ADIS16350 had +57, −21 and +46 mg (CHIP)."""
+"""Prior standard deviation of a bias, in mg: one real ADIS16350 had +57, −21 and +46 mg."""
 INSTABILITY_DPS = 0.015
-"""Drift of a gyro's zero between dwells if no figure is known (the simulator's default, D)."""
+"""Drift of a gyro's zero rate between dwells, in °/s, if the sensor has no figure (the simulator's default,
+D)."""
 BLOCK_S = 0.25
-"""Length of blocks in s: their means are independent with every filter setting."""
+"""Length in s of blocks of samples: their means are independent with every filter setting."""
 UNKNOWN_MG = 1.0
-"""Standard uncertainty assumed for a reading without one."""
+"""Standard uncertainty, in mg, assumed for a reading that states none."""
 
 
 def positions_of(session: Session) -> Diagnosis:
@@ -573,7 +596,7 @@ def positions_of(session: Session) -> Diagnosis:
     Raises
     ------
     DataError
-        As `adis_gonio.fitting.estimation.readings_of`.
+        The readings are unusable: all zero, stuck, not finite, or far from 1 g.
     """
     return session.once(_diagnosed)
 
@@ -584,13 +607,19 @@ def _diagnosed(session: Session) -> Diagnosis:
 
 
 def failure_message(session: Session, error: Exception) -> str:
-    """Message for a failed fit, with the file's name and suspected positions as a possible cause."""
+    """Return the message for a failed fit, with suspected positions as a possible cause.
+
+    It begins with the file's name, if there is one.
+    """
     text = "; ".join((str(error), *positions_of(session).sentences))
     return f"{session.source}: {text}" if session.source else text
 
 
 def angles_of(session: Session) -> Angles | None:
-    """Input of the diagnosis: declared angles, readings and turns; None if no angle can be wrong."""
+    """Return declared angles, readings and turns for `diagnose`; None if no angle can be wrong.
+
+    None for sessions in space, without declared angles, or with too few or too many dwells.
+    """
     if session.plane != "xy" or session.free_attitudes or not 2 <= len(session.dwells) <= LARGEST:
         return None
     readings = readings_of(session)
@@ -637,9 +666,9 @@ def _increments(session: Session, readings: Readings) -> Increments | None:
 
 
 def _noted(session: Session) -> dict[tuple[int, int], tuple[float, float]]:
-    """Turns about z that were noted while the session ran, with u, in degrees, by the two dwells.
+    """Return turns about z that were noted while the session ran, with u, in degrees.
 
-    The u includes the g-sensitivity.
+    The keys are the indices of the dwells before and after. The u includes the g-sensitivity.
     """
     dwells = session.facts.get("dwells") or []
     number = {entry["attempt"]: k for k, entry in enumerate(dwells)}
@@ -651,7 +680,7 @@ def _noted(session: Session) -> dict[tuple[int, int], tuple[float, float]]:
 
 
 def _sampling(session: Session, dwells: Sequence[Dwell]) -> tuple[turn_integration.Sampling, float]:
-    """Describe the sampling of the gyros, and compute the variance of the mean rate about z in a dwell."""
+    """Return the sampling of the gyros, and the variance of the mean rate about z in a dwell."""
     configuration = session.facts.get("configuration") or {}
     variant = VARIANTS.get(session.sensor)
     range_dps = configuration.get("gyro_range_dps") or (math.inf if variant is None else 300.0)
@@ -666,9 +695,9 @@ def _sampling(session: Session, dwells: Sequence[Dwell]) -> tuple[turn_integrati
 
 
 def _density(session: Session, dwells: Sequence[Dwell], period_s: float) -> Floats:
-    """Spectral density (3, 3) of the gyro noise at frequency zero, per sample, in (°/s)².
+    """Return the spectral density (3, 3) of the gyro noise at frequency zero, per sample, in (°/s)².
 
-    It is estimated from the scatter of block means within dwells.
+    `period_s` is the time between samples. It is estimated from the scatter of block means within dwells.
     """
     block = max(1, round(BLOCK_S / period_s)) if period_s > 0 else 1
     squares, count = np.zeros((3, 3)), 0
@@ -687,9 +716,10 @@ def _density(session: Session, dwells: Sequence[Dwell], period_s: float) -> Floa
 def _turned(
     path: turn_integration.Path, sampling: turn_integration.Sampling, zero_dps2: float
 ) -> tuple[float, float, float, float] | None:
-    """Turn about z and its u in degrees, and the integral of the force minus the force at rest, in g·s.
+    """Return the turn about z and its u in degrees, and the excess of the force's integral.
 
-    None if the record of the turn has a gap.
+    The excess is the integral of the readings of X and Y minus their mean at rest, in g·s. `zero_dps2` is
+    the variance of a dwell's mean rate. None if the record of the turn has a gap.
     """
     found = turn_integration.integrate(path, sampling)
     if not isinstance(found, str):
@@ -711,7 +741,7 @@ def _turned(
 
 
 def _stayed(path: turn_integration.Path, sampling: turn_integration.Sampling) -> bool:
-    """True if the gyro record between two dwells has no gap and shows no turn."""
+    """Return True if the gyro record between two dwells has no gap and shows no turn."""
     if float(np.diff(path.time_s).max()) > turn_integration.LONGEST_GAP_S:
         return False
     window = min(sampling.window, len(path.time_s))
