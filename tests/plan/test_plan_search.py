@@ -197,6 +197,6 @@ def test_a_bench_that_there_is_not_is_refused():
     for minutes in (0.1, 1000.0, math.nan):
         with pytest.raises(UsageError, match="minutes"):
             positions_in(QUIET, minutes)
-    with pytest.raises(UsageError, match="100 positions do not decide"):
+    with pytest.raises(UsageError, match="100 positions cannot decide"):
         fewest_positions(QUIET, Tolerance(1e-5))
     assert len(expected_readings(even_plan(5), QUIET)) == 5
