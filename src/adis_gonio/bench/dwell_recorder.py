@@ -312,8 +312,10 @@ class DwellRecorder(Recorder):
         Raises
         ------
         SessionError
-            There is no operator to ask.
+            The settings of the sensor have changed, or there is no operator to ask.
         """
+        if lost := self._bench.settings_lost():
+            raise SessionError(f"{recording.position}: {lost}")
         if self._questions.auto:
             raise SessionError(
                 f"{recording.position}: {reason}; no dwell was possible;"
