@@ -425,7 +425,6 @@ class Bench:
 
     @contextmanager
     def _surroundings(self, out: io.StringIO, err: io.StringIO) -> Iterator[None]:
-        _register_scheme()
         _OPEN.append(self)
         here = Path.cwd()
         os.chdir(self.folder)
@@ -438,6 +437,7 @@ class Bench:
                 enter = stack.enter_context
                 enter(redirect_stdout(out))
                 enter(redirect_stderr(err))
+                enter(mock.patch.object(sys, "path", [_package_of_scheme().name, *sys.path]))
                 enter(mock.patch.object(sys, "stdin", io.StringIO()))
                 enter(mock.patch.dict(os.environ, {"TERM": "dumb", "COLUMNS": "200"}))
                 ears = self.operator.listening(err)
@@ -482,8 +482,8 @@ def _host_overtime(number: int, frame: object) -> None:
 
 
 @cache
-def _register_scheme() -> tempfile.TemporaryDirectory[str]:
-    """Register `bench:` by the metadata of a package in a temporary folder, for this process."""
+def _package_of_scheme() -> tempfile.TemporaryDirectory[str]:
+    """Folder with the metadata of a package that registers `bench:` while it is on the path."""
     folder = tempfile.TemporaryDirectory()
     info = Path(folder.name) / "simulated_bench-1.dist-info"
     info.mkdir()
@@ -491,5 +491,4 @@ def _register_scheme() -> tempfile.TemporaryDirectory[str]:
     (info / "entry_points.txt").write_text(
         "[adis_gonio.bus]\nbench = simulated_bench.bench:open_from_url\n"
     )
-    sys.path.insert(0, folder.name)
     return folder

@@ -85,7 +85,7 @@ class ErrorCurve:
     def _independent(self) -> Floats:
         """Change (m, q) of the error by one standard deviation of each of q independent causes.
 
-        Causes whose effect on the error is below the rounding error are left out.
+        Causes with an effect on the error below the rounding error are left out.
         """
         left, size, _ = np.linalg.svd(self.root_deg, full_matrices=False)
         kept = size > _NOTHING * size.max(initial=0.0)

@@ -112,7 +112,7 @@ def trace(
     time_limit : float, optional
         Time in s after which the search ends; None is unlimited.
     part : {"accelerometer", "gyro"}
-        Part of the sensor whose readings are traced.
+        Part of the sensor that is traced.
 
     Raises
     ------

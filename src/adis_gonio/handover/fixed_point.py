@@ -280,7 +280,7 @@ ATAN = (
 TAN_EIGHTH = 0.41421356
 DEGREES = 57.29578
 FLOAT_DEG = 4e-5
-"""Bound of the angle's error in degrees by single precision, whose last place at 180° is 1.5e-5."""
+"""Bound of the angle's error in degrees by single precision (last place at 180°: 1.5e-5)."""
 
 RATE_Q = 20
 LIMIT_DPS = 1000.0
@@ -291,7 +291,7 @@ STEP_DPS = GYRO_OFFSET_DPS / PARTS
 FIXED_UDPS = 30
 """Bound in 1e-6 °/s of the error of a fixed-point rate up to 300 °/s."""
 FLOAT_DPS = 3e-4
-"""Bound in °/s of the error of a rate in `float` up to 300 °/s, whose last place is 3e-5 there."""
+"""Bound in °/s of the error of a rate in `float` up to 300 °/s (last place there: 3e-5)."""
 MOST_SHIFT = 62 - (Q - RATE_Q)
 LEAST_GAIN, MOST_GAIN = 0.5, 2.0
 

@@ -119,7 +119,7 @@ def cut(block: Block, low: int, high: int, *, counted: bool) -> Block:
 
 
 def count_alarms(block: Block) -> int:
-    """Return the number of samples whose bit EA reports an error or alarm; 0 for a sensor without EA."""
+    """Return the number of samples with an error or alarm in bit EA; 0 for a sensor without EA."""
     return 0 if block.alarm is None else int(block.alarm.sum())
 
 

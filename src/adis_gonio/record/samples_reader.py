@@ -645,7 +645,7 @@ class _Remarks:
     given : list of str
         Columns with a value in any row.
     taken : dict of str to int
-        Number of dwells whose value was noted before their first row, by column.
+        Number of dwells with a value that was noted before their first row, by column.
     filled, unused : list of str
         Columns with empty cells within a dwell, and columns without a value in any dwell.
     lost : list of str

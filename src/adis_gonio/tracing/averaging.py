@@ -383,7 +383,7 @@ def _at_middle(fit: Fit, terms: Sequence[NamelessTerm]) -> Floats:
 def solve_ridge(
     selection: Selection, fixed: Floats, target: Floats, terms: Sequence[NamelessTerm]
 ) -> RidgeSolution:
-    """Fit one member: base model, named terms and the unnamed `terms`, whose amplitudes have priors.
+    """Fit one member: base model, named terms and the unnamed `terms` (their amplitudes have priors).
 
     Parameters
     ----------

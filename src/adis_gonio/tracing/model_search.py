@@ -63,7 +63,7 @@ class Search:
     inflation : float
         Factor on the measured noise variance; greater than 1 if no model is adequate.
     scores : dict of model to float
-        Log evidence of each model minus that of the base model, whose score is 0; a model is a sorted
+        Log evidence of each model minus that of the base model (score 0); a model is a sorted
         tuple of term numbers.
     promise : (M,) float
         Largest rise of the score that each term brought to any model that was extended by every term.

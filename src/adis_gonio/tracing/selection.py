@@ -128,7 +128,7 @@ def select(
     max_terms : int
         Largest number of terms of the model.
     explored : int
-        Number of the best models whose neighbours are all scored.
+        Number of best models for which all neighbours are scored.
     rounds : int
         Largest number of rounds of choosing and refitting.
     """
@@ -214,7 +214,7 @@ def _search_with_noise(
 
     The unexplained part is then treated as noise of unknown origin (Birge's ratio), so that a name must be
     significant against it. `inflation` is the first noise factor; `explored` is the number of the best
-    models whose neighbours are all scored.
+    models for which all neighbours are scored.
     """
     found = search(problem, max_terms, inflation, explored)
     for _ in range(4):

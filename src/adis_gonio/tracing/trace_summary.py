@@ -175,7 +175,7 @@ def ordered(result: TraceResult) -> list[Finding]:
 
 
 def inside_only(result: TraceResult) -> list[Finding]:
-    """Return the findings inside the dwells whose effects are not in the model of the readings."""
+    """Return the findings inside the dwells with effects that are not in the model of the readings."""
     steps = {step.effect for step in result.steps}
     seen = {finding.effect for finding in result.within}
     return [finding for finding in result.found if finding.effect in seen - steps]

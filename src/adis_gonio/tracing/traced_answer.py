@@ -40,7 +40,7 @@ class TracedAnswer(Answer):
     Attributes
     ----------
     traced : TraceResult
-        Trace whose final model is recommended.
+        Trace with the final model that is recommended.
     """
 
     traced: TraceResult

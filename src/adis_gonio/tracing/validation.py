@@ -42,7 +42,7 @@ class HeldOut:
     angle_rad : (n,) float or None
         Angle computed from the reading minus declared angle; None without declared angles.
     predicted : (n,) bool
-        True for each dwell whose reading is determined by the model that was fitted without it.
+        True for each dwell with a reading that is determined by the model that was fitted without it.
     """
 
     residual: Floats
@@ -172,7 +172,7 @@ def determined(
     Parameters
     ----------
     beside : sequence of Term
-        Further terms of the model, whose amplitudes the other folds have to determine too.
+        Further terms of the model that the other folds have to determine too.
     """
     begun = Fit.begin(data)
     # A bias on each axis, in units of the full reading.

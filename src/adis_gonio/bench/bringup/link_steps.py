@@ -52,7 +52,7 @@ _CONSTANT = tuple(
     for row in REGISTERS
     if row.readable and not row.flags and row.name not in ("STATUS", "GPIO_CTRL", "SLP_CNT")
 )
-"""Registers whose content only a write changes."""
+"""Registers that only a write changes."""
 
 
 def legal(row: Register, word: int) -> bool:

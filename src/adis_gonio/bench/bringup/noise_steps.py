@@ -151,9 +151,9 @@ class _Judged:
     sigma, u : (6,) float
         Standard deviation before the filter in LSB, and its standard uncertainty.
     level_off : list of bool
-        True for each axis whose noise is not the variant's.
+        True for each axis with other noise than the variant's.
     shape_off : list of int
-        Axes whose spectrum does not have the shape of the filter.
+        Axes with a spectrum of another shape than the filter.
     tones : list of (int, float, float)
         Axis, frequency in Hz and rms in LSB of each single tone.
     figures : tuple of Measured
@@ -273,7 +273,7 @@ def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, e
 def _answer_noise(found: StepResult, names: Sequence[str], off: Sequence[bool]) -> None:
     """Answer the questions on noise by the first six figures of the step, one figure for each axis.
 
-    `off` is True for each axis whose noise is not the variant's.
+    `off` is True for each axis with other noise than the variant's.
     """
     for question, first, unit in (("accel_noise", 0, "mg"), ("gyro_noise", 3, "°/s")):
         axes = slice(first, first + 3)

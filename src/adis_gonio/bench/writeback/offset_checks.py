@@ -260,7 +260,7 @@ class _FittedSensor:
     session, result : Session, FitResult
         The session and its fit.
     plan : WritePlan
-        Plan whose present offsets the prediction takes into account.
+        Plan with the present offsets that the prediction takes into account.
     rest : Rest
         Dwell with which the predictions are compared.
 

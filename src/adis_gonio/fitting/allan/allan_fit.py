@@ -256,7 +256,7 @@ def fit_allan(session: Session, part: Part = "gyro", *, filter_m: int | None = N
         Session with dwells, or a continuous recording with rests: each is a record with its own mean and
         slope.
     part : {"gyro", "accelerometer"}
-        Sensors whose noise is fitted.
+        Sensors to fit the noise of.
     filter_m : int, optional
         Parameter M of the chip's filter, 0 to 6. By default it is the session's, or, for a known sensor,
         the one that the spectrum shows. Other sensors count as unfiltered in the band in which these noises

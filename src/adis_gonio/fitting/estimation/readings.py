@@ -121,7 +121,7 @@ class Readings(ComputedOnce):
     dof : (n,) float
         Degrees of freedom of that covariance; inf if it was stated.
     known : (n,) bool
-        False for readings whose uncertainty is unknown.
+        False for readings of unknown uncertainty.
     angle_rad : (n,) float
         Declared angle θ of each dwell; NaN if unknown.
     conditions : Conditions

@@ -49,7 +49,7 @@ def refuse_dead_data(session: Session, limits: Sequence[Limit], mg_per_unit: flo
     Parameters
     ----------
     session : Session
-        Session whose dwells are examined.
+        Session to examine.
     limits : sequence of Limit
         Limits of the range that the samples show.
     mg_per_unit : float or None

@@ -100,7 +100,7 @@ class Rig:
     chip : WatchedChip
         Simulated chip at the pins of the bus.
     twin : SimulatedChip
-        An identical chip without a bus, whose replies are the reference.
+        An identical chip without a bus; its replies are the reference.
     faults : mapping of str to (callable, error)
         Functions that make the next exchange fail, each with the expected error, by name.
     slowest_hz : float
