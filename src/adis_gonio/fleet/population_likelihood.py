@@ -249,8 +249,9 @@ class Units:
     length : (n, m) float
         1/u of each amplitude, with u in units of `typical`; zero if a session does not determine it.
     directions : (n, k, m) float32
-        Unit vectors whose products are the correlations of the scores (see `SessionEvidence`), padded with
-        zeros.
+        For each session, a unit vector of k components for each column; the scalar product of two vectors is
+        the correlation of the two scores. k is the largest number of any session; shorter vectors are padded
+        with zeros.
     """
 
     evidence: tuple[SessionEvidence, ...]

@@ -191,9 +191,10 @@ class LinearProblem:
         return moved._with_prior(self.prior, self.inflation)
 
     def _with_prior(self, prior: Sequence[Floats], inflation: float) -> LinearProblem:
-        """Return the problem with other prior Gram matrices, one for each of the M terms.
+        """Return the problem with another Gaussian prior of the amplitudes of each of the M terms.
 
-        `inflation` is the factor on the noise variance that they contain.
+        `prior` holds for each term the precision matrix (d, d) of its d amplitudes, multiplied by the noise
+        variance; this variance already contains the factor `inflation`.
         """
         columns = np.empty_like(self.columns)
         back: list[Floats] = []

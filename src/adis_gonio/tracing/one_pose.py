@@ -448,9 +448,9 @@ def _squares(square: Floats, cross: Floats, gram: Floats, solution: Floats) -> F
 def _held_out(problem: _Problem, model: Model) -> Floats:
     """Return the sum of squared errors (BLOCKS, axes) of a model on held-out blocks of time.
 
-    The prediction is the mean over the variants of the model's effects, weighted by likelihood. A variant
-    takes no part in a block that the other blocks predict with more than four times the variance of the
-    noise; a block without any variant is predicted by a constant.
+    The prediction is the mean over the model with each time constant of its effects, weighted by likelihood.
+    A time constant takes no part in a block if the variance of its prediction from the other blocks exceeds
+    four times the variance of the noise; a block without any time constant is predicted by a constant.
     """
     _, coefficients, inside, spread = _fits(problem, model)
     # The noise is fitted: −n/2 ln(sum of squares), with one independent value per block.

@@ -267,10 +267,10 @@ class SpidevBus(host.HostBus):
         return SpiTiming(float(int(self._clock_for(timing))), timing.stall_us, timing.period_us)
 
     def _clock_for(self, timing: SpiTiming) -> float:
-        """Return the clock in Hz at which frames in one message keep the period of `timing`.
+        """Return the clock in Hz that makes frames in one kernel message as long as the period of `timing`.
 
-        It is the requested clock if the kernel cannot keep the stall or the clock would be below
-        `SLOWEST_HZ`.
+        A slower clock fills the period, so that no wait by the host is needed. It is the requested clock if
+        this cannot work: the kernel cannot keep the stall, or the clock would be below `SLOWEST_HZ`.
         """
         if timing.stall_us > self._cs_high_us:
             return timing.clock_hz

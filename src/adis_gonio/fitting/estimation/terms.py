@@ -121,7 +121,7 @@ class NamedTerm(Term):
         Index among the effect's parameters, and fixed value, of each shape parameter such as a time
         constant.
     spread : float or None
-        Prior standard deviation of each value about zero; None without a prior.
+        Prior standard deviation of each amplitude about zero; None without a prior.
     begins : float
         Rough amplitude about which the linear problem is expanded; 0 if none is known.
     """
@@ -152,7 +152,7 @@ class NamedTerm(Term):
 
     @property
     def prior_sd(self) -> float | None:
-        """Prior standard deviation of each value about zero, from `spread`; None without a prior."""
+        """Prior standard deviation of each amplitude about zero, from `spread`; None without a prior."""
         return self.spread
 
     @property

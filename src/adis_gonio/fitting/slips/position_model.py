@@ -734,8 +734,8 @@ def _slip_after_rests(halts: Halts, estimate: Floats, u: Floats) -> Floats:
 def _typing_error(listed_rad: Floats, declared_deg: float, estimate: Floats, u: Floats) -> Floats:
     """Return the log evidence of a wrongly typed angle, from the estimated error and its u in rad.
 
-    `estimate` and `u` (g,) are for g cases. The intended angle is `declared_deg` plus one of the possible
-    errors `listed_rad`, a whole degree, or any angle.
+    `estimate` and `u` (g,) are for g possible values of the other parameters. Three kinds of intended angle
+    compete: `declared_deg` plus one of the errors `listed_rad`; a whole number of degrees; any angle.
     """
     spread = u * math.sqrt(2 * math.pi)
     # Mean over the list of Gaussians around each possible entry.
