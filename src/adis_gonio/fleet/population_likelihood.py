@@ -249,8 +249,8 @@ class Units:
     length : (n, m) float
         1/u of each amplitude, with u in units of `typical`; zero if a session does not determine it.
     directions : (n, k, m) float32
-        For each session, a unit vector of k components for each column; the scalar product of two vectors is
-        the correlation of the two scores. k is the largest number of any session; shorter vectors are padded
+        For each session and column, a unit vector of k components; the scalar product of two vectors is the
+        correlation of the two scores. k is the largest number of any session; shorter vectors are padded
         with zeros.
     """
 

@@ -448,8 +448,8 @@ def _squares(square: Floats, cross: Floats, gram: Floats, solution: Floats) -> F
 def _held_out(problem: _Problem, model: Model) -> Floats:
     """Return the sum of squared errors (BLOCKS, axes) of a model on held-out blocks of time.
 
-    The prediction is the mean over the model with each time constant of its effects, weighted by likelihood.
-    A time constant takes no part in a block if the variance of its prediction from the other blocks exceeds
+    The prediction is the mean over all time constants of the model's effects, weighted by likelihood. A
+    time constant takes no part in a block if the variance of its prediction from the other blocks exceeds
     four times the variance of the noise; a block without any time constant is predicted by a constant.
     """
     _, coefficients, inside, spread = _fits(problem, model)

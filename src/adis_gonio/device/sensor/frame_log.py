@@ -172,7 +172,7 @@ class FrameLog:
         return f"{row.number(word) * lsb + zero:.6g} {unit}{flags}"
 
     def _follow_write(self, row: registers.Register | None, high: bool, byte: int, time_s: float) -> None:
-        """Update the timing mode (SMPL_PRD) and the end of the silence after a command, from a written byte.
+        """Update timing mode (SMPL_PRD) and end of the silence after a command, from a written byte.
 
         `row` is the written register (None if unknown), `high` is True for its high byte.
         """
