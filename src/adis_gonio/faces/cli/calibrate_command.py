@@ -341,7 +341,7 @@ def _runner(
                 own.name, own.turns, own.positions[: len(asked)],
             ):  # fmt: skip
                 raise UsageError(
-                    f"{output} has the plan {own.name} with {len(own)} positions: leave --plan,"
+                    f"{output} has the plan {own.name} with {counted(len(own), 'position')}: leave --plan,"
                     " --positions and --turns out"
                 )
         if options["poll"]:
