@@ -1009,7 +1009,7 @@ class TestAverages:
         assert dict(told) == pytest.approx(expected, abs=1e-3)
 
     def fitted(self, selection: Any, *parts: Any) -> Any:
-        """Solutions of parts of these weights, their covariance and freedom together, and their columns."""
+        """The average of parts of these weights, the columns of each part, and the target."""
         fit = selection.fit
         base, blocks, target = fit.linear()
         fixed = np.concatenate([base, *blocks], axis=1)
@@ -1020,8 +1020,10 @@ class TestAverages:
             for _, terms in parts
         ]
         solutions = averaging.fit_members(selection, fixed, target, pool, weights)
-        mixed = averaging.mixed_covariance(solutions, fixed.shape[1], selection.inflation)
-        return solutions, mixed, columns, target
+        spent = averaging.AveragedFit(
+            fit.data, fit.terms, fit.values, fit.with_prior, solutions, selection.inflation
+        )
+        return spent, columns, target
 
     @pytest.mark.parametrize("inflation", [1.0, 2.0])
     def test_what_is_fixed_is_as_uncertain_as_within_and_between_the_members(
@@ -1033,35 +1035,31 @@ class TestAverages:
         line = function("line", lambda c: c.time_s / 1e3)
         curve = function("curve", lambda c: (c.time_s / 1e3) ** 2)
         wave = function("wave", lambda c: np.cos(4 * c.angle_rad), ("angle",))
-        solutions, (covariance, used), columns, target = self.fitted(
+        spent, columns, target = self.fitted(
             selection, (0.75, (line,)), (0.0, (curve,)), (0.25, (wave, curve))
         )
-        assert [(weight, [own.label for own in one.terms]) for weight, one in solutions] == [
+        assert [(weight, [own.label for own in one.terms]) for weight, one in spent.solutions] == [
             (0.75, ["line"]),
             (0.25, ["wave", "curve"]),
         ]
         one, two = (np.linalg.lstsq(columns[k], target, rcond=None)[0] for k in (0, 2))
-        for (_, solution), expected in zip(solutions, (one, two), strict=True):
+        for (_, solution), expected in zip(spent.solutions, (one, two), strict=True):
             assert solution.values == pytest.approx(expected, rel=1e-3, abs=1e-4)
         # The law of total variance, in units of the noise that is assumed.
         within = [np.linalg.inv(columns[k].T @ columns[k])[:6, :6] for k in (0, 2)]
         apart = one[:6] - two[:6]
         total = 0.75 * within[0] + 0.25 * within[1] + 0.75 * 0.25 * np.outer(apart, apart) / inflation
-        np.testing.assert_allclose(covariance, total, rtol=1e-3, atol=1e-12)
+        np.testing.assert_allclose(spent.covariance, total, rtol=1e-3, atol=1e-12)
         # The mean function at the middle of the session, likewise; nothing acts on y.
-        fit = selection.fit
-        spent = averaging.AveragedFit(
-            fit.data, fit.terms, fit.values, fit.with_prior, covariance, used, solutions, inflation
-        )
         joint = spent.joint_covariance
-        np.testing.assert_allclose(joint[:6, :6], covariance, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(joint[:6, :6], spent.covariance, rtol=1e-9, atol=1e-12)
         at_s = float(data.conditions.time_s.min() + data.conditions.time_s.max()) / 2e3
         inside = [np.linalg.inv(columns[k].T @ columns[k])[-1, -1] for k in (0, 2)]
         values = 0.75 * inside[0] * at_s**2, 0.25 * inside[1] * at_s**4
         apart_mg = one[6] * at_s - two[7] * at_s**2
         assert joint[6, 6] == pytest.approx(sum(values) + 0.75 * 0.25 * apart_mg**2 / inflation, rel=1e-3)
         assert joint[7, 7] == 0
-        assert used == pytest.approx(0.75 * 7 + 0.25 * 8, abs=1e-3)
+        assert spent.used == pytest.approx(0.75 * 7 + 0.25 * 8, abs=1e-3)
 
     @pytest.mark.parametrize(("u", "inflation"), [(0.1, 1.0), (0.1, 3.0), (5.0, 1.0)])
     def test_a_process_is_held_by_its_prior_however_coarse_the_readings_are(

@@ -10,7 +10,8 @@ formula of the best one.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -96,31 +97,24 @@ class AveragedFit(Fit):
 
     Attributes
     ----------
-    mixed_covariance : (p, p) float
-        Covariance of the base and named parameters over all members.
-    mixed_used : float
-        Degrees of freedom that the base model, the named terms and the members use, averaged with the
-        members' weights.
     solutions : tuple of (float, RidgeSolution)
         Fit of each averaged alternative (member), with its weight; the weights sum to 1.
     inflation : float
         Factor on the variance of the noise with which the members were fitted.
     """
 
-    mixed_covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    mixed_used: float = 0.0
     solutions: tuple[tuple[float, RidgeSolution], ...] = ()
     inflation: float = 1.0
 
-    @property
+    @cached_property
     def covariance(self) -> Floats:
-        """Covariance of the base and named parameters, equal to `mixed_covariance`."""
-        return self.mixed_covariance
+        """Covariance (p, p) of the base and named parameters over all members."""
+        return mixed_covariance(self.solutions, len(self.values.parameters), self.inflation)
 
-    @property
+    @cached_property
     def used(self) -> float:
-        """Degrees of freedom that the fit uses, equal to `mixed_used`."""
-        return self.mixed_used
+        """Mean degrees of freedom of the members (base, named and unnamed terms), by their weights."""
+        return sum(weight * one.used for weight, one in self.solutions)
 
     @property
     def joint_covariance(self) -> Floats:
@@ -129,13 +123,13 @@ class AveragedFit(Fit):
         An averaged term is stated as its contribution to the reading of each axis without acceleration;
         only terms that depend on nothing but time are included, other terms have zeros.
         """
-        width, stated = len(self.mixed_covariance), []
+        width, stated = len(self.values.parameters), []
         for weight, one in self.solutions:
             rows = np.zeros((width + self.data.axes, len(one.values)))
             rows[:width, :width] = np.eye(width)
             rows[width:, width:] = _at_middle(self, one.terms)
             stated.append((weight, replace(one, values=rows @ one.values, half=rows @ one.half)))
-        return mixed_covariance(stated, width + self.data.axes, self.inflation)[0]
+        return mixed_covariance(stated, width + self.data.axes, self.inflation)
 
     def carried(self, there: Fit) -> Floats:
         """Return a root (rows, k) of the covariance of the predicted whitened readings of dwells.
@@ -143,7 +137,7 @@ class AveragedFit(Fit):
         `there` is the fit on these dwells. The covariance includes the uncertainty of each member and the
         differences between members.
         """
-        width = len(self.mixed_covariance)
+        width = len(self.values.parameters)
         weights = np.sqrt([weight for weight, _ in self.solutions])
         columns = [member.columns(there, width) for _, member in self.solutions]
         within = [
@@ -236,7 +230,6 @@ def _average(selection: Selection, candidates: Sequence[Process] | None) -> Aver
     if weights[-1] > 0.5 and not pool[-1][1]:
         return None
     solutions = fit_members(selection, fixed, target, pool, weights)
-    covariance, used = mixed_covariance(solutions, fixed.shape[1], selection.inflation)
     averaged = _averaged_terms(_members(solutions, selection.fit, fixed.shape[1]))
     own = [
         (term, values)
@@ -248,9 +241,7 @@ def _average(selection: Selection, candidates: Sequence[Process] | None) -> Aver
     ).refit()
     weight = float(weights[: len(promising)].sum())
     # A fixed function has no parameters, but the degrees of freedom of its members are used.
-    spent = AveragedFit(
-        fit.data, fit.terms, fit.values, fit.with_prior, covariance, used, solutions, selection.inflation
-    )
+    spent = AveragedFit(fit.data, fit.terms, fit.values, fit.with_prior, solutions, selection.inflation)
     return Averaged(spent, promising[0].term, weight, promising)
 
 
@@ -327,20 +318,18 @@ def fit_members(
 
 def mixed_covariance(
     solutions: Sequence[tuple[float, RidgeSolution]], width: int, inflation: float
-) -> tuple[Floats, float]:
-    """Return the covariance of the base and named parameters over all members, and the degrees of freedom.
+) -> Floats:
+    """Return the covariance (width, width) of the first `width` values of the members' fits.
 
-    The first `width` values of each solution are these parameters. Their covariance (width, width)
-    contains the uncertainty within each member and the differences between members, both in units of the
-    noise variance times `inflation`. The degrees of freedom are the weighted mean of the degrees that each
-    member uses. Each member of `solutions` has its weight.
+    It contains the uncertainty within each member and the differences between members, both in units of the
+    noise variance times `inflation`. Each member of `solutions` has its weight.
     """
     mean = np.sum([weight * one.values[:width] for weight, one in solutions], axis=0)
     covariance = np.zeros((width, width))
     for weight, one in solutions:
         half, away = one.half[:width], one.values[:width] - mean
         covariance += weight * (half @ half.T + np.outer(away, away) / inflation)
-    return covariance, sum(weight * one.used for weight, one in solutions)
+    return covariance
 
 
 def _members(solutions: Sequence[tuple[float, RidgeSolution]], fit: Fit, width: int) -> list[Member]:
