@@ -125,7 +125,7 @@ COLUMNS: dict[str, SamplesColumn] = {
     **{f"a{axis}": _axis(axis, _ACCEL, _ACCEL_UNITS) for axis in "xyz"},
     **{f"g{axis}": _axis(axis, _GYRO, _GYRO_UNITS) for axis in "xyz"},
     "temp_c": SamplesColumn(
-        ("temp", "temperature", "temperatur"),
+        ("temp", "temperature", "temperatur", "t"),
         {
             **_unit("c", "c", "°c", "degc", "celsius"),
             **_unit("k", "k", "kelvin", scale=(1.0, 1.0, -273.15)),
@@ -140,9 +140,11 @@ COLUMNS: dict[str, SamplesColumn] = {
 }
 """Columns of the format by name, in the order in which they are written."""
 
-_ALIASES = {alias: name for name, column in COLUMNS.items() for alias in (*column.aliases, name)}
-_OF_UNIT = {("t", unit): "temp_c" for unit in COLUMNS["temp_c"].units}
-"""Columns of an alias with a unit that the column of the alias alone does not have."""
+
+def _column_called(alias: str, unit: str) -> str | None:
+    """Return the first column with an alias and a unit, else the first with the alias; None without one."""
+    names = [name for name, column in COLUMNS.items() if alias in (*column.aliases, name)]
+    return next((name for name in names if COLUMNS[name].unit(unit)), names[0] if names else None)
 
 
 @dataclass(frozen=True)
@@ -199,11 +201,11 @@ def recognise_column(text: str) -> tuple[str, str, bool] | None:
         return text, "", True
     base, unit = split_unit(text)
     base = _SPACES.sub("_", base.strip(" /").lower()).strip("_")
-    name = _OF_UNIT.get((base, unit.lower()), _ALIASES.get(base))
+    name = _column_called(base, unit)
     if name is not None:
         return name, unit, base == name and not unit
     stem, _, end = base.rpartition("_")
-    name = _ALIASES.get(stem)
+    name = _column_called(stem, "")
     if name is not None and not unit and end in COLUMNS[name].units:
         return name, end, False
     return None
