@@ -19,6 +19,7 @@ from adis_gonio.bench.bringup.link_steps import legal
 from adis_gonio.bench.bringup.noise_steps import degrees_of_freedom
 from adis_gonio.device.bus import FrameBlock
 from adis_gonio.device.bus.recording import Call
+from adis_gonio.device.sensor import settings
 from adis_gonio.device.sensor.registers import (
     ACCEL_OFF,
     ACCEL_OUT,
@@ -31,8 +32,8 @@ from adis_gonio.device.sensor.registers import (
     READING_BITS,
     WRITE,
     Register,
+    addressed,
 )
-from adis_gonio.device.sensor.settings import Configuration, filter_settling_samples, sample_period_s
 
 Integers = NDArray[np.int64]
 _COMMAND, _MISC = BY_NAME["COMMAND"], BY_NAME["MSC_CTRL"]
@@ -111,7 +112,7 @@ class RegisterSpan:
     def period_s(self) -> float:
         """Nominal period of the sample update in s; NaN if SMPL_PRD is not known."""
         code = self.image.get("SMPL_PRD", 0) & 0xFF
-        return sample_period_s(code) if code else math.nan
+        return settings.sample_period_s(code) if code else math.nan
 
     @property
     def m(self) -> int | None:
@@ -139,14 +140,11 @@ class RegisterSpan:
         if not runs or self.m is None or math.isnan(self.period_s):
             return np.empty(0), np.empty(0)
         times, words = (np.concatenate(part) for part in zip(*runs, strict=True))
-        settled_s = self.changed_s + (filter_settling_samples(self.m) + 2) * self.period_s
+        settled_s = self.changed_s + (settings.filter_settling_samples(self.m) + 2) * self.period_s
         new = (words & ND).astype(bool)
         used = (times > settled_s) & (new | (not new.any()))
-        row = BY_NAME[name]
-        data = words[used] & row.data_mask
-        return times[used], np.where(
-            data >> (row.bits - 1) & row.signed, data - (1 << row.bits), data
-        ) * 1.0
+        raw = words[used, None].astype(np.uint16)
+        return times[used], settings.decode_numbers((BY_NAME[name],), raw)[:, 0].astype(float)
 
 
 @dataclass(frozen=True)
@@ -195,7 +193,7 @@ class RecordedChip:
     after_writes : list of (frame, content, reply before, reply)
         For each write: frame, content after it, reply to the frame before, and reply to the write.
     waits : dict of str to list of (float, bool)
-    By command: times in s after the command at which the chip was seen ready (True) or not.
+        By command: times in s after the command at which the chip was seen ready (True) or not.
     counts : list of (command, int)
         Change of ENDURANCE by each command that saves to flash.
     statuses : list of (bool, int)
@@ -265,7 +263,7 @@ class RecordedChip:
                     count,
                     degrees_of_freedom(count, span.m, spacing),
                     span.m,
-                    Configuration.from_words(1, span.image["SENS_AVG"], 0).gyro_range_dps or 300,
+                    settings.Configuration.from_words(1, span.image["SENS_AVG"], 0).gyro_range_dps or 300,
                 )
             )
         return found
@@ -275,18 +273,15 @@ class RecordedChip:
     def _follow(self, calls: Iterable[Call]) -> None:
         for call in _in_batches(calls):
             if call.name in ("exchange", "frame") and call.frames is not None:
-                n = len(call.frames)
-                times = np.linspace(call.begin_s, call.end_s, n, endpoint=False)
                 if call.result is None:
                     self._contents.clear()
                     continue
-                # The word of a frame is shifted out during the next frame.
-                words = np.append(np.asarray(call.result[1:], np.int64), -1)
+                times, words = call.read_words()
                 self._batch(times, call.frames.astype(np.int64), words)
             elif call.name == "hard_reset":
                 self._command("reset", call.begin_s)
             elif call.name == "stream" and call.frames is not None:
-                self._listed = [BY_ADDRESS.get(int(frame) >> 8 & 0x3E) for frame in call.frames]
+                self._listed = [addressed(int(frame))[0] for frame in call.frames]
             elif call.name == "block" and isinstance(call.result, FrameBlock) and not self._pending:
                 self._block(call.result)
 
@@ -398,18 +393,17 @@ class RecordedChip:
     # -- changes ------------------------------------------------------------------------------------------
 
     def _write(self, frame: int, time_s: float, reply_before: int, reply: int) -> None:
-        address, byte = frame >> 8 & 0x3F, frame & 0xFF
-        row = BY_ADDRESS.get(address & ~1)
+        (row, high), byte = addressed(frame), frame & 0xFF
         if row is None or not row.writable:
             return
         if row is _COMMAND:
-            if not address & 1:
+            if not high:
                 for name in _BUSY:
                     if byte & row.field(name).mask:
                         self._command(name, time_s)
                         break
             return
-        shift = 8 * (address & 1)
+        shift = 8 if high else 0
         mask = row.write_mask & 0xFF << shift
         old = self._contents.get(row.name)
         if row is _MISC and shift and byte << 8 & SELF_TEST:

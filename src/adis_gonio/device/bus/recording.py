@@ -37,8 +37,10 @@ from types import SimpleNamespace
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adis_gonio.base import errors
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import AdisGonioError, DataError, OutputError, ProtocolError, UsageError
 from adis_gonio.base.output import check_output
 from adis_gonio.device.bus.contract import Capability, FrameBlock, FrameStream, SpiBus, SpiTiming, Words
@@ -107,6 +109,17 @@ class Call:
 
     def __str__(self) -> str:
         return f"record {self.number} at {self.begin_s:.6f} s: {self.name} {_hexadecimal(self.frames)}"
+
+    def read_words(self) -> tuple[Floats, NDArray[np.int64]]:
+        """Return the time in s of each frame (n,), and the word that it read (n,); −1 if not recorded.
+
+        The word of a frame is shifted out during the next frame, so that of the last frame is not recorded.
+        """
+        n = 0 if self.frames is None else len(self.frames)
+        words = np.full(n, -1, np.int64)
+        if self.result is not None:
+            words[:-1] = self.result[1:]
+        return np.linspace(self.begin_s, self.end_s, n, endpoint=False), words
 
 
 # -- writing ---------------------------------------------------------------------------------------------

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-import numpy as np
-
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.device.bus import FrameBlock, SpiTiming
 from adis_gonio.device.bus.recording import Call
@@ -96,7 +94,7 @@ class FrameLog:
                 if call.name == "configure" and call.result:
                     self._timing = SpiTiming(**call.result)
                 elif call.name == "stream" and call.frames is not None:
-                    self._listed = [_addressed(int(frame))[0] for frame in call.frames]
+                    self._listed = [registers.addressed(int(frame))[0] for frame in call.frames]
                 elif call.name == "hard_reset":
                     self._busy_until_s, self._busy_with = call.begin_s + BUSY_S["reset"], "a hard reset"
                 yield FrameRow(
@@ -107,13 +105,10 @@ class FrameLog:
 
     def _exchanged(self, call: Call) -> Iterator[FrameRow]:
         assert call.frames is not None
-        n = len(call.frames)
-        times = np.linspace(call.begin_s, call.end_s, n, endpoint=False)
-        # The word of a frame is shifted out during the next frame.
-        words = [None] * n if call.result is None else [*map(int, call.result[1:]), None]
-        for frame, word, time_s in zip(call.frames.tolist(), words, times.tolist(), strict=True):
+        times, words = (each.tolist() for each in call.read_words())
+        for frame, word, time_s in zip(call.frames.tolist(), words, times, strict=True):
             problem = _failure(call) or self._broken_rule(time_s)
-            yield self._frame_row(call.number, time_s, frame, problem, word)
+            yield self._frame_row(call.number, time_s, frame, problem, None if word < 0 else word)
 
     def _captured(self, call: Call) -> Iterator[FrameRow]:
         """Yield the row of the previous captured frame, which the reply of this frame completes.
@@ -134,7 +129,7 @@ class FrameLog:
     def _frame_row(
         self, number: int, time_s: float, frame: int, problem: str, word: int | None
     ) -> FrameRow:
-        row, high = _addressed(frame)
+        row, high = registers.addressed(frame)
         action = "write" if frame & registers.WRITE else "read"
         name = f"0x{frame >> 8 & 0x3F:02X}" if row is None else row.name + ("+1" if high else "")
         if frame & registers.WRITE:
@@ -213,15 +208,6 @@ def _written_fields(row: registers.Register | None, high: bool, frame: int) -> s
     shifted = (frame & 0xFF) << (8 if high else 0)
     names = [field.name for field in row.fields if shifted & field.mask]
     return f" ({', '.join(names)})" if names else ""
-
-
-def _addressed(frame: int) -> tuple[registers.Register | None, bool]:
-    """Return the register that a frame addresses, and True if it addresses the high byte.
-
-    The register is None if no register has the address.
-    """
-    address = frame >> 8 & 0x3F
-    return registers.BY_ADDRESS.get(address & ~1), bool(address & 1)
 
 
 def _failure(call: Call) -> str:

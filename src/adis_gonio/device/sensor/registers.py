@@ -364,6 +364,15 @@ def timing_for(smpl_prd: int) -> SpiTiming:
     return FAST if (smpl_prd & 0xFF) <= FAST_UP_TO else NORMAL
 
 
+def addressed(frame: int) -> tuple[Register | None, bool]:
+    """Return the register that a frame addresses, and True if it addresses the high byte.
+
+    The register is None if no register has the address.
+    """
+    address = frame >> 8 & 0x3F
+    return BY_ADDRESS.get(address & ~1), bool(address & 1)
+
+
 def read_frame(register: Register) -> int:
     """Return the 16-bit frame that reads this register; `UsageError` if it is write-only."""
     if not register.readable:
