@@ -8,7 +8,8 @@ import shutil
 import sqlite3
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -469,20 +470,13 @@ def _lies(case: Case) -> bool:
     return not HONEST.issuperset(case.bench.operator.person.blunders)
 
 
-class _copied:  # noqa: N801
-    """A copy of the session file with its journal, so that a look changes nothing."""
-
-    def __init__(self, folder: Path, name: str = SESSION) -> None:
-        self._from, self._name = folder, name
-
-    def __enter__(self) -> Path:
-        self._folder = tempfile.TemporaryDirectory(dir=self._from.parent)
-        for path in self._from.glob(f"{self._name}*"):
-            shutil.copy(path, self._folder.name)
-        return Path(self._folder.name) / self._name
-
-    def __exit__(self, *error: object) -> None:
-        self._folder.cleanup()
+@contextmanager
+def _copied(folder: Path, name: str = SESSION) -> Iterator[Path]:
+    """Copy the session file with its journal, so that a look changes nothing; yield the copy's path."""
+    with tempfile.TemporaryDirectory(dir=folder.parent) as copies:
+        for path in folder.glob(f"{name}*"):
+            shutil.copy(path, copies)
+        yield Path(copies) / name
 
 
 def _rows(path: Path) -> dict[str, list[Any]]:
