@@ -387,7 +387,10 @@ def _refuse_hidden(term: NamedTerm, base: Floats, columns: Floats) -> None:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """The best plan found by a search: the index of each dwell's candidate position, and its score."""
+    """The best plan that a search found, with its score.
+
+    `choice` has for each dwell the index of its position among the candidates.
+    """
 
     choice: Choice
     score: float

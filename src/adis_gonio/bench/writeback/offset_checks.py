@@ -529,7 +529,7 @@ class Accelerometers:
     session : Session
         The session.
     method : str or None
-        Method of its fit; None for the best method for the session.
+        Method by which the session is fitted; None for the method that suits the session best.
     angle_deg : float or None
         Declared angle of the sensor now; None if it is not known.
     """

@@ -93,7 +93,7 @@ class Register:
     address : int
         Byte address of the low byte; the high byte is at `address + 1`.
     bits : int
-        Width of the number, right-justified in the 16-bit word.
+        Width of the number in bits; it is right-justified in the 16-bit word.
     signed : bool
         True if the number is in two's complement.
     flags : bool
@@ -480,7 +480,10 @@ class Performance:
 
 @dataclass(frozen=True)
 class Variant:
-    """A sensor type of the family, with its scales, their source and confidence, and its typical errors."""
+    """A sensor type of the family: scale and range of its accelerometers, and its typical errors.
+
+    `source` and `confidence` are the origin of the scale and the trust in it (A to D).
+    """
 
     name: str
     accel_mg_per_lsb: float

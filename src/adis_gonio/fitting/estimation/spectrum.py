@@ -124,9 +124,10 @@ class _Ordinates:
 class _Foot:
     """Fitted shape of the noise density near frequency zero, relative to its mean over a band.
 
-    `band` is the end of the band in cycles per sample, `log_zero` the logarithm of the density at zero with
-    its variance, `coefficients` the polynomial. `beside_flicker` is True if 1/f noise was fitted in
-    addition.
+    `band` is the end of the band in cycles per sample. `log_zero` is the natural logarithm of the density
+    at frequency zero and `log_zero_variance` its variance. `coefficients` are those of the polynomial that
+    was fitted to the logarithm of the density, `total_weight` is the sum of the weights in this fit.
+    `beside_flicker` is True if 1/f noise was fitted in addition.
     """
 
     band: float
