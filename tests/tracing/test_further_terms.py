@@ -20,7 +20,8 @@ def session(seed: int = 2) -> Readings:
     c = surroundings(seed=seed)
     mean = ideal_mg(c)
     noise = np.random.default_rng([seed, 9]).normal(0, U, mean.shape)
-    return read(c, mean + [4.0, -6.0] + noise + np.outer((mean[:, 0] / 1000) ** 2, [1.0, 0.0]))
+    curved = np.outer((mean[:, 0] / 1000) ** 2, [1.0, 0.0])
+    return read(c, mean + np.array([4.0, -6.0]) + noise + curved)
 
 
 @pytest.fixture(scope="module")

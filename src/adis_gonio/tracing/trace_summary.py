@@ -262,6 +262,7 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
         covariates = join_words(list(rest.covariates))
         return f"{begin} residual follows {covariates} in a way that no named effect explains.{end}"
     if result.adequate:
+        names += [term.effect for term in result.what_if.forced] if result.what_if is not None else []
         if not names and not result.steps:
             return (
                 "The base model explains this session: the residual is the noise that was measured within "

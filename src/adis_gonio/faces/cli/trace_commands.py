@@ -78,12 +78,12 @@ def print_trace(session: Session, result: TraceResult) -> None:
     from adis_gonio.tracing import trace_summary as summary
 
     screen = console(most=WIDTH)
-    screen.print(f"{summary.title(session)}: {summary.shape(session)}\n")
+    screen.print(f"{summary.title(session)}: {summary.shape(session)}")
     if result.what_if is not None:
         _print_heading(screen, summary.asked(result.what_if))
         _print_table(screen, summary.compared(result.what_if))
         _print_list(screen, "Asked for (± U, 95 %)", summary.forced(result.what_if))
-        screen.print()
+    screen.print()
     screen.print(summary.headline(result), style="bold")
     screen.print(summary.gains(result))
     _print_found(screen, result)
