@@ -65,7 +65,8 @@ class Source:
     Attributes
     ----------
     name : str
-        One of `SOURCES`.
+        Name of the source, one of `SOURCES`: repeatability, flicker noise, fixture, gravity, quantization,
+        temperature, effects that the model lacks.
     kind : {"A", "B"}
         `A` if evaluated by statistics of this session, `B` if by other knowledge (GUM 3.3.4).
     distribution : str
@@ -792,8 +793,8 @@ class ShownAngle:
     Attributes
     ----------
     gradient : (m, p) float
-        Degrees per unit of the parameters. From `around` they are base parameters and biases in natural
-        units, from `at_dwells` all parameters in units of the fit.
+        Degrees per unit of the parameters: base parameters and biases in natural units if the constructor
+        `around` made the object, all parameters in units of the fit if `at_dwells` did.
     reading : (m, 2) float
         Degrees per mg of the reading.
     """

@@ -406,7 +406,9 @@ class FreeAttitude(Measurement):
         return np.asarray(reading / self.gravity_mg @ np.linalg.inv(sensitivity(base)).T)
 
     def visible(self, reading: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return for each base parameter (6,) if the poses determine it, with the limit `SEEN`.
+        """Return for each base parameter (6,) True if the poses determine it.
+
+        A parameter counts as determined if its effect on the norms of the readings is at least `SEEN`.
 
         The norm of a reading changes by u_i² with a gain, u_i u_j with a skew and u_i with a bias, for the
         unit vector u of gravity.

@@ -369,7 +369,7 @@ class _FittedSensor:
         return ideal
 
     def _fixture_u(self, angle_rad: float) -> Floats:
-        """Return the part of the declared angle in the standard uncertainty of the readings (2,), in mg."""
+        """Return the standard uncertainty (2,) in mg of predicted readings by the declared angle."""
         more = SET_ANEW_U_DEG if self.session.fixture_sigma_deg is None else 0.0
         sigma = math.radians(math.hypot(self.result.fixture_sigma_deg or 0.0, more))
         tangent = self.model.tangent(self._base(self.values), np.zeros(1), np.array([-angle_rad]))

@@ -292,7 +292,7 @@ They are bit masks by register name; -1 is all bits.
 
 
 def changed_settings(then: Mapping[str, int], now: Mapping[str, int]) -> dict[str, tuple[int, int]]:
-    """Return the registers of `READING_BITS` whose contents differ between two times.
+    """Return the registers that shift or scale a reading and whose contents differ between two times.
 
     `then` and `now` are the contents by register name; each result is the pair of old and new bits. A
     register that is missing on one side is not compared.

@@ -488,7 +488,7 @@ def _cells(groups: list[_Ordinates], band: float) -> tuple[Floats, Floats, Float
 
 
 def _homogeneous(level: Floats, weight: Floats) -> bool:
-    """Return True if all dwells may have one noise density, by Bartlett's test for each axis at 0.1 %.
+    """Return True if all dwells may have the same noise density, by Bartlett's test for each axis at 0.1 %.
 
     `level` (d, axes, axes) are the densities of the dwells, `weight` (d,) the numbers of their ordinates.
     """

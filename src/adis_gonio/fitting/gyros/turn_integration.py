@@ -681,7 +681,7 @@ def reference_on_stage(integral: Integral, psi_deg: tuple[float, float], u_deg: 
 
 
 def reference_in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad: float) -> Reference | str:
-    """Return the true rotation about the gyros' axis, by gravity, or why it is unknown.
+    """Return the true rotation by gravity about the axis that the gyros show, or why it is unknown.
 
     Parameters
     ----------
