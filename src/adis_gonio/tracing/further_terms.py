@@ -1,8 +1,7 @@
-"""What each further term of a model buys: evidence and held-out error against the number of terms.
+"""Gain by each further term of a model: evidence and held-out error against the number of terms.
 
 The search has scored models of every number of terms. The best one of each number is fitted again and
-predicts the held-out dwells with its terms kept, so that models of one more term are compared on the same
-dwells.
+predicts the held-out dwells with its terms kept. All models are compared on equal dwells.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ class Scored:
     fit : Fit
         The model at its amplitudes in the linear problem, or its fit if the trace has made one.
     log_evidence : float
-        Log evidence minus that of the base model, in nats.
+        Log evidence relative to the base model, in nats.
     chosen : bool
         True for the model that the search chose.
     """
@@ -67,7 +66,7 @@ class Bought:
     terms : tuple of str
         Terms in addition to the base model.
     log_evidence : float
-        Log evidence minus that of the base model, in nats.
+        Log evidence relative to the base model, in nats.
     heldout_rms : float
         Held-out error in the unit of the readings.
     gain, u : float
@@ -170,7 +169,7 @@ def _left_out(
 
 
 def next_term(bought: Sequence[Bought], unit: str) -> str:
-    """Return a sentence on the term after those of the chosen model; `unit` is that of the errors."""
+    """Return a sentence on one term more than the chosen model has; `unit` is the unit of the errors."""
     here = next(k for k, one in enumerate(bought) if one.chosen)
     terms = counted(len(bought[here].terms), "term")
     if here + 1 == len(bought):

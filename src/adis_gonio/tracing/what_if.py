@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import HIDDEN, INLINE, JsonRecord, key
@@ -25,7 +26,7 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.model.effects import AXES, catalogue, effect
-from adis_gonio.model.effects.formula import FormulaEffect, formula_effect, lacking
+from adis_gonio.model.effects.formula import FormulaEffect, formula_effect
 from adis_gonio.tracing.findings import differs_from_zero, finding_of
 from adis_gonio.tracing.linear_problem import linearise, span
 from adis_gonio.tracing.model_search import price
@@ -78,7 +79,7 @@ class ComparedModel(JsonRecord):
     error : ErrorFigures
         Errors of the model.
     log_evidence : float
-        Log evidence minus that of the base model, in nats. It contains the model's prior.
+        Log evidence relative to the base model, in nats. It contains the model's prior.
     prior : float
         Prior probability of the model relative to the base model: the product of its terms' shares.
     """
@@ -101,9 +102,9 @@ class WhatIf(JsonRecord):
     only : bool
         True if no other term was searched.
     odds : float
-        Probability of the asked model divided by that of the best model; `log_odds` is its logarithm.
+        Ratio of the probabilities of the asked model and the best model; `log_odds` is its logarithm.
     prior_odds : float
-        The same ratio of the priors, which `odds` contains.
+        Ratio of the priors of these models, which `odds` contains.
     before, best, asked : ComparedModel
         The base model, the best model of a trace without the request, and the asked model.
     forced : tuple of AskedTerm
@@ -202,20 +203,20 @@ def _formula(data: Readings, about: Fit, text: str) -> NamedTerm:
     made = formula_effect(text, data.model.unit)
     if made.name in catalogue():
         raise UsageError(f"formula '{text}': {made.name} is an effect of the catalogue; take another name")
-    reason = lacking(made, data.conditions, data.axes, data.model.part)
-    if not reason and max(AXES.index(letter) for letter in made.axes) >= data.axes:
-        reason = f"{made.axes[-1]} was not recorded"
-    if not reason:
-        column = made.basis(0, about.ideal, data.conditions)[0]
-        reason = _flaw(data, about, made, column)
+    try:
+        columns = made.derivative(np.zeros(len(made.axes)), about.ideal, data.conditions)
+        reason = _flaw(about, made, columns[:, AXES.index(made.axes[0]), 0])
+    except UsageError as error:
+        reason = str(error)
     if reason:
         raise UsageError(f"formula '{text}': {reason}")
     label = f"{made.name}[{''.join(made.axes)}]"
     return NamedTerm(label, made.covariates, -math.log(limits.effect_share), made)
 
 
-def _flaw(data: Readings, about: Fit, made: FormulaEffect, column: np.ndarray) -> str:
+def _flaw(about: Fit, made: FormulaEffect, column: Floats) -> str:
     """Return the reason why the column (n,) of a formula cannot be fitted; empty if there is none."""
+    data = about.data
     wrong = np.flatnonzero(~np.isfinite(column))
     if wrong.size:
         return f"it has no finite value at position {data.position[wrong[0]]}"
@@ -338,8 +339,7 @@ def compare(free: TraceRun, asked: TraceRun, request: Request) -> WhatIf:
 def _errors(free: TraceRun, asked: TraceRun) -> list[ErrorFigures]:
     """Return the errors of the base model, the best and the asked model, on the same held-out dwells.
 
-    Terms that the user did not put into the model are chosen again in each fold, unless the model was
-    shortened.
+    Terms that were searched are chosen again in each fold, unless the model was shortened.
     """
     figures = [free.figures[0], free.figures[-1], asked.figures[-1]]
     few = any(leaves_too_few(run.selection.fit) for run in (free, asked))

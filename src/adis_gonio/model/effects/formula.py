@@ -1,8 +1,8 @@
 """An effect that a user writes as a formula in the covariates, such as `mine_x = (T - 25)**2 * gx`.
 
 The formula has one amplitude for each axis on its left side. Python's `ast` module parses the right side,
-and each node of the tree is translated by a table of allowed nodes. A formula is never executed as Python,
-so no name in it can reach a Python object.
+and each node of the tree is translated by a table of allowed nodes. No formula is executed as Python,
+so no name in it reaches a Python object.
 
 >>> from adis_gonio.model.effects.formula import formula_effect
 >>> made = formula_effect("mine_x = (T - 25)**2 * gx", "mg")
@@ -26,51 +26,45 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
-from adis_gonio.model.effects.base import Conditions, LinearAxisEffect, Parameter, did_you_mean
+from adis_gonio.model.effects.base import AXES, Conditions, LinearAxisEffect, Parameter, did_you_mean
 from adis_gonio.model.records import MG_PER_G
 
 Value = Callable[[Floats, Conditions], Floats]
 """Function of ideal readings (n, axes) and conditions of n rows; its value is (n,) or a constant."""
 
 
-def _component(axis: int) -> Value:
-    """Return the function that gives the component of g along an axis: the ideal reading in g.
-
-    Gyros have the readings of the accelerometers among their conditions instead.
-    """
-
-    def component(ideal: Floats, conditions: Conditions) -> Floats:
-        force = conditions.force_g
-        return np.asarray(ideal[:, axis] / MG_PER_G if force is None else force[:, axis])
-
-    return component
-
-
-def _recorded(field: str) -> Value:
-    return lambda ideal, conditions: conditions.covariate(field)
-
-
-COVARIATES_OF_FORMULAS: dict[str, tuple[str, str, str, Value]] = {
-    "gx": ("g along x", "reading", "", _component(0)),
-    "gy": ("g along y", "reading", "", _component(1)),
-    "gz": ("g along z", "reading", "", _component(2)),
-    "angle": (
-        "the declared angle in degrees",
-        "angle",
-        "angle_rad",
-        lambda ideal, conditions: np.degrees(conditions.covariate("angle_rad")),
-    ),
-    "t": (
-        "the time since the start in minutes",
-        "time",
-        "",
-        lambda ideal, conditions: conditions.time_s / 60.0,
-    ),
-    "T": ("the temperature in °C", "temperature", "temperature_c", _recorded("temperature_c")),
-    "V": ("the supply in V", "supply", "supply_v", _recorded("supply_v")),
-    "approach": ("the side of approach", "approach", "approach", _recorded("approach")),
+COVARIATES_OF_FORMULAS: dict[str, tuple[str, str, float]] = {
+    **dict.fromkeys(("gx", "gy", "gz"), ("reading", "", 0.0)),
+    "angle": ("angle", "angle_rad", 180 / math.pi),
+    "t": ("time", "time_s", 1 / 60),
+    "T": ("temperature", "temperature_c", 1.0),
+    "V": ("supply", "supply_v", 1.0),
+    "approach": ("approach", "approach", 1.0),
 }
-"""Covariates by their names in formulas: meaning, word of `COVARIATES`, needed condition, and function."""
+"""Covariates by their names in formulas: word of `COVARIATES`, field of `Conditions`, factor to the unit of
+the formula (degrees, minutes, °C, V). gx, gy and gz are the components of g."""
+
+
+def _covariate(name: str) -> Value:
+    """Return the function that gives a covariate of a formula by its name.
+
+    It raises `UsageError` if the session did not record the covariate. A component of g is the ideal
+    reading in g; gyros have the readings of the accelerometers among their conditions instead.
+    """
+    _, field, scale = COVARIATES_OF_FORMULAS[name]
+
+    def value(ideal: Floats, conditions: Conditions) -> Floats:
+        if field:
+            return scale * conditions.covariate(field)
+        g = ideal / MG_PER_G if conditions.force_g is None else conditions.force_g
+        axis = AXES.index(name[1])
+        if axis >= g.shape[1]:
+            raise UsageError(f"the session does not record {name}")
+        return np.asarray(g[:, axis])
+
+    return value
+
+
 _FUNCTIONS: dict[str, Callable[[Any], Any]] = {
     **{name: getattr(np, name) for name in ("sin", "cos", "exp", "log", "sqrt", "sign")},
     "abs": np.abs,
@@ -96,8 +90,6 @@ class FormulaEffect(LinearAxisEffect):
     """Base class of the effects that formulas define: amplitude times formula, for each axis."""
 
     value: ClassVar[Value]
-    names: ClassVar[tuple[str, ...]]
-    """Names of the covariates in the formula."""
     separated_by = "A formula of the user; the other effects of its covariates may look alike."
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -146,10 +138,9 @@ def formula_effect(text: str, unit: str) -> FormulaEffect:
             "name": name,
             "cause": f"Formula of the user: {text.strip()}.",
             "formula": text,
-            "covariates": tuple(dict.fromkeys(word for _, word, _, _ in used)),
-            "needs": tuple(dict.fromkeys(need for _, _, need, _ in used if need)),
+            "covariates": tuple(dict.fromkeys(word for word, _, _ in used)),
+            "needs": tuple(field for _, field, _ in used if field not in ("", "time_s")),
             "coefficients": (Parameter(name, unit, -math.inf, math.inf, 1.0),),
-            "names": tuple(source.names),
             "value": staticmethod(value),
             "__module__": __name__,
         },
@@ -192,7 +183,7 @@ class _Source:
                 return self.constant(node, math.pi)
             case ast.Name(id=name) if name in COVARIATES_OF_FORMULAS:
                 self.names[name] = None
-                return COVARIATES_OF_FORMULAS[name][3]
+                return _covariate(name)
             case ast.Name(id=name):
                 raise self.error(f"no covariate is called '{name}'{_known(name)}", node)
             case ast.UnaryOp(op=sign, operand=inner) if type(sign) in _OPERATORS:
@@ -232,19 +223,3 @@ class _Source:
 
 def _known(name: str) -> str:
     return f"{did_you_mean(name, _KNOWN)}; known: {', '.join(_KNOWN)}"
-
-
-def lacking(effect: FormulaEffect, conditions: Conditions, axes: int, part: str) -> str:
-    """Return a text on the first covariate of a formula that a session lacks; empty if none is lacking.
-
-    `axes` is the number of recorded axes, `part` the traced part of the sensor.
-    """
-    for name in effect.names:
-        meaning, _, need, _ = COVARIATES_OF_FORMULAS[name]
-        absent = bool(need) and bool(conditions.lacks((need,)))
-        if name in ("gx", "gy", "gz"):
-            gyro = part != "accelerometer"
-            absent = conditions.force_g is None if gyro else "xyz".index(name[1]) >= axes
-        if absent:
-            return f"{name} is {meaning}, which this session did not record"
-    return ""
