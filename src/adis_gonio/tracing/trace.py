@@ -95,8 +95,8 @@ def trace(
     max_effects: int = 6,
     time_limit: float | None = None,
     part: str = ACCELEROMETER,
-    include: Sequence[str] = (),
-    exclude: Sequence[str] = (),
+    include: str | Sequence[str] = (),
+    exclude: str | Sequence[str] = (),
     only: bool = False,
 ) -> TraceResult:
     """Trace the residual of a session to the effects that the base model lacks.
@@ -113,11 +113,11 @@ def trace(
         (`TraceResult.stopped`). By default there is no limit, so the result does not depend on the machine.
     part : {"accelerometer", "gyro"}
         The traced readings: of the accelerometers or the gyros.
-    include : sequence of str
+    include : str or sequence of str
         What if these terms are in the model: effects such as `quadratic:x`, or formulas such as
         `mine_x = (T - 25)**2 * gx` (`tracing.what_if`). The result compares the model with the best model
         (`TraceResult.what_if`).
-    exclude : sequence of str
+    exclude : str or sequence of str
         What if the model has none of the effects with these names.
     only : bool
         True: the model has the terms of `include` and no other.
@@ -133,8 +133,7 @@ def trace(
         unknown or that the session cannot show.
     """
     known_part(part)
-    request = Request(tuple(include), tuple(exclude), only)
-    request.check()
+    request = Request.of(include, exclude, only)
     if session.free_turn and not session.dwells:
         raise FitError(
             f"{session.source or 'session'}: a free turn has no positions whose residuals a trace could"

@@ -148,16 +148,19 @@ class Request:
     def __bool__(self) -> bool:
         return bool(self.include or self.exclude or self.only)
 
-    def check(self) -> None:
-        """Raise `UsageError` if a name to exclude is unknown or in every model, or the parts conflict."""
-        if self.only and self.exclude:
+    @classmethod
+    def of(cls, include: str | Sequence[str], exclude: str | Sequence[str], only: bool) -> Request:
+        """Make a request; raise `UsageError` if an excluded name is unknown or in every model."""
+        terms, names = ((one,) if isinstance(one, str) else tuple(one) for one in (include, exclude))
+        if only and names:
             raise UsageError("--only leaves out everything that --with does not name: omit --without")
-        for name in self.exclude:
+        for name in names:
             kind = type(effect(name))
             if kind.in_base and kind.prior != "constant":
                 raise UsageError(f"--without {name}: it is a base parameter of every model")
             if kind.within_dwell:
                 raise UsageError(f"--without {name}: it is looked for within the dwells, not in the model")
+        return cls(terms, names, only)
 
     def candidates(self, data: Readings, terms: Sequence[Term], max_effects: int) -> tuple[list[Term], int]:
         """Return the candidates that this request makes of `terms`, and the largest number of terms.
@@ -277,9 +280,8 @@ def _likeliest(
     named: Sequence[NamedTerm],
 ) -> NamedTerm:
     """Return the variant with the highest evidence in addition to the terms chosen before and a bias."""
-    biases = [term for term in named if term.constant]
-    widest = max(biases, key=lambda term: len(term.effect.axes))
-    problem = linearise(about, [*chosen, *variants, widest])
+    biases = sorted((term for term in named if term.constant), key=lambda term: len(term.effect.axes))
+    problem = linearise(about, [*chosen, *variants, *biases[-1:]])
     number = {term.label: k for k, term in enumerate(problem.terms)}
     before = [number[term.label] for term in chosen]
     basis = span(problem, before)[0]
@@ -292,7 +294,7 @@ def _likeliest(
     if not apart:
         others = " or ".join(["the base model", *(term.label for term in chosen)])
         raise UsageError(f"--with {text}: this session cannot distinguish it from {others}")
-    beside = [*before, *({number[widest.label]} if widest.label in number else ())]
+    beside = [*before, *(number[bias.label] for bias in biases[-1:] if bias.label in number)]
     gained = 0.5 * problem.gains(*span(problem, beside)) - price(problem)
     best = max(apart, key=lambda k: float(gained[k]))
     return next(term for term in variants if term.label == problem.terms[best].label)
