@@ -320,7 +320,7 @@ class Population:
         return log_prior + log_factor(first, mean, spread), Block(score, information)
 
     def by_unit(self, parts: Sequence[ChosenCause], candidate: Candidate, most: float = MOST) -> Floats:
-        """Return the log likelihood ratio (n, 2 h) of each session, with a candidate to without it.
+        """Return the log likelihood ratio (n, 2 h) of each session, with a candidate against without it.
 
         `parts` are the causes that are already in the model. There is one column for each distribution of
         the candidate's grid. The log Bayes factor of a session is limited to `most`.

@@ -336,9 +336,10 @@ class AngleSmoother:
         return StateEstimate(state.mean, covariance)
 
     def finish(self) -> list[Kept]:
-        """Filter all remaining time steps after the last sample; return the steps kept for `smooth`.
+        """Filter all remaining time steps after the last sample; return all filtered steps.
 
-        The list is empty if `keeps` is False.
+        The list is empty unless the smoother was made with `keeps`; `smooth` needs it for a whole
+        recording.
         """
         while self._state is not None and self._done < len(self._seen):
             self._pass(self._state)
@@ -404,7 +405,7 @@ class AngleSmoother:
     # -- the angle -----------------------------------------------------------------------------------
 
     def angle(self) -> SmoothedAngle | None:
-        """Return the angle at `lag_s` before the newest sample, estimated from all samples so far.
+        """Return the angle at one lag before the newest sample, estimated from all samples so far.
 
         None until a lag has passed.
         """

@@ -214,7 +214,10 @@ class Candidates:
 
     @property
     def precision(self) -> Floats:
-        """Inverse prior variance of each parameter, (p,), in its unit in `columns`."""
+        """Inverse prior variance of each parameter, (p,).
+
+        Base parameters are in natural units, amplitudes of effects in units of their typical size.
+        """
         precision = np.full(self.columns.shape[3], 1 / TYPICALS**2)
         precision[: self.base] = 1 / _LOOSE**2
         return precision

@@ -599,7 +599,7 @@ class Pattern:
 
     @property
     def name(self) -> Name:
-        """First name in `names`."""
+        """First of the possible names of the fault."""
         return next(iter(self.names))
 
 

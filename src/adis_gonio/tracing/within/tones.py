@@ -365,7 +365,10 @@ class Density:
 
     @property
     def relative(self) -> Floats:
-        """Power of each dwell at each searched frequency and axis, in units of `bound` there."""
+        """Power of each dwell at each searched frequency, in units of the density that a line must exceed.
+
+        The shape is (d, searched, axes).
+        """
         return self.power[:, self.searched] / self.level[:, None, :] / self.bound[None, self.searched]
 
     @cached_property
@@ -373,8 +376,8 @@ class Density:
         """Effective number (axes,) of independent dwells in the mean spectrum of all dwells.
 
         The average over this many independent spectra would scatter about the density as much as the mean
-        spectrum does; it is at most the number of dwells. `bound` is not used for this, since it scatters
-        too.
+        spectrum does; it is at most the number of dwells. The density of the noise itself is the reference,
+        since the limit for a line scatters too.
         """
         part = self.searched
         pooled = (self.power[:, part] / self.level[:, None, :]).mean(axis=0) / self.base[part]
