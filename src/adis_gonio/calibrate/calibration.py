@@ -806,7 +806,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         """Yield changes (n, axes) of the readings by each effect of temperature that was not determined.
 
         Each coefficient has its typical size, over the difference to the temperature of the session.
-        Nothing is yielded if one of the temperatures is unknown.
+        Nothing is yielded if the temperature of the readings (None) or of the session is unknown.
         """
         session = self.provenance.temperature_c
         now = checked_condition("temperature_c", temperature_c, len(readings), None)

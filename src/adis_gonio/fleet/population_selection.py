@@ -460,7 +460,9 @@ def parameters_of(group: Group) -> Floats:
 
 
 def group_at(parameters: Floats, like: Group) -> Group:
-    """Convert the parameters of `parameters_of` back to a distribution.
+    """Convert unbounded parameters back to a distribution of amplitudes.
+
+    `parameters` (m,) are the logit of the share, the log of the spread and, if it is not fixed, the mean.
 
     The distribution `like` gives the mean if it is not among the parameters, and the flag `relative`.
     """

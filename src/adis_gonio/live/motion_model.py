@@ -566,7 +566,7 @@ def smooth_lagged(state: StateEstimate, later: Sequence[Passed]) -> StateEstimat
 
 
 class _Adjoint:
-    """Vector and matrix that carry the information of later observations back to earlier states."""
+    """Vector and matrix by which the smoother carries information of later observations back in time."""
 
     def __init__(self, size: int) -> None:
         self._vector, self._matrix = np.zeros(size), np.zeros((size, size))

@@ -281,7 +281,10 @@ def in_units_of_file(finding: Finding, unit: Unit) -> Finding:
 
 
 def notes_of(selection: Selection, scatter: Scatter | None) -> tuple[str, ...]:
-    """Return notes on the noise, on dwell-to-dwell scatter, and on stage errors that look alike."""
+    """Return notes on the noise, on dwell-to-dwell scatter, and on stage errors that look alike.
+
+    `scatter` is None if there is no dwell-to-dwell scatter.
+    """
     data = selection.data
     notes = list(data.notes)
     for cycles, others in cycles_alike(selection):
@@ -347,7 +350,7 @@ def with_shares(found: Sequence[Finding], of_step: dict[str, float]) -> tuple[Fi
 
 
 def unnamed_with_share(unnamed: Unnamed | None, of_step: dict[str, float]) -> Unnamed | None:
-    """Return the unnamed part, if any, with `explains` set to its share of the base model's excess χ².
+    """Return the unnamed part (None if there is none) with its share of the base model's excess χ².
 
     If no step added an unnamed term, the share is limited to the part that the steps leave unexplained.
     `of_step` are the shares of all effects.
@@ -578,7 +581,10 @@ def detectable(
 
     @cache
     def basis_without(name: str | None) -> Floats:
-        """Return an orthonormal basis of the model's columns without the terms of one effect."""
+        """Return an orthonormal basis of the model's columns without the terms of the effect `name`.
+
+        None leaves no term out.
+        """
         return span(problem, [m for m in model if name is None or problem.terms[m].name != name])[0]
 
     figures: dict[tuple[str, str, str], list[float]] = defaultdict(list)

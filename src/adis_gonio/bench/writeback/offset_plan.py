@@ -235,7 +235,7 @@ def _plan(
     method: str,
     doubts: Sequence[str],
 ) -> WritePlan:
-    """Return the plan from biases with their standard uncertainties, `found` by name of the register.
+    """Return the plan from biases `found`, each with its u (None if unknown), by name of the register.
 
     `recorded` and `held` have the numbers during the recording and now; `doubts` are reasons to doubt the
     fit.

@@ -142,7 +142,7 @@ class NamedTerm(Term):
 
     @property
     def name(self) -> str | None:
-        """Name of the effect in the catalogue."""
+        """Name of the effect in the catalogue, never None for a named term."""
         return self.effect.name
 
     @property

@@ -432,7 +432,7 @@ class Effect(ABC):
     def defaults(
         self, given: Mapping[str, float] | None = None, others: Literal["typical", "zero"] = "typical"
     ) -> Floats:
-        """Return the parameter values in order: `given` by name, else typical.
+        """Return the parameter values in order: as `given` by name (None: none), else typical.
 
         With others="zero", amplitudes that are not given are zero instead.
 

@@ -474,13 +474,14 @@ def _beside(pooled: Floats, searched: slice, each: float) -> Callable[[Floats, i
 
 
 def _gain(own: Floats, with_peak: Floats, without: Floats, peak: NDArray[np.bool_]) -> float:
-    """Return the log likelihood for a peak as part of the noise's shape, minus that for a spectral line.
+    """Return the log likelihood ratio of a peak in the spectrum: part of the noise's shape, or a line.
 
-    The difference is per dwell and independent point of the spectrum. `own` is the density, `peak` its
-    mask.
+    It is positive if a noise shape that was fitted with the peak (`with_peak`) describes the density `own`
+    better than a shape fitted without it (`without`) plus a spectral line at the peak. `peak` is the mask
+    of the peak's frequencies. The ratio is per dwell and independent point of the spectrum, by Whittle's
+    likelihood with a fitted scale.
 
-    Whittle likelihood with fitted scale: a shape fitted with the peak, against a shape fitted without it
-    plus a line at the peak. `with_peak` and `without` are the shapes fitted with and without the peak.
+    All arrays are (k,).
     """
 
     def loss(shape: Floats, part: NDArray[np.bool_]) -> float:
