@@ -21,10 +21,8 @@ HEAD = """\
 <!-- written by scripts/results/page.py from the JSON files of this folder: change it there -->
 
 The figures of this page come from simulated sessions with a known truth. Each section names the command
-and the seed that make it again; `NAME.json` in this folder has all numbers. `python scripts/results NAME`
-measures a section again, and `python scripts/results/page.py` writes this page. U is the expanded
-uncertainty (95 %); *coverage* is the share of intervals that contain the truth; the *bound* is the
-Cramér–Rao bound.
+and the seed that make it again; `NAME.json` in this folder has all numbers. *Coverage* is the share of
+intervals (U, 95 %) that contain the truth; the *bound* is the Cramér–Rao bound.
 """
 
 Document = Mapping[str, Any]
@@ -68,7 +66,7 @@ def angle(found: Document) -> str:
                 if (one["plan"], one["positions"], one["kind"], one["fixture_deg"])
                 == (plan, positions, kind, 0.02)
             }
-            if by_method:
+            if by_method and (kind != "none" or plan in methods[1:3]):
                 cells = [f"{by_method[m]['rms']:.4f}" if m in by_method else "–" for m in methods]
                 bound = next(iter(by_method.values()))["bound"]
                 name = f"{plan} {positions}" if positions else plan
@@ -243,36 +241,23 @@ def links(found: Document) -> str:
 
 def slips(found: Document) -> str:
     """Wrong positions that were found."""
+    kinds = ("with_gyros", "without_gyros")
     rows = []
     for key, name in (
         ("slipped", "slip of 0.5° to 20°"),
         ("swapped", "two positions swapped"),
         ("mistyped", "one mistyped"),
     ):
-        cells = [
-            str(one["by_fault"][key][count])
-            for one in (found["with_gyros"], found["without_gyros"])
-            for count in ("sessions", "right", "alike", "oracle")
-        ]
+        faults = [found[kind]["by_fault"][key] for kind in kinds]
+        cells = [f"{one['right']} of {one['sessions']} ({one['oracle']})" for one in faults]
         rows.append((name, *cells))
-    head = (
-        "fault",
-        "sessions",
-        "right",
-        "in the set",
-        "oracle",
-        "without gyros",
-        "right",
-        "in the set",
-        "oracle",
-    )
+    head = ("fault", "right (oracle)", "without gyros")
     good = found["with_gyros"]["good"], found["without_gyros"]["good"]
     accused = found["with_gyros"]["accused"] + found["without_gyros"]["accused"]
     return "\n\n".join(
         (
-            "*Right*: name, position and angle, and no other position. *In the set*: another name that "
-            "predicts equal "
-            "angles comes first. The *oracle* knows how the sessions were drawn.",
+            "Sessions with the right name, position and angle, and no other position. The *oracle* knows "
+            "how the sessions were drawn.",
             table(head, rows),
             f"Of {good[0] + good[1]} sessions without a fault, {accused} had a position called wrong. "
             f"Slips above {found['slips_from_deg'] or math.nan:.2f}° are found in 99 %.",
@@ -305,33 +290,32 @@ def smoother(found: Document) -> str:
     )
 
 
-CASES_SHOWN = ("all three", "simulator, filter M = 2")
-
-
 def allan(found: Document) -> str:
     """Noise at rest: coverage, false claims, errors of slopes."""
     names = {"quantization": "quantization", "white": "N", "flicker": "F", "walk": "K"}
-    rows, false = [], []
+    rows, false, covered = [], [], []
     for case, one in found["cases"].items():
         for kind, figures in one["kinds"].items():
             if "claimed" not in figures:
                 continue
             if figures["truth"] is None:
                 false.append(figures["claimed"])
-            elif kind != "quantization" and case in CASES_SHOWN:
+                continue
+            covered.append(figures["coverage"])
+            if kind != "quantization" and case == "all three":
                 slopes = "–" if figures["peer_rms"] is None else percent(figures["peer_rms"], 0)
                 error = "–" if figures["rms"] is None else percent(figures["rms"])
                 shares = percent(figures["claimed"], 0), percent(figures["coverage"])
-                rows.append((case, names[kind], *shares, error, slopes))
-    head = ("records", "noise", "found", "coverage", "rms error", "rms error by slopes")
+                rows.append((names[kind], *shares, error, slopes))
+    head = ("noise", "found", "coverage", "rms error", "rms error by slopes")
     return "\n\n".join(
         (
-            "360 axes per case. N is white noise, F bias instability, K random walk; *by slopes* reads "
-            "the Allan deviation "
-            "where its slope is −½, 0 and +½.",
+            "360 axes with white noise N, bias instability F and random walk K; *by slopes* reads the "
+            "Allan deviation where its slope is −½, 0 and +½.",
             table(head, rows),
             f"A noise that a record does not have is reported in {percent(min(false))} to "
-            f"{percent(max(false))}.",
+            f"{percent(max(false))}; over all cases the coverage is {percent(min(covered))} to "
+            f"{percent(max(covered))}.",
             "![Coverage by case and noise](allan-coverage.svg)",
         )
     )
@@ -339,22 +323,21 @@ def allan(found: Document) -> str:
 
 def population(found: Document) -> str:
     """Effects that many sessions share."""
-    words = {
-        "effect": "with one effect in 30 % of the sessions",
-        "none": "without an effect",
-        "scatter": "noise unlike the stated one, random walks",
-        "foreign": "with an effect outside the catalogue",
-        "gross": "with one gross session",
-    }
-    rows = [
-        (words[kind], *(str(one[key]) for key in ("populations", "named", "in_set", "false", "unnamed")))
-        for kind, one in found["kinds"].items()
-    ]
+    kinds = found["kinds"]
+    shared, others = kinds["effect"], [kinds[kind] for kind in kinds if kind != "effect"]
+    total = sum(one["populations"] for one in others)
+    false = sum(one["false"] for one in others)
+    foreign = kinds["foreign"]
     return "\n\n".join(
         (
             f"Populations of {found['units']} sessions; the effect has half the detection limit of each "
             "session.",
-            table(("populations", "number", "named alone", "in a set", "false", "unnamed"), rows),
+            f"Of {shared['populations']} populations with one effect in 30 % of the sessions, "
+            f"{shared['named']} name it alone and {shared['in_set']} in a set; {shared['false']} have a "
+            f"wrong name. Of {total} populations without an effect of the catalogue (no effect, random "
+            f"walks, an effect outside the catalogue, one gross session) {false} got a name; the effect "
+            f"outside the catalogue is unnamed in {foreign['unnamed']} of "
+            f"{foreign['populations']}.",
             "![How often each effect was named](population-named.svg)",
         )
     )
@@ -380,10 +363,8 @@ def bench(found: Document) -> str:
     rows = [(benchmark, "; ".join(cells)) for benchmark, cells in ratios.items()]
     return "\n\n".join(
         (
-            "Time of the baseline over ours, measured in turn; above 1 we are faster. The answers are "
-            "compared first. "
-            "`trace` also weighs unnamed causes, leaves dwells out and looks into the dwells; its peers "
-            "do not.",
+            "Time of the baseline over ours; above 1 we are faster. `trace` also weighs unnamed causes, "
+            "leaves dwells out and looks into the dwells; its peers do not.",
             table(("benchmark", "ratio and baseline"), rows),
         )
     )
