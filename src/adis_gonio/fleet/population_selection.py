@@ -421,7 +421,7 @@ class Population:
     def affected(self, parts: Sequence[ChosenCause], part: ChosenCause) -> Floats:
         """Return the probability (n,) that the cause `part` affects each session.
 
-        The other causes `parts` are given.
+        `parts` are the other causes, with the distributions of their amplitudes.
         """
         amplitudes = part.amplitudes
         share = min(amplitudes.share, 1 - 1e-9)

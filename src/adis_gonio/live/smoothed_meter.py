@@ -338,7 +338,7 @@ class AngleSmoother:
     def finish(self) -> list[Kept]:
         """Filter all remaining time steps after the last sample; return all filtered steps.
 
-        The list is empty unless the smoother was made with `keeps`; `smooth` needs it for a whole
+        The list is empty unless the smoother was made with `keeps=True`; `smooth` needs it for a whole
         recording.
         """
         while self._state is not None and self._done < len(self._seen):

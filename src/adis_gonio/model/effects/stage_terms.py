@@ -265,7 +265,10 @@ class Creep(CourseEffect):
     shape = Parameter("tau", "s", 1.0, 36000.0, 120.0, shape=True)
 
     def courses(self, shape: float, ideal: Floats, conditions: Conditions) -> list[tuple[Floats, Floats]]:
-        """Return for each axis the lagged minus the present load in g, (n,), and its derivative by τ."""
+        """Return for each axis the lagged minus the present load in g, (n,), and its derivative by `shape`.
+
+        `shape` is the time constant of the lag in s.
+        """
         late = [
             (column, *conditions.late("load_history", column, shape)) for column in self.columns_of(ideal)
         ]
