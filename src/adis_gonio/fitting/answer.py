@@ -88,7 +88,7 @@ class Answer:
 
     @property
     def parameters(self) -> dict[str, Value]:
-        """All parameters of the shown result, by name; equal to `model_parameters`."""
+        """All parameters of the shown result, by name: the parameters of its model."""
         return self.model_parameters
 
     @property
@@ -102,7 +102,7 @@ class Answer:
         return self.result.method != self.recommended.method
 
     def _angle(self) -> dict[str, Value]:
-        """Entry `angle` of `values`, the error of the calibrated angle; empty in space."""
+        """Error of the calibrated angle as an entry `angle` of the main results; empty in space."""
         return {} if self.result.angle is None else {"angle": self.result.angle}
 
     def error_curves(self) -> tuple[ErrorCurve | None, ErrorCurve]:
@@ -176,7 +176,7 @@ class Answer:
         return "\n".join([*self.doubt_lines(width), *self.headline(width)])
 
     def doubt_lines(self, width: int = 80) -> list[str]:
-        """Return the sentences of `doubts`, folded to lines of at most `width` columns."""
+        """Return the doubts about the result as sentences, folded to lines of at most `width` columns."""
         return [line for doubt in self.doubts for line in fold_text(doubt, width)]
 
     def headline(self, width: int = 80) -> list[str]:

@@ -252,8 +252,8 @@ def _unknown_readings(
 def _unknown_fixture(follow: _Follow, noise: NoiseAssumptions, dof: int) -> NoiseAssumptions:
     """Estimate the standard deviation σ_f of the declared angles by restricted maximum likelihood.
 
-    `dof` are the degrees of freedom of the residual. With fewer than 2, or if the residual shows no such
-    deviation, the result is `noise` with a note.
+    `follow` fits the session again with other noise. `dof` are the degrees of freedom of the residual. With
+    fewer than 2, or if the residual shows no such deviation, the result is `noise` with a note.
     """
     if dof < 2:
         note = (

@@ -141,7 +141,7 @@ class TermEffect(Effect):
 
     @classmethod
     def choices(cls) -> tuple[str, ...]:
-        """Return no choices: a user cannot select variants of this effect."""
+        """Return no choices: a user cannot select a form of this effect."""
         return ()
 
     @property

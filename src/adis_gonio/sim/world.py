@@ -233,7 +233,7 @@ class World:
     def temperature_c(self, time_s: Floats) -> Floats:
         """Return the temperature (n,) of the sensor in °C at times (n,) in s.
 
-        It is the sum of ambient temperature, self-heating, and changes by `bring_to`.
+        It is the sum of ambient temperature, self-heating, and changes that a user of the simulation made.
         """
         given = self.settings
         ambient = given.ambient_c + given.ambient_drift_c_per_h * time_s / 3600

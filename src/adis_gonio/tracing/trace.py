@@ -231,9 +231,9 @@ class TraceRun:
 
     @property
     def judged(self) -> Selection:
-        """The chosen model with the posterior by which its causes are judged.
+        """The chosen model, with the posterior probabilities by which its causes are accepted or rejected.
 
-        The posterior may include an unknown cause (`beside_unknown_cause`).
+        If no model is adequate, an unknown cause competes with all models in this posterior.
         """
         judge, best = self.weighed, self.selection.verdict.best
         verdict = replace(judge.verdict, best=best)

@@ -75,7 +75,7 @@ class TracedAnswer(Answer):
 
     @cached_property
     def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
-        """Uncertainty budget of each of `values` by the traced model; empty for attitudes in space."""
+        """Uncertainty budgets of ΔK, Δφ and the angle by the traced model; empty for attitudes in space."""
         return budgets_of_trace(self.traced, self.values)
 
     @property
@@ -104,7 +104,7 @@ class TracedAnswer(Answer):
 
     @property
     def scored_as(self) -> str:
-        """Name of the shown model in `scores`: `trace`."""
+        """Name under which the table of scores lists the shown model: `trace`."""
         return TRACED
 
     def facts(self) -> list[str]:

@@ -537,7 +537,8 @@ class _Account:
     def _stated(self, e: float, row: int, variance: float) -> Angle:
         """Convert an error `e` in rad to an `Angle` in degrees with its standard uncertainty.
 
-        The u combines `variance` with the uncertainty of the calibration at one row of the linear model.
+        The u combines `variance` (rad²) with the uncertainty of the calibration at row `row` of the linear
+        model.
         """
         columns = self.rows.design[row]
         p = len(columns)
@@ -545,7 +546,7 @@ class _Account:
         return math.degrees(float(wrap_radians(np.array(e)))), math.degrees(u)
 
     def _model(self, row: int) -> float:
-        """Return the value that the calibration, at its posterior mean, predicts for one row."""
+        """Return the value that the most probable calibration predicts for one row of the linear model."""
         columns = self.rows.design[row]
         return float(columns @ self.posterior[0][: len(columns)])
 
