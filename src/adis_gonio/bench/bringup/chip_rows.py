@@ -42,11 +42,7 @@ from adis_gonio.device.sensor.registers import (
     Kind,
     Variant,
 )
-from adis_gonio.device.sensor.settings import (
-    FAST_BASE_S,
-    SLOW_BASE_S,
-    white_noise_gain,
-)
+from adis_gonio.device.sensor.settings import FAST_BASE_S, SLOW_BASE_S, white_noise_gain
 
 ELSE = "something else"
 PRIOR = {"A": 0.999, "B": 0.99, "C": 0.9, "D": 0.7}
