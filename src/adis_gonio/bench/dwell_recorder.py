@@ -23,11 +23,11 @@ from adis_gonio.bench.events import (
 )
 from adis_gonio.bench.guards import (
     Guard,
-    add_repeat_hint,
     drift_guard,
     judge_dwell,
     judge_shift,
     shock_guard,
+    shorten_repeated,
     stuck_guard,
 )
 from adis_gonio.bench.recorder import BROKEN_STREAM, Recorder, why_broken_off
@@ -257,7 +257,10 @@ WARMING_S = 600.0
 
 @dataclass(frozen=True)
 class _Broken:
-    """Reason why a dwell was interrupted, and the guard that asks the operator about it, if any."""
+    """The reason why a dwell was interrupted, as text, and the guard that asks the operator about it.
+
+    `guard` is None if the operator need not be asked.
+    """
 
     reason: str
     guard: Guard | None = None
@@ -272,6 +275,7 @@ class DwellRecorder(Recorder):
         self._kept_kinds: set[str] = set()
         self._doubts: list[Guard] = []
         self._stops: Counter[int] = Counter()
+        self._said: set[str] = set()  # words of the questions of guards so far
 
     def take(self, place: int) -> Iterator[Event]:
         """Record the dwell of the position at index `place` of the plan; a disturbed dwell is restarted.
@@ -513,7 +517,7 @@ class DwellRecorder(Recorder):
         """Ask the operator the question of a guard; return True if the dwell is kept or continues."""
         ledger = self._ledger
         self._stops[place] += 1
-        shown = add_repeat_hint(guard, self._stops[place] if ledger.done else 1)
+        shown = shorten_repeated(guard, self._stops[place] if ledger.done else 1, self._said)
         answer = yield from self._questions.ask_guard(guard, place, shown)
         if answer is Reply.KEEP:
             self._keep(guard)
@@ -555,9 +559,11 @@ class DwellRecorder(Recorder):
         return None
 
     def _within(self, recording: Recording, scans: Block, found: list[Problem]) -> Iterator[Event]:
-        """Ask the operator about alarms, supply and temperature in a dwell; `found` are its problems.
+        """Ask the operator whether to keep a dwell with alarms, a wrong supply or a change of temperature.
 
-        Without an operator, record the doubts as problems.
+        `scans` are the scans of the dwell, and `found` the problems that `problems` listed for it; the list
+        is not changed. Yields the events of the questions. If the operator does not keep the dwell, it is
+        withdrawn. Without an operator each doubt that `found` lacks is recorded as a problem.
         """
         ledger, place = self._ledger, recording.place
         told = {problem.kind for problem in found}

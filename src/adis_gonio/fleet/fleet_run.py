@@ -98,7 +98,7 @@ class ThisProcess:
 
 
 class Repeated(JsonRecord):
-    """A file with the same data as another file, which is counted in its place."""
+    """A file that does not count, because the file `same_as` has the same data."""
 
     path: str
     same_as: str
@@ -190,8 +190,8 @@ def run_fleet(
 ) -> Fleet:
     """Compute the record of every session that has no record in the store yet; return all records.
 
-    `tell` is called with the progress after each session. `found` has the sessions, `options` the
-    computations to make.
+    `tell` is called with the progress after each session; None reports none. `found` has the sessions,
+    `options` the computations to make.
 
     Raises
     ------

@@ -37,7 +37,7 @@ from adis_gonio.tracing.thresholds import limits
 
 @dataclass(frozen=True)
 class Candidate:
-    """A cause that may affect sessions, in one of its variants and on certain axes.
+    """A cause that may affect sessions, in one form (degree, cycles or time constant) and on certain axes.
 
     Attributes
     ----------
@@ -46,7 +46,8 @@ class Candidate:
     named : bool
         True if the catalogue has the cause; False for an unnamed function.
     variant : str
-        Choice and time constant of the cause (see `Column`).
+        Form of the cause (not the type of the sensor): degree, cycles per turn or time constant (see
+        `Column`).
     axes : str
         Letters of the axes; empty for an effect of the stage, which acts on no single axis.
     index : tuple of int
@@ -71,9 +72,9 @@ class Candidate:
 def candidates_of(columns: Sequence[Column]) -> list[Candidate]:
     """List every cause on each axis and on all axes together, with its prior probability.
 
-    The priors are equal to those in the trace of one session. The share of a name is divided evenly among
-    its variants, or in proportion to 1/n among the numbers n of cycles per turn. `columns` are the
-    amplitudes on which sessions give evidence.
+    The priors are equal to those in the trace of one session. The prior probability of a name is divided
+    evenly among the forms of the cause, or in proportion to 1/n among the numbers n of cycles per turn.
+    `columns` are the amplitudes on which sessions give evidence.
     """
     by_kind: dict[tuple[str, bool], list[int]] = defaultdict(list)
     for k, column in enumerate(columns):
@@ -100,7 +101,7 @@ def _part(variant: str) -> float:
 def _blocks(
     name: str, index: Sequence[int], columns: Sequence[Column]
 ) -> Iterator[tuple[str, str, tuple[int, ...]]]:
-    """Yield the variant, the axes and the column indices of each candidate of a cause.
+    """Yield the form, the axes and the column indices of each candidate of a cause.
 
     `name` is the name in the catalogue, empty for an unnamed cause; `index` are the indices of its columns.
     """
@@ -128,7 +129,7 @@ LEAST_UNITS = 5
 WHOLE = 0.5
 """Prior share of causes that act in all sessions.
 
-The remaining prior is for causes in one stage, operator, serial number or variant.
+The remaining prior is for causes in the sessions of one stage, operator, serial number or type of sensor.
 """
 
 Kind = tuple[str, bool]
@@ -136,7 +137,7 @@ Kind = tuple[str, bool]
 
 @dataclass(frozen=True)
 class Membership:
-    """A group of sessions: all, or those with one stage, operator, serial number or sensor variant.
+    """A group of sessions: all, or those with one stage, operator, serial number or type of sensor.
 
     Attributes
     ----------
@@ -183,7 +184,10 @@ def memberships(units: Units, by: Sequence[str]) -> list[Membership]:
 
 @dataclass(frozen=True)
 class ChosenCause:
-    """A cause in the model, with its group of sessions and the distribution of its amplitudes."""
+    """A cause in the model: the candidate, the group of sessions in which it acts, and its amplitudes.
+
+    `amplitudes` is the distribution of the amplitudes over the affected sessions of the group.
+    """
 
     candidate: Candidate
     group: Membership
@@ -316,7 +320,7 @@ class Population:
         return log_prior + log_factor(first, mean, spread), Block(score, information)
 
     def by_unit(self, parts: Sequence[ChosenCause], candidate: Candidate, most: float = MOST) -> Floats:
-        """Return the log likelihood ratio (n, 2 h) of each session, with a candidate to without it.
+        """Return the log likelihood ratio (n, 2 h) of each session, with a candidate against without it.
 
         `parts` are the causes that are already in the model. There is one column for each distribution of
         the candidate's grid. The log Bayes factor of a session is limited to `most`.
@@ -417,7 +421,7 @@ class Population:
     def affected(self, parts: Sequence[ChosenCause], part: ChosenCause) -> Floats:
         """Return the probability (n,) that the cause `part` affects each session.
 
-        The other causes `parts` are given.
+        `parts` are the other causes, with the distributions of their amplitudes.
         """
         amplitudes = part.amplitudes
         share = min(amplitudes.share, 1 - 1e-9)
@@ -456,7 +460,9 @@ def parameters_of(group: Group) -> Floats:
 
 
 def group_at(parameters: Floats, like: Group) -> Group:
-    """Convert the parameters of `parameters_of` back to a distribution.
+    """Convert unbounded parameters back to a distribution of amplitudes.
+
+    `parameters` (m,) are the logit of the share, the log of the spread and, if it is not fixed, the mean.
 
     The distribution `like` gives the mean if it is not among the parameters, and the flag `relative`.
     """

@@ -52,6 +52,11 @@ SKEW_AXES: tuple[tuple[int, int], ...] = ((0, 1), (0, 2), (1, 2))
 
 SENSOR_SPREAD = 0.2
 """Prior standard deviation of gains, skews and misalignment (rad) over all devices sold as sensors."""
+SESSION_BIAS_MG, SESSION_ZERO_DPS = 1.7, 0.022
+"""Prior standard deviation of an accelerometer's bias and of a gyro's zero rate in one session about their
+mean over all sessions of the part. Source: the means of six runs at rest, 10 000 s each, of one ADIS16405
+(SMAC-Group/imudata, adis_16405_imu1 to imu6) scatter by 2.4, 1.2, 1.2 mg and 0.022, 0.023, 0.020 °/s; 15
+degrees of freedom, so ±18 %."""
 SEEN = 0.02
 """Least visible effect of a gain or a skew for this parameter to be fitted.
 The effect is the change of the norm of a reading, in units of gravity for a parameter value of 1: its root
@@ -137,7 +142,7 @@ class Measurement(ABC):
 
     @property
     def size(self) -> float:
-        """Typical size of a reading, in `unit`: local gravity for accelerometers, else `full`."""
+        """Typical size of a reading: local gravity in mg for accelerometers, 100 °/s for gyros."""
         return float(getattr(self, "gravity_mg", self.full))
 
     @property
@@ -146,7 +151,7 @@ class Measurement(ABC):
         return False
 
     def stimulus(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """Return the quantity (n, axes) that the scale factors multiply, as a fraction of `full`."""
+        """Return the quantity (n, axes) that the gains multiply, in units of 1 g (gyros: 100 °/s)."""
         return ideal / self.full
 
     def pose(self, reading: Floats, conditions: Conditions) -> Floats | None:
@@ -171,7 +176,7 @@ class Measurement(ABC):
         return np.array([parameter.nominal for parameter in self.parameters])
 
     def by_pose(self, conditions: Conditions) -> NDArray[np.bool_]:
-        """Return for each reading (n,) if its pose alone determines it, as for a sensor at rest."""
+        """Return for each reading (n,) True if the pose determines it, as at rest, False if a turn does."""
         return np.ones(len(conditions), dtype=bool)
 
     @abstractmethod
@@ -194,21 +199,23 @@ class Measurement(ABC):
 
     @abstractmethod
     def ideal(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Return the ideal readings (n, axes) in `unit` at attitudes rotated further by `turn_rad`.
+        """Return the ideal readings (n, axes) in mg or °/s at attitudes rotated further by `turn_rad`.
 
         `base` (p,) are the base parameters; `attitude` are the attitudes of n dwells.
         """
 
     @abstractmethod
     def tangent(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Return the derivative of `ideal` by the attitude, (n, axes, freedom) in `unit` per rad.
+        """Return the derivative of the ideal readings by the attitude, (n, axes, freedom) in mg per rad.
+
+        `freedom` is the number of unknown angles in an attitude.
 
         It is taken for the base parameters `base` (p,), at attitudes rotated further by `turn_rad` (n,).
         """
 
     @abstractmethod
     def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Return the derivative of `ideal` by the base parameters, (n, axes, p), per rad or per 1.
+        """Return the derivative of the ideal readings by the base parameters, (n, axes, p), per rad or 1.
 
         It is taken at the attitudes of n dwells, rotated further by `turn_rad` (n,).
         """
@@ -218,7 +225,10 @@ class Measurement(ABC):
         """Return the attitudes after a change of each one by `step` (n, freedom) in rad."""
 
     def deviation_rad(self, attitude: Floats) -> Floats:
-        """Return how far attitudes are from the declared ones, (n, freedom) in rad; a fit penalizes it."""
+        """Return the deviation of attitudes from the declared ones, (n, freedom) in rad.
+
+        A fit penalizes it by the uncertainty of the fixture.
+        """
         return np.zeros((len(attitude), self.freedom))
 
     @abstractmethod
@@ -391,7 +401,10 @@ class FreeAttitude(Measurement):
         return columns
 
     def moved(self, attitude: Floats, step: Floats) -> Floats:
-        """Return the unit vectors (n, 3) after a small rotation `step` (n, 2) along `across` in rad."""
+        """Return the unit vectors of gravity (n, 3) after a small change `step` (n, 2) in rad.
+
+        The two components of the change are along two directions across the vector.
+        """
         # Step in the tangent plane, then back to unit length.
         turned = attitude + (across(attitude) @ step[:, :, None])[:, :, 0]
         return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True))
@@ -401,7 +414,9 @@ class FreeAttitude(Measurement):
         return np.asarray(reading / self.gravity_mg @ np.linalg.inv(sensitivity(base)).T)
 
     def visible(self, reading: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return for each base parameter (6,) if the poses determine it, with the limit `SEEN`.
+        """Return for each base parameter (6,) True if the poses determine it.
+
+        A parameter counts as determined if its effect on the norms of the readings is at least `SEEN`.
 
         The norm of a reading changes by u_i² with a gain, u_i u_j with a skew and u_i with a bias, for the
         unit vector u of gravity.

@@ -264,7 +264,7 @@ class StageCurve:
         return hashlib.sha256(json.dumps(self.as_dict()).encode()).hexdigest()
 
     def check(self, angles_deg: Iterable[float | None]) -> None:
-        """Check that the certificate covers the declared angles of a session or a plan.
+        """Check that the certificate covers the declared angles in degrees; None is a dwell without one.
 
         Raises
         ------
@@ -447,6 +447,11 @@ class Session(ComputedOnce):
         what = "a free turn" if self.free_turn else counted(len(self.dwells), "dwell")
         held = f"{what}, {counted(samples, 'sample')}"
         return f"Session({name}: {held}, {self.sensor})"
+
+    @property
+    def filter_m(self) -> int | None:
+        """Exponent M of the chip's filter, two passes of 2^M taps; None if it is not known."""
+        return (self.facts.get("configuration") or {}).get("filter_m")
 
     def to_pandas(self) -> pd.DataFrame:
         """Return all samples as a pandas data frame with the columns of the samples CSV (extra: pandas)."""

@@ -343,7 +343,7 @@ class Bringup:
     rows : tuple of Row
         One row for each step, in order.
     answers : mapping of str to Answer
-        One answer for each of `QUESTIONS`, by name.
+        One answer for each open question about the sensor (`QUESTIONS`), by name.
     undone : str
         Sentence on the restored registers.
     undone_ok : bool
@@ -487,7 +487,7 @@ class AlarmBudget:
     def highest_bin(self, bins: int) -> float:
         """Return the limit of the largest of `bins` bins of a periodogram, relative to their mean.
 
-        It is for the next comparison.
+        A bin of white noise exceeds it with the permitted probability of a false alarm in one comparison.
         """
         return math.log(bins / self.alpha())
 

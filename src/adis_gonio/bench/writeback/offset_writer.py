@@ -252,7 +252,7 @@ class OffsetWriter:
         SessionError
             The session gives no bias; the registers have numbers that session and journal do not explain;
             the sensor at rest does not agree with the session; or there are doubts about the fit and the
-            option `doubtful` is not set.
+            settings do not allow to write in spite of doubts (`WriteSettings.doubtful`).
         ChipError
             The supply is out of range, or the flash is to be written and is worn out.
         FitError
@@ -340,7 +340,7 @@ class OffsetWriter:
         return self._outcome(endurance, bias)
 
     def undo(self) -> WriteResult:
-        """Restore the old offsets; save them if the new offsets are in flash or `save` is set.
+        """Restore the old offsets; save them to flash if the new ones are there or saving was requested.
 
         Raises
         ------
@@ -580,7 +580,10 @@ class OffsetWriter:
         return all(now[name] == number for name, number in numbers.items())
 
     def _require_explained(self, now: dict[str, int]) -> None:
-        """Raise `SessionError` if a register has a number that session and journal do not explain."""
+        """Raise `SessionError` if a register has a number that session and journal do not explain.
+
+        `now` are the present numbers of the registers by name.
+        """
         recorded, known = recorded_offsets(self.session, self._part.registers), self.known
         standing = held_offsets(known, now, 0)
         written = set(known[-1].new) if known and standing.registers in ("old", "new", "half") else set()

@@ -85,7 +85,7 @@ class Halts:
     turned_rad: float
 
     def log_odds(self, error_rad: Floats, u_rad: Floats) -> Floats:
-        """Return the log likelihood ratio (g,) of a slip in this turn to none, by the gyro's rests.
+        """Return the log likelihood ratio (g,) of a slip in this turn to none, by where the sensor rested.
 
         Parameters
         ----------
@@ -103,7 +103,7 @@ class Halts:
         return np.asarray(np.log(1 - AFTERWARDS + AFTERWARDS * ratio))
 
     def _ordinary(self) -> Floats:
-        """Return the probability density (m,) of each rest if the move has no slip."""
+        """Return the probability density (m,) per rad of each rest's angle, in a move without a slip."""
         size = max(abs(self.turned_rad), LEAST_RAD)
         left = self.left_rad * np.sign(self.turned_rad) if self.turned_rad else self.left_rad
         sd = math.hypot(NEAR_MARK * size, LEAST_RAD)
@@ -320,8 +320,10 @@ def common_zero(angle_rad: Floats) -> float:
 class _Local:
     """Model of the readings, linearised at each reading.
 
-    `psi_rad` is the angle of gravity by each reading; `along` and `across` convert changes of a reading to
-    changes of the angle and of the length. `left_mg` is reading minus model.
+    `psi_rad` (n,) is the angle of gravity that each reading shows; `along` and `across` (n, 2) convert a
+    change of the reading in mg to a change of this angle in rad and of the reading's length in units of
+    gravity. `left_mg` is the reading minus the model, `ideal_mg` the model without biases, and `base` are
+    the base parameters of the calibration.
     """
 
     psi_rad: Floats
@@ -597,7 +599,7 @@ class Pattern:
 
     @property
     def name(self) -> Name:
-        """First name in `names`."""
+        """First of the possible names of the fault."""
         return next(iter(self.names))
 
 

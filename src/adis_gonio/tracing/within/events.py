@@ -241,8 +241,9 @@ def _independent(nominal: Floats, squares: Floats) -> Floats:
 
     It is limited by the scatter of the dwells' mean squared differences (d,).
 
-    A filter longer than the stretches correlates neighbouring places. The median absolute deviation of the
-    mean squares is used, so that a few unusual dwells do not matter.
+    The differences are of the means of two neighbouring stretches of samples; the sensor's filter
+    correlates them if it is longer than a stretch. The median absolute deviation of the mean squares is
+    used, so that a few unusual dwells do not matter.
     """
     use = np.isfinite(squares) & (nominal > 0)
     if use.sum() < _LEAST_DWELLS:
@@ -364,7 +365,7 @@ def _finding(
 
 
 def _view(samples: Samples, k: int, axis: int, model: Floats, kind: _Form) -> View:
-    """Return the figure of an event: averaged samples of the dwell, and the fitted form."""
+    """Return the figure of an event in dwell `k`: averaged samples, and the fitted form `model` (n,)."""
     rows = samples.values[k][:, axis] - samples.values[k][:, axis].mean()
     time = samples.elapsed_s(k)
     x, y, shown = neighbour_means(_POINTS, time, rows, model)
