@@ -725,10 +725,9 @@ def _panel_plot(panel: Panel, effect: str, before: str) -> str:
     if panel.check_x.size:
         series.append(Series(panel.check_x, panel.check_after, "after, check dwells", role="third"))
     x = _COVARIATES.get(panel.covariate, _reading(panel.covariate))
-    y = {
-        "norm": "residual of the norm / mg",
-        "angle": "computed − declared angle / °",
-    }.get(panel.quantity, f"residual of {panel.quantity[-1]} / mg")
+    y = {"norm": "residual of the norm / mg", "angle": "computed − declared angle / °"}.get(
+        panel.quantity, f"residual of {panel.quantity[-1]} / mg"
+    )
     sides = panel.covariate == "approach"
     return plot(
         series,
