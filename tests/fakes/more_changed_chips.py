@@ -274,7 +274,7 @@ class SavedOtherwise(SimulatedChip):
 
 # -- the lists -------------------------------------------------------------------------------------------
 
-MORE_CHANGES: dict[str, Change] = {
+CHANGES: dict[str, Change] = {
     "a write returns the old content": Change("reply_to_write", WriteReturnsOld),
     "bit 3 of SENS_AVG reads one": Change("reserved_bits", SensAvgBitThree),
     "offsets read as 14-bit numbers": Change("offset_upper_bits", OffsetsOfFourteenBits),
