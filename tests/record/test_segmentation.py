@@ -1,0 +1,85 @@
+"""Dwells of a long recording against their definition, window by window."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from adis_gonio.record import segmentation
+from adis_gonio.record.segmentation import segment_with_notes
+
+RATE = 100.0
+STEP_S = 40.0
+
+
+def samples(first, last):
+    """Samples first to last (exclusive) of a turn: 36 s of rest, 4 s of motion; every third rest slips."""
+    rng = np.random.default_rng((7, first))
+    t = np.arange(first, last) / RATE
+    place, into = np.divmod(t, STEP_S)
+    angle = 0.5 * (place + np.clip((into - 36.0) / 4.0, 0.0, 1.0))
+    slip = 30.0 * ((place % 3 == 1) & (into > 15.0))
+    accel = 1000 * np.stack([np.cos(angle), np.sin(angle), np.full(len(t), 0.1)], axis=1)
+    accel[:, 0] += slip
+    gyro = np.where(into > 36.0, 7.0, 0.0)[:, None] * [0.0, 0.0, 1.0]
+    return t, accel + rng.normal(0, 2.0, accel.shape), gyro + rng.normal(0, 0.1, (len(t), 3))
+
+
+TIME_S, ACCEL, GYRO = samples(0, 60_000)
+
+
+def plain(accel, gyro):
+    """Dwells by the definition, window by window, without running sums or blocks."""
+    window, trim, least = round(RATE / 2), round(RATE / 4), round(RATE)
+    spread = np.lib.stride_tricks.sliding_window_view(accel, window, axis=0).std(axis=-1)
+    noise = [np.median(s[s <= 2 * np.quantile(s, 0.05)]) for s in spread.T]
+    still = ((spread <= 4 * np.array(noise)) & (spread >= 0.1 * np.array(noise))).all(axis=1)
+    turning = np.lib.stride_tricks.sliding_window_view(gyro, window, axis=0).std(axis=-1)
+    still &= (turning <= 10 * np.median(turning[still], axis=0)).all(axis=1)
+    means = np.lib.stride_tricks.sliding_window_view(accel, window, axis=0).mean(axis=-1)
+    found, k = [], 0
+    while k < len(still):
+        if not still[k]:
+            k += 1
+            continue
+        end = k
+        while end < len(still) and still[end]:
+            end += 1
+        a, b = k + trim, end - 1 + window - trim
+        k = end
+        steps = {
+            row: max(abs(means[row] - means[row - window]) / noise)
+            for row in range(a + window, b - window + 1)
+        }
+        cuts = []
+        while steps and max(steps.values()) > 4:
+            cut = max(steps, key=steps.get)
+            cuts.append(cut)
+            steps = {row: s for row, s in steps.items() if not cut - window <= row < cut + window}
+        edges = [a, *sorted(cuts), b]
+        found += [slice(x, y) for x, y in pairwise(edges) if y - x >= least]
+    return found
+
+
+@pytest.fixture
+def small_blocks(monkeypatch):
+    monkeypatch.setattr(segmentation, "_BLOCK", 777)
+
+
+def test_dwells_are_those_of_the_definition(small_blocks):
+    found, _ = segment_with_notes(TIME_S, ACCEL, GYRO)
+    wanted = plain(ACCEL, GYRO)
+    assert len(found) == len(wanted) == 20  # 15 rests, 5 of them slip
+    for one, other in zip(found, wanted, strict=True):
+        assert abs(one.start - other.start) <= 1
+        assert abs(one.stop - other.stop) <= 1
+
+
+def test_a_stuck_stretch_over_many_blocks_is_named_by_its_times(small_blocks):
+    accel = ACCEL.copy()
+    accel[20_000:23_000] = accel[20_000]
+    found, notes = segment_with_notes(TIME_S, accel)
+    (line,) = [note for note in notes if "stuck" in note]
+    assert "at 200 s to 230 s" in line
+    window = round(RATE / 2)  # one that is stuck in part still shows noise
+    assert not any(rows.start < 23_000 - window and rows.stop > 20_000 + window for rows in found)
