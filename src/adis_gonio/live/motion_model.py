@@ -32,10 +32,10 @@ few per cent. Slower octaves are constant over a few seconds and are added to u.
 
     x(k) = F x(k−1) + s + w,  w ~ N(0, Q);    y(k) = h·x(k) + v,  v ~ N(0, r)
 
-The pass back over the lag follows Rauch, Tung and Striebel in the form of Bierman ("Fixed interval smoothing with
-discrete measurements", 1973). It carries the information of later observations as an adjoint vector and
-matrix, and needs no inverse, so constant parts of the state, or parts without variance, are no special
-case.
+The pass back over the lag follows Rauch, Tung and Striebel in the form of Bierman ("Fixed interval
+smoothing with discrete measurements", 1973). It carries the information of later observations as an adjoint
+vector and matrix, and needs no inverse, so constant parts of the state, or parts without variance, are no
+special case.
 """
 
 from __future__ import annotations
