@@ -1,12 +1,14 @@
-"""Dwells of a long recording against their definition, window by window."""
+"""A recording of any length: cut into pieces in any way, in memory that does not grow with it."""
 
+import tracemalloc
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given, settings, strategies as st
 
 from adis_gonio.record import segmentation
-from adis_gonio.record.segmentation import segment_with_notes
+from adis_gonio.record.segmentation import Piece, Quantiles, segment_pieces, segment_with_notes
 
 RATE = 100.0
 STEP_S = 40.0
@@ -22,21 +24,21 @@ def samples(first, last):
     accel = 1000 * np.stack([np.cos(angle), np.sin(angle), np.full(len(t), 0.1)], axis=1)
     accel[:, 0] += slip
     gyro = np.where(into > 36.0, 7.0, 0.0)[:, None] * [0.0, 0.0, 1.0]
-    return t, accel + rng.normal(0, 2.0, accel.shape), gyro + rng.normal(0, 0.1, (len(t), 3))
+    return Piece(t, accel + rng.normal(0, 2.0, accel.shape), gyro + rng.normal(0, 0.1, (len(t), 3)))
 
 
-TIME_S, ACCEL, GYRO = samples(0, 60_000)
+WHOLE = samples(0, 60_000)
 
 
-def plain(accel, gyro):
-    """Dwells by the definition, window by window, without running sums or blocks."""
+def plain(piece):
+    """Dwells by the definition, window by window, without running sums, histograms or blocks."""
     window, trim, least = round(RATE / 2), round(RATE / 4), round(RATE)
-    spread = np.lib.stride_tricks.sliding_window_view(accel, window, axis=0).std(axis=-1)
+    spread = np.lib.stride_tricks.sliding_window_view(piece.accel, window, axis=0).std(axis=-1)
     noise = [np.median(s[s <= 2 * np.quantile(s, 0.05)]) for s in spread.T]
     still = ((spread <= 4 * np.array(noise)) & (spread >= 0.1 * np.array(noise))).all(axis=1)
-    turning = np.lib.stride_tricks.sliding_window_view(gyro, window, axis=0).std(axis=-1)
+    turning = np.lib.stride_tricks.sliding_window_view(piece.gyro, window, axis=0).std(axis=-1)
     still &= (turning <= 10 * np.median(turning[still], axis=0)).all(axis=1)
-    means = np.lib.stride_tricks.sliding_window_view(accel, window, axis=0).mean(axis=-1)
+    means = np.lib.stride_tricks.sliding_window_view(piece.accel, window, axis=0).mean(axis=-1)
     found, k = [], 0
     while k < len(still):
         if not still[k]:
@@ -67,19 +69,71 @@ def small_blocks(monkeypatch):
 
 
 def test_dwells_are_those_of_the_definition(small_blocks):
-    found, _ = segment_with_notes(TIME_S, ACCEL, GYRO)
-    wanted = plain(ACCEL, GYRO)
+    found, _ = segment_with_notes(WHOLE.time_s, WHOLE.accel, WHOLE.gyro)
+    wanted = plain(WHOLE)
     assert len(found) == len(wanted) == 20  # 15 rests, 5 of them slip
     for one, other in zip(found, wanted, strict=True):
-        assert abs(one.start - other.start) <= 1
+        assert abs(one.start - other.start) <= 1  # the noise is a median to 0.1 %
         assert abs(one.stop - other.stop) <= 1
 
 
+@settings(max_examples=6)
+@given(st.lists(st.integers(0, 60_000), max_size=30))
+def test_the_way_a_recording_is_cut_changes_nothing(cuts):
+    edges = [0, *sorted(cuts), 60_000]
+    pieces = [WHOLE.rows(a, b) for a, b in pairwise(edges)]
+    assert segment_pieces(lambda: pieces) == segment_with_notes(WHOLE.time_s, WHOLE.accel, WHOLE.gyro)
+
+
+@pytest.mark.parametrize("block", [60, 1000, 9999])
+def test_dwells_do_not_depend_on_the_size_of_a_block(monkeypatch, block):
+    whole = segment_with_notes(WHOLE.time_s, WHOLE.accel, WHOLE.gyro)
+    monkeypatch.setattr(segmentation, "_BLOCK", block)
+    assert segment_with_notes(WHOLE.time_s, WHOLE.accel, WHOLE.gyro) == whole
+
+
 def test_a_stuck_stretch_over_many_blocks_is_named_by_its_times(small_blocks):
-    accel = ACCEL.copy()
+    accel = WHOLE.accel.copy()
     accel[20_000:23_000] = accel[20_000]
-    found, notes = segment_with_notes(TIME_S, accel)
+    found, notes = segment_with_notes(WHOLE.time_s, accel)
     (line,) = [note for note in notes if "stuck" in note]
     assert "at 200 s to 230 s" in line
     window = round(RATE / 2)  # one that is stuck in part still shows noise
     assert not any(rows.start < 23_000 - window and rows.stop > 20_000 + window for rows in found)
+
+
+def test_memory_does_not_grow_with_the_recording(monkeypatch):
+    monkeypatch.setattr(segmentation, "_BLOCK", 4096)
+    peaks = []
+    for rows in (100_000, 800_000):
+        tracemalloc.start()
+        try:
+            found, _ = segment_pieces(
+                lambda n=rows: (samples(k, min(k + 10_000, n)) for k in range(0, n, 10_000))
+            )
+            peaks.append(tracemalloc.get_traced_memory()[1])
+        finally:
+            tracemalloc.stop()
+        assert len(found) >= rows / RATE / STEP_S
+    assert peaks[1] < 1.3 * peaks[0]
+
+
+@given(st.integers(0, 2**32), st.floats(0, 1))
+def test_quantiles_are_those_of_all_numbers_to_a_thousandth(seed, share):
+    rng = np.random.default_rng(seed)
+    values = 10 ** rng.uniform(-9, 9, 501)
+    quantiles = Quantiles()
+    for part in np.array_split(values, 7):
+        quantiles.feed(part)
+    low, high = (np.quantile(values, share, method=method) for method in ("lower", "higher"))
+    assert (1 - 1e-3) * low <= quantiles.quantile(share) <= (1 + 1e-3) * high
+
+
+def test_numbers_that_are_all_alike_come_back_as_they_are():
+    quantiles = Quantiles()
+    for _ in range(3):
+        quantiles.feed(np.full(1000, 0.25))
+    quantiles.feed(np.zeros(5000))
+    assert quantiles.quantile(0.5, with_zeros=False) == 0.25
+    assert quantiles.quantile(0.5) == 0.0
+    assert quantiles.quantile(0.5, below=0.1, with_zeros=False) == np.inf

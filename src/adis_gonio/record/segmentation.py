@@ -1,4 +1,4 @@
-"""Dwells of a continuous recording: the stretches in which the sensor was still.
+"""Dwells of a continuous recording of any length: the stretches in which the sensor was still.
 
 A window of samples is still if the standard deviation of every axis lies between the limits of
 `adis_gonio.record.stillness`. The noise of an axis is the median of the standard deviations in its quiet
@@ -10,14 +10,17 @@ which the accelerations are still.
 
 Every run of still windows is trimmed at both ends, which the hand may disturb, and kept if it is long. A
 run is split at steps of its mean (a slip, or a slow turn).
+
+The recording is read several times from its beginning, a block at a time: its extent, its noise, the gyros'
+noise, its still windows, its steps. Memory is needed for one block and the results only.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +29,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError
 from adis_gonio.base.numbers import counted
 from adis_gonio.model.records import Dwell
-from adis_gonio.record.stillness import UPPER, limits_from_noise
+from adis_gonio.record.stillness import UPPER, StillnessLimits, limits_from_noise
 
 WINDOW_S = 0.5
 TRIM_S = 0.25
@@ -37,17 +40,57 @@ _OFTEN = 0.25
 """Share of constant windows above which the converter's resolution is the cause, not stuck data."""
 _LEAST_WINDOW = 8
 _BLOCK = 1 << 16
-"""Number of windows whose standard deviations are computed at a time, so that running sums stay short."""
+"""Number of rows of a block, without the rows that it shares with the next one."""
 _FIRST = 20_000
 """Number of rows at the beginning that determine the converter's step."""
 
 Flags = NDArray[np.bool_]
 
 
+@dataclass(frozen=True)
+class Piece:
+    """Consecutive samples of a recording.
+
+    Attributes
+    ----------
+    time_s : (n,) float
+        Time of each sample, increasing.
+    accel : (n, axes) float
+        Accelerometer samples in any unit.
+    gyro : (n, 3) float or None
+        Gyro samples in any unit; None for all pieces of a recording without gyros.
+    """
+
+    time_s: Floats
+    accel: Floats
+    gyro: Floats | None = None
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def rows(self, first: int, stop: int | None = None) -> Piece:
+        """Return some rows of the piece, as views."""
+        gyro = None if self.gyro is None else self.gyro[first:stop]
+        return Piece(self.time_s[first:stop], self.accel[first:stop], gyro)
+
+    def followed_by(self, other: Piece) -> Piece:
+        """Return the piece joined with the next one."""
+        gyros = [one.gyro for one in (self, other) if one.gyro is not None]
+        return Piece(
+            np.concatenate([self.time_s, other.time_s]),
+            np.concatenate([self.accel, other.accel]),
+            np.concatenate(gyros) if gyros else None,
+        )
+
+
+Reading = Callable[[], Iterable[Piece]]
+"""Function that reads a recording from its beginning; each call gives equal samples."""
+
+
 def segment_with_notes(
     time_s: Floats, accel: Floats, gyro: Floats | None = None
 ) -> tuple[list[slice], list[str]]:
-    """Find the dwells of a continuous recording; return their rows and remarks.
+    """Find the dwells of a continuous recording in memory; return their rows and remarks.
 
     Parameters
     ----------
@@ -70,126 +113,314 @@ def segment_with_notes(
     DataError
         The samples never change (stuck data).
     """
-    n, steps = len(time_s), np.diff(time_s)
-    steps = steps[steps > 0]
-    if n < 2 * _LEAST_WINDOW or not steps.size:
+    whole = Piece(time_s, accel, gyro)
+    return segment_pieces(lambda: (whole,))
+
+
+def segment_pieces(read: Reading) -> tuple[list[slice], list[str]]:
+    """Find the dwells of a recording that may be larger than memory; return their rows and remarks.
+
+    The division of the recording into pieces does not change the result.
+
+    Parameters
+    ----------
+    read : callable
+        Returns the pieces of the recording in order; called several times.
+
+    Raises
+    ------
+    DataError
+        The samples never change (stuck data).
+    """
+    n, period, accel, gyro = _extent(read)
+    if n < 2 * _LEAST_WINDOW or not period:
         return [], [f"{counted(n, 'sample')}: too few for a continuous recording"]
-    period = float(np.median(steps))
     window = max(_LEAST_WINDOW, round(WINDOW_S / period))
     trim, least = max(1, round(TRIM_S / period)), max(2 * window, round(LEAST_S / period))
     if n < least:
         return [], [
             f"the recording lasts {n * period:.2g} s; a dwell needs at least {least * period:.2g} s"
         ]
-    _refuse_constant(accel)
-    accelerometers = [_Axis(column, window) for column in accel.T]
-    noise = np.array([axis.noise() for axis in accelerometers])
-    limits = limits_from_noise(noise, window, np.array([axis.quantum for axis in accelerometers]))
-    high, low = np.zeros((2, n - window + 1), dtype=np.bool_)
-    for axis, lower, upper in zip(accelerometers, limits.lower, limits.upper, strict=True):
-        deviation = axis.deviation()
-        high |= deviation > upper
-        low |= deviation < lower
-    still = ~high & ~low
-    if gyro is not None and still.any():
-        turning = np.zeros_like(still)
-        for axis in (_Axis(column, window) for column in gyro.T):
-            deviation = axis.deviation()
-            usual = float(np.median(deviation[still]))
-            turning |= deviation > max(_GYRO_UPPER * usual, UPPER * axis.quantum / math.sqrt(12))
-        still &= ~turning
+    accel.refuse_constant()
+    windows = _Windows(read, window, accel, gyro)
+    noise = windows.noise()
+    limits = limits_from_noise(noise, window, accel.quantum)
+    still, flat = windows.runs(limits)
     # An axis that never changes has the limit 0: avoid a division by zero.
     unit = np.maximum(limits.upper / UPPER, 1e-300)
+    runs = [(first + trim, last + window - trim) for first, last in still]
+    rows, jump = _steps(read, window, unit, [run for run in runs if run[1] - run[0] >= 2 * least])
     slices = []
-    for first, last in _runs(still):
-        start, stop = first + trim, last + window - trim
-        cuts = _cuts((accel[start:stop] - accel[start]) / unit, window) if stop - start >= 2 * least else []
-        edges = [start, *(start + cut for cut in cuts), stop]
+    for start, stop in runs:
+        inside = (rows >= start) & (rows + 2 * window <= stop)
+        edges = [start, *_cuts(rows[inside], jump[inside], window), stop]
         slices += [slice(a, b) for a, b in pairwise(edges) if b - a >= least]
     scatter = ", ".join(f"{value:.3g}" for value in noise)
     notes = [
         f"{counted(len(slices), 'dwell')} found by stillness (window {window * period:.3g} s, noise"
         f" of the accelerations {scatter} in the file's unit, limit four times that)"
     ]
-    stuck = [f"{time_s[a]:.4g} s to {time_s[b + window - 1]:.4g} s" for a, b in _runs(low)]
+    stuck = [_times(read, (first, last + window - 1)) for first, last in flat[:4]]
     if stuck:
-        rows = ", ".join(stuck[:4])
-        notes.append(f"stuck data left out: an axis has less than a tenth of its noise at {rows}")
+        listed = ", ".join(f"{a:.4g} s to {b:.4g} s" for a, b in stuck)
+        notes.append(f"stuck data left out: an axis has less than a tenth of its noise at {listed}")
     return slices, notes
 
 
-def _refuse_constant(accel: Floats) -> None:
-    if not accel.any():
-        raise DataError(
-            "all-zero accelerations in the whole recording; check wiring and supply, record again"
-        )
-    if (accel == accel[0]).all():
-        raise DataError("stuck data: the accelerations never change in the whole recording; record again")
+def _blocks(read: Reading, overlap: int) -> Iterator[tuple[int, Piece]]:
+    """Yield blocks of a recording, each with its first row and `overlap` rows of the next block.
+
+    All blocks but the last have `_BLOCK` more rows. A window of `overlap` + 1 rows is in one block only.
+    """
+    row, held = 0, None
+    for piece in chain(read(), [None]):
+        if piece is not None:
+            held = piece if held is None else held.followed_by(piece)
+        while held is not None and len(held) >= (_BLOCK if piece is not None else 1) + overlap:
+            yield row, held.rows(0, _BLOCK + overlap)
+            row, held = row + _BLOCK, held.rows(_BLOCK)
+
+
+def _times(read: Reading, rows: Sequence[int]) -> list[float]:
+    """Return the times in s of some rows of a recording."""
+    return [
+        float(piece.time_s[wanted - row])
+        for wanted in rows
+        for row, piece in _blocks(read, 0)
+        if row <= wanted < row + len(piece)
+    ]
+
+
+class Quantiles:
+    """Histogram of non-negative numbers, fed in pieces, that gives quantiles with 0.1 % resolution.
+
+    A quantile is the mean of the numbers in its bin, so that equal numbers are returned unchanged. The bit
+    pattern of a positive float32 grows with its value, so that its upper bits number the bins.
+    """
+
+    _SHIFT = 23 - 10
+
+    def __init__(self) -> None:
+        self._count = np.zeros(1 << 31 - self._SHIFT, dtype=np.int64)
+        self._sum = np.zeros(len(self._count))
+
+    def feed(self, values: Floats) -> None:
+        """Add non-negative numbers (n,) to the histogram."""
+        places = values.astype(np.float32).view(np.int32) >> self._SHIFT
+        self._count += np.bincount(places, minlength=len(self._count))
+        self._sum += np.bincount(places, values, minlength=len(self._count))
+
+    def share_of_zeros(self) -> float:
+        """Return the share of zeros among the numbers."""
+        return float(self._count[0] / max(self._count.sum(), 1))
+
+    def quantile(self, share: float, *, below: float = math.inf, with_zeros: bool = True) -> float:
+        """Return the value below which the fraction `share` (0 to 1) of the numbers up to `below` lies.
+
+        Zeros are included if `with_zeros`; infinity if there are no numbers.
+        """
+        mean = self._sum / np.maximum(self._count, 1)
+        count = np.where(mean <= below, self._count, 0)
+        count[0] *= with_zeros
+        total = int(count.sum())
+        if not total:
+            return math.inf
+        return float(mean[np.searchsorted(np.cumsum(count), share * (total - 1), side="right")])
+
+
+def _own_noise(spread: Quantiles) -> float:
+    """Return the noise of an axis at rest: median of the standard deviations in its quiet windows.
+
+    `spread` has the standard deviations of all windows. The noise is zero if many windows are constant,
+    because the converter is too coarse.
+    """
+    if spread.share_of_zeros() > _OFTEN:
+        return 0.0
+    quiet = 2 * spread.quantile(0.05, with_zeros=False)
+    return spread.quantile(0.5, below=quiet, with_zeros=False)
 
 
 @dataclass(frozen=True)
-class _Axis:
-    """Samples (n,) of one axis, and the number of samples in a window."""
+class _Range:
+    """Minimum, maximum, mean and resolution (axes,) of samples over a recording.
 
-    samples: Floats
-    window: int
+    The resolution is the smallest difference of values in the first rows; 0 for a constant axis.
+    """
 
-    def deviation(self) -> Floats:
-        """Return the standard deviation (n − window + 1,) in each window; rounding errors count as zero."""
-        window, middle = self.window, self.samples.mean()
-        rounding = 1e-12 * max(self.samples.max() - middle, middle - self.samples.min()) ** 2
-        deviation = np.empty(len(self.samples) - window + 1)
-        for start in range(0, len(deviation), _BLOCK):
+    low: Floats
+    high: Floats
+    middle: Floats
+    quantum: Floats
+
+    @classmethod
+    def of(cls, blocks: list[Floats], first: Floats, n: int) -> _Range:
+        """Return the range of n samples, by the minimum, maximum and sum (3, axes) of each block."""
+        low, high, total = np.min(blocks, axis=0)[0], np.max(blocks, axis=0)[1], np.sum(blocks, axis=0)[2]
+        quantum = np.zeros(len(low))
+        for axis, largest in enumerate(np.maximum(np.abs(low), np.abs(high))):
+            # The smallest difference of two values is the step, unless it is a rounding error.
+            gaps = np.diff(np.unique(first[:, axis]))
+            quantum[axis] = gaps[gaps > 1e-9 * max(1.0, largest)].min(initial=math.inf)
+        return cls(low, high, total / n, np.where(np.isfinite(quantum), quantum, 0.0))
+
+    def deviations(self, samples: Floats | None, window: int) -> Iterator[Floats]:
+        """Yield for each axis of samples (n, axes) the standard deviations (n − window + 1,) in windows."""
+        if samples is None:
+            return
+        rounding = 1e-12 * np.maximum(self.high - self.middle, self.middle - self.low) ** 2
+        for axis, middle in enumerate(self.middle):
             # The mean is subtracted, so that the differences of running sums of x and x² lose few digits.
-            part = self.samples[start : start + _BLOCK + window - 1] - middle
+            part = samples[:, axis] - middle
             first, second = (np.concatenate([[0.0], np.cumsum(part**power)]) for power in (1, 2))
             mean = (first[window:] - first[:-window]) / window
             variance = (second[window:] - second[:-window]) / window - mean**2
-            variance[variance < rounding] = 0.0
-            deviation[start : start + _BLOCK] = np.sqrt(variance)
-        return deviation
+            variance[variance < rounding[axis]] = 0.0
+            yield np.sqrt(variance)
 
-    def noise(self) -> float:
-        """Return the noise at rest: the median of the standard deviations in the quiet windows.
-
-        It is zero if many windows are constant, because the converter is too coarse.
-        """
-        deviation = self.deviation()
-        alive = deviation[deviation > 0]
-        if not alive.size or alive.size < (1 - _OFTEN) * deviation.size:
-            return 0.0
-        return float(np.median(alive[alive <= 2 * np.quantile(alive, 0.05)]))
-
-    @property
-    def quantum(self) -> float:
-        """Resolution of the samples: the smallest difference of values; 0 for a constant axis."""
-        gaps = np.diff(np.unique(self.samples[:_FIRST]))
-        # The smallest difference of two values is the step, unless it is a rounding error.
-        gaps = gaps[gaps > 1e-9 * max(1.0, float(np.abs(self.samples).max()))]
-        return float(gaps.min()) if gaps.size else 0.0
+    def refuse_constant(self) -> None:
+        """Raise `DataError` if the samples never change."""
+        if not self.low.any() and not self.high.any():
+            raise DataError(
+                "all-zero accelerations in the whole recording; check wiring and supply, record again"
+            )
+        if (self.low == self.high).all():
+            raise DataError(
+                "stuck data: the accelerations never change in the whole recording; record again"
+            )
 
 
-def _runs(flags: Flags) -> Iterator[tuple[int, int]]:
-    """Yield the runs of true flags, each as the indices of its first and its last flag."""
-    edges = np.flatnonzero(np.diff(flags, prepend=False, append=False)).tolist()
-    yield from ((first, after - 1) for first, after in zip(edges[::2], edges[1::2], strict=True))
+def _extent(read: Reading) -> tuple[int, float, _Range, _Range | None]:
+    """Return the number of samples, their period in s (0 if unknown), and the ranges of both sensors."""
+    steps, latest_s, n = Quantiles(), math.nan, 0
+    blocks: tuple[list[Floats], list[Floats]] = ([], [])
+    first: tuple[list[Floats], list[Floats]] = ([], [])
+    for row, piece in _blocks(read, 0):
+        step = np.diff(piece.time_s, prepend=latest_s)
+        steps.feed(step[step > 0])
+        latest_s, n = float(piece.time_s[-1]), row + len(piece)
+        for k, samples in enumerate((piece.accel, piece.gyro)):
+            if samples is not None:
+                blocks[k].append(np.stack([samples.min(axis=0), samples.max(axis=0), samples.sum(axis=0)]))
+                if row < _FIRST:
+                    first[k].append(samples[: _FIRST - row].copy())
+    period = steps.quantile(0.5)
+    accel, gyro = (
+        _Range.of(own, np.concatenate(start), n) if own else None
+        for own, start in zip(blocks, first, strict=True)
+    )
+    nothing = np.zeros(0)
+    return n, period if math.isfinite(period) else 0.0, accel or _Range(*[nothing] * 4), gyro
 
 
-def _cuts(samples: Floats, window: int) -> list[int]:
-    """Return the rows at which a dwell is split: large changes of the mean, at least a window apart.
+@dataclass(frozen=True)
+class _Windows:
+    """All windows of `window` samples of a recording, with the ranges of its accelerations and rates."""
 
-    `samples` (n, axes) are the samples of the dwell in units of the noise.
+    read: Reading
+    window: int
+    accel: _Range
+    gyro: _Range | None
+
+    def noise(self) -> Floats:
+        """Return the noise (axes,) of the accelerations at rest."""
+        spreads = [Quantiles() for _ in self.accel.low]
+        for _, piece in _blocks(self.read, self.window - 1):
+            for spread, deviation in zip(spreads, self._accel(piece), strict=True):
+                spread.feed(deviation)
+        return np.array([_own_noise(spread) for spread in spreads])
+
+    def runs(self, limits: StillnessLimits) -> tuple[Runs, Runs]:
+        """Return the runs of still windows, and the runs in which an axis shows too little noise."""
+        turn = self._turn(limits) if self.gyro else []
+        still, flat = _Runs(), _Runs()
+        for _, piece in _blocks(self.read, self.window - 1):
+            high, low = self._judged(piece, limits)
+            for limit, deviation in zip(turn, self._gyro(piece), strict=True):
+                high |= deviation > limit
+            still.feed(~high & ~low)
+            flat.feed(low)
+        return still.found(), flat.found()
+
+    def _turn(self, limits: StillnessLimits) -> list[float]:
+        """Return the standard deviation of each gyro above which it turns."""
+        assert self.gyro is not None
+        usual = [Quantiles() for _ in self.gyro.low]
+        for _, piece in _blocks(self.read, self.window - 1):
+            high, low = self._judged(piece, limits)
+            for spread, deviation in zip(usual, self._gyro(piece), strict=True):
+                spread.feed(deviation[~high & ~low])
+        median = [_GYRO_UPPER * spread.quantile(0.5) for spread in usual]
+        coarse = UPPER * self.gyro.quantum / math.sqrt(12)
+        return [max(pair) for pair in zip(median, coarse.tolist(), strict=True)]
+
+    def _judged(self, piece: Piece, limits: StillnessLimits) -> tuple[Flags, Flags]:
+        """Return two flags for each window: some axis moves, and some axis shows too little noise."""
+        high, low = np.zeros((2, len(piece) - self.window + 1), dtype=np.bool_)
+        for deviation, least, most in zip(self._accel(piece), limits.lower, limits.upper, strict=True):
+            high |= deviation > most
+            low |= deviation < least
+        return high, low
+
+    def _accel(self, piece: Piece) -> Iterator[Floats]:
+        return self.accel.deviations(piece.accel, self.window)
+
+    def _gyro(self, piece: Piece) -> Iterator[Floats]:
+        return iter(()) if self.gyro is None else self.gyro.deviations(piece.gyro, self.window)
+
+
+Runs = list[tuple[int, int]]
+"""Runs of true flags, each as the numbers of its first and its last flag."""
+
+
+class _Runs:
+    """Finds runs of true flags in a series fed in pieces."""
+
+    def __init__(self) -> None:
+        self._edges: list[int] = []
+        self._fed, self._last = 0, False
+
+    def feed(self, flags: Flags) -> None:
+        """Add the next flags."""
+        self._edges += (self._fed + np.flatnonzero(np.diff(flags, prepend=self._last))).tolist()
+        self._fed, self._last = self._fed + len(flags), bool(flags[-1])
+
+    def found(self) -> Runs:
+        """Return the runs."""
+        edges = [*self._edges, *[self._fed] * self._last]
+        return [(first, after - 1) for first, after in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _steps(read: Reading, window: int, unit: Floats, runs: Runs) -> tuple[NDArray[np.int64], Floats]:
+    """Return the rows at which the mean changes suddenly between adjacent windows, and the changes.
+
+    `unit` (axes,) is the noise, in which changes are counted; `runs` are the rows to search.
     """
-    sums = np.concatenate([np.zeros((1, samples.shape[1])), np.cumsum(samples, axis=0)])
-    means = (sums[window:] - sums[:-window]) / window
-    # Difference of the means of adjacent windows, the largest over the axes.
-    jump = np.abs(means[window:] - means[:-window]).max(axis=1)
-    rows = np.flatnonzero(jump > UPPER)
+    found = [(np.zeros(0, dtype=np.int64), np.zeros(0))]
+    for row, piece in _blocks(read, 2 * window - 1) if runs else ():
+        if not any(start < row + len(piece) and stop > row for start, stop in runs):
+            continue
+        sums = np.cumsum((piece.accel - piece.accel[0]) / unit, axis=0)
+        sums = np.concatenate([np.zeros((1, len(unit))), sums])
+        means = (sums[window:] - sums[:-window]) / window
+        # Difference of the means of adjacent windows, the largest over the axes.
+        jump = np.abs(means[window:] - means[:-window]).max(axis=1)
+        rows = np.concatenate(
+            [np.arange(max(a - row, 0), max(min(b - row, len(jump)), 0)) for a, b in runs]
+        )
+        rows = rows[jump[rows] > UPPER]
+        found.append((row + rows, jump[rows]))
+    rows, jumps = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return rows, jumps
+
+
+def _cuts(rows: NDArray[np.int64], jump: Floats, window: int) -> list[int]:
+    """Return the rows at which a dwell is split: large changes of the mean, at least a window apart."""
     cuts = []
     while rows.size:
-        k = int(rows[jump[rows].argmax()])
+        k = int(rows[jump.argmax()])
         cuts.append(k + window)
-        rows = rows[(rows < k - window) | (rows >= k + window)]
+        far = (rows < k - window) | (rows >= k + window)
+        rows, jump = rows[far], jump[far]
     return sorted(cuts)
 
 
