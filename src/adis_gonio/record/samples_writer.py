@@ -1,4 +1,4 @@
-"""Sessions as samples CSV and JSON objects, templates to fill in, and a recording written as it is measured.
+"""Sessions as samples CSV and JSON objects, templates to fill in, and a recording that grows as measured.
 
 Numbers are written with the fewest digits that give the same float again, so that a file is read back
 unchanged.
