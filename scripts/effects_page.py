@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import inspect
 import sys
 from pathlib import Path
 
@@ -87,6 +88,13 @@ def harmonics_table() -> list[str]:
     return rows
 
 
+def paragraph(kind: type[Effect], name: str) -> str:
+    """Text of a paragraph of an effect's docstring, which begins with its name."""
+    paragraphs = inspect.cleandoc(kind.__doc__ or "").split("\n\n")
+    (text,) = (one for one in paragraphs if one.startswith(f"{name}: "))
+    return " ".join(text.removeprefix(f"{name}: ").split())
+
+
 def section(kind: type[Effect]) -> list[str]:
     """Section of one effect."""
     choice = {"degree": 3} if "degree" in kind.choices() else {}
@@ -101,11 +109,11 @@ def section(kind: type[Effect]) -> list[str]:
         "",
         kind.cause,
         "",
-        f"    {kind.formula}",
+        f"    {paragraph(kind, 'Formula')}",
         "",
         "; ".join(facts) + ".",
         "",
-        f"*Separated by:* {kind.separated_by}",
+        f"*Separated by:* {paragraph(kind, 'Separated by')}",
         "",
     ]
 

@@ -18,8 +18,6 @@ class ThirdHarmonic(StageEffect):
     """Three cycles a turn."""
     name = "third_harmonic"
     cause = "The bearing has three lobes."
-    formula = "angle += third sin 3 theta"
-    separated_by = "Remount by 60 degrees."
     needs = ("angle_rad",)
     coefficients: ClassVar = (Parameter("third", "degree", -1.0, 1.0, 0.02),)
 
@@ -40,7 +38,7 @@ class Moody(ThirdHarmonic):
 
 class Silent(Effect):
     name = "silent"
-    cause = formula = separated_by = "The part ages."
+    cause = "The part ages."
     enters = Enters.ATTITUDE
     by_axis = False
 

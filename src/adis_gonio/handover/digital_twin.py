@@ -126,8 +126,6 @@ class TermEffect(Effect):
 
     name = "traced"
     cause = "a term that a trace found"
-    formula = "as fitted"
-    separated_by = ""
     by_axis = False
 
     @classmethod

@@ -43,6 +43,11 @@ class GyroBiasTemperature(BiasTemperature):
 
     T is the temperature of the gyro's own die if all three dies were recorded, else the mean temperature.
 
+    Formula: ω_i += gyro_bias_temperature_i · ΔT + …2_i · ΔT² + …3_i · ΔT³ to `degree`, ΔT = T_i − 25 °C
+
+    Separated by: If the temperature only rises it is `gyro_drift` or `gyro_warm_up`: let it fall again, or
+    repeat poses at two temperatures in changed order; `gyro_scale_temperature` shows in turns alone.
+
     Attributes
     ----------
     degree : int
@@ -51,11 +56,6 @@ class GyroBiasTemperature(BiasTemperature):
 
     name = "gyro_bias_temperature"
     cause = "The zero rate of a gyro moves with the temperature of its die."
-    formula = "ω_i += gyro_bias_temperature_i · ΔT + …2_i · ΔT² + …3_i · ΔT³ to `degree`, ΔT = T_i − 25 °C"
-    separated_by = (
-        "If the temperature only rises it is `gyro_drift` or `gyro_warm_up`: let it fall again, or repeat "
-        "poses at two temperatures in changed order; `gyro_scale_temperature` shows in turns alone."
-    )
     remedy = CYCLE
     correctable = True
     parts = GYRO
@@ -74,6 +74,11 @@ class GyroBiasTemperature(BiasTemperature):
 class GSensitivity(LinearAxisEffect):
     """Force along each of the three axes shifts the zero rate: nine coefficients of three gyros.
 
+    Formula: ω_i += g_sensitivity_ix · f_x + g_sensitivity_iy · f_y + g_sensitivity_iz · f_z
+
+    Separated by: With poses in one order force is time: repeat the first poses last, or shuffle them;
+    `gyro_drift` continues if a pose is repeated. `g2_sensitivity` does not change its sign with the force.
+
     Attributes
     ----------
     force : int
@@ -86,11 +91,6 @@ class GSensitivity(LinearAxisEffect):
 
     name = "g_sensitivity"
     cause = "Acceleration bends the vibrating structure of a gyro, which reads it as a rate of turn."
-    formula = "ω_i += g_sensitivity_ix · f_x + g_sensitivity_iy · f_y + g_sensitivity_iz · f_z"
-    separated_by = (
-        "With poses in one order force is time: repeat the first poses last, or shuffle them; `gyro_drift` "
-        "continues if a pose is repeated. `g2_sensitivity` does not change its sign with the force."
-    )
     remedy = _OTHER_ORDER
     correctable = True
     prior = "force"
@@ -128,6 +128,11 @@ class G2Sensitivity(LinearAxisEffect):
 
     At rest the three squares add up to 1 g², so each axis of the force is a choice of its own.
 
+    Formula: ω_i += g2_sensitivity_ij · f_j², j the axis `force`
+
+    Separated by: At rest f_x² + f_y² + f_z² = 1, so that the square of one component is minus the squares
+    of the two others: poses between the axes tell one from two, vibration tells all.
+
     Attributes
     ----------
     force : int
@@ -139,11 +144,6 @@ class G2Sensitivity(LinearAxisEffect):
     name = "g2_sensitivity"
     cause = (
         "The zero rate of a gyro moves with the square of a force, alike for both signs (rectification)."
-    )
-    formula = "ω_i += g2_sensitivity_ij · f_j², j the axis `force`"
-    separated_by = (
-        "At rest f_x² + f_y² + f_z² = 1, so that the square of one component is minus the squares "
-        "of the two others: poses between the axes tell one from two, vibration tells all."
     )
     remedy = "point two axes at once along gravity (±0.7 g), and repeat the first poses last"
     correctable = True
@@ -171,15 +171,15 @@ class GyroScale(LinearAxisEffect):
     """The scale factor of a gyro has a relative error.
 
     A fit states `gyro_scale_i` = 1 + gyro_scale_error_i.
+
+    Formula: ω_i += gyro_scale_error_i · Ω_i, Ω the true rate
+
+    Separated by: Only turns show it: a whole turn about each axis to either side. `gyro_asymmetry` needs
+    both senses, `gyro_scale_temperature` turns at two temperatures.
     """
 
     name = "gyro_scale"
     cause = "The sensitivity of a gyro differs from its nominal one."
-    formula = "ω_i += gyro_scale_error_i · Ω_i, Ω the true rate"
-    separated_by = (
-        "Only turns show it: a whole turn about each axis to either side. `gyro_asymmetry` needs both "
-        "senses, `gyro_scale_temperature` turns at two temperatures."
-    )
     remedy = WHOLE_TURNS
     correctable = True
     needs = ("rate_dps",)
@@ -192,14 +192,16 @@ class GyroScale(LinearAxisEffect):
 
 
 class GyroScaleTemperature(LinearAxisEffect):
-    """The gain of a gyro changes in proportion to the temperature of its die."""
+    """The gain of a gyro changes in proportion to the temperature of its die.
+
+    Formula: ω_i += gyro_scale_temperature_i · 10⁻⁶ · (T_i − 25 °C) · Ω_i
+
+    Separated by: `gyro_bias_temperature` shows at rest too, this in turns alone: the same turn at two
+    temperatures.
+    """
 
     name = "gyro_scale_temperature"
     cause = "The sensitivity of a gyro changes with the temperature of its die."
-    formula = "ω_i += gyro_scale_temperature_i · 10⁻⁶ · (T_i − 25 °C) · Ω_i"
-    separated_by = (
-        "`gyro_bias_temperature` shows at rest too, this in turns alone: the same turn at two temperatures."
-    )
     remedy = "turn the part by whole turns at two temperatures, 10 °C apart"
     correctable = True
     needs = ("rate_dps", "temperature_c")
@@ -218,15 +220,15 @@ class GyroMisalignment(AxisEffect):
 
     With s_p the sine of the misalignment towards axis p the direction is (√(1 − Σ s_p²), s_p, …):
     1° reduces the gain by 1.5·10⁻⁴, which ten turns show.
+
+    Formula: ω_i += Σ_p sin(gyro_misalignment_ip) · Ω_p − (1 − √(1 − Σ_p sin²)) · Ω_i
+
+    Separated by: Only a turn about the axis towards which it is misaligned shows it: one whole turn about
+    each of the three axes.
     """
 
     name = "gyro_misalignment"
     cause = "The axis of a gyro is misaligned towards another axis of the accelerometers by a small angle."
-    formula = "ω_i += Σ_p sin(gyro_misalignment_ip) · Ω_p − (1 − √(1 − Σ_p sin²)) · Ω_i"
-    separated_by = (
-        "Only a turn about the axis towards which it is misaligned shows it: one whole turn about each of "
-        "the three axes."
-    )
     remedy = WHOLE_TURNS
     correctable = True
     needs = ("rate_dps",)
@@ -275,6 +277,12 @@ class GyroMisalignment(AxisEffect):
 class GyroDrift(LinearAxisEffect):
     """The zero rate changes evenly, with time or from dwell to dwell.
 
+    Formula: ω_i += gyro_drift_i · t/60, or gyro_step_i · number of the dwell (`steps` 1)
+
+    Separated by: With poses in one order time is force: repeat poses in another order, and the first ones
+    last. `gyro_bias_temperature` needs the temperature to fall; pauses of different length between dwells
+    tell time from the number of the dwell.
+
     Attributes
     ----------
     steps : int
@@ -286,12 +294,6 @@ class GyroDrift(LinearAxisEffect):
 
     name = "gyro_drift"
     cause = "The zero rate of a gyro moves evenly with time, or from one handling of the part to the next."
-    formula = "ω_i += gyro_drift_i · t/60, or gyro_step_i · number of the dwell (`steps` 1)"
-    separated_by = (
-        "With poses in one order time is force: repeat poses in another order, and the first ones last. "
-        "`gyro_bias_temperature` needs the temperature to fall; pauses of different length between dwells "
-        "tell time from the number of the dwell."
-    )
     remedy = _OTHER_ORDER
     not_corrected = "follows the clock of the session; the zero rate applies to its start"
     covariates = ("time",)
@@ -319,15 +321,16 @@ class GyroDrift(LinearAxisEffect):
 
 
 class GyroWarmUp(WarmUp):
-    """The zero rate settles exponentially after power-on."""
+    """The zero rate settles exponentially after power-on.
+
+    Formula: ω_i += gyro_warm_up_i · exp(−t/τ), t from the session's start
+
+    Separated by: Shorter than τ it is `gyro_drift`; with the temperature recorded it competes with
+    `gyro_bias_temperature`: switch off and on within the session.
+    """
 
     name = "gyro_warm_up"
     cause = "The zero rate of a gyro settles while the part heats itself after power-on."
-    formula = "ω_i += gyro_warm_up_i · exp(−t/τ), t from the session's start"
-    separated_by = (
-        "Shorter than τ it is `gyro_drift`; with the temperature recorded it competes with "
-        "`gyro_bias_temperature`: switch off and on within the session."
-    )
     remedy = "switch the sensor off, let it cool, and repeat a few poses after switching on"
     not_corrected = "follows the clock of the session; the zero rate applies to the warm part"
     covariates = ("time",)
@@ -336,15 +339,16 @@ class GyroWarmUp(WarmUp):
 
 
 class GyroSupply(SupplyBias):
-    """The zero rate changes in proportion to the supply voltage."""
+    """The zero rate changes in proportion to the supply voltage.
+
+    Formula: ω_i += gyro_supply_i · (V − 5 V)
+
+    Separated by: A supply that sinks while the part warms imitates `gyro_bias_temperature` and
+    `gyro_drift`: change the supply by hand in one pose.
+    """
 
     name = "gyro_supply"
     cause = "The zero rate of a gyro moves with the supply voltage."
-    formula = "ω_i += gyro_supply_i · (V − 5 V)"
-    separated_by = (
-        "A supply that sinks while the part warms imitates `gyro_bias_temperature` and `gyro_drift`: "
-        "change the supply by hand in one pose."
-    )
     remedy = "change the supply by hand in one pose, such as from 4.8 to 5.2 V"
     correctable = True
     needs = ("supply_v",)
@@ -353,15 +357,16 @@ class GyroSupply(SupplyBias):
 
 
 class GyroAsymmetry(LinearAxisEffect):
-    """The scale factor of a gyro is 1 + A for positive rates of turn, 1 − A for negative rates."""
+    """The scale factor of a gyro is 1 + A for positive rates of turn, 1 − A for negative rates.
+
+    Formula: ω_i += gyro_asymmetry_i · |Ω_i|
+
+    Separated by: Turns to one side alone have it in `gyro_scale`: turn to both. Of slow and brisk turns a
+    curvature grows with the square.
+    """
 
     name = "gyro_asymmetry"
     cause = "The gain of a gyro differs between the two senses of turning."
-    formula = "ω_i += gyro_asymmetry_i · |Ω_i|"
-    separated_by = (
-        "Turns to one side alone have it in `gyro_scale`: turn to both. Of slow and brisk turns a "
-        "curvature grows with the square."
-    )
     remedy = "turn the part by as many whole turns to the one side as to the other"
     not_corrected = "differs between the two senses of turning, which no gain corrects"
     needs = ("rate_dps",)
