@@ -13,7 +13,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats, solvable
 from adis_gonio.base.errors import AdisGonioError, DataError
-from adis_gonio.calibrate.gyro_calibration import GyroCalibration
+from adis_gonio.calibrate.gyro_calibration import PAIRS, GyroCalibration
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, VARIANTS
 from adis_gonio.device.sensor.settings import filter_weights, sample_period_s, smpl_prd_for
@@ -260,7 +260,6 @@ def gyro_settings(gyro: GyroCalibration, accel_bias_mg: Floats) -> dict[str, flo
     """
     moved = gyro.with_force_moved(-accel_bias_mg / 1000)
     known = {one.name: one.value for one in moved.parameters}
-    pairs = [i + j for i in AXES for j in AXES]
     settings: dict[str, float] = {}
     for axis in AXES:
         settings |= {
@@ -270,7 +269,7 @@ def gyro_settings(gyro: GyroCalibration, accel_bias_mg: Floats) -> dict[str, flo
             f"gyro_scale_tempco_{axis}_ppm_per_c": known.get(f"gyro_scale_temperature_{axis}", 0.0),
             f"gyro_supply_{axis}_dps_per_v": known.get(f"gyro_supply_{axis}", 0.0),
         }
-    for pair in pairs:
+    for pair in PAIRS:
         settings[f"gyro_g_sensitivity_{pair}_dps_per_g"] = known.get(f"g_sensitivity_{pair}", 0.0)
         settings[f"gyro_g2_sensitivity_{pair}_dps_per_g2"] = known.get(f"g2_sensitivity_{pair}", 0.0)
         if pair[0] != pair[1]:
