@@ -28,11 +28,11 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import DataError
 from adis_gonio.base.numbers import counted
-from adis_gonio.model.records import Dwell, Session
+from adis_gonio.model.records import SERIES, Dwell, Session
 from adis_gonio.record import samples_header
 from adis_gonio.record.loading import Overrides
 from adis_gonio.record.plans import MOST_POSITIONS
-from adis_gonio.record.samples_columns import AXES, COLUMNS, GYROS, SAME
+from adis_gonio.record.samples_columns import COLUMNS, SAME
 from adis_gonio.record.segmentation import segment_with_notes, shows_a_free_turn
 
 _WALL_CLOCK = re.compile(
@@ -41,15 +41,6 @@ _WALL_CLOCK = re.compile(
 """Pattern of a time in ISO 8601 with its date, as loggers write it, with or without Z or an offset."""
 _SLOWEST_S = 2.0
 """Median step of the rows in s from which a time without a unit may be in ms, so that it is refused."""
-_FIELDS = {
-    "time_s": ("time_s",),
-    "accel": AXES,
-    "gyro": GYROS,
-    "temperature_c": ("temp_c",),
-    "supply_v": ("supply_v",),
-}
-"""Columns of the series of a `Dwell`, by its field."""
-
 Texts = list[tuple[int, str]]
 """Texts in a column, each with its row."""
 
@@ -78,7 +69,7 @@ class SamplesTable:
         self.head, self.dialect, self.notes = head, dialect, list(head.notes)
         self.series: dict[str, Floats] = {}
         self.runs: dict[str, Texts] = {name: [] for name in head.columns if COLUMNS[name].per_dwell}
-        present = {name: [m for m in members if m in head.columns] for name, members in _FIELDS.items()}
+        present = {name: [m for m in members if m in head.columns] for name, members in SERIES.items()}
         # Arrays that grow at their end without a copy, row after row.
         self._numbers = {name: (members, array("d")) for name, members in present.items() if members}
         self._rows, self._latest_s = 0, -math.inf

@@ -20,7 +20,15 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.errors import OutputError, UsageError
 from adis_gonio.base.output import ends_in, exists_error, replacing, write_utf8
-from adis_gonio.model.records import METADATA, STANDARD_GRAVITY_MPS2, AccelUnit, Dwell, Session, Turn
+from adis_gonio.model.records import (
+    METADATA,
+    SERIES,
+    STANDARD_GRAVITY_MPS2,
+    AccelUnit,
+    Dwell,
+    Session,
+    Turn,
+)
 from adis_gonio.record.blocks import GENERIC, Block, session_columns
 from adis_gonio.record.plans import Plan
 from adis_gonio.record.samples_columns import COLUMNS, KEYS, without_formulas
@@ -106,9 +114,7 @@ def _rows(names: list[str], columns: Mapping[str, NDArray[Any]]) -> Iterator[tup
 def _between(before: Dwell, turn: Turn, after: Dwell) -> Dwell:
     """Return the samples of a turn between two dwells in time, as a dwell without a declared angle."""
     inside = (turn.time_s > before.time_s[-1]) & (turn.time_s < after.time_s[0])
-    series = {n: getattr(turn, n) for n in ("time_s", "accel", "gyro", "temperature_c", "supply_v")}
-    cut: dict[str, Any] = {n: None if rows is None else rows[inside] for n, rows in series.items()}
-    return Dwell(0, **cut)
+    return Dwell(0, **turn.series(inside))
 
 
 # No line of help has a colon: it would be a key.
@@ -204,7 +210,7 @@ def session_dict(session: Session) -> dict[str, Any]:
 
 def _dwell_dict(dwell: Dwell) -> dict[str, Any]:
     declared = {name: getattr(dwell, name) for name in ("position", "angle_deg", "approach", "use")}
-    series = {n: getattr(dwell, n) for n in ("time_s", "accel", "gyro", "temperature_c", "supply_v")}
+    series = {name: getattr(dwell, name) for name in SERIES}
     return declared | {name: None if values is None else values.tolist() for name, values in series.items()}
 
 
