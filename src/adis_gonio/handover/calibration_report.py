@@ -126,7 +126,7 @@ def certificate_section(
         if tolerance is not None:
             first, *lines = state_conformity(tolerance, curves).lines
             stated = [f"{first}.", *(f"{line[:1].upper()}{line[1:]}." for line in lines)]
-    doubts = [*answer.doubts, *dict.fromkeys(found.sentence for found in positions)]
+    doubts = list(dict.fromkeys([*(found.sentence for found in positions), *answer.doubts]))
     who = ("serial", "stage", "operator", "laboratory", "customer")
     instrument = [["sensor", session.sensor], *([n, getattr(session, n) or "not stated"] for n in who)]
     known = dict(facts(session, observed, "", answer.reference_temperature_c))
@@ -150,7 +150,8 @@ def certificate_section(
         ],
         notes=[
             f"Method {answer.title}. U = k·u covers 95 %. The errors apply to the mean of many readings; "
-            "they are traceable to the declared angles of the stage only. The annex follows."
+            "they are traceable to the declared angles of the stage only. The annex follows.",
+            *answer.remarks,
         ],
         sheet=True,
     )

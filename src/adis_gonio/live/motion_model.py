@@ -626,7 +626,7 @@ class Turned:
 
     @property
     def lever_mg(self) -> tuple[complex, complex]:
-        """Change of `gravity` in mg for a distance of 1 mm from the stage's axis, along X and along Y."""
+        """Change of gravity in mg by 1 mm of distance from the stage's axis, along X and along Y."""
         spin = math.radians(self.rate_dps)
         square = spin * spin * _MG_PER_MM
         change = self.spin_rad_s2 * _MG_PER_MM

@@ -24,7 +24,7 @@ import numpy as np
 from adis_gonio.base.arrays import solvable
 from adis_gonio.base.budget import attempt, current, spent, within
 from adis_gonio.base.errors import FitError, UsageError
-from adis_gonio.base.numbers import counted, format_p, signed
+from adis_gonio.base.numbers import counted, format_p, format_percent, signed
 from adis_gonio.base.uncertainty import Detectable
 from adis_gonio.fitting.estimation.readings import ACCELEROMETER, Readings, known_part, readings_of_part
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
@@ -231,9 +231,9 @@ class TraceRun:
 
     @property
     def judged(self) -> Selection:
-        """The chosen model with the posterior by which its causes are judged.
+        """The chosen model, with the posterior probabilities by which its causes are accepted or rejected.
 
-        The posterior may include an unknown cause (`beside_unknown_cause`).
+        If no model is adequate, an unknown cause competes with all models in this posterior.
         """
         judge, best = self.weighed, self.selection.verdict.best
         verdict = replace(judge.verdict, best=best)
@@ -500,7 +500,9 @@ def weak_names(
         elif finding.probability < limits.certain:
             # Models with equal predictions count as one model, which may have this name although most of
             # them have another name or none.
-            weak[finding.effect] = f"other names or none in its place have {1 - finding.probability:.0%}"
+            weak[finding.effect] = (
+                f"other names or none in its place have {format_percent(1 - finding.probability)}"
+            )
         elif final.heldout_rms is None and finding.effect != "bias":
             weak[finding.effect] = "no dwell could be held out to check it"
         elif not differs_from_zero(finding):

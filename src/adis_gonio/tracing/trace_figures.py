@@ -263,7 +263,8 @@ def view_uncertainty(fit: Fit, quantity: str) -> Floats:
 def _left(checking: Readings | None, result: TraceResult) -> tuple[Panel, ...]:
     """Return panels with the final model's residual over each covariate that varied.
 
-    The covariates of the unnamed part are first.
+    `checking` are the readings of check dwells, None without any. The covariates of the unnamed part are
+    first.
     """
     base, last = result.fits[0], result.fits[-1]
     data = last.data

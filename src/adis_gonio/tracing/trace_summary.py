@@ -218,19 +218,19 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
     if result.adequate:
         if not names and not result.steps:
             return (
-                "The base model explains this session: the residual is the noise that was measured within "
-                "the dwells. No effect had to be added."
+                "The base model explains this session: the residual is the noise of the readings. No effect"
+                " had to be added."
             )
         unsure = uncertain_steps(result)
         if unsure:
             verb = "is" if len(unsure) == 1 else "are"
             return (
-                f"The residual falls to the measured noise with {join_words([*names, *unsure])}; "
+                f"The residual falls to the noise of the readings with {join_words([*names, *unsure])}; "
                 f"{join_words(unsure)} {verb} not certain."
             )
         count = _COUNTS[len(names)] if len(names) < len(_COUNTS) else str(len(names))
         word = "effect brings" if len(names) == 1 else "effects bring"
-        return f"{count} {word} the residual down to the measured noise: {join_words(names)}."
+        return f"{count} {word} the residual down to the noise of the readings: {join_words(names)}."
     if exact(result):
         return (
             f"{what} The model has as many parameters as there are readings: no reading remains to "

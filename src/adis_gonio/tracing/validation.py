@@ -251,11 +251,12 @@ def drop_unpredicted(
 ) -> dict[str, NDArray[np.bool_]]:
     """Remove from masks of counted dwells those that a model chosen without them does not determine.
 
-    `counts` has the mask of each design, `anew` the residuals under models chosen again in each fold. If
-    the quarter of a turn that shows an effect is left out, or a fifth of a few poses, another effect may
-    be chosen that fits the rest equally well. Its covariance shows that the missing dwells are
-    undetermined by many mg. A design with less than a third of its dwells remaining is dropped, unless all
-    designs are.
+    `counts` has the mask (n,) of the dwells that count, by design of the held-out folds; `anew` has the
+    residuals under models that were chosen again without each fold, with a mark for the dwells that those
+    models determine. If the quarter of a turn that shows an effect is left out, or a fifth of a few poses,
+    another effect may be chosen that fits the rest equally well. Its covariance shows that the missing
+    dwells are undetermined by many mg. A design with less than a third of its dwells remaining is dropped,
+    unless all designs are.
     """
     out = {}
     for name, own in counts.items():
@@ -290,7 +291,11 @@ class Fold:
     def of(
         cls, selection: Selection, terms: Sequence[Term], averaged: Averaged | None, max_effects: int
     ) -> Fold:
-        """Return settings with those of `terms` as candidates that scored well on all dwells."""
+        """Return settings with those of `terms` as candidates that scored well on all dwells.
+
+        `averaged` is the average over unnamed functions of the model (None without one), `max_effects` the
+        largest number of terms.
+        """
         return cls(selection.promising(terms), averaged, max_effects)
 
     def left_out(
@@ -558,7 +563,7 @@ def refuted_functions(
 ) -> list[Term]:
     """Return the model's unnamed functions that make the prediction of held-out dwells worse.
 
-    `errors` are the held-out errors of the nested `fits`.
+    `errors` are the held-out errors of the nested `fits`, None if no dwell could be held out.
     """
     stay = fits[longest_acceptable(errors, len(fits) - 1)]
     if stay is fits[-1]:

@@ -252,7 +252,7 @@ class OffsetWriter:
         SessionError
             The session gives no bias; the registers have numbers that session and journal do not explain;
             the sensor at rest does not agree with the session; or there are doubts about the fit and the
-            option `doubtful` is not set.
+            settings do not allow to write in spite of doubts (`WriteSettings.doubtful`).
         ChipError
             The supply is out of range, or the flash is to be written and is worn out.
         FitError
@@ -340,7 +340,7 @@ class OffsetWriter:
         return self._outcome(endurance, bias)
 
     def undo(self) -> WriteResult:
-        """Restore the old offsets; save them if the new offsets are in flash or `save` is set.
+        """Restore the old offsets; save them to flash if the new ones are there or saving was requested.
 
         Raises
         ------

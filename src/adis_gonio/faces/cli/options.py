@@ -285,7 +285,11 @@ settle = with_default(
     "--settle", "settle_s", type=float, default=0.5, metavar="SECONDS", help="Wait after stillness."
 )
 rate = click.option(
-    "--rate", "rate_hz", type=float, metavar="HZ", help="Samples per second, 0.413 to 819.2 (default)."
+    "--rate",
+    "rate_hz",
+    type=float,
+    metavar="HZ",
+    help="Samples per second, 0.413 to 819.2 (default; 102.4 with hands=free).",
 )
 filter = with_default(
     "--filter", "filter_m", type=int, default=2, metavar="M", help="Filter: two passes of 2^M taps."

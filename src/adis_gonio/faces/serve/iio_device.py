@@ -549,7 +549,10 @@ class ServedDevice:
         return float(lsb[0]) * _SI[row.kind], float(zero[0] / lsb[0])
 
     def channel_value(self, channel: Channel, name: str, state: SensorState) -> str:
-        """Return the value of a channel's attribute as text, except `raw`; `Refused` if there is none."""
+        """Return the value of a channel's attribute as text; `Refused` if there is none.
+
+        The attribute `raw`, which needs a scan, is not served here.
+        """
         row = channel.register
         if row is None or name not in channel.attributes:
             raise Refused(Errno.ENOENT, f"{channel.id} has no attribute {name}")

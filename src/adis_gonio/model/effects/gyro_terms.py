@@ -45,8 +45,8 @@ class GyroBiasTemperature(BiasTemperature):
 
     Formula: ω_i += gyro_bias_temperature_i · ΔT + …2_i · ΔT² + …3_i · ΔT³ to `degree`, ΔT = T_i − 25 °C
 
-    Separated by: If the temperature only rises it is `gyro_drift` or `gyro_warm_up`: let it fall again, or
-    repeat poses at two temperatures in changed order; `gyro_scale_temperature` shows in turns alone.
+    Separated by: If the temperature only rises it looks like `gyro_drift` or `gyro_warm_up`: let it fall
+    again. `gyro_scale_temperature` shows in turns alone.
 
     Attributes
     ----------
@@ -76,8 +76,8 @@ class GSensitivity(LinearAxisEffect):
 
     Formula: ω_i += g_sensitivity_ix · f_x + g_sensitivity_iy · f_y + g_sensitivity_iz · f_z
 
-    Separated by: With poses in one order force is time: repeat the first poses last, or shuffle them;
-    `gyro_drift` continues if a pose is repeated. `g2_sensitivity` does not change its sign with the force.
+    Separated by: With poses in one order force is time: repeat the first poses last. `g2_sensitivity` does
+    not change its sign with the force.
 
     Attributes
     ----------
@@ -130,8 +130,8 @@ class G2Sensitivity(LinearAxisEffect):
 
     Formula: ω_i += g2_sensitivity_ij · f_j², j the axis `force`
 
-    Separated by: At rest f_x² + f_y² + f_z² = 1, so that the square of one component is minus the squares
-    of the two others: poses between the axes tell one from two, vibration tells all.
+    Separated by: At rest the three squares add up to 1, so one looks like minus the two others: use poses
+    between the axes, or vibration.
 
     Attributes
     ----------
@@ -174,8 +174,8 @@ class GyroScale(LinearAxisEffect):
 
     Formula: ω_i += gyro_scale_error_i · Ω_i, Ω the true rate
 
-    Separated by: Only turns show it: a whole turn about each axis to either side. `gyro_asymmetry` needs
-    both senses, `gyro_scale_temperature` turns at two temperatures.
+    Separated by: Only turns show it: a whole turn about each axis in both senses. `gyro_scale_temperature`
+    needs turns at two temperatures.
     """
 
     name = "gyro_scale"
@@ -196,7 +196,7 @@ class GyroScaleTemperature(LinearAxisEffect):
 
     Formula: ω_i += gyro_scale_temperature_i · 10⁻⁶ · (T_i − 25 °C) · Ω_i
 
-    Separated by: `gyro_bias_temperature` shows at rest too, this in turns alone: the same turn at two
+    Separated by: It shows in turns alone, `gyro_bias_temperature` also at rest: make the same turn at two
     temperatures.
     """
 
@@ -223,7 +223,7 @@ class GyroMisalignment(AxisEffect):
 
     Formula: ω_i += Σ_p sin(gyro_misalignment_ip) · Ω_p − (1 − √(1 − Σ_p sin²)) · Ω_i
 
-    Separated by: Only a turn about the axis towards which it is misaligned shows it: one whole turn about
+    Separated by: Only a turn about the axis towards which the gyro leans shows it: one whole turn about
     each of the three axes.
     """
 
@@ -279,9 +279,8 @@ class GyroDrift(LinearAxisEffect):
 
     Formula: ω_i += gyro_drift_i · t/60, or gyro_step_i · number of the dwell (`steps` 1)
 
-    Separated by: With poses in one order time is force: repeat poses in another order, and the first ones
-    last. `gyro_bias_temperature` needs the temperature to fall; pauses of different length between dwells
-    tell time from the number of the dwell.
+    Separated by: With poses in one order time is force: repeat the first poses last. For
+    `gyro_bias_temperature` let the temperature fall.
 
     Attributes
     ----------
@@ -325,7 +324,7 @@ class GyroWarmUp(WarmUp):
 
     Formula: ω_i += gyro_warm_up_i · exp(−t/τ), t from the session's start
 
-    Separated by: Shorter than τ it is `gyro_drift`; with the temperature recorded it competes with
+    Separated by: In less than τ it looks like `gyro_drift`, with a thermometer like
     `gyro_bias_temperature`: switch off and on within the session.
     """
 
@@ -343,7 +342,7 @@ class GyroSupply(SupplyBias):
 
     Formula: ω_i += gyro_supply_i · (V − 5 V)
 
-    Separated by: A supply that sinks while the part warms imitates `gyro_bias_temperature` and
+    Separated by: A supply that sinks while the part warms looks like `gyro_bias_temperature` or
     `gyro_drift`: change the supply by hand in one pose.
     """
 
@@ -361,8 +360,7 @@ class GyroAsymmetry(LinearAxisEffect):
 
     Formula: ω_i += gyro_asymmetry_i · |Ω_i|
 
-    Separated by: Turns to one side alone have it in `gyro_scale`: turn to both. Of slow and brisk turns a
-    curvature grows with the square.
+    Separated by: Turns in one sense alone show it as a gain (`gyro_scale`): turn in both senses.
     """
 
     name = "gyro_asymmetry"

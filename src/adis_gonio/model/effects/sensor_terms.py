@@ -42,8 +42,8 @@ class Bias(LinearAxisEffect):
 
     Formula: a_i += bias_i
 
-    Separated by: Two positions cannot see it, opposite ones (0/180°) can; in one plane at 1 g the mean of
-    an even nonlinearity joins it: positions out of the plane, or several temperatures and times, part them.
+    Separated by: Two positions cannot show it, opposite positions (0/180°) can. An even nonlinearity adds
+    to it in one plane: use positions out of the plane.
     """
 
     name = "bias"
@@ -65,8 +65,8 @@ class Scale(LinearAxisEffect):
 
     Formula: a_i += scale_i · a_i
 
-    Separated by: It is a base parameter (the gain) in every model; `gravity` changes all gains alike and
-    needs another place or a known g to be separated, `cubic` needs the third harmonic.
+    Separated by: It is the gain of every model. `gravity` changes all gains alike; `cubic` also has a third
+    harmonic.
     """
 
     name = "scale"
@@ -92,9 +92,8 @@ class Misalignment(CrossEffect):
 
     Formula: a_i += misalignment_ip · a_p (angle in radians)
 
-    Separated by: In the plane it is the base model's α and Δφ, in space its skews and an unseen rotation;
-    only the misalignment towards z of a part turned in the xy plane is left, and a turn in another plane
-    shows it.
+    Separated by: The base model has it as α, Δφ or skews, except the misalignment towards z in the xy
+    plane: turn in another plane.
     """
 
     name = "misalignment"
@@ -119,8 +118,8 @@ class CrossAxis(CrossEffect):
 
     Formula: a_i += kip_ip · (a_i/1000)(a_p/1000)
 
-    Separated by: Second harmonic sin 2t of an axis, as `stage_eccentricity` gives on both axes in a fixed
-    proportion: remount the part by 180°, the stage's term changes its sign and the sensor's stays.
+    Separated by: `stage_eccentricity` has the same harmonic sin 2t on both axes: remount the part by 180°,
+    and only the stage's term changes its sign.
     """
 
     name = "cross_axis"
@@ -141,9 +140,8 @@ class Quadratic(LinearAxisEffect):
 
     Formula: a_i += k2_i · (a_i/1000)²
 
-    Separated by: In one plane at 1 g, a_i² = 1 − a_p²: with a bias in the model it equals `cross_quadratic`
-    of opposite sign until positions leave the plane; it resembles `asymmetry` (which has a fourth harmonic:
-    at least 9 positions) and `stage_eccentricity` (remount by 180°).
+    Separated by: In one plane it equals `cross_quadratic` of opposite sign plus a bias: leave the plane.
+    `asymmetry` has a fourth harmonic (9 positions); for `stage_eccentricity` remount by 180°.
     """
 
     name = "quadratic"
@@ -165,8 +163,8 @@ class Cubic(LinearAxisEffect):
 
     Formula: a_i += k3_i · (a_i/1000)³
 
-    Separated by: Third harmonic cos 3t of an axis (at least 7 positions); `stage_ellipticity` has it too,
-    on both axes together, and changes its sign when the part is remounted by 90°.
+    Separated by: It has a third harmonic (7 positions). `stage_ellipticity` has it on both axes: remount by
+    90°, and only the stage's term changes its sign.
     """
 
     name = "cubic"
@@ -187,8 +185,7 @@ class Asymmetry(LinearAxisEffect):
 
     Formula: a_i += asymmetry_i · |a_i|/1000
 
-    Separated by: All even harmonics, 2/π and 4/(3π) cos 2t first, so that few positions take it for
-    `quadratic`; readings near zero, where |a| has its kink and a² is flat, tell them apart.
+    Separated by: Few positions take it for `quadratic`: add readings near zero, where |a| has its kink.
     """
 
     name = "asymmetry"
@@ -209,8 +206,8 @@ class CrossQuadratic(CrossEffect):
 
     Formula: a_i += kpp_ip · (a_p/1000)²
 
-    Separated by: In one plane at 1 g, a_p² = 1 − a_i²: with a bias in the model it equals `quadratic` of
-    opposite sign; positions out of the plane, where a_i and a_p vary apart, separate them.
+    Separated by: In one plane it equals `quadratic` of opposite sign plus a bias: use positions out of the
+    plane.
     """
 
     name = "cross_quadratic"
@@ -232,8 +229,8 @@ class VibrationRectification(LinearAxisEffect):
 
     Formula: a_i += vre_i · var_i/1000²
 
-    Separated by: Only dwells of different vibration show it (mean against variance within the dwells); with
-    equal variance everywhere it is a `bias`: repeat a position with a source of vibration on and off.
+    Separated by: With equal vibration in all dwells it is a `bias`: repeat a position with a source of
+    vibration on and off.
     """
 
     name = "vibration_rectification"
@@ -260,8 +257,8 @@ class BiasTemperature(LinearAxisEffect):
 
     Formula: a_i += tempco_i · ΔT + tempco2_i · ΔT² + tempco3_i · ΔT³ up to `degree`, ΔT = T − 25 °C
 
-    Separated by: If the temperature only rises it is `bias_drift` or `warm_up`: let it fall again, or
-    repeat positions at two temperatures in changed order; `scale_temperature` grows with the reading.
+    Separated by: If the temperature only rises it looks like `bias_drift` or `warm_up`: let it fall again.
+    `scale_temperature` grows with the reading.
 
     Attributes
     ----------
@@ -306,8 +303,8 @@ class ScaleTemperature(LinearAxisEffect):
 
     Formula: a_i += scale_tempco_i · 10⁻⁶ · (T − 25 °C) · a_i
 
-    Separated by: `bias_temperature` does not change its sign with the reading: the same temperatures at +1
-    g and at −1 g; `scale_drift` needs the temperature to go both ways.
+    Separated by: `bias_temperature` does not change its sign with the reading: measure +1 g and −1 g at the
+    same temperatures. For `scale_drift` let the temperature rise and fall.
     """
 
     name = "scale_temperature"
@@ -332,8 +329,7 @@ class MisalignmentTemperature(CrossEffect):
     Formula: a_i += misalignment_tempco_ip · (T − 25 °C) · a_p (angle in radians)
 
     Separated by: `scale_temperature` shows if the axis is along gravity, this effect if it is across:
-    several angles at two temperatures. A mount that turns with the temperature moves both axes by the same
-    angle; a misalignment that goes on in time needs the temperature to go both ways.
+    measure several angles at two temperatures.
     """
 
     name = "misalignment_temperature"
@@ -358,8 +354,8 @@ class ThermalLag(CourseEffect):
 
     Formula: a_i += lag_i · (T_lag − T), τ dT_lag/dt = T − T_lag
 
-    Separated by: `bias_temperature` is the same on the way up and on the way down: heat and cool at
-    different rates through the same temperature; at one constant rate it is a `bias`.
+    Separated by: `bias_temperature` is equal on the way up and down: heat and cool at different rates
+    through the same temperature.
     """
 
     name = "thermal_lag"
@@ -382,8 +378,8 @@ class SupplyBias(LinearAxisEffect):
 
     Formula: a_i += supply_i · (V − 5 V)
 
-    Separated by: A supply that sinks while the part warms imitates `bias_temperature`, `bias_drift`: change
-    the supply by hand at one position.
+    Separated by: A supply that sinks while the part warms looks like `bias_temperature` or `bias_drift`:
+    change the supply by hand at one position.
     """
 
     name = "supply_bias"
@@ -403,9 +399,8 @@ class SupplyScale(LinearAxisEffect):
 
     Formula: a_i += supply_scale_i · 10⁻⁶ · (V − 5 V) · a_i
 
-    Separated by: `supply_bias` does not change its sign with the reading: the same voltages at +1 g and at
-    −1 g. A supply that sinks while the part warms imitates `scale_temperature`, one that sinks evenly
-    `scale_drift`: change it by hand.
+    Separated by: `supply_bias` does not change its sign with the reading: measure +1 g and −1 g at the same
+    voltages, changed by hand.
     """
 
     name = "supply_scale"
@@ -425,8 +420,8 @@ class BiasDrift(LinearAxisEffect):
 
     Formula: a_i += drift_i · t/60, t from the session's start
 
-    Separated by: With positions in one order, time is angle: repeat positions in another order (forth and
-    back, or shuffled); `bias_temperature` needs the temperature to fall, `warm_up` a longer session.
+    Separated by: With positions in one order, time is angle: repeat positions in another order. For
+    `bias_temperature` let the temperature fall; for `warm_up` measure longer.
     """
 
     name = "bias_drift"
@@ -445,9 +440,8 @@ class ScaleDrift(LinearAxisEffect):
 
     Formula: a_i += scale_drift_i · 10⁻⁶ · t/60 · a_i, t from the session's start
 
-    Separated by: `bias_drift` does not change its sign with the reading: +1 g and −1 g early and late. If
-    temperature or supply only rise or sink it is `scale_temperature` or `supply_scale`: let them go both
-    ways. A gain that moves after the load has changed is `creep`.
+    Separated by: `bias_drift` does not change its sign with the reading: measure +1 g and −1 g early and
+    late. For `scale_temperature` let the temperature rise and fall.
     """
 
     name = "scale_drift"
@@ -467,8 +461,8 @@ class WarmUp(CourseEffect):
 
     Formula: a_i += warm_up_i · exp(−t/τ), t from the session's start
 
-    Separated by: Shorter than τ it is `bias_drift`, much longer it is a `bias` of the first dwells; with
-    the temperature recorded it competes with `bias_temperature`: switch off and on within the session.
+    Separated by: In less than τ it looks like `bias_drift`, with a thermometer like `bias_temperature`:
+    switch off and on within the session.
     """
 
     name = "warm_up"
@@ -492,8 +486,8 @@ class Gravity(Effect):
 
     Formula: a_i += gravity · a_i on every axis
 
-    Separated by: Equal to a common error of all gains; ΔK and Δφ do not depend on it. A measured g, or a
-    second place of known difference in g, separates it from `scale`.
+    Separated by: It equals a common error of all gains; ΔK and Δφ do not depend on it. A measured g
+    separates it from `scale`.
     """
 
     name = "gravity"

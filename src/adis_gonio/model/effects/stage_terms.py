@@ -71,8 +71,8 @@ class StageEccentricity(StageEffect):
 
     Formula: ψ += ecc_sin · sin θ + ecc_cos · cos θ
 
-    Separated by: Gives mean and second harmonics on both axes together, like `quadratic`, `cross_axis` and
-    `bias`: remount the part by 180°, the stage's term changes its sign and the sensor's stay.
+    Separated by: It looks like `quadratic` and `cross_axis` on both axes together: remount the part by
+    180°, and only the stage's term changes its sign.
     """
 
     name = "stage_eccentricity"
@@ -96,8 +96,8 @@ class StageEllipticity(StageEffect):
 
     Formula: ψ += ell_sin · sin 2θ + ell_cos · cos 2θ
 
-    Separated by: Gives first and third harmonics on both axes together, like `scale`, Δφ and `cubic`:
-    remount the part by 90° (180° does not help: two cycles), or compare the stage with a polygon.
+    Separated by: It looks like `scale`, Δφ and `cubic` on both axes together: remount the part by 90°, or
+    compare the stage with a polygon.
     """
 
     name = "stage_ellipticity"
@@ -122,9 +122,8 @@ class StagePeriodic(StageEffect):
 
     Formula: ψ += per_sin · sin cycles·θ + per_cos · cos cycles·θ
 
-    Separated by: Gives harmonics cycles ± 1 on both axes together: `cubic` shares cos 3t with two and four
-    cycles; remount the part by half a cycle, the stage's term changes its sign. Numbers of cycles that fold
-    together at equally spaced angles: measure at angles between them.
+    Separated by: Remount the part by half a cycle, and only the stage's term changes its sign. Unequal
+    angles distinguish numbers of cycles.
 
     Attributes
     ----------
@@ -173,7 +172,7 @@ class Backlash(StageEffect):
 
     Formula: ψ += backlash · approach/2
 
-    Separated by: `hysteresis` shifts an axis alike at every angle, backlash only if its reading changes
+    Separated by: `hysteresis` shifts an axis alike at every angle, backlash only if the reading changes
     with the angle: approach several positions from both sides.
     """
 
@@ -195,8 +194,8 @@ class PositionSlip(StageEffect):
 
     Formula: ψ += slip in dwell `dwell`
 
-    Separated by: Readings of all axes move along the circle; `outlier_dwell` moves them in any direction,
-    so that the modulus changes: repeat the position.
+    Separated by: Readings move along the circle; `outlier_dwell` also changes their length: repeat the
+    position.
 
     Attributes
     ----------
@@ -226,8 +225,8 @@ class Hysteresis(LinearAxisEffect):
 
     Formula: a_i += hysteresis_i · approach/2
 
-    Separated by: `backlash` turns the part and so moves a reading only if it changes with the angle:
-    approach several positions from both sides; with one direction throughout it is a `bias`.
+    Separated by: `backlash` moves a reading only if it changes with the angle: approach several positions
+    from both sides.
     """
 
     name = "hysteresis"
@@ -254,9 +253,8 @@ class Creep(CourseEffect):
 
     Formula: a_i += creep_i · (a_late,i − a_i)/1000, τ da_late,i/dt = a_i − a_late,i
 
-    Separated by: It follows the loads of all dwells before, in proportion: turn by 180°, repeat the
-    position for several τ, and turn back. `settling` begins again with every dwell, `bias_drift` and
-    `warm_up` do not depend on earlier loads, `hysteresis` does not decay.
+    Separated by: It follows the loads of all earlier dwells: turn by 180°, repeat the position for several
+    τ, and turn back. `settling` begins again with every dwell.
     """
 
     name = "creep"
@@ -269,7 +267,10 @@ class Creep(CourseEffect):
     shape = Parameter("tau", "s", 1.0, 36000.0, 120.0, shape=True)
 
     def courses(self, shape: float, ideal: Floats, conditions: Conditions) -> list[tuple[Floats, Floats]]:
-        """Return for each axis the lagged minus the present load in g, (n,), and its derivative by τ."""
+        """Return for each axis the lagged minus the present load in g, (n,), and its derivative by `shape`.
+
+        `shape` is the time constant of the lag in s.
+        """
         late = [
             (column, *conditions.late("load_history", column, shape)) for column in self.columns_of(ideal)
         ]
@@ -291,8 +292,8 @@ class AxisTilt(Effect):
 
     Formula: a_x, a_y += (cos ε − 1) a_x, a_y; a_z += ρ sin ε (for a_z = 0), ρ² = a_x² + a_y²
 
-    Separated by: In x and y it is a common gain (`gravity`, `scale`), in z a `bias`: level the axis by a
-    spirit level, or remount the part with z reversed; the term in z changes its sign, a bias does not.
+    Separated by: In x and y it is a common gain, in z a `bias`: level the axis, or remount the part with z
+    reversed.
     """
 
     name = "axis_tilt"
@@ -369,8 +370,7 @@ class Saturation(SampleEffect):
 
     Formula: sample_i = clip(sample_i, −limit, limit)
 
-    Separated by: Samples pile up at one extreme value; a `quantization` piles them up on every step, a
-    smooth nonlinearity nowhere. At rest it needs vibration or bias of 0.7 g: see the samples, not the mean.
+    Separated by: Samples pile up at one extreme value; `quantization` piles them up on every step.
     """
 
     name = "saturation"
@@ -397,8 +397,8 @@ class Quantization(SampleEffect):
 
     Formula: sample_i = lsb · round(sample_i/lsb)
 
-    Separated by: The distances of the samples are multiples of one step; with noise of a step or more the
-    mean is free of it: turn the filter down, or tilt by a fraction of a step (0.027° at the horizontal).
+    Separated by: The samples are multiples of one step; with noise of a step or more the mean is free of
+    it: lower the filter setting, or tilt by a fraction of a step.
     """
 
     name = "quantization"
@@ -423,9 +423,8 @@ class Tone(SampleEffect):
 
     Formula: sample_i += tone_i · sin(2π f t + phase)
 
-    Separated by: A line in the spectrum that white or flicker noise has not; samples at a rate f_s show k
-    f_s ± f at the same place, and a line that moves with the rate is such an alias: record at two rates.
-    `vibration_rectification` may follow its strength.
+    Separated by: It is a line in the spectrum. A line that moves with the sample rate is an alias: record
+    at two rates.
     """
 
     name = "tone"
@@ -456,8 +455,8 @@ class NoiseChange(SampleEffect):
 
     Formula: sample_i += extra_i · N(0, 1) for t ≥ start
 
-    Separated by: The variance within dwells changes and the mean does not; `tone` puts it into one line of
-    the spectrum, `outlier_dwell` moves a mean, `vibration_rectification` moves the mean with it.
+    Separated by: The variance within dwells changes and the mean does not; `vibration_rectification` moves
+    the mean with it.
     """
 
     name = "noise_change"
@@ -490,8 +489,8 @@ class Settling(CourseEffect):
 
     Formula: a_i += settling_i · exp(−t/τ), t from the end of the move
 
-    Separated by: It begins again with every dwell, which `bias_drift` and `warm_up` do not; in the readings
-    it is a `bias`: look at the samples, or wait longer in some dwells.
+    Separated by: It begins again with every dwell, unlike `bias_drift` and `warm_up`; in the means it is a
+    `bias`: wait longer in some dwells.
     """
 
     name = "settling"
@@ -514,8 +513,8 @@ class OutlierDwell(LinearAxisEffect):
 
     Formula: a_i += offset_i in dwell `dwell`
 
-    Separated by: `position_slip` keeps the modulus of the reading, an outlier need not; a jump of the bias
-    stays for all later dwells: repeat the position.
+    Separated by: `position_slip` keeps the length of the reading; a jump of the bias stays in all later
+    dwells: repeat the position.
 
     Attributes
     ----------
