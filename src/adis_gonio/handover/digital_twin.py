@@ -252,29 +252,32 @@ class LikeWorld(World):
         return np.interp(time_s - self._offset_s, conditions.time_s, conditions.supply_v)
 
 
+_OTHERS = tuple(pair for pair in PAIRS if pair[0] != pair[1])
+_GYRO_SETTINGS = (
+    ("gyro_bias_{}_dps", "gyro_bias_{}", AXES, 0.0),
+    ("gyro_bias_tempco_{}_dps_per_c", "gyro_bias_temperature_{}", AXES, 0.0),
+    ("gyro_scale_{}", "gyro_scale_{}", AXES, 1.0),
+    ("gyro_scale_tempco_{}_ppm_per_c", "gyro_scale_temperature_{}", AXES, 0.0),
+    ("gyro_supply_{}_dps_per_v", "gyro_supply_{}", AXES, 0.0),
+    ("gyro_g_sensitivity_{}_dps_per_g", "g_sensitivity_{}", PAIRS, 0.0),
+    ("gyro_g2_sensitivity_{}_dps_per_g2", "g2_sensitivity_{}", PAIRS, 0.0),
+    ("gyro_misalignment_{}_deg", "gyro_misalignment_{}", _OTHERS, 0.0),
+)
+"""Setting of a simulation and parameter of a calibration, their axes, and the nominal value."""
+
+
 def gyro_settings(gyro: GyroCalibration, accel_bias_mg: Floats) -> dict[str, float]:
     """Return settings of a simulation for the gyro errors of a calibration; unknown errors are nominal.
 
     The gyros of the simulation respond to ideal readings of acceleration, the gyros of a calibration to the
     part's readings. The zero rates therefore include the effect of the accelerometers' bias (3,).
     """
-    moved = gyro.with_force_moved(-accel_bias_mg / 1000)
-    known = {one.name: one.value for one in moved.parameters}
-    settings: dict[str, float] = {}
-    for axis in AXES:
-        settings |= {
-            f"gyro_bias_{axis}_dps": known[f"gyro_bias_{axis}"],
-            f"gyro_bias_tempco_{axis}_dps_per_c": known.get(f"gyro_bias_temperature_{axis}", 0.0),
-            f"gyro_scale_{axis}": known.get(f"gyro_scale_{axis}", 1.0),
-            f"gyro_scale_tempco_{axis}_ppm_per_c": known.get(f"gyro_scale_temperature_{axis}", 0.0),
-            f"gyro_supply_{axis}_dps_per_v": known.get(f"gyro_supply_{axis}", 0.0),
-        }
-    for pair in PAIRS:
-        settings[f"gyro_g_sensitivity_{pair}_dps_per_g"] = known.get(f"g_sensitivity_{pair}", 0.0)
-        settings[f"gyro_g2_sensitivity_{pair}_dps_per_g2"] = known.get(f"g2_sensitivity_{pair}", 0.0)
-        if pair[0] != pair[1]:
-            settings[f"gyro_misalignment_{pair}_deg"] = known.get(f"gyro_misalignment_{pair}", 0.0)
-    return settings
+    known = {one.name: one.value for one in gyro.with_force_moved(-accel_bias_mg / 1000).parameters}
+    return {
+        setting.format(axes): known.get(parameter.format(axes), nominal)
+        for setting, parameter, places, nominal in _GYRO_SETTINGS
+        for axes in places
+    }
 
 
 def _accel_bias_mg(fit: Fit) -> Floats:
@@ -289,23 +292,14 @@ def _accel_bias_mg(fit: Fit) -> Floats:
 
 def _settings(fit: Fit, gyro: GyroCalibration | None = None) -> WorldSettings:
     data = fit.data
-    common = {
+    by_axis = ("bias_{}_mg", "bias_tempco_{}_mg_per_c", "scale_tempco_{}_ppm_per_c")
+    absent = ("vibration_mg", "axis_tilt_deg", "backlash_deg", "alpha_deg", "skew_xz_deg", "skew_yz_deg")
+    common = dict.fromkeys((*absent, *(name.format(axis) for name in by_axis for axis in AXES)), 0.0)
+    common |= {
         "gravity_mps2": data.gravity_mg * STANDARD_GRAVITY_MPS2 / 1000,
         "fixture_sigma_deg": math.degrees(data.fixture_rad) if math.isfinite(data.fixture_rad) else 0.0,
-        "vibration_mg": 0.0,
-        "axis_tilt_deg": 0.0,
-        "backlash_deg": 0.0,
-        "alpha_deg": 0.0,
-        "skew_xz_deg": 0.0,
-        "skew_yz_deg": 0.0,
         "scale_z": 1.0,
     }
-    for axis in "xyz":
-        common |= {
-            f"bias_{axis}_mg": 0.0,
-            f"bias_tempco_{axis}_mg_per_c": 0.0,
-            f"scale_tempco_{axis}_ppm_per_c": 0.0,
-        }
     own = {
         (f"{p.name}_deg" if p.unit == "deg" else p.name): p.stated(float(value))
         for p, value in zip(data.model.parameters, fit.values.base, strict=True)

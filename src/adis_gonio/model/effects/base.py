@@ -353,8 +353,10 @@ class Effect(ABC):
         if not self.by_axis and self.axes:
             raise UsageError(f"{self.name} is no effect of single axes: create it without axes")
         for choice in self.choices():
-            if getattr(self, choice) < 0:
-                raise UsageError(f"{self.name}: {choice} must not be negative")
+            value = getattr(self, choice)
+            if value < 0 or value not in self.options.get(choice, (value,)):
+                allowed = ", ".join(map(str, self.options.get(choice, ("0 or more",))))
+                raise UsageError(f"{self.name}: {choice} is {value}, it can be {allowed}")
 
     @classmethod
     def choices(cls) -> tuple[str, ...]:

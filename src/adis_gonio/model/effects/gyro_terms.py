@@ -13,7 +13,6 @@ from typing import ClassVar
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.errors import UsageError
 from adis_gonio.model.effects.base import (
     AXES,
     CYCLE,
@@ -99,11 +98,6 @@ class GSensitivity(LinearAxisEffect):
     options: ClassVar[dict[str, tuple[int, ...]]] = {"force": (0, 1, 2, 3)}
     coefficients = (Parameter("g_sensitivity", "dps/g", -2.0, 2.0, 0.05),)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.force > len(AXES):
-            raise UsageError(f"{self.name}: force is {self.force}, it can be 0 (all) or 1 to 3 (x, y, z)")
-
     @property
     def _along(self) -> list[int]:
         return [self.force - 1] if self.force else [0, 1, 2]
@@ -151,11 +145,6 @@ class G2Sensitivity(LinearAxisEffect):
     parts = GYRO
     options: ClassVar[dict[str, tuple[int, ...]]] = {"force": (0, 1, 2)}
     coefficients = (Parameter("g2_sensitivity", "dps/g²", -2.0, 2.0, 0.02),)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.force >= len(AXES):
-            raise UsageError(f"{self.name}: force is {self.force}, it can be 0, 1 or 2 (x, y, z)")
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -302,13 +291,6 @@ class GyroDrift(LinearAxisEffect):
         Parameter("gyro_drift", "dps/min", -5.0, 5.0, 0.005),
         Parameter("gyro_step", "dps/dwell", -2.0, 2.0, 0.01),
     )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.steps not in (0, 1):
-            raise UsageError(
-                f"{self.name}: steps is {self.steps}, it can be 0 (with time) or 1 (by dwells)"
-            )
 
     def active(self) -> tuple[Parameter, ...]:
         """Return the coefficient in use: drift per minute, or per dwell if `steps` is 1."""
