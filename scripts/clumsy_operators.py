@@ -3,9 +3,10 @@
 Each operator has a seed, a part of its own and a plan, and makes at least one mistake
 (tests/fakes/clumsy.py): shakes, overshoots, turns the wrong way, forgets to turn, bumps the table, answers
 nonsense, pulls the plug, walks away for an hour, swaps positions, keeps against advice. Beside every fourth
-a perfect operator does the same plan on the same part. With --typed the operators sit before
-`calibrate --plain` itself, else before a runner's events; with --arrow they turn the part by the arrow of
-the screen first, and look at the scale when it says so.
+a perfect operator does the same plan on the same part, and sets it in the same way. With --typed the
+operators sit before `calibrate --plain` itself, with --screen they press the keys of the screen, else they
+answer a runner's events. With --arrow they turn the part by the arrow of the screen first, and look at the
+scale when it says so.
 
 Ends with status 1 where a target is missed: no dead end, no traceback, nothing recorded lost, at most 5 %
 of the values with exit status 0 outside their U (to two standard deviations of the count) and at most 2 %
@@ -13,6 +14,7 @@ outside 3 U, median time at most 1.15 of a perfect operator's.
 
     python scripts/clumsy_operators.py --operators 1000 --seed 1
     python scripts/clumsy_operators.py --operators 60 --seed 2 --typed
+    python scripts/clumsy_operators.py --operators 60 --seed 3 --arrow --screen
     python scripts/clumsy_operators.py --operators 40 --only misread --plan mmpm
 """
 

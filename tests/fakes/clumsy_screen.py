@@ -18,7 +18,7 @@ from fakes.clumsy import Manner, Person
 from fakes.clumsy_sessions import EventHand, Outcome, Task, by_events, lost, runner_of
 from fakes.hand_part import HandPart
 
-PATIENCE_S = 60.0
+PATIENCE_S, SESSION_S = 60.0, 1200.0
 KEYS = {
     "confirm": ["enter"], "repeat": ["r"], "retake": ["r"], "skip": ["s"], "undo": ["u"], "keep": ["k"],
     "reverse": ["v"], "accept": ["y"], "decline": ["n"], "pause": ["p"], "unpause": ["p"], "quit": ["q"],
@@ -99,11 +99,13 @@ def one_run(part: HandPart, person: Person, path: Path, chosen: object, outcome:
             app = hand.app = BenchApp(watched, "adis-gonio calibrate --resume", remember)
             hand.loop = asyncio.get_running_loop()
             started = threading.Event()
-            app._worker = threading.Thread(target=lambda: (started.wait(), app._work()), daemon=True)
+            app._worker = threading.Thread(
+                target=lambda: (started.wait(PATIENCE_S), app._work()), daemon=True
+            )
             async with app.run_test(size=(80, 24)) as pilot:
                 hand.pilot = pilot
                 started.set()
-                await asyncio.to_thread(app._ended.wait)
+                await asyncio.to_thread(app._ended.wait, SESSION_S)
                 app.tick()  # takes the last events
             return app
 

@@ -202,10 +202,7 @@ def write_command(
         doubtful=options["even_if_inadequate"],
     )
     variant = load(session).sensor
-    with (
-        free_hands(url) as (port, _),
-        open_sensor(port, variant=variant, check=not no_check) as sensor,
-    ):
+    with free_hands(url) as (port, _), open_sensor(port, variant=variant, check=not no_check) as sensor:
         writer = OffsetWriter(sensor, session, settings, tell=say)
         state = writer.standing()
         if status:
