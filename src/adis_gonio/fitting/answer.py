@@ -138,8 +138,9 @@ class Answer:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Warning to print first if the residual is larger than the measured noise; otherwise empty."""
-        return self.result.doubts
+        """Warnings to print first: wrong positions, and a residual larger than the measured noise."""
+        wrong = dict.fromkeys(found.sentence for found in self.result.position_findings)
+        return (*wrong, *self.result.doubts)
 
     @property
     def lines(self) -> list[QuantityRow]:
@@ -151,8 +152,19 @@ class Answer:
         """Sentences on the main results, such as the temperature at which they are valid; often none."""
         temperature = self.reference_temperature_c
         if temperature is None or {"delta_k", "delta_phi"} & set(self.values):
+            return self._excess
+        return (f"Parameters are valid at {temperature:.1f} °C, the mean of the session.", *self._excess)
+
+    @property
+    def _excess(self) -> tuple[str, ...]:
+        """Sentence on an rms error of the angle above U; empty if it is below."""
+        angle = self.values.get("angle")
+        if angle is None or angle.U is None or not angle.value > angle.U:
             return ()
-        return (f"Parameters are valid at {temperature:.1f} °C, the mean of the session.",)
+        return (
+            "The rms error of the angle is larger than U: it is the error on dwells that the fit did not"
+            " use. With few positions such a fit is weak; with many positions U is too small.",
+        )
 
     @property
     def reference_temperature_c(self) -> float | None:
@@ -264,7 +276,7 @@ class Answer:
         with the names of the methods that give it.
         """
         if not everything:
-            return [text for text in self.result.warnings if text not in self.result.doubts]
+            return [text for text in self.result.warnings if text not in self.doubts]
         methods: dict[str, list[str]] = {}
         for result in self.comparison.results:
             for warning in result.warnings:

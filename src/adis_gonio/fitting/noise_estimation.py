@@ -112,7 +112,7 @@ def settle(readings: Readings) -> Settled:
         extra = scale_at_dof(lambda s: follow(replace(noise, extra_mg=s)).chi2, dof, low, high)
         ratio = math.sqrt(chi2 / dof)
         note = (
-            f"the residual is {ratio:.3g} times what the noise within the dwells explains (chi2 "
+            f"the residual is {ratio:.3g} times what the noise of the readings explains (chi2 "
             f"{chi2:.4g}, dof {dof}): the model does not describe this session; each u includes "
             f"{extra:.3g} mg of scatter on every reading and the catalogue's effects that the data allow"
         )

@@ -438,7 +438,8 @@ def _tau(beyond: Beyond) -> str:
     low, high = beyond.tau_95
     if beyond.tau == 0:
         return "0" if high == 0 else f"0 (to {format_number(high, 2)})"
-    return f"{format_number(beyond.tau, 2)} ({format_number(low, 2)} to {format_number(high, 2)})"
+    ends = dict.fromkeys(format_number(end, 2) for end in (low, high))
+    return f"{format_number(beyond.tau, 2)} ({' to '.join(ends)})"
 
 
 def effect_rows(summary: Summary) -> list[list[str]]:

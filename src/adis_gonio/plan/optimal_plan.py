@@ -718,7 +718,7 @@ def fewest_positions(
 
     Raises
     ------
-    UsageError
+    FitError
         A plan of `MOST` positions cannot show that the angle conforms.
     """
     count = _fewest_interleaved(bench, tolerance)
@@ -752,7 +752,7 @@ def _fewest_interleaved(bench: Bench, tolerance: Tolerance) -> int:
             return False
 
     if not decides(MOST):
-        raise UsageError(
+        raise FitError(
             f"{counted(MOST, 'position')} cannot decide on {tolerance}: take longer dwells, a better stage"
             " or a quieter part"
         )

@@ -298,7 +298,7 @@ def notes_of(selection: Selection, scatter: Scatter | None) -> tuple[str, ...]:
             "tested"
         )
     if scatter is not None:
-        what = "stated of the fixture" if scatter.kind == "fixture_scatter" else "shown within the dwells"
+        what = "stated of the fixture" if scatter.kind == "fixture_scatter" else "the noise of a reading"
         unit = "°" if scatter.unit == "deg" else f" {scatter.unit}"
         notes.append(
             f"dwells scatter by {scatter.value:.2g}{unit}, but {scatter.declared:.2g}{unit} was {what}; "
@@ -306,8 +306,8 @@ def notes_of(selection: Selection, scatter: Scatter | None) -> tuple[str, ...]:
         )
     elif data.noise_known and selection.inflation > 1 and not selection.adequate:
         notes.append(
-            f"no model explains the residual down to the measured noise; effects were judged against "
-            f"{np.sqrt(selection.inflation):.2g} times that noise"
+            "no model explains the residual down to the noise of the readings; effects were judged against"
+            f" {np.sqrt(selection.inflation):.2g} times that noise"
         )
     return tuple(notes)
 

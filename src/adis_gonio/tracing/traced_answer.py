@@ -92,9 +92,9 @@ class TracedAnswer(Answer):
     def remarks(self) -> tuple[str, ...]:
         """Remarks on the shown values, such as the temperature at which they are valid."""
         temperature = self.traced.reference_temperature_c
-        return (
-            super().remarks if temperature is None else (f"Parameters are valid at {temperature:.1f} °C.",)
-        )
+        if temperature is None:
+            return super().remarks
+        return (f"Parameters are valid at {temperature:.1f} °C.", *self._excess)
 
     @property
     def reference_temperature_c(self) -> float | None:

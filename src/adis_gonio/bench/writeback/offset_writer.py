@@ -177,10 +177,7 @@ class WriteResult:
             "state": self.standing.as_dict(),
             "endurance": {"before": self.endurance_before, "after": self.endurance_after},
             "checks": [check.as_dict() for check in self.checks],
-            "bias_after": {
-                f"value_{self.unit}": list(self.bias),
-                f"u_{self.unit}": list(self.bias_u),
-            },
+            "bias_after": {f"value_{self.unit}": list(self.bias), f"u_{self.unit}": list(self.bias_u)},
             **null,
         }
 
