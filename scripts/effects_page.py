@@ -25,7 +25,7 @@ declared angle of the stage, ψ = α − θ the true angle of the part, t the ti
 reading of gyro i in °/s, Ω the true rate about the accelerometers' axes, f the reading of the
 accelerometers in g. The parameters of an axis have its letter (`bias_x`), the parameters of a
 pair have both (`kpp_xy`: axis x, acceleration along y). Each parameter is given with its typical size
-and its bounds. The last lines of an effect say how to tell it from similar effects.
+and its bounds.
 
 On a command line an effect is `name` (all parameters typical) or `name:parameter=value,…` (other
 amplitudes are zero; time constants, frequencies and limits keep their typical values). Your own
