@@ -7,6 +7,7 @@ import pytest
 from adis_gonio import fit, load_session
 from adis_gonio.faces.cli import main
 from adis_gonio.plan import Bench, predict, read_plan
+from adis_gonio.plan.optimal_plan import _columns
 from adis_gonio.record.archive import ArchiveView
 
 
@@ -29,6 +30,18 @@ def test_the_headline_stands_first_and_eighty_columns_are_enough(capsys):
     order += ["Cannot tell apart", "Positions, in this order"]
     places = [text.index(part) for part in order]
     assert places == sorted(places)
+
+
+def test_effects_that_a_plan_confounds_stand_side_by_side(capsys):
+    assert main(["plan", "--fixture", "0.02", "--plan", "tumble", "--positions", "6"]) == 0
+    text = capsys.readouterr().out
+    told = text[text.index("Cannot tell apart") : text.index("Positions, in this order")]
+    assert "  quadratic from cubic, cross_quadratic" in told
+    assert "nothing of what it sees" not in told
+
+
+def test_two_columns_of_39_letters_fill_a_line():
+    assert [len(line) for line in _columns(["x" * 39] * 4)] == [80, 80]
 
 
 def test_a_given_plan_is_evaluated_and_nothing_searched(capsys):

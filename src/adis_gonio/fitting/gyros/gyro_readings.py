@@ -193,7 +193,7 @@ class GyroDwells:
 
     @property
     def by_position(self) -> dict[int, int]:
-        """Index of each dwell in `dwells`, by its number in the session."""
+        """Index of each dwell among the dwells with gyro samples, by its number in the session."""
         return {dwell.position: k for k, dwell in enumerate(self.dwells)}
 
     @cached_property

@@ -902,9 +902,10 @@ class Axes:
         return central_differences(unit, self.values, _STEP, self.factor.T)
 
     def u_rad(self) -> float:
-        """Return the standard uncertainty in rad of a direction, along each axis perpendicular to it.
+        """Return the standard uncertainty in rad of a direction of gravity that the accelerometers show.
 
-        It is the mean over directions along the three axes.
+        It comes from the uncertainty of their parameters, holds for each of the two components across the
+        direction, and is averaged over directions along the three axes.
         """
         # A direction has two components across it, so half of the squared length counts for each.
         sizes = [np.linalg.norm(self.modes(row)) for row in np.eye(3)]
