@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import inspect
 import sys
 from pathlib import Path
 
@@ -44,6 +45,13 @@ def bounds(parameter: Parameter) -> str:
     return f"±{high:g}" if low == -high else f"{low:g}…{high:g}"
 
 
+def paragraph(kind: type[Effect], name: str) -> str:
+    """Text of a paragraph of an effect's docstring, which begins with its name."""
+    paragraphs = inspect.cleandoc(kind.__doc__ or "").split("\n\n")
+    (text,) = (one for one in paragraphs if one.startswith(f"{name}: "))
+    return " ".join(text.removeprefix(f"{name}: ").split())
+
+
 def section(kind: type[Effect]) -> list[str]:
     """Section of one effect."""
     choice = {"degree": 3} if "degree" in kind.choices() else {}
@@ -58,11 +66,11 @@ def section(kind: type[Effect]) -> list[str]:
         "",
         kind.cause,
         "",
-        f"    {kind.formula}",
+        f"    {paragraph(kind, 'Formula')}",
         "",
         "; ".join(facts) + ".",
         "",
-        kind.separated_by,
+        paragraph(kind, "Separated by"),
         "",
     ]
 

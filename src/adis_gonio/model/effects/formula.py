@@ -89,8 +89,8 @@ EXAMPLE = "write NAME_AXIS = FORMULA, such as 'mine_x = (T - 25)**2 * gx'"
 class FormulaEffect(LinearAxisEffect):
     """Base class of the effects that formulas define: amplitude times formula, for each axis."""
 
+    formula: ClassVar[str]
     value: ClassVar[Column]
-    separated_by = "A formula of the user; the other effects of its covariates may look alike."
 
     def __reduce__(self) -> tuple[Any, ...]:
         return formula_effect, (self.formula, self.coefficients[0].unit)
