@@ -30,13 +30,7 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.bench.bringup.bringup_step import FALSE_ALARM, QUESTIONS, Outcome, Question
-from adis_gonio.bench.bringup.recorded_chip import (
-    SELF_TEST,
-    Integers,
-    RecordedChip,
-    RegisterSpan,
-    RestStatistics,
-)
+from adis_gonio.bench.bringup.recorded_chip import SELF_TEST, RecordedChip, RegisterSpan, RestStatistics
 from adis_gonio.device.bus.capture import LogicCapture
 from adis_gonio.device.bus.recording import BusRecording
 from adis_gonio.device.sensor.frame_log import BUSY_S
@@ -346,9 +340,7 @@ def _waits(command: str) -> Observer:
 
 def _status_clears(chip: RecordedChip, _: Variant) -> Iterator[str]:
     yield from ("kept" if word else "cleared" for _, word in chip.statuses)
-    # The first of several registers may show a flag that its own read clears.
-    flags = {"lost", "on some outputs"} if "lost" in chip.error_flags else set()
-    yield from ("cleared by any read" for label in chip.error_flags if label in flags)
+    yield from ("cleared by any read" for label in chip.error_flags if label == "lost")
 
 
 def _ends(condition: str) -> Observer:
@@ -366,8 +358,7 @@ def _ends(condition: str) -> Observer:
 
 
 def _error_flag(chip: RecordedChip, _: Variant) -> Iterator[str]:
-    seen = {"lost": "set"} | ({"on some outputs": "set"} if "lost" in chip.error_flags else {})
-    yield from (seen.get(label, label) for label in chip.error_flags)
+    yield from ("set" if label == "lost" else label for label in chip.error_flags)
 
 
 def _new_data(chip: RecordedChip, _: Variant) -> Iterator[str]:
@@ -387,7 +378,7 @@ def _new_data(chip: RecordedChip, _: Variant) -> Iterator[str]:
         yield "never" if share == 0 else "by its read" if words < 1.5 else late
 
 
-def _rises(flags: NDArray[np.bool_]) -> Integers:
+def _rises(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Return the numbers of the words that are the first with a flag after words without it."""
     return np.flatnonzero(flags[1:] & ~flags[:-1]) + 1
 
