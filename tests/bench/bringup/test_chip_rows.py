@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -23,6 +24,7 @@ from adis_gonio.bench.bringup.chip_rows import (
 from adis_gonio.bench.bringup.recorded_chip import _color, _without_lines
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.faces.cli import main
+from adis_gonio.sim import SimulatedChip, World
 from fakes.changed_chips import CHANGES, Change, _with_chain, record_bringup, record_nulls, record_service
 from fakes.more_changed_chips import CHANGES as MORE, SOUND, OnMachine, OverRangeOfOutputs
 
@@ -97,6 +99,32 @@ def test_vibration_drift_and_saved_registers_are_no_faults_of_a_chip(name, tmp_p
 def test_white_noise_of_twice_the_table_is_named_on_a_vibrating_table(tmp_path):
     record_bringup(Change("", OnMachine, settings={"noise_mg": 9.4}), 2, tmp_path / "run.rec")
     assert contradicted(judge_recordings([tmp_path / "run.rec"], PART)) == ["accel_noise"]
+
+
+class RumblingTable:
+    """A world on a table with 8 mg rms of vibration on each axis, all of it between 40 and 140 Hz."""
+
+    def __init__(self, world: World) -> None:
+        self._world, self.electronics = world, world.electronics
+        dice = np.random.default_rng(3)
+        self._hz, self._phases = dice.uniform(40, 140, 150), dice.uniform(0, 2 * np.pi, (3, 150))
+
+    def sample(self, time_s):
+        inputs, angles = self._world.sample(time_s), 2 * np.pi * np.outer(time_s, self._hz)
+        shaking = [8 * np.sqrt(2 / 150) * np.sin(angles + phase).sum(axis=1) for phase in self._phases]
+        return replace(inputs, accel_mg=inputs.accel_mg + np.stack(shaking, axis=1))
+
+
+class OnRumblingTable(SimulatedChip):
+    def __init__(self, surroundings, *args, **options):
+        super().__init__(RumblingTable(surroundings), *args, **options)
+
+
+def test_colored_noise_of_the_bench_leaves_the_noise_rows_open(tmp_path):
+    record_bringup(Change("", OnRumblingTable), 2, tmp_path / "run.rec")
+    findings = {one.name: one for one in judge_recordings([tmp_path / "run.rec"], PART)}
+    assert not contradicted(findings.values())
+    assert findings["accel_noise"].outcome is Outcome.OPEN
 
 
 def test_over_range_that_falls_at_offsets_near_its_limit_is_confirmed(tmp_path):

@@ -584,7 +584,7 @@ def _noise(columns: slice) -> Observer:
             variance = max(float(np.mean(rest.sigma[columns] ** 2)) - 1 / 12, 1e-9)
             x = math.log(variance) / 2 - gain + math.log(lsb / part.performance.noise[columns.start])
             u = math.sqrt(0.5 / (3 * rest.dof) + sum(0.5 / dof for _, dof, _ in levels.values()))
-            u = math.hypot(u, rest.color[columns.start // 3])
+            u = math.hypot(u, max(rest.color[columns.start // 3], levels[0][2]))
             yield RowFigure(x, u, {"as the table": (-0.05, 0.05)})
 
     return observe
