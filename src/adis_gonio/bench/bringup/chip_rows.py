@@ -346,13 +346,11 @@ def _status_clears(chip: RecordedChip, _: Variant) -> Iterator[str]:
 def _ends(condition: str) -> Observer:
     """Return a function that reports if a bit of STATUS stays or falls when a write ends its condition.
 
-    The function takes a recorded chip; `condition` is `alarm` or `over_range`. It yields nothing if any
-    read clears STATUS, which looks the same.
+    The function takes a recorded chip; `condition` is `alarm` or `over_range`.
     """
 
     def observe(chip: RecordedChip, _: Variant) -> Iterator[str]:
-        if "lost" not in chip.error_flags:
-            yield from ("stays" if stayed else "falls" for name, stayed in chip.ended if name == condition)
+        yield from ("stays" if stayed else "falls" for name, stayed in chip.ended if name == condition)
 
     return observe
 
@@ -778,6 +776,9 @@ def judge_recordings(paths: Iterable[str | Path], part: Variant) -> tuple[RowFin
         source = LogicCapture(path) if capture else BusRecording(path)
         rises = None if isinstance(source, LogicCapture) else source.header["edge_rises"]
         chips.append(RecordedChip(source, rises))
+    if any("lost" in chip.error_flags for chip in chips):
+        for chip in chips:
+            chip.attribute_to_reads()
     findings = []
     for row in ROWS:
         observed = [found for chip in chips if (found := [*row.observe(chip, part)])]

@@ -270,9 +270,9 @@ class RecordedChip:
         For each STATUS word after an alarm whose condition has ended: True if it is the first such word,
         and the alarm bit.
     error_flags : list of (str)
-        Behaviour of the flag EA during an alarm: `set` in all words after the first, `missing` in all
-        although STATUS had the alarm's bit, `on some outputs` once for each output without it, or `lost`
-        after some words.
+        Behaviour of the flag EA during an alarm: `set` in all words after the first; `missing` in all
+        although STATUS had the bit of the alarm; `on some outputs` or `lost` after some words, once for each
+        output without it.
     ended : list of (str, bool)
         Name of a condition that a write ended, and True if its bit stayed until STATUS was read; False if
         it cleared before.
@@ -318,9 +318,15 @@ class RecordedChip:
         self._cleared = self._proved = False
         self._follow(calls)
         self._judge_ranges()
-        if "lost" in self.error_flags:
-            # The first of several registers may show a flag that its own read clears.
-            self.error_flags = [one.replace("on some outputs", "lost") for one in self.error_flags]
+
+    def attribute_to_reads(self) -> None:
+        """Attribute alarms that ended, and flags that only the first output had, to reads of any register.
+
+        Another recording of the part has shown that any read clears STATUS.
+        """
+        self.error_flags = [one.replace("on some outputs", "lost") for one in self.error_flags]
+        self.error_flags += ["lost"] * self.ended.count(("alarm", False))
+        self.ended = [one for one in self.ended if one != ("alarm", False)]
 
     @cached_property
     def rests(self) -> list[RestStatistics]:
@@ -347,7 +353,7 @@ class RecordedChip:
                 begin, end = _longest_run(at)
                 at = at - at.mean()
                 slope[k] = at @ values / (at @ at)
-                slope_u[k] = rms[k] * math.sqrt(len(at) / dof / (at @ at))
+                slope_u[k] = math.sqrt((rms[k] ** 2 + 1 / 12) * len(at) / dof / (at @ at))
                 level, power, lines = _without_lines(values[begin:end])
                 sigma[k], lined = level if lines else rms[k], lined or lines
                 powers.append(power)
@@ -446,8 +452,7 @@ class RecordedChip:
                 # A flag that depends on the output alone was not cleared by a read.
                 shares = {float(flags[slots == slot].mean()) for slot in np.unique(slots)}
                 label = "set" if flags.all() else "on some outputs" if shares == {0.0, 1.0} else "lost"
-                missing = np.unique(slots[~flags]).size
-                self.error_flags += [label] * (missing if label == "on some outputs" else 1)
+                self.error_flags += [label] * max(np.unique(slots[~flags]).size, 1)
         if self._ending and not flags[-1] and self._flagged and times[-1] > self._settled_s:
             self.ended.append(("alarm", False))
             self._ending = False
