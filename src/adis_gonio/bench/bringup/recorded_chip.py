@@ -271,8 +271,8 @@ class RecordedChip:
         and the alarm bit.
     error_flags : list of (str)
         Behaviour of the flag EA during an alarm: `set` in all words after the first; `missing` in all
-        although STATUS had the bit of the alarm; `on some outputs` or `lost` after some words, once for each
-        output without it.
+        although STATUS had the bit of the alarm; once for each output without it, `on some outputs` (in all
+        words) or `lost` (after some words).
     ended : list of (str, bool)
         Name of a condition that a write ended, and True if its bit stayed until STATUS was read; False if
         it cleared before.
