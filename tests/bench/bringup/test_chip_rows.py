@@ -21,7 +21,7 @@ from adis_gonio.bench.bringup.chip_rows import (
     findings_text,
     judge_recordings,
 )
-from adis_gonio.bench.bringup.recorded_chip import _color, _without_lines
+from adis_gonio.bench.bringup.recorded_chip import noise_color, remove_lines
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.faces.cli import main
 from adis_gonio.sim import SimulatedChip, World
@@ -138,13 +138,13 @@ def test_over_range_that_falls_at_offsets_near_its_limit_is_confirmed(tmp_path):
 def test_lines_of_a_spectrum_are_no_noise():
     dice, n = np.random.default_rng(5), np.arange(2048)
     tones = 60 * np.sin(0.19 * n) + 30 * np.sin(0.38 * n + 1)
-    sigma, power, lines = _without_lines(dice.normal(0, 10, 2048) + tones)
+    sigma, power, lines = remove_lines(dice.normal(0, 10, 2048) + tones)
     assert lines
     # The Hann window halves the degrees of freedom: 2.2 % standard uncertainty.
     assert sigma == pytest.approx(10, rel=0.07)
-    assert _color([power], 0) < 0.2
-    assert _color([power * np.linspace(0.2, 5, len(power))], 0) > 0.5
-    assert not _without_lines(dice.normal(0, 10, 2048))[2]
+    assert noise_color([power], 0) < 0.2
+    assert noise_color([power * np.linspace(0.2, 5, len(power))], 0) > 0.5
+    assert not remove_lines(dice.normal(0, 10, 2048))[2]
 
 
 def test_several_files_are_judged_together_and_the_second_exercises_more_rows(recorded, tmp_path):

@@ -194,7 +194,7 @@ class RestStatistics:
     dps: int
 
 
-def _without_lines(values: Floats) -> tuple[float, Floats, bool]:
+def remove_lines(values: Floats) -> tuple[float, Floats, bool]:
     """Return standard deviation and spectrum of a series without the lines of its spectrum.
 
     The standard deviation has the unit of `values`, the spectrum its square (see `spectrum`). A line is
@@ -224,7 +224,7 @@ def _longest_run(times: Floats) -> tuple[int, int]:
     return (begin, end) if 4 * (end - begin) > len(times) else (0, len(times))
 
 
-def _color(powers: list[Floats], m: int) -> float:
+def noise_color(powers: list[Floats], m: int) -> float:
     """Return the scatter of the logarithm of noise over the bands of its spectrum, beyond chance.
 
     `powers` are the spectra of some axes after a filter of setting `m`. Only frequencies are used that the
@@ -354,10 +354,10 @@ class RecordedChip:
                 at = at - at.mean()
                 slope[k] = at @ values / (at @ at)
                 slope_u[k] = math.sqrt((rms[k] ** 2 + 1 / 12) * len(at) / dof / (at @ at))
-                level, power, lines = _without_lines(values[begin:end])
+                level, power, lines = remove_lines(values[begin:end])
                 sigma[k], lined = level if lines else rms[k], lined or lines
                 powers.append(power)
-            color = (_color(powers[:3], span.m), _color(powers[3:], span.m))
+            color = (noise_color(powers[:3], span.m), noise_color(powers[3:], span.m))
             dps = settings.Configuration.from_words(1, span.image["SENS_AVG"], 0).gyro_range_dps or 300
             middle_s = float(times.mean())
             dof /= HANN_WIDTH if lined else 1
