@@ -150,7 +150,7 @@ SERIES = {
 """Columns of the samples CSV by the field of a `Dwell` or `Turn` that has their samples."""
 
 
-class Samples:
+class SampleSeries:
     """Base class of records with a field for each of `SERIES`, and the temperatures of the gyros' dies."""
 
     def series(self, rows: slice | NDArray[np.bool_] = slice(None)) -> dict[str, Any]:
@@ -160,7 +160,7 @@ class Samples:
 
 
 @dataclass(frozen=True)
-class Turn(Samples):
+class Turn(SampleSeries):
     """Samples between two successive dwells.
 
     Attributes
@@ -305,7 +305,7 @@ UNSTATED: dict[str, Any] = {"angle_deg": math.nan, "turned_deg": math.nan, "appr
 
 
 @dataclass(frozen=True)
-class Dwell(Samples):
+class Dwell(SampleSeries):
     """Samples recorded in one position, with the conditions of the dwell.
 
     Attributes
