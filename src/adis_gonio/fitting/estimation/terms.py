@@ -61,6 +61,11 @@ class Term(ABC):
         return False
 
     @property
+    def forced(self) -> bool:
+        """True for a term that is in every model of a search; only a `NamedTerm` can be forced."""
+        return False
+
+    @property
     def prior_sd(self) -> float | None:
         """Prior standard deviation of each value of the term, with mean zero; None without a prior."""
         return None
@@ -124,12 +129,15 @@ class NamedTerm(Term):
         Prior standard deviation of each amplitude about zero; None without a prior.
     begins : float
         Rough amplitude about which the linear problem is expanded; 0 if none is known.
+    forced : bool
+        True if the term is in every model of a search.
     """
 
     effect: Effect
     shapes: tuple[tuple[int, float], ...] = ()
     spread: float | None = None
     begins: float = 0.0
+    forced: bool = False
 
     @classmethod
     def offset(cls, axes: Sequence[str], spread: float | None = None) -> NamedTerm:
