@@ -339,7 +339,11 @@ class _Place:
 
 
 def _may_be_piece(selection: Selection, cause: str, averaged: Averaged) -> bool:
-    """Return True if a named cause may be a piece of the Gaussian process that the average describes."""
+    """Return True if a named cause of the best model may be part of an unnamed smooth function.
+
+    This is so if the average over unnamed functions is a Gaussian process, and the cause depends on its
+    covariates.
+    """
     terms = [selection.problem.terms[k] for k in selection.verdict.best]
     return any(
         unknown is averaged.smooth and related(term, unknown)
