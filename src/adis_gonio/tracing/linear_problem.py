@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.estimation.fit import Fit, amplitude_spreads
-from adis_gonio.fitting.estimation.terms import ROUNDING, Term
+from adis_gonio.fitting.estimation.terms import ROUNDING, NamedTerm, Term
 from adis_gonio.tracing.thresholds import limits
 
 _RANK = 1e-7
@@ -344,6 +344,11 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
     chosen, width, together, back, prior = _orthonormal_blocks(columns, length, spread, widths)
     first = (np.cumsum(width) - width).astype(np.intp)
     seen = set(chosen)
+    prices = _column_prices(together, first)
+    for k, term in enumerate(terms[j] for j in chosen):
+        if isinstance(term, NamedTerm) and term.spread is not None:
+            # A stated prior of the amplitudes: ½ ln |1 + Σ Xᵀ X|, with the columns X of the readings.
+            prices[k] = 0.5 * (np.linalg.slogdet(np.eye(len(prior[k])) + prior[k])[1] - np.linalg.slogdet(prior[k])[1])
     free = LinearProblem(
         terms=tuple(terms[k] for k in chosen),
         columns=together,
@@ -354,7 +359,7 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
         back=back,
         hidden=tuple(term for k, term in enumerate(terms) if k not in seen),
         cost=np.array([terms[k].cost for k in chosen]),
-        column_price=_column_prices(together, first),
+        column_price=prices,
         prior=tuple(np.zeros((size, size)) for size in width.tolist()),
     )
     return free._with_prior(prior, 1.0)

@@ -155,7 +155,7 @@ class _Climb:
         self.every = _Joining(problem, np.arange(len(terms)))
         self.names = _Joining(problem, np.flatnonzero(self.named))
         self.paired: set[Model] = set()
-        biases = [k for k, term in enumerate(terms) if term.constant]
+        biases = [k for k, term in enumerate(terms) if term.constant and term.prior_sd is None]
         self.bias = max(biases, key=lambda k: int(problem.width[k]), default=None)
         self.nameless = frozenset(np.flatnonzero(~self.named).tolist())
         # The best of all models and of those with names only, by their names and covariates.
