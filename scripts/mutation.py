@@ -1,7 +1,7 @@
 """Changes that the tests should notice: a random sample of mutants, room by room.
 
     pip install cosmic-ray                  # operators and session database; needed by nothing else
-    python scripts/mutation.py --room wire --mutants 60 --seed 1
+    python scripts/mutation.py --room device_sensor --mutants 60 --seed 1
     python scripts/mutation.py --room all --mutants 40 --seed 2 --session build/mutants.sqlite
 
 Each mutant is one small change of one line (cosmic-ray's operators: another operator, comparison or
@@ -39,6 +39,7 @@ import math
 import os
 import pickle
 import random
+import re
 import resource
 import shutil
 import signal
@@ -52,110 +53,58 @@ import uuid
 from collections import defaultdict
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from types import CodeType, FrameType, FunctionType
 from typing import TYPE_CHECKING, Any
 
 import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+from levels import is_quick, level_of
 
 if TYPE_CHECKING:
     from cosmic_ray.work_item import MutationSpec, WorkItem, WorkResult
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = "src/adis_gonio"
+TESTS = ROOT / "tests"
+GENERATED = {"device/bus/wire/protocol.py"}  # a test compares it with its source
 ARGUMENTS = ("-q", "--no-header", "--tb=line", "-p", "no:cacheprovider", "--hypothesis-seed=0", "-n", "0")
 
 
 @dataclass(frozen=True)
 class Room:
-    """Patterns of files in `src/adis_gonio` and the tests that belong to them, the quick ones first."""
+    """A package: its files in `src/adis_gonio` without generated ones, and the test files to ask."""
 
     files: tuple[str, ...]
     tests: tuple[str, ...]
-    generated: tuple[str, ...] = ()
 
 
-ROOMS = {
-    "wire": Room(
-        ("device/bus/wire/*.py",),
-        ("tests/device/bus/test_wire_codec.py",),
-        generated=("device/bus/wire/protocol.py",),
-    ),
-    "sensor": Room(
-        ("device/sensor/*.py",),
-        (
-            "tests/device/sensor/test_register_table.py",
-            "tests/device/sensor/test_frames_and_decoding.py",
-            "tests/device/sensor/test_driver.py",
-            "tests/device/sensor/test_data_ready.py",
-            "tests/device/sensor/test_frame_log.py",
-            "tests/device/sensor/test_dead_lines.py",
-            "tests/bench/bringup/test_bringup_undo.py",
-        ),
-    ),
-    "estimation": Room(
-        ("fitting/*.py", "fitting/estimation/*.py"),
-        (
-            "tests/fitting/estimation/test_conic.py",
-            "tests/fitting/estimation/test_converter.py",
-            "tests/fitting/estimation/test_fit.py",
-            "tests/fitting/estimation/test_intervals.py",
-            "tests/fitting/estimation/test_other_measurements.py",
-            "tests/fitting/estimation/test_reading_parts.py",
-            "tests/fitting/estimation/test_refused_readings.py",
-            "tests/fitting/estimation/test_screening.py",
-            "tests/fitting/estimation/test_spectrum.py",
-            "tests/fitting/estimation/test_terms.py",
-            "tests/fitting/test_advice.py",
-            "tests/fitting/test_budget_parts.py",
-            "tests/fitting/test_closed_form_parts.py",
-            "tests/fitting/test_determination.py",
-            "tests/fitting/test_flicker.py",
-            "tests/fitting/test_monte_carlo.py",
-            "tests/fitting/test_noise.py",
-            "tests/fitting/test_readings.py",
-            "tests/fitting/test_shared_noise.py",
-            "tests/fitting/test_ml_against_full_least_squares.py",
-            "tests/fitting/test_methods.py",
-            "tests/fitting/test_scores.py",
-            "tests/fitting/test_source_parts.py",
-            "tests/fitting/test_sources.py",
-            "tests/fitting/test_method_comparison.py",
-            "tests/fitting/test_uncertainty.py",
-            "tests/fitting/test_unseen_skews.py",
-            "tests/fitting/test_wide_fixture.py",
-            "tests/fitting/gyros/test_axes_of_accelerometers.py",
-            "tests/fitting/gyros/test_doubtful_gyros.py",
-            "tests/fitting/gyros/test_gyro_algebra.py",
-            "tests/fitting/gyros/test_gyro_result.py",
-            "tests/fitting/gyros/test_gyro_turns.py",
-            "tests/fitting/gyros/test_links.py",
-            "tests/fitting/gyros/test_order_of_poses.py",
-            "tests/fitting/gyros/test_vertical_of_a_turn.py",
-        ),
-    ),
-    "tracing": Room(
-        ("tracing/*.py",),
-        (
-            "tests/tracing/test_trace_grammar.py",
-            "tests/tracing/test_trace_arithmetic.py",
-            "tests/tracing/test_trace_numbers.py",
-            "tests/tracing/test_trace_outcome.py",
-            "tests/tracing/test_trace_parts.py",
-            "tests/tracing/test_trace_stages.py",
-            "tests/tracing/test_trace_scatter.py",
-            "tests/tracing/test_trace_folds.py",
-            "tests/tracing/test_trace_engine.py",
-            "tests/tracing/test_trace_gates.py",
-            "tests/tracing/test_trace_openings.py",
-            "tests/tracing/test_trace_proposals.py",
-            "tests/tracing/test_trace_sets.py",
-            "tests/tracing/test_trace_left_out.py",
-            "tests/tracing/test_trace_small_sessions.py",
-            "tests/tracing/test_trace_smooth.py",
-        ),
-    ),
-}
+def rooms() -> dict[str, Room]:
+    """Return a room for each package; `device` has one for the bridges and one for the sensor.
+
+    The tests of a room are the files of level `unit` in the package's folder of tests, and the quick files
+    of other folders that import from the package.
+    """
+    texts = {
+        PurePosixPath(path.relative_to(TESTS).as_posix()): path.read_text("utf-8")
+        for path in sorted(TESTS.rglob("test_*.py"))
+    }
+    source = ROOT / SOURCE
+    names = {path.parent.name for path in source.glob("*/__init__.py")} - {"device"}
+    result = {}
+    for name in sorted(names | {"device/bus", "device/sensor"}):
+        imports = re.compile(rf"\badis_gonio\.{name.replace('/', '.')}\b")
+        files = {path.relative_to(source).as_posix() for path in (source / name).rglob("*.py")} - GENERATED
+        own = [file for file in texts if file.is_relative_to(name) and level_of(file) == "unit"]
+        others = [file for file, text in texts.items() if is_quick(file) and imports.search(text)]
+        tests = tuple(f"tests/{file}" for file in dict.fromkeys([*own, *others]))
+        result[name.replace("/", "_")] = Room(tuple(sorted(files)), tests)
+    return result
+
+
+ROOMS = rooms()
 
 NOT_EXCHANGED = 98  # exit status of a child
 
@@ -250,11 +199,9 @@ def mutants_by_line(copy: Path, room: Room) -> dict[tuple[str, int], dict[Place,
     operators = {name: get_operator(name) for name in operator_names() if name != "core/NoOp"}
     usable = {name: operator() for name, operator in operators.items() if not operator.arguments()}
     found: dict[tuple[str, int], dict[Place, list[Any]]] = defaultdict(lambda: defaultdict(list))
-    files = [path for pattern in room.files for path in sorted((copy / SOURCE).glob(pattern))]
-    for path in files:
+    for file in room.files:
+        path = copy / SOURCE / file
         name = str(path.relative_to(copy))
-        if name in {f"{SOURCE}/{generated}" for generated in room.generated}:
-            continue
         code = path.read_text("utf-8")
         not_drawn = spared(code)
         nodes = list(ast_nodes(get_ast(code)))
@@ -509,7 +456,7 @@ def watched(
     session: pytest.Session, copy: Path, room: Room, notes: Path, options: argparse.Namespace
 ) -> Watch:
     """What the tests of a room cost and run on the code as it is; they must pass. Once a session."""
-    paths = (path for pattern in room.files for path in (copy / SOURCE).glob(pattern))
+    paths = (copy / SOURCE / file for file in room.files)
     watch = Watch({str(path): str(path.relative_to(copy)) for path in paths}, options.longest)
     files = list(dict.fromkeys(_file_of(item.nodeid) for item in session.items))
 

@@ -10,7 +10,16 @@ MEASURED = ROOT / "examples" / "measured"
 LARGER = Path(os.environ.get("ADIS_GONIO_DATA", ROOT.parent / "shared" / "data"))
 
 
-LARGER_NAMES = frozenset(f"mpu9150_{number}_recording" for number in (1, 2, 3, 4))
+RUNS_AT_REST = tuple(f"adis16405/run{number}_10s_means" for number in range(1, 7))
+LARGER_NAMES = frozenset(
+    (
+        *(f"mpu9150_{number}_recording" for number in (1, 2, 3, 4)),
+        *(f"mimu4444/exp{number}_imu4" for number in (6, 7, 8, 9)),
+        "mimu4444/exp5_imu1",
+        "adis16405/run4_first_hour",
+        *RUNS_AT_REST,
+    )
+)
 """Recordings that are no part of the clone; a test of any other never skips."""
 
 
@@ -27,7 +36,7 @@ def recording(name: str) -> Path:
         return path
     if name not in LARGER_NAMES:
         raise FileNotFoundError(f"{path} belongs to the clone: restore it from git")
-    path = LARGER / path.name
+    path = LARGER / f"{name}.csv.gz"
     if path.exists():
         return path
     pytest.skip(

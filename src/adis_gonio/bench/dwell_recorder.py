@@ -257,7 +257,10 @@ WARMING_S = 600.0
 
 @dataclass(frozen=True)
 class _Broken:
-    """Reason why a dwell was interrupted, and the guard that asks the operator about it, if any."""
+    """The reason why a dwell was interrupted, as text, and the guard that asks the operator about it.
+
+    `guard` is None if the operator need not be asked.
+    """
 
     reason: str
     guard: Guard | None = None
@@ -555,9 +558,11 @@ class DwellRecorder(Recorder):
         return None
 
     def _within(self, recording: Recording, scans: Block, found: list[Problem]) -> Iterator[Event]:
-        """Ask the operator about alarms, supply and temperature in a dwell; `found` are its problems.
+        """Ask the operator whether to keep a dwell with alarms, a wrong supply or a change of temperature.
 
-        Without an operator, record the doubts as problems.
+        `scans` are the scans of the dwell, and `found` the problems that `problems` listed for it; the list
+        is not changed. Yields the events of the questions. If the operator does not keep the dwell, it is
+        withdrawn. Without an operator each doubt that `found` lacks is recorded as a problem.
         """
         ledger, place = self._ledger, recording.place
         told = {problem.kind for problem in found}

@@ -570,8 +570,9 @@ def _diagnosis_text(
 class _Taken:
     """A recorded dwell of a session.
 
-    `mean_mg` is its mean reading (3,), `doubted` is True if a guard was overruled, and `turn` is the turn
-    by the gyros before it (None if it was not followed).
+    `place` is the index of its position in the plan, `position` this position, and `mean_mg` (3,) its mean
+    reading. `doubted` is True if the operator overruled a guard. `turn` is the turn before the dwell as
+    integrated from the gyros, None if the gyros were not recorded.
     """
 
     place: int

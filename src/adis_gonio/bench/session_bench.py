@@ -86,7 +86,7 @@ class ControlledWorld(SimulatedWorld, Protocol):
     def bring_to(
         self, time_s: float, temperature_c: float | None = None, supply_v: float | None = None
     ) -> None:
-        """Change the sensor's temperature or supply from a given time on; None leaves it unchanged."""
+        """Change the sensor's temperature (°C) or supply (V) from `time_s` on; None leaves it unchanged."""
 
 
 class SessionBench:

@@ -259,9 +259,10 @@ class LiveView:
     def angle_deg(self, accel_mg: Floats, target_deg: float | None) -> tuple[float | None, float | None]:
         """Return the present angle in the stage's sense and its tolerance, both in degrees.
 
-        The angle is measured by gravity and, if there are any, by gyros. It is within ±180° of the target;
-        None if attitudes are free. The tolerance is the largest deviation from the target that no guard
-        doubts; None without a target or before the first dwell.
+        `accel_mg` (3,) is the present reading, `target_deg` the requested stage angle, None without one.
+        The angle comes from gravity and, if the sensor has gyros, also from them. It is within ±180° of the
+        target; None if attitudes are free. The tolerance is the largest deviation from the target that no
+        guard doubts; None without a target or before the first dwell.
         """
         if self.judge is None:
             return None, None

@@ -835,7 +835,10 @@ class Calibration(Coefficients, eq=False, kw_only=True):
 
 
 def _solved(free: Floats, terms: Sequence[tuple[Effect, Floats]], conditions: Conditions) -> Floats:
-    """Return the ideal readings a (n, axes) that give the readings `free`: a plus the effects at a.
+    """Return the ideal readings a (n, axes) at which a plus all effects gives the readings `free`.
+
+    `free` (n, axes) are readings without bias, in mg; `terms` are the effects with the values of their
+    parameters.
 
     A row is NaN if the iteration does not converge.
     """

@@ -76,9 +76,10 @@ as a division by zero."""
 
 @dataclass(frozen=True)
 class _Linear:
-    """Result of a linear fit: natural parameters `beta` (6,), and their derivative by the readings.
+    """Result of a linear fit: the parameters `beta` (6,), and their derivative by the readings.
 
-    The derivative is (6, n, 2). `has_bias` is False if the biases were taken as zero.
+    `beta` has α, K_x, K_y, Δφ (rad and 1) and both biases in local gravity; the derivative is (6, n, 2).
+    `has_bias` is False if the biases were taken as zero.
     """
 
     beta: Floats
@@ -229,7 +230,7 @@ def fit_paper(readings: Readings) -> FitResult:
 
 
 def _by_paper(chosen: Readings, weights: Floats, exact: _Linear) -> tuple[_Linear, Floats]:
-    """Return the natural parameters by the method `paper`, and (ΔK, Δφ) alone.
+    """Return the parameters of `_Linear` by the method `paper`, and (ΔK, Δφ) alone.
 
     ΔK and Δφ (rad) follow from equations 5 to 12. The start angle and the scale of X are those in `exact`,
     the closed form of the same dwells. `weights` (2, n) give the mean reading at each of the two angles.
@@ -293,7 +294,9 @@ def _paper(first: Floats, second: Floats, weights: Floats) -> tuple[Floats, Floa
 
 
 def turn_parameters(harmonics: Floats) -> Floats:
-    """Return the natural parameters (…, 6) from the amplitudes of cosine, sine and constant of each axis.
+    """Return α, K_x, K_y, Δφ and both biases (…, 6) from cosine, sine and constant of each axis.
+
+    Angles are in rad, biases in local gravity.
 
     Parameters
     ----------
@@ -392,7 +395,7 @@ def _noise(readings: Readings, chosen: Readings) -> NoiseAssumptions:
 
 
 def _fit(data: Readings, beta: Floats, *, bias: bool) -> Fit:
-    """Return the base model, with or without a bias, at the natural parameters `beta`.
+    """Return the base model, with or without a bias, at the parameters `beta` of `_Linear`.
 
     Angles are as declared; nothing is fitted.
     """

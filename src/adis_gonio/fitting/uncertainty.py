@@ -65,7 +65,8 @@ class Source:
     Attributes
     ----------
     name : str
-        One of `SOURCES`.
+        Name of the source, one of `SOURCES`: repeatability, flicker noise, fixture, gravity, quantization,
+        temperature, effects that the model lacks.
     kind : {"A", "B"}
         `A` if evaluated by statistics of this session, `B` if by other knowledge (GUM 3.3.4).
     distribution : str
@@ -202,17 +203,19 @@ class Sources:
     def by_place(self, gradient: Floats, reading: Floats) -> Floats:
         """Return the total variance (m,) of each of m quantities, such as m angles.
 
-        `gradient` (m, p) and `reading` (m, axes) are their derivatives by the parameters and by a further
-        reading.
+        `gradient` (m, p) and `reading` (m, axes) are the derivatives of the quantities by the parameters
+        and by a further reading, to which the calibration is applied.
         """
         return np.asarray(sum(source.by_place(gradient, reading) for source in self._counted))
 
     def roots(self, gradient: Floats, reading: Floats) -> Floats:
         """Return the change (m, k) of m quantities by one standard uncertainty of each of k components.
 
-        The components of all sources are independent. `gradient` (m, p) and `reading` (m, axes) are the
-        derivatives of the quantities by the parameters and by a further reading, whose own noise is not
-        included.
+        The k components are those of all sources; they are independent, so that the result times its
+        transpose is the covariance of the quantities. `gradient` (m, p) and `reading` (m, axes) are the
+        derivatives of the quantities by the parameters and by a further reading, to which the calibration
+        is applied. Errors that act on all readings (such as those of a supply) act on the further reading
+        too; its noise is not included.
         """
         return np.concatenate([source._moved(gradient, reading) for source in self._counted], axis=1)
 
@@ -229,8 +232,9 @@ class Sources:
 def dof_of(parts: Sequence[tuple[int, float, float]]) -> float:
     """Return the effective degrees of freedom of a sum of variances (Welch–Satterthwaite).
 
-    Each part is (number of its estimate, degrees of freedom, variance). Variances that come from one
-    estimate are added first, because they have a common error.
+    Each of `parts` is (number of an estimate, degrees of freedom, variance): a contribution to the
+    variance, and the estimate of noise from which it was computed. Variances that come from one estimate
+    are added first, because they have a common error.
     """
     by_estimate: dict[int, tuple[float, float]] = {}
     surely = sum(variance for _, dof, variance in parts if math.isinf(dof))
@@ -346,7 +350,7 @@ def _each(response: Floats, roots: Floats) -> Floats:
 
 
 def _root(covariance: Floats) -> Floats:
-    """Return matrix roots (n, axes, axes): each root times its transpose is one of the covariances."""
+    """Return roots (n, axes, axes) of n covariances: root times its transpose is the covariance."""
     axes = covariance.shape[1]
     diagonal = np.sqrt(np.maximum(np.einsum("naa->na", covariance), 0.0))
     if not covariance[:, ~np.eye(axes, dtype=bool)].any():
@@ -789,8 +793,8 @@ class ShownAngle:
     Attributes
     ----------
     gradient : (m, p) float
-        Degrees per unit of the parameters. From `around` they are base parameters and biases in natural
-        units, from `at_dwells` all parameters in units of the fit.
+        Degrees per unit of the parameters: base parameters and biases in natural units if the constructor
+        `around` made the object, all parameters in units of the fit if `at_dwells` did.
     reading : (m, 2) float
         Degrees per mg of the reading.
     """

@@ -30,9 +30,9 @@ from adis_gonio.tracing.thresholds import limits
 _LEVELS = (0.025, 0.975)
 _SHARES = np.concatenate([np.linspace(0.005, 0.2, 40), np.linspace(0.21, 1.0, 80)])
 _FACTORS = np.geomspace(0.4, 2.5, 9)
-"""Factors on the most probable mean and spread of a cause.
+"""Factors by which the most probable mean and spread of a cause are multiplied for a grid of trials.
 
-The posterior of the share of affected sessions is averaged over them.
+The posterior of the share of affected sessions is averaged over this grid.
 """
 
 

@@ -112,7 +112,9 @@ def control_chart(value: Floats, u: Floats) -> ControlChart:
 def _split(value: Floats, weight: Floats, last: int) -> int:
     """Return the index of the session at which the mean most probably changed.
 
-    `value` and `weight` are (n,); only the sessions up to the index `last` are used.
+    `value` (n,) and `weight` (n,) are the values and the inverse squares of their standard uncertainties.
+    Only the sessions up to the index `last`, included, are used; the session returned is the first after
+    the change.
     """
 
     def gain(at: int) -> float:

@@ -175,7 +175,7 @@ def _outlying(summary: Summary) -> Section:
 
 
 def _group_plot(one: Outlying, summary: Summary) -> Figure | None:
-    """Plot a quantity of all sessions by stage or operator; None if there are too many groups.
+    """Plot a quantity of all sessions by stage or operator; None for more than `_MOST_GROUPS` groups.
 
     `one` is an outlying group, which gives the quantity and the kind of group.
     """
@@ -310,7 +310,11 @@ ENDINGS = (".parquet", ".json", ".html")
 
 @dataclass(frozen=True)
 class FleetResult:
-    """Records of a fleet with their summary, which do not depend on number and order of the workers."""
+    """Records of a fleet with their summary.
+
+    They do not depend on the number of workers and the order in which these finish. `options` are the
+    computations that were made.
+    """
 
     fleet: Fleet
     options: Options

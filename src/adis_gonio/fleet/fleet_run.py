@@ -98,7 +98,7 @@ class ThisProcess:
 
 
 class Repeated(JsonRecord):
-    """A file with the same data as another file, which is counted in its place."""
+    """A file that does not count, because the file `same_as` has the same data."""
 
     path: str
     same_as: str

@@ -289,8 +289,8 @@ class FamilyOfTests:
 def outlying(comparisons: Sequence[FamilyOfTests]) -> tuple[int, list[Test]]:
     """Count all tests, and list the significant tests, the smallest p-value first.
 
-    The probability that any of all tests is significant by chance is at most `OUTLYING`. Each entry of
-    `comparisons` has the tests of one kind of group for one quantity.
+    The probability that any of all tests is significant by chance is at most 1 % (`OUTLYING`). Each entry
+    of `comparisons` has the tests of one kind of group for one quantity.
     """
     total = sum(one.count for one in comparisons)
     passed = [test for one in comparisons if one.count for test in one.find(OUTLYING / total)]

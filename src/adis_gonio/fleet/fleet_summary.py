@@ -53,7 +53,10 @@ KINDS = ("unit", "stage", "operator")
 GROUPS = {"unit": "serial", "stage": "stage", "operator": "operator"}
 """Name of the table's column that names the groups, by kind of group."""
 _ALIKE = 0.9
-"""Share of common sessions from which on the fleet cannot distinguish two groups."""
+"""Share of common sessions above which two groups cannot be distinguished.
+
+The groups are, for example, a stage and an operator who works on this stage.
+"""
 _RMS = "angle"
 """Name of the quantity that is the rms error of the angle.
 

@@ -37,7 +37,7 @@ from adis_gonio.tracing.thresholds import limits
 
 @dataclass(frozen=True)
 class Candidate:
-    """A cause that may affect sessions, in one of its variants and on certain axes.
+    """A cause that may affect sessions, in one form (degree, cycles or time constant) and on certain axes.
 
     Attributes
     ----------
@@ -46,7 +46,8 @@ class Candidate:
     named : bool
         True if the catalogue has the cause; False for an unnamed function.
     variant : str
-        Choice and time constant of the cause (see `Column`).
+        Form of the cause (not the type of the sensor): degree, cycles per turn or time constant (see
+        `Column`).
     axes : str
         Letters of the axes; empty for an effect of the stage, which acts on no single axis.
     index : tuple of int
@@ -71,9 +72,9 @@ class Candidate:
 def candidates_of(columns: Sequence[Column]) -> list[Candidate]:
     """List every cause on each axis and on all axes together, with its prior probability.
 
-    The priors are equal to those in the trace of one session. The share of a name is divided evenly among
-    its variants, or in proportion to 1/n among the numbers n of cycles per turn. `columns` are the
-    amplitudes on which sessions give evidence.
+    The priors are equal to those in the trace of one session. The prior probability of a name is divided
+    evenly among the forms of the cause, or in proportion to 1/n among the numbers n of cycles per turn.
+    `columns` are the amplitudes on which sessions give evidence.
     """
     by_kind: dict[tuple[str, bool], list[int]] = defaultdict(list)
     for k, column in enumerate(columns):
@@ -100,7 +101,7 @@ def _part(variant: str) -> float:
 def _blocks(
     name: str, index: Sequence[int], columns: Sequence[Column]
 ) -> Iterator[tuple[str, str, tuple[int, ...]]]:
-    """Yield the variant, the axes and the column indices of each candidate of a cause.
+    """Yield the form, the axes and the column indices of each candidate of a cause.
 
     `name` is the name in the catalogue, empty for an unnamed cause; `index` are the indices of its columns.
     """
@@ -128,7 +129,7 @@ LEAST_UNITS = 5
 WHOLE = 0.5
 """Prior share of causes that act in all sessions.
 
-The remaining prior is for causes in one stage, operator, serial number or variant.
+The remaining prior is for causes in the sessions of one stage, operator, serial number or type of sensor.
 """
 
 Kind = tuple[str, bool]
@@ -136,7 +137,7 @@ Kind = tuple[str, bool]
 
 @dataclass(frozen=True)
 class Membership:
-    """A group of sessions: all, or those with one stage, operator, serial number or sensor variant.
+    """A group of sessions: all, or those with one stage, operator, serial number or type of sensor.
 
     Attributes
     ----------
@@ -183,7 +184,10 @@ def memberships(units: Units, by: Sequence[str]) -> list[Membership]:
 
 @dataclass(frozen=True)
 class ChosenCause:
-    """A cause in the model, with its group of sessions and the distribution of its amplitudes."""
+    """A cause in the model: the candidate, the group of sessions in which it acts, and its amplitudes.
+
+    `amplitudes` is the distribution of the amplitudes over the affected sessions of the group.
+    """
 
     candidate: Candidate
     group: Membership

@@ -31,7 +31,11 @@ from adis_gonio.tracing.thresholds import limits
 
 
 class Affected(JsonRecord):
-    """A session that is probably affected by a cause, with the probability of being affected."""
+    """A session that is probably affected by a cause.
+
+    `source` is its file, `serial` the sensor, `digest` the SHA-256 of the file, and `probability` the
+    probability that the cause affects the session.
+    """
 
     source: str
     serial: str
@@ -52,7 +56,7 @@ class Common(JsonRecord):
     depends_on : str
         Quantity that an unnamed cause depends on; empty for a named cause.
     variant : str
-        Choice or time constant of the most probable form of the cause (see `Column`).
+        Most probable form of the cause: degree, cycles per turn or time constant (see `Column`).
     axes : tuple of str
         Axes on which the cause acts.
     posterior : mapping of str to float

@@ -56,7 +56,8 @@ class Track(JsonRecord):
     chart : ControlChart or None
         Control charts; None with fewer than two sessions.
     drifts : bool
-        True if the slope differs from zero at the level `DRIFTING` over all quantities.
+        True if the slope differs from zero: its p-value times the number of quantities is below 5 %
+        (`DRIFTING`).
     """
 
     document_keys = ("unit", "sessions", "values", "drift", "drifts", "chart")

@@ -1,4 +1,4 @@
-"""The evidence of one session for every effect: a quadratic form of its log likelihood, a few kB.
+"""The evidence of one session for every effect: a quadratic form of the log likelihood, a few kB.
 
 With readings whitened by the session's own noise, and the base model, bias and effects of single dwells
 projected out, let X be the columns of all candidates and r the residual of the readings. Then
@@ -63,8 +63,8 @@ class Column:
     named : bool
         True if the catalogue has the cause; False for an unnamed function.
     variant : str
-        Choice and time constant of the effect: `degree=2`, `cycles=5`, `tau=316`; or the number of a
-        function.
+        Form of the effect (not the type of the sensor): its degree, cycles per turn or time constant in s,
+        such as `degree=2`, `cycles=5`, `tau=316`; for an unnamed cause the number of the function.
     axes : str
         Axis on which the cause acts; empty for an effect of the stage, which acts on no single axis.
     parameter, unit : str
@@ -174,7 +174,7 @@ class _Part(NamedTerm):
         object.__setattr__(self, "_chosen", chosen)
 
     def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """Return the basis functions of the chosen amplitudes, which are the last axis of the array.
+        """Return the basis functions of the chosen amplitudes, one for each index of the array's last axis.
 
         `ideal` are the readings of ideal axes, `conditions` the covariates of the effect.
         """
@@ -247,7 +247,7 @@ _STEP = 2.0**-15
 
 @dataclass(frozen=True)
 class ResidualChi2:
-    """χ² of a residual in one direction, along or across the turn, and its degrees of freedom."""
+    """χ² of a residual in one direction, along or across the turn, and the degrees of freedom of the χ²."""
 
     chi2: float
     dof: float
@@ -370,8 +370,8 @@ def evidence_of(session: Session, result: TraceResult | None = None) -> SessionE
         The session.
     result : TraceResult, optional
         Trace of the session; None without a trace. Dwells that the trace found slipped or outlying are
-        excluded, the scatter that it found is added to the noise, and the effects found are evidence at
-        their size.
+        excluded, the scatter that it found is added to the noise, and and the fitted amplitudes of the
+        effects that it found are added to the evidence for these effects.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """The record of one session: its row in the store, and the job that computes it.
 
-The numbers are those of the answer that `fit` and the report show (`adis_gonio.tracing.traced_answer`).
+The commands `fit` and `report` show numbers of the same answer (`adis_gonio.tracing.traced_answer`).
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from adis_gonio.tracing.trace_result import TraceResult
 
 ANGLE = "angle"
-"""Name of the quantity that is the rms error of the angle.
+"""Name of the quantity that is the root mean square over the turn of the angle's error.
 
-Its u and U are uncertainties of a displayed angle.
+The u and U stated with it are the uncertainties of an angle that the calibrated sensor displays.
 """
 QUANTITIES = {
     "delta_k": "1",
@@ -42,13 +42,20 @@ QUANTITIES = {
 In space the skews replace `delta_phi`.
 """
 PARTS = {"": "value", "_u": "u", "_u95": "U", "_k": "k", "_dof": "dof"}
-"""Endings of the columns that a quantity has in a row, with the keys in the JSON form of a value."""
+"""Key in the JSON form of a value, by the ending of the column that has it.
+
+The ending of U is `_u95`, because names of columns ignore capitals.
+"""
 
 Status = Literal["ok", "failed"]
 
 
 class FoundEffect(JsonRecord):
-    """An effect that the trace of a session found, as the field `found` of the `trace` document has it."""
+    """An effect that the trace of a session found.
+
+    `axes` are the axes on which it acts, `parameters` its amplitudes by name, and `p_value` is the
+    probability of as large an improvement of the fit without the effect.
+    """
 
     effect: str
     axes: tuple[str, ...]
@@ -172,10 +179,13 @@ class SessionRecord(JsonRecord):
     def row(self) -> dict[str, Any]:
         """Return a row with the columns of `session_table.COLUMNS`; unknown values are None.
 
-        Each of `QUANTITIES` takes six columns: `delta_k`, `delta_k_u`, `delta_k_u95` (U, since names of
-        columns ignore capitals), `delta_k_k`, `delta_k_dof` (`PARTS`), and `delta_k_stage` (its
-        `stage_influence`). A value in another unit than its column (counts of unknown scale) is left out.
-        `effects` and `model_effects` are lists of names.
+        Each of `QUANTITIES` has six columns, such as those of ΔK: `delta_k` is the value, `delta_k_u` the
+        standard uncertainty u, `delta_k_u95` the expanded uncertainty U = k·u (95 %), `delta_k_k` the
+        factor k, `delta_k_dof` the degrees of freedom of u, and `delta_k_stage` the list of changes of the
+        value by one standard uncertainty of each error of the stage's certificate. All six are None (an
+        empty list for `_stage`) if the session does not determine the quantity, or has it in another unit
+        than the column (counts of unknown scale). `effects` are the names of the effects that the trace
+        found, `model_effects` those in the model that gives the values.
         """
         row = {name: value for name, value in vars(self).items() if name not in _APART}
         row["model_effects"] = list(self.model_effects)

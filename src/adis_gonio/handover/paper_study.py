@@ -429,7 +429,8 @@ class Comparison(JsonRecord):
 def table_of(results: Mapping[Axis, Sequence[Results]]) -> Comparison:
     """Return table 1 of the paper computed from the results of simulated sessions.
 
-    `results` has the sensors of each of its columns.
+    `results` has, for each column of the table (axis X or Y), one entry per simulated sensor: the results
+    of all methods for the sessions of that sensor.
     """
     cells = []
     for row in TABLE:

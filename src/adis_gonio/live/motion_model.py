@@ -305,7 +305,10 @@ class Stepper:
         return turn
 
     def _miss(self, lengths_s: Floats) -> None:
-        """Add the variance of turns that were missed between samples, and record the longest gap.
+        """Add the variance of turns that the samples miss between them, and record the longest gap.
+
+        `lengths_s` are the intervals L between samples in s, q is the variance of the rate's random walk
+        per s.
 
         Between two samples the rate is a random walk with known ends (a Brownian bridge); its integral has
         the variance q L³/12.

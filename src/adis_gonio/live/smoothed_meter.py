@@ -191,9 +191,11 @@ class Kept:
 
 @dataclass(frozen=True)
 class _Seen:
-    """A time step, with gravity in the plane turned back to the attitude after the last gap (`level`).
+    """A time step of the recording, with the direction of gravity reduced to a fixed attitude.
 
-    `segment` is the number of gaps before the step.
+    `segment` is the number of gaps before the step. `level` is gravity in the plane (x + i y), turned back
+    by the gyros to the attitude after the last gap. `turned` is the step itself, `notes` are remarks for
+    the user.
     """
 
     turned: Turned

@@ -53,6 +53,11 @@ SKEW_AXES: tuple[tuple[int, int], ...] = ((0, 1), (0, 2), (1, 2))
 
 SENSOR_SPREAD = 0.2
 """Prior standard deviation of gains, skews and misalignment (rad) over all devices sold as sensors."""
+SESSION_BIAS_MG, SESSION_ZERO_DPS = 1.7, 0.022
+"""Prior standard deviation of an accelerometer's bias and of a gyro's zero rate in one session about their
+mean over all sessions of the part. Source: the means of six runs at rest, 10 000 s each, of one ADIS16405
+(SMAC-Group/imudata, adis_16405_imu1 to imu6) scatter by 2.4, 1.2, 1.2 mg and 0.022, 0.023, 0.020 °/s; 15
+degrees of freedom, so ±18 %."""
 SEEN = 0.02
 """Least visible effect of a gain or a skew for this parameter to be fitted.
 The effect is the change of the norm of a reading, in units of gravity for a parameter value of 1: its root
@@ -430,7 +435,9 @@ class FreeAttitude(Measurement):
         return np.asarray(reading / self.gravity_mg @ np.linalg.inv(sensitivity(base)).T)
 
     def visible(self, reading: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return for each base parameter (6,) if the poses determine it, with the limit `SEEN`.
+        """Return for each base parameter (6,) True if the poses determine it.
+
+        A parameter counts as determined if its effect on the norms of the readings is at least `SEEN`.
 
         The norm of a reading changes by u_i² with a gain, u_i u_j with a skew and u_i with a bias, for the
         unit vector u of gravity.

@@ -264,7 +264,7 @@ class StageCurve:
         return hashlib.sha256(json.dumps(self.as_dict()).encode()).hexdigest()
 
     def check(self, angles_deg: Iterable[float | None]) -> None:
-        """Check that the certificate covers the declared angles of a session or a plan.
+        """Check that the certificate covers the declared angles in degrees; None is a dwell without one.
 
         Raises
         ------

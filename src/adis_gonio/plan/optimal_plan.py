@@ -113,7 +113,8 @@ class Criterion:
     Attributes
     ----------
     name : {"angle", "parameters", "tell-apart"}
-        Quantity that a plan is scored by; `MEANING` describes it.
+        Quantity that a plan is scored by: the largest u of the angle over the turn, the generalised u of
+        all parameters, or the least separation of a typical effect from all others.
     base : int
         Number of parameters of the base model.
     gradient : (m, base) float
@@ -161,7 +162,7 @@ class Criterion:
         return np.asarray(np.sqrt(np.maximum(1 / variance - self.precision[self.base :], 0.0)))
 
     def figure(self, information: Floats) -> float:
-        """Return the criterion of one plan as the quantity that `MEANING` describes, not as a score.
+        """Return the quantity by which the criterion judges a plan, in its unit, not as a score.
 
         `information` (p, p) is its information matrix, which includes the prior.
         """
@@ -387,7 +388,10 @@ def _refuse_hidden(term: NamedTerm, base: Floats, columns: Floats) -> None:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """The best plan found by a search: the index of each dwell's candidate position, and its score."""
+    """The best plan that a search found, with its score.
+
+    `choice` has for each dwell the index of its position among the candidates.
+    """
 
     choice: Choice
     score: float
@@ -492,7 +496,7 @@ class Gain(JsonRecord):
     over : str
         Name of the other plan.
     figure : float
-        Criterion of the other plan, as the quantity that `MEANING` describes.
+        Quantity by which the criterion judges the other plan, such as the u of the angle in degrees.
     criterion : float
         The other plan's `figure` divided by the figure of the best plan (for `tell-apart` the inverse);
         above 1 if the best plan is better.
@@ -520,7 +524,7 @@ class BestPlan:
     beware : tuple of str
         Effects that the session may have, which the plan shall detect or include in the fit.
     figure : float
-        The criterion of the plan, as the quantity that `MEANING` describes.
+        Quantity by which the criterion judges the plan, such as the largest u of the angle in degrees.
     separations : dict of str to float
         Typical size of each amplitude of these effects, divided by its standard uncertainty.
     gains : tuple of Gain

@@ -283,7 +283,10 @@ class Quantiles:
 
 @dataclass(frozen=True)
 class _Sizes:
-    """Numbers of samples: in a window, cut off at each end of a dwell, and in the shortest dwell."""
+    """Numbers of samples: `window` per window, `trim` cut off at each end of a dwell, `least` per dwell.
+
+    A part at rest with fewer than `least` samples is no dwell.
+    """
 
     window: int
     trim: int
@@ -550,7 +553,7 @@ class _Cutter:
         self.stuck.append((began, float(time_s[last + self._sizes.window - 1 - start])))
 
     def _look_for_steps(self, start: int, accel: Floats, still: Flags) -> None:
-        """Record rows at which the mean changes suddenly between adjacent windows."""
+        """Record the samples at which the mean changes suddenly between adjacent windows."""
         window = self._sizes.window
         if len(still) <= window or not still.any():
             return

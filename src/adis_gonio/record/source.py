@@ -405,10 +405,10 @@ class ChipSource(SampleSource):
     def settings_held(self, *, checked: bool = False) -> dict[str, int]:
         """Return the contents of registers that shift or scale a sample, and of the marked alarm level.
 
-        The contents are numbers by register name; of each register only the bits of `READING_BITS` are
-        included. If both alarms are in use, so that no level is marked, ALM_CTRL is included instead: a
-        restart ends alarms set in RAM. With `checked` raise `ChipError` if the replies cannot be the
-        sensor's.
+        The contents are numbers by register name; of each register only the bits that change a sample
+        (`READING_BITS`) are included. If both alarms are in use, so that no level is marked, ALM_CTRL is
+        included instead: a restart ends alarms set in RAM. With `checked` raise `ChipError` if the replies
+        cannot be the sensor's.
         """
         names = [*READING_BITS, self._marked[0] if self._marked else "ALM_CTRL"]
         words = self.sensor.read_checked(names) if checked else self.sensor.read_words(names)

@@ -129,7 +129,10 @@ class Operation(JsonRecord):
 
 
 def operations(entries: Iterable[Mapping[str, Any]]) -> tuple[Operation, ...]:
-    """Combine the journal's records (`Session.facts["offset_writes"]`) to operations, in order."""
+    """Combine the records of a session's write journal to operations, in order.
+
+    `entries` are the records, as `Session.facts["offset_writes"]` has them.
+    """
     found: dict[int, Operation] = {}
     for entry in entries:
         number, step = int(entry["number"]), WriteStep(entry["step"])

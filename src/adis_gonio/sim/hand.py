@@ -348,9 +348,10 @@ def _add(course: list[Floats], more: Course, size: float = 1.0) -> None:
 
 
 def _turned_back(vector: Floats, axis: Floats, angle: Floats) -> Floats:
-    """Return vectors (n, 3), given in the axes of a sensor, in its axes after turns about `axis`.
+    """Return vectors that are fixed in space in the frame of a sensor after the sensor has turned.
 
-    `angle` (n,) is the angle in rad by which the sensor was turned about `axis` (3,).
+    `vector` (n, 3) are the vectors in its frame before, `angle` (n,) is the angle in rad by which it was
+    turned about `axis` (3,). Returns (n, 3).
     """
     sine, cosine = np.sin(angle)[:, None], np.cos(angle)[:, None]
     # The sum is written out, because a matrix product may round differently for another number of rows.

@@ -45,7 +45,11 @@ FIRST_NORMAL = 0x0A
 
 @dataclass(frozen=True)
 class SerialLimits:
-    """Limits of the SPI port in one speed mode of the chip: SPI clock in Hz, times in s."""
+    """Limits of the SPI port in one speed mode of the chip: SPI clock in Hz, times in s.
+
+    `clock_low_hz` and `clock_high_hz` are the ends of the permitted clock; `stall_s` and `period_s` are the
+    shortest pause between frames and the shortest time from frame to frame.
+    """
 
     name: str
     clock_low_hz: float

@@ -79,8 +79,11 @@ def _zeros() -> Floats:
 class _Leg:
     """A move of the stage with the rest after it: in the plane by angles, in space by a turn about an axis.
 
-    In space, gravity has in the sensor the direction `along` + cos φ `base` + sin φ `side` while it turns
-    by φ.
+    Times are in s and angles in rad; `from_error_rad` and `to_error_rad` are the errors of the stage's
+    angle before and after the move, `order` is the number of the move, and `approach` the direction of its
+    end. `spatial` is true in space; while the sensor turns there by φ about `axis`, the direction of
+    gravity in its frame is `along` + cos φ `base` + sin φ `side`. `hand` and `by_hand` are movements by
+    hand; None if a motor moves the stage.
     """
 
     start_s: float

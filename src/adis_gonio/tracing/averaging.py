@@ -38,7 +38,8 @@ class RidgeSolution:
     values : (p,) float
         Fitted amplitudes: of the base and named parameters (the fixed columns), then of `terms`.
     half : (p, k) float
-        Root of the covariance of `values`, in units of the noise.
+        Root of the covariance of `values`: the covariance is the root times its transpose, times the
+        variance of the whitened noise.
     used : float
         Degrees of freedom that the fit uses.
     visible : float
@@ -53,9 +54,10 @@ class RidgeSolution:
     visible: float
 
     def columns(self, there: Fit, width: int) -> Floats:
-        """Return the whitened columns (rows, p) of base model, named terms and own terms for a fit.
+        """Return the whitened columns (rows, p) of base model, named terms and this member's terms.
 
-        The first `width` columns of the fit's Jacobian belong to base model and named terms.
+        They are for the dwells of the fit `there`; the first `width` columns of its Jacobian belong to base
+        model and named terms.
         """
         own = [there.white(there.candidate(term)) for term in self.terms]
         return np.concatenate([there.jacobian[:, :width], *own], axis=1)

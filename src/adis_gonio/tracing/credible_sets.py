@@ -3,11 +3,11 @@
 Credible sets
     Each probable model votes, weighted by its posterior, for its explanation of one cause in the chosen
     model. If it contains the cause, it votes for the cause. If not, it votes for its additional terms, to
-    the degree that they can reproduce the contribution of the cause, or for no cause. A surface that
-    replaces two names therefore counts against both. Variants of a name (axes, shapes, dwells) add up.
-    The set is the smallest one with 95 % of the votes, as in SuSiE for correlated variables (Wang,
-    Sarkar, Carbonetto and Stephens, J. R. Stat. Soc. B 82, 2020). Unnamed functions compete on equal
-    terms.
+    the degree that they can reproduce the contribution of the cause, or for no cause. A function of two
+    covariates that replaces two names therefore counts against both. The votes for all forms of a name
+    (axes, shapes, dwells) are added. The set is the smallest one with 95 % of the votes, as in SuSiE for
+    correlated variables (Wang, Sarkar, Carbonetto and Stephens, J. R. Stat. Soc. B 82, 2020). Unnamed
+    functions compete on equal terms.
 
     If a model contains a name and an unnamed function of related covariates, the name may be a piece of the
     unknown cause, so the model votes for the function. If the function is an average over processes, the
@@ -376,8 +376,8 @@ def undecided(selection: Selection, count: int = 5) -> tuple[str, ...]:
 
     Each effect is added alone and tested by an F-test at 10 %. The noise is taken from the residual, since
     the noise measured within the dwells does not explain it. If any effect passes, effects of similar
-    probability are included; the variants of a name are summed, each weighted by its share of the prior.
-    The most probable comes first. None of these names is accepted.
+    probability are included; the probabilities of all forms of a name (axes, shapes) are summed. The most
+    probable comes first. None of these names is accepted.
     """
     from scipy.special import fdtrc
 

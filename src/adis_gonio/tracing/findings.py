@@ -456,7 +456,11 @@ def _names(problem: LinearProblem, model: Sequence[int]) -> frozenset[str]:
 
 
 def _kind(terms: Sequence[Term], model: Sequence[int], name: str) -> tuple[object, ...]:
-    """Return the shape parameters and choices of an effect in a model; empty without the effect."""
+    """Return the shape parameters and choices (dwell, degree) of an effect in a model, for comparisons.
+
+    It is empty if the model lacks the effect. `terms` are all candidate terms, `model` the numbers of the
+    model's terms.
+    """
     mine = [terms[k] for k in model if terms[k].name == name]
     return tuple(
         (term.shapes, tuple(getattr(term.effect, choice) for choice in term.effect.choices()))
@@ -575,9 +579,9 @@ def detectable(
 ) -> dict[str, Detectable]:
     """Return the smallest amplitude of each effect that the search would find with 90 % probability.
 
-    `model` is the chosen model; `missing` has the reason of each effect that is not a candidate, and
-    `part` is the part of the sensor. A column c of an effect, projected off base and model, has a score z
-    ~ N(|c| a, 1) for an amplitude a. The effect is added if z² > 2 × its price, hence a = (√(2 price) +
+    `model` is the chosen model; `missing` has the reason of each effect that is not a candidate, and `part`
+    is `accelerometer` or `gyro`. A column c of an effect, projected off base and model, has a score z ~
+    N(|c| a, 1) for an amplitude a. The effect is added if z² > 2 × its price, hence a = (√(2 price) +
     1.28)/|c|. The result is the worst of several axes and the median of several shapes or dwells.
     """
     problem = found.problem

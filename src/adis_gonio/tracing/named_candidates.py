@@ -36,8 +36,8 @@ def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
     """Return the candidate terms of all named effects, and the reason for each effect without candidates.
 
     A bias of all axes has nearly the whole prior, since each axis of a real part has a bias. Each other
-    effect has a fixed share. Its variants (axes, dwell, degree, shape) divide it evenly; its numbers of
-    cycles n divide it as 1/n, so that every octave has the same probability.
+    effect has a fixed share. Its forms (combinations of axes, dwell, degree and shape) divide it evenly;
+    its numbers of cycles n divide it as 1/n, so that every octave has the same probability.
     """
     terms: list[NamedTerm] = []
     missing: dict[str, str] = {}

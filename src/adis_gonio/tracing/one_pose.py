@@ -7,12 +7,13 @@ has its own degree and time constant.
 A bias also moves without a recorded cause: it jumps, it walks at random, or its noise is 1/f. An effect is
 therefore added only if it is more probable than these (`_Noise`), and if the error in most held-out blocks
 of time does not grow. Held-out blocks are used neither for the fit nor for the choice of degree and time
-constant. Inside a fold, degrees and time constants are averaged instead of chosen: each variant predicts
-with the weight of its likelihood, and a recording has as many independent values as blocks. A choice would
-depend mostly on the last time in which the temperature was constant.
+constant. Inside a fold, degrees and time constants are averaged instead of chosen: each combination of them
+predicts the held-out blocks with a weight in proportion to its likelihood. This likelihood takes each block
+as one independent value, because neighbouring samples share slow noise. A choice of a single combination
+would depend mostly on the last time in which the temperature was constant.
 
 All candidate columns form one design, and its normal equations are summed once for each block. Leaving out
-blocks is then a subtraction, and a variant is a choice of rows and columns.
+blocks is then a subtraction, and a combination of degree and time constant is a choice of rows and columns.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ It keeps them solvable if columns are equal."""
 
 @dataclass(frozen=True)
 class _Variant:
-    """One variant of an effect: with one degree of its polynomial and one time constant.
+    """One form of an effect (not the type of sensor): a degree of its polynomial and a time constant.
 
     Attributes
     ----------
@@ -73,7 +74,7 @@ class _Variant:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """An effect of the catalogue with the variants (degrees, time constants) to try."""
+    """An effect of the catalogue with the forms (combinations of degree and time constant) to try."""
 
     effect: Effect
     variants: tuple[_Variant, ...]
@@ -81,16 +82,18 @@ class _Candidate:
 
 @dataclass(frozen=True)
 class _Problem(ComputedOnce):
-    """The regression of the samples on the columns of all variants of all effects.
+    """The regression of the samples on the columns of all forms of all effects.
+
+    A form is a combination of degree and time constant.
 
     Attributes
     ----------
     readings : (n, axes) float
         Samples in mg, minus their mean.
     design : (n, P) float
-        Columns of all variants, a constant first; each is divided by its largest modulus `size`.
+        Columns of all forms, a constant first; each is divided by its largest absolute value `size`.
     size : (P,) float
-        Largest modulus of each column before the division.
+        Largest absolute value of each column before the division.
     gram : (BLOCKS, P, P) float
         Products of the columns with each other, summed over each block of time.
     cross : (BLOCKS, P, axes) float
@@ -126,7 +129,7 @@ class _Noise:
     readings : (R, n, axes) float
         Whitened averages of the readings, with their mean removed, as from all columns.
     design : (R, n, P) float
-        Whitened averages of the columns of all variants.
+        Whitened averages of the columns of all forms.
     steps : (R, n, n − 1) float
         Whitened steps of unit size between neighbouring averages.
     scale : (R,) float
@@ -272,9 +275,9 @@ def _problem(readings: Floats, conditions: Conditions) -> tuple[_Problem, tuple[
     candidates: list[_Candidate] = []
 
     def take(name: str, variants: Sequence[tuple[Floats, float | None]]) -> None:
-        """Add an effect to the candidates, and the columns of its variants to the design.
+        """Add an effect to the candidates, and the columns of its forms to the design.
 
-        `variants` are columns (n, d) with a time constant in s, None without one.
+        `variants` are the forms: columns (n, d) with a time constant in s, None without one.
         """
         made = effect(name, letters)
         kept = []
@@ -324,7 +327,10 @@ def _problem(readings: Floats, conditions: Conditions) -> tuple[_Problem, tuple[
 
 
 def _course(name: str, tau_s: float, conditions: Conditions) -> Floats:
-    """Return the course (n,) of an effect: its value for unit amplitude and this time constant."""
+    """Return the course (n,) of an effect: its contribution at each sample for unit amplitude.
+
+    `tau_s` is the time constant in s.
+    """
     made = effect(name, ("x",))
     ones = np.ones((len(conditions), 1))
     course: Floats = made.derivative(np.array([0.0, tau_s]), ones, conditions)[:, 0, 0]
@@ -360,7 +366,7 @@ def _labels(made: Effect, count: int) -> tuple[tuple[str, ...], tuple[str, ...]]
 
 
 def _choices(model: Model) -> list[tuple[int, ...]]:
-    """Return all combinations of one variant for each effect of a model, as numbers of variants."""
+    """Return all combinations of one form (degree, time constant) for each effect of a model, by number."""
     lists = []
     several = sum(len(candidate.variants) > len(DEGREES) for candidate in model) > 1
     for candidate in model:
@@ -394,12 +400,12 @@ def _solve_with_ridge(gram: Floats, cross: Floats) -> Floats:
 
 
 def _fits(problem: _Problem, model: Model) -> tuple[list[tuple[int, ...]], Floats, Floats, Floats]:
-    """Fit each combination of variants to all time blocks but one, leaving out each block in turn.
+    """Fit each combination of forms to all time blocks but one, leaving out each block in turn.
 
     Returns
     -------
     choices : list of tuple of int
-        Combinations: for each effect of the model the number of its variant.
+        Combinations: for each effect of the model the number of its form (degree and time constant).
     coefficients : (choices, BLOCKS, P, axes) float
         Coefficients of all columns without each block, zero for unused columns.
     inside : (choices, BLOCKS, axes) float
@@ -462,7 +468,7 @@ def _held_out(problem: _Problem, model: Model) -> Floats:
 
 
 def _best_variants(problem: _Problem, model: Model) -> list[tuple[int, ...]]:
-    """Return for each axis the most likely combination of the variants of the model's effects."""
+    """Return for each axis the most likely forms (degree, time constant) of the model's effects."""
     choices, _, inside, _ = _fits(problem, model)
     return [choices[k] for k in inside.sum(axis=1).argmin(axis=0)]
 
@@ -513,10 +519,10 @@ def _log_evidence(problem: _Problem, model: Model) -> Floats:
     """Return the log evidence of a model by kind of noise, without and with a jump, (kinds, 2, axes).
 
     The kinds of noise have equal prior probability, and a jump has the probability of a candidate. The size
-    of the noise, the place of the jump and the variants of the model's effects are averaged. The prior of p
-    amplitudes is g times their covariance, with g the number n of averages (Zellner's prior; Liang et al.,
-    J. Am. Stat. Assoc. 103, 2008): with a share R² explained, they multiply the evidence by
-    (1 + g)^((n − 1 − p)/2) (1 + g (1 − R²))^(−(n − 1)/2).
+    of the noise, the time of the jump and the forms (degree, time constant) of the model's effects are
+    averaged. The prior of p amplitudes is g times their covariance, with g the number n of averages
+    (Zellner's prior; Liang et al., J. Am. Stat. Assoc. 103, 2008): with a share R² explained, they multiply
+    the evidence by (1 + g)^((n − 1 − p)/2) (1 + g (1 − R²))^(−(n − 1)/2).
     """
     choices = _choices(model)
     out = np.empty((len(problem.noises), 2, problem.readings.shape[1]))

@@ -75,7 +75,7 @@ def unknown_features(fit: Fit) -> Floats:
 
 
 def likeliest_size(problem: LinearProblem, model: Model, features: Floats) -> float:
-    """Return the size of the unknown cause with the greatest restricted likelihood, from `SIZES`.
+    """Return the size of the unknown cause with the greatest restricted likelihood, of the sizes to try.
 
     The size is a standard deviation in standard uncertainties of a reading, in addition to a model. The
     unknown cause has the unit covariance F Fᵀ of `features` F.

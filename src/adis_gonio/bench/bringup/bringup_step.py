@@ -343,7 +343,7 @@ class Bringup:
     rows : tuple of Row
         One row for each step, in order.
     answers : mapping of str to Answer
-        One answer for each of `QUESTIONS`, by name.
+        One answer for each open question about the sensor (`QUESTIONS`), by name.
     undone : str
         Sentence on the restored registers.
     undone_ok : bool

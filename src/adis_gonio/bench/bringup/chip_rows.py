@@ -484,7 +484,7 @@ def _filter_gain(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
 
 
 def _noise(columns: slice) -> Observer:
-    """Return a function that yields the logarithm of the noise before the filter, relative to the table.
+    """Return a function that yields the log of the noise before the filter, divided by the table's value.
 
     The function takes a recorded chip and its variant. The gain of the filter is the measured gain of the
     accelerometers, so that M = 0 must be recorded too. `columns` chooses accelerometers or gyros.

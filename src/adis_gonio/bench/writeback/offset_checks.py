@@ -369,7 +369,7 @@ class _FittedSensor:
         return ideal
 
     def _fixture_u(self, angle_rad: float) -> Floats:
-        """Return the part of the declared angle in the standard uncertainty of the readings (2,), in mg."""
+        """Return the standard uncertainty (2,) in mg of predicted readings by the declared angle."""
         more = SET_ANEW_U_DEG if self.session.fixture_sigma_deg is None else 0.0
         sigma = math.radians(math.hypot(self.result.fixture_sigma_deg or 0.0, more))
         tangent = self.model.tangent(self._base(self.values), np.zeros(1), np.array([-angle_rad]))
@@ -529,7 +529,7 @@ class Accelerometers:
     session : Session
         The session.
     method : str or None
-        Method of its fit; None for the best method for the session.
+        Method by which the session is fitted; None for the method that suits the session best.
     angle_deg : float or None
         Declared angle of the sensor now; None if it is not known.
     """

@@ -580,7 +580,10 @@ class OffsetWriter:
         return all(now[name] == number for name, number in numbers.items())
 
     def _require_explained(self, now: dict[str, int]) -> None:
-        """Raise `SessionError` if a register has a number that session and journal do not explain."""
+        """Raise `SessionError` if a register has a number that session and journal do not explain.
+
+        `now` are the present numbers of the registers by name.
+        """
         recorded, known = recorded_offsets(self.session, self._part.registers), self.known
         standing = held_offsets(known, now, 0)
         written = set(known[-1].new) if known and standing.registers in ("old", "new", "half") else set()

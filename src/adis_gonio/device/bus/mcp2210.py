@@ -223,7 +223,12 @@ def is_mark(answer: bytes, number: int) -> bool:
 
 
 class ChipSettings(NamedTuple):
-    """Settings of the nine pins in RAM (commands 0x20, 0x21): functions, levels, directions, flags."""
+    """Settings of the nine pins in RAM (commands 0x20, 0x21).
+
+    `designations` has a byte for each pin: GPIO, chip select or dedicated function. `outputs` and
+    `directions` have a bit for each pin: its level as an output, and 1 if it is an input. `flags` is the
+    last byte of the command.
+    """
 
     designations: bytes
     outputs: int

@@ -93,7 +93,7 @@ class Register:
     address : int
         Byte address of the low byte; the high byte is at `address + 1`.
     bits : int
-        Width of the number, right-justified in the 16-bit word.
+        Width of the number in bits; it is right-justified in the 16-bit word.
     signed : bool
         True if the number is in two's complement.
     flags : bool
@@ -292,7 +292,7 @@ They are bit masks by register name; -1 is all bits.
 
 
 def changed_settings(then: Mapping[str, int], now: Mapping[str, int]) -> dict[str, tuple[int, int]]:
-    """Return the registers of `READING_BITS` whose contents differ between two times.
+    """Return the registers that shift or scale a reading and whose contents differ between two times.
 
     `then` and `now` are the contents by register name; each result is the pair of old and new bits. A
     register that is missing on one side is not compared.
@@ -480,7 +480,10 @@ class Performance:
 
 @dataclass(frozen=True)
 class Variant:
-    """A sensor type of the family, with its scales, their source and confidence, and its typical errors."""
+    """A sensor type of the family: scale and range of its accelerometers, and its typical errors.
+
+    `source` and `confidence` are the origin of the scale and the trust in it (A to D).
+    """
 
     name: str
     accel_mg_per_lsb: float

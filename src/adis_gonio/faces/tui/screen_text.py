@@ -260,7 +260,7 @@ def _bar(share: float, width: int) -> str:
 
 
 def facts(state: BenchState) -> list[tuple[str, str]]:
-    """Return the rows of name and value that are shown below the angle: last turn, and result or face."""
+    """Return the rows (name, value) that the screen shows below the angle."""
     if not state.on_table:
         return [("last turn", words.turn_text(state.turn)), ("result", _running(state.running))]
     faces = []

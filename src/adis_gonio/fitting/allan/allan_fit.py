@@ -332,7 +332,10 @@ def _rounding(flat: Sequence[Floats], step: float, m: int) -> tuple[Floats, bool
 
 
 def _highest(m: int) -> float:
-    """Return the highest frequency, in cycles per sample, at which the filter passes enough power."""
+    """Return the highest frequency to fit, in cycles per sample, for the filter of size `m`.
+
+    Above it the filter passes too little power.
+    """
     if m == 0:
         return 0.5
     grid = np.linspace(0.0, 0.5**m, 2049)
@@ -461,7 +464,7 @@ def _quiet(parts: Sequence[Ordinates], highest: float) -> list[int]:
 
 
 def _drawn(fitted: _Fitted, profiles: dict[Kind, Profile]) -> Floats:
-    """Return the squared coefficients (4,) for the predicted Allan curve.
+    """Return the squared coefficients (4,) of the four noise processes for the predicted Allan curve.
 
     They are zero for processes that may be absent. If the data show slow noise but cannot tell flicker
     noise from random walk, both keep their coefficients.

@@ -64,7 +64,9 @@ _TABLE = 256
 
 
 def variances(filter_m: int, n: int, k: Floats, period_s: float) -> Floats:
-    """Return the variances (len(k), 4) of DCT-II coefficients, for each noise process in `KINDS`.
+    """Return the variances (len(k), 4) of DCT-II coefficients, for each of the four noise processes.
+
+    The processes are quantization, white noise, flicker noise and random walk.
 
     They are the coefficients with indices `k` of `n` samples behind the filter M = `filter_m`, `period_s`
     apart. Each column is for a process with a squared coefficient of 1.

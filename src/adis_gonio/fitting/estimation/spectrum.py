@@ -124,9 +124,10 @@ class _Ordinates:
 class _Foot:
     """Fitted shape of the noise density near frequency zero, relative to its mean over a band.
 
-    `band` is the end of the band in cycles per sample, `log_zero` the logarithm of the density at zero with
-    its variance, `coefficients` the polynomial. `beside_flicker` is True if 1/f noise was fitted in
-    addition.
+    `band` is the end of the band in cycles per sample. `log_zero` is the natural logarithm of the density
+    at frequency zero and `log_zero_variance` its variance. `coefficients` are those of the polynomial that
+    was fitted to the logarithm of the density, `total_weight` is the sum of the weights in this fit.
+    `beside_flicker` is True if 1/f noise was fitted in addition.
     """
 
     band: float
@@ -487,7 +488,7 @@ def _cells(groups: list[_Ordinates], band: float) -> tuple[Floats, Floats, Float
 
 
 def _homogeneous(level: Floats, weight: Floats) -> bool:
-    """Return True if all dwells may have one noise density, by Bartlett's test for each axis at 0.1 %.
+    """Return True if all dwells may have the same noise density, by Bartlett's test for each axis at 0.1 %.
 
     `level` (d, axes, axes) are the densities of the dwells, `weight` (d,) the numbers of their ordinates.
     """

@@ -43,7 +43,6 @@ from adis_gonio.record.write_journal import INTERRUPTED
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate.calibration import Calibration
-    from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 
 METHOD = "gyro"
 CALIBRATED = ("g_sensitivity", "gyro_scale", "gyro_misalignment")

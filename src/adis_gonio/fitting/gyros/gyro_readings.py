@@ -48,7 +48,7 @@ fitted: below it the effect cannot be separated from the zero rate."""
 
 @dataclass(frozen=True)
 class _Interval:
-    """One row of `RateIntervals`; each field is named like the column that it goes to."""
+    """One row of `RateIntervals`, for a dwell or a turn; its fields are the columns of the table."""
 
     mean_dps: Floats
     covariance_dps2: Floats
@@ -511,9 +511,11 @@ def readings_of_intervals(
 ) -> Readings:
     """Convert intervals of rates to readings, the input of `fit` and `trace`.
 
-    `sensor` is the name of the variant, `gravity_mg` local gravity. The covariance of a reading is the
-    covariance of the interval, plus the covariance of the true rotation, plus its independent part of the
-    1/f noise. `Readings.slow` has the modes that intervals share.
+    `sensor` is the name of the variant, `gravity_mg` local gravity. The covariance of a reading is the sum
+    of the covariance of the mean rate, the covariance of the true rotation, and the part of the 1/f noise
+    that is independent from interval to interval. The part that neighbouring intervals share is in
+    `Readings.slow` (n, 3, k): the change of each reading by one standard deviation of each of k independent
+    errors.
     """
     n = len(intervals)
     own, slow = intervals.drift()

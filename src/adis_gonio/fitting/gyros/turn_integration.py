@@ -368,11 +368,12 @@ def smooth_blocks(rate: Floats, window: int) -> Floats:
 
 
 def _bridges(time: Floats, rate: Floats, sampling: Sampling) -> tuple[Floats, int] | None:
-    """Return the covariance that gaps in the samples add to the integrated angle, and the lost samples.
+    """Return the covariance that gaps in the samples add to the integrated angle, and the number lost.
 
     The rate is interpolated linearly over a gap. The covariance (3, 3) in deg² comes from the error that
     such an interpolation makes in complete samples near the gap. The second result is the number of lost
-    samples. None if there are too few complete samples.
+    samples. None if too few samples without a gap are near. `time` (n,) and `rate` (n, 3) are times in s
+    and rates in °/s.
     """
     period = sampling.period_s
     lost = np.rint(np.diff(time) / period).astype(int) - 1
@@ -602,7 +603,7 @@ def reference_on_stage(integral: Integral, psi_deg: tuple[float, float], u_deg: 
 
 
 def reference_in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad: float) -> Reference | str:
-    """Return the true rotation about the gyros' axis, by gravity, or why it is unknown.
+    """Return the true rotation by gravity about the axis that the gyros show, or why it is unknown.
 
     Parameters
     ----------
@@ -810,9 +811,10 @@ class Axes:
         return _direction(self.values, force_g)
 
     def modes(self, force_g: Floats) -> Floats:
-        """Return the change (3, k) of the unit vector that a reading shows, by each column of `factor`.
+        """Return the change (3, k) of the direction of gravity by each independent error of the axes.
 
-        The reading (3,) is in g.
+        The direction is the unit vector that the reading `force_g` (3,) in g shows; the change is for one
+        standard uncertainty of each of the k errors.
         """
 
         def unit(values: Floats) -> Floats:

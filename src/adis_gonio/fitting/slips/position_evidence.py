@@ -332,10 +332,12 @@ def _of_name(pattern: Pattern, name: Name, moments: Floats) -> Floats:
 
 
 def _pushes(vv: Floats, vz: Floats, ww: Floats, wz: Floats, vw: Floats) -> Floats:
-    """Return the gain in log likelihood if two amplitudes are free, averaged over several prior sizes.
+    """Return the gain in log likelihood if the amplitudes of two faults are free instead of zero.
 
-    The arguments are scalar products of the whitened directions v and w of the amplitudes and the residual
-    z.
+    It is averaged over several prior standard deviations of the amplitudes.
+
+    The arguments are scalar products: `vw` is v · w, and so on, with the change v and w of the whitened
+    readings by each amplitude, and the whitened residual z.
     """
     inverse = (1000.0 / np.array(PUSH_MG)[:, None]) ** 2
     # Two by two normal equations for each prior size, solved by hand.

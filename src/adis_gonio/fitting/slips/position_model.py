@@ -320,8 +320,10 @@ def common_zero(angle_rad: Floats) -> float:
 class _Local:
     """Model of the readings, linearised at each reading.
 
-    `psi_rad` is the angle of gravity by each reading; `along` and `across` convert changes of a reading to
-    changes of the angle and of the length. `left_mg` is reading minus model.
+    `psi_rad` (n,) is the angle of gravity that each reading shows; `along` and `across` (n, 2) convert a
+    change of the reading in mg to a change of this angle in rad and of the reading's length in units of
+    gravity. `left_mg` is the reading minus the model, `ideal_mg` the model without biases, and `base` are
+    the base parameters of the calibration.
     """
 
     psi_rad: Floats

@@ -553,8 +553,9 @@ class LinearAxisEffect(LinearEffect):
 class CrossEffect(LinearEffect):
     """Base class of effects that add Σ_p value_ip · basis(a_i, a_p, conditions) to the reading of axis i.
 
-    p are the other axes. In the plane (`axes` without z) each of x and y has the other as its partner;
-    with z each axis has two partners. Names of parameters end in both letters, `name_ip`.
+    p are the other axes and a the ideal readings. In the plane (`axes` without z) each of x and y has the
+    other as its partner; with z each axis has two partners. Names of parameters end in both letters,
+    `name_ip`.
     """
 
     coefficient: ClassVar[Parameter]
@@ -586,7 +587,11 @@ class CrossEffect(LinearEffect):
 
 @dataclass(frozen=True)
 class CourseEffect(AxisEffect):
-    """Base class of effects that add value_i · course(shape) to axis i: amplitudes and one shape."""
+    """Base class of effects that add value_i · course(shape) to the reading of axis i.
+
+    There is one amplitude per axis, and one shape parameter (such as a time constant) for all axes. A
+    course is a function of time or another condition, (n,) for n dwells.
+    """
 
     amplitude: ClassVar[Parameter]
     shape: ClassVar[Parameter]

@@ -104,7 +104,7 @@ class Misalignment(CrossEffect):
     coefficient = Parameter("misalignment", "deg", -5.0, 5.0, 0.25)
 
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
-        """Return the ideal reading (n,) of the axis across, times π/180, for a coefficient in degrees."""
+        """Return the ideal reading (n,) of the other axis, times π/180, for a coefficient in degrees."""
         return np.deg2rad(across_mg)
 
 
@@ -130,7 +130,7 @@ class CrossAxis(CrossEffect):
     coefficient = Parameter("kip", "mg/g²", -100.0, 100.0, 1.0)
 
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
-        """Return the product (n,) of the ideal readings of the axis and of the axis across it, in g²."""
+        """Return the product (n,) of the ideal readings of the affected and the other axis, in g²."""
         return own_mg * across_mg / MG_PER_G**2
 
 
@@ -217,7 +217,7 @@ class CrossQuadratic(CrossEffect):
     coefficient = Parameter("kpp", "mg/g²", -100.0, 100.0, 1.0)
 
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
-        """Return the square (n,) of the ideal reading of the axis across, in g²."""
+        """Return the square (n,) of the ideal reading of the other axis, in g²."""
         return (across_mg / MG_PER_G) ** 2
 
 
@@ -337,7 +337,7 @@ class MisalignmentTemperature(CrossEffect):
     coefficient = Parameter("misalignment_tempco", "deg/°C", -0.1, 0.1, 0.002)
 
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
-        """Return the ideal reading of the axis across times (T − 25 °C), (n,), for °/°C."""
+        """Return the ideal reading of the other axis times (T − 25 °C), (n,), for a coefficient in °/°C."""
         return np.deg2rad(across_mg * (conditions.covariate("temperature_c") - REFERENCE_C))
 
 

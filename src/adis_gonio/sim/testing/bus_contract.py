@@ -39,7 +39,10 @@ SLACK_S = 2e-9
 
 @dataclass(frozen=True)
 class WireFrame:
-    """A frame as recorded at the chip's pins: word, start, SPI clock, reply, hold time of chip select."""
+    """A frame as recorded at the chip's pins: word, start, SPI clock, reply, hold time of chip select.
+
+    The hold time is from the last clock to the rise of chip select.
+    """
 
     word: int
     start_s: float

@@ -31,7 +31,8 @@ from adis_gonio.device.bus.forwarding import ForwardingBus
 class Faults:
     """Probabilities of the faults of a serial line or device, and the random draws from them.
 
-    The module's text explains each kind. `delay_s` is the mean delay and `hang_s` the length of a hang.
+    The module's text explains each kind; its field is the probability of the fault at one occasion. `seed`
+    starts the random draws, `delay_s` is the mean delay and `hang_s` the length of a hang.
 
     `seen` counts the faults that happened, by kind.
     """

@@ -345,7 +345,8 @@ class SimulatedFirmware:
 class _Stream:
     """A running stream of scans; `scan` makes a scan when the firmware has passed its trigger.
 
-    The fields have the content of the stream request; `begun_s` is the time of its start in s.
+    The fields have the content of the request that started the stream; `begun_s` is the time of its start
+    in s.
     """
 
     firmware: SimulatedFirmware

@@ -364,7 +364,7 @@ def _finding(
 
 
 def _view(samples: Samples, k: int, axis: int, model: Floats, kind: _Form) -> View:
-    """Return the figure of an event: averaged samples of the dwell, and the fitted form."""
+    """Return the figure of an event in dwell `k`: averaged samples, and the fitted form `model` (n,)."""
     rows = samples.values[k][:, axis] - samples.values[k][:, axis].mean()
     time = samples.elapsed_s(k)
     x, y, shown = neighbour_means(_POINTS, time, rows, model)

@@ -489,7 +489,7 @@ def _gain(own: Floats, with_peak: Floats, without: Floats, peak: NDArray[np.bool
 
 
 def _flanks(pooled: Floats, each: float) -> Floats:
-    """Return at each frequency the larger of the mean densities below and above it, (k, axes).
+    """Return at each frequency the larger of the mean noise densities below and above it, (k, axes).
 
     The width of a line around the frequency is left out; `each` is the number of frequencies per ordinate.
     """
@@ -571,7 +571,10 @@ def _shape(pooled: Floats, frequency: Floats, responses: Sequence[Floats]) -> Fl
     falls = {knee: _falling(frequency, knee) for knee in _KNEES}
 
     def deviance(own: Floats) -> Floats:
-        """Return −2 log likelihood of models (…, cells) with fitted scale, except for a constant."""
+        """Return −2 log likelihood of the density in each cell under models `own`, up to a constant.
+
+        `own` (…, cells) are densities; the scale of each model is fitted.
+        """
         return np.asarray(np.log(own) @ weight + weight.sum() * np.log((seen / own) @ weight))
 
     best, chosen, start = np.inf, np.ones_like(pooled), (0.0, 0.0, 0.0)

@@ -93,7 +93,9 @@ class Levels:
 def step_of(course: Floats, weight: Floats, cut: int) -> tuple[float, float]:
     """Return the change of a series (d,) at index `cut`, and its standard uncertainty.
 
-    The change is the mean after minus the mean before; `weight` (d,) are the weights of the values.
+    The change is the weighted mean from index `cut` on minus the weighted mean before it. `weight` (d,) are
+    relative weights, in proportion to 1/variance (such as degrees of freedom); the uncertainty follows from
+    the scatter of the values about the two means.
     """
     parts = [(course[own], weight[own]) for own in (slice(cut), slice(cut, None))]
     means = [float(np.average(x, weights=w)) for x, w in parts]

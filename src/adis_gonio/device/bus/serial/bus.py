@@ -371,7 +371,7 @@ class ClockMap:
         return at_host_s + rate * (np.linspace(first_s, end_s, count) - at_s)
 
     def _unwrap(self, us: int) -> float:
-        """Convert a 32-bit microsecond time of the board to seconds since the first reply.
+        """Convert the 32-bit time `us` of the board in µs to seconds since the first reply.
 
         The time must be less than half a wrap from the previous time.
         """

@@ -36,7 +36,10 @@ class Packet:
 
 @dataclass
 class ReceiverCounts:
-    """Number of valid packets, and numbers of discarded packets by reason."""
+    """Number of valid packets, and numbers of discarded packets by reason.
+
+    The reasons are a wrong checksum (CRC), a broken frame (COBS), a wrong length, and an unknown type.
+    """
 
     packets: int = 0
     crc_errors: int = 0
