@@ -557,7 +557,7 @@ class JointMeasurement(Measurement):
         Part and stage of each session.
     session : (n,) int
         Number of the session of each dwell.
-    index : (S, p) int
+    numbers : (S, p) int
         Number of each parameter of a session among all parameters.
     """
 
@@ -567,7 +567,8 @@ class JointMeasurement(Measurement):
         self.models, self._origins, self.session = tuple(models), tuple(origins), session
         several = len({origin.part for origin in origins}) > 1
         places: dict[str, int] = {}
-        found, index = [], []
+        found: list[BaseParameter] = []
+        index: list[list[int]] = []
         for model, origin in zip(models, origins, strict=True):
             index.append([])
             for one in model.parameters:
@@ -577,7 +578,7 @@ class JointMeasurement(Measurement):
                     places[name] = len(places)
                     found.append(replace(one, name=name))
                 index[-1].append(places[name])
-        self.parameters, self.index = tuple(found), np.array(index)  # type: ignore[misc]
+        self.parameters, self.numbers = tuple(found), np.array(index)  # type: ignore[misc]
         first = models[0]
         self.axes, self.freedom, self.part = first.axes, first.freedom, first.part  # type: ignore[misc]
         self.unit, self.full = first.unit, first.full  # type: ignore[misc]
@@ -591,7 +592,7 @@ class JointMeasurement(Measurement):
     @property
     def sessions(self) -> list[tuple[Measurement, NDArray[np.intp]]]:
         """Measurement of each session, and the numbers of its parameters among all base parameters."""
-        return list(zip(self.models, self.index, strict=True))
+        return list(zip(self.models, self.numbers, strict=True))
 
     @property
     def planar(self) -> bool:
@@ -606,7 +607,7 @@ class JointMeasurement(Measurement):
     @cached_property
     def _each(self) -> list[tuple[Measurement, NDArray[np.intp], NDArray[np.intp]]]:
         """Model, numbers of its dwells and numbers (p,) of its parameters, for each session with dwells."""
-        each = [(m, np.flatnonzero(self.session == k), self.index[k]) for k, m in enumerate(self.models)]
+        each = [(m, np.flatnonzero(self.session == k), self.numbers[k]) for k, m in enumerate(self.models)]
         return [one for one in each if len(one[1])]
 
     @cached_property
@@ -616,18 +617,24 @@ class JointMeasurement(Measurement):
         A plane needs one group: its numbers of parameters (p, n) differ by dwell. In space a group has
         sessions with equal parameters.
         """
-        models = list(dict.fromkeys(self.models))
-        kind = np.array([models.index(model) for model in self.models])
-        if self.planar:
-            keys = kind
-        else:
-            keys = np.unique(np.column_stack([kind, self.index]), axis=0, return_inverse=True)[1].ravel()
+        kinds = [
+            (model, () if self.planar else tuple(own))
+            for model, own in zip(self.models, self.numbers.tolist(), strict=True)
+        ]
+        different = list(dict.fromkeys(kinds))
+        keys = np.array([different.index(kind) for kind in kinds])
         found = []
-        for key in np.unique(keys):
+        for key in range(len(different)):
             rows = np.flatnonzero(keys[self.session] == key)
             k = int(np.flatnonzero(keys == key)[0])
             if len(rows):
-                found.append((self.models[k], rows, self.index[self.session[rows]].T if self.planar else self.index[k]))
+                found.append(
+                    (
+                        self.models[k],
+                        rows,
+                        self.numbers[self.session[rows]].T if self.planar else self.numbers[k],
+                    )
+                )
         return found
 
     def rows(self, index: NDArray[np.bool_] | NDArray[np.intp]) -> JointMeasurement:
@@ -636,7 +643,9 @@ class JointMeasurement(Measurement):
 
     def start_rad(self, base: Floats) -> float | Floats:
         """Return the start angle α (n,) in rad of each dwell's session."""
-        each = [float(model.start_rad(base[own])) for model, own in zip(self.models, self.index, strict=True)]
+        each = [
+            float(model.start_rad(base[own])) for model, own in zip(self.models, self.numbers, strict=True)
+        ]
         return np.array(each)[self.session]
 
     def stimulus(self, ideal: Floats, conditions: Conditions) -> Floats:

@@ -222,7 +222,9 @@ def base_of(selection: Selection) -> dict[str, Value]:
     for where, own in data.model.sessions:
         # Parameters of one session; those of its part may be in `out` already.
         names = [data.model.parameters[k] for k in own]
-        hidden = {q.name.split("@")[0] for q, seen in zip(names, data.visible[own], strict=True) if not seen}
+        hidden = {
+            q.name.split("@")[0] for q, seen in zip(names, data.visible[own], strict=True) if not seen
+        }
         owner = {q.name.split("@")[0]: q.name for q in names}
         here = replace(data, measurement=where)
         for output in outputs_of(here, np.concatenate([base[own], np.zeros(data.axes)])):

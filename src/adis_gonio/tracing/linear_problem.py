@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.estimation.fit import Fit, amplitude_spreads
-from adis_gonio.fitting.estimation.terms import ROUNDING, NamedTerm, Term
+from adis_gonio.fitting.estimation.terms import ROUNDING, Term
 from adis_gonio.tracing.thresholds import limits
 
 _RANK = 1e-7
@@ -57,6 +57,8 @@ class LinearProblem:
         Gram matrix of each block's prior rows, in units of the noise.
     inflation : float
         Factor on the noise variance contained in `prior`.
+    joint : bool
+        True for readings of several sessions, of which only a search of limited size scores pairs of names.
     """
 
     terms: tuple[Term, ...]
@@ -71,6 +73,7 @@ class LinearProblem:
     column_price: Floats
     prior: tuple[Floats, ...]
     inflation: float = 1.0
+    joint: bool = False
 
     @property
     def chi2(self) -> float:
@@ -345,10 +348,13 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
     first = (np.cumsum(width) - width).astype(np.intp)
     seen = set(chosen)
     prices = _column_prices(together, first)
-    for k, term in enumerate(terms[j] for j in chosen):
-        if isinstance(term, NamedTerm) and term.spread is not None:
+    for k, own in enumerate(prior):
+        term = terms[chosen[k]]
+        if term.constant and term.cost <= 0:
+            prices[k] = 0.0  # it is in every model
+        elif term.prior_sd is not None:
             # A stated prior of the amplitudes: ½ ln |1 + Σ Xᵀ X|, with the columns X of the readings.
-            prices[k] = 0.5 * (np.linalg.slogdet(np.eye(len(prior[k])) + prior[k])[1] - np.linalg.slogdet(prior[k])[1])
+            prices[k] = 0.5 * np.linalg.slogdet(np.eye(len(own)) + np.linalg.inv(own))[1]
     free = LinearProblem(
         terms=tuple(terms[k] for k in chosen),
         columns=together,
@@ -361,6 +367,7 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
         cost=np.array([terms[k].cost for k in chosen]),
         column_price=prices,
         prior=tuple(np.zeros((size, size)) for size in width.tolist()),
+        joint=bool(fit.data.model.origins),
     )
     return free._with_prior(prior, 1.0)
 

@@ -16,6 +16,7 @@ from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.model.effects import AXES, Effect, Enters, catalogue
 from adis_gonio.model.effects.base import Parameter
 from adis_gonio.model.effects.stage_terms import LEAST_CYCLES, of_one_phase
+from adis_gonio.model.measurement import SESSION_BIAS_MG
 from adis_gonio.tracing.sharing import sharings, split_effect
 from adis_gonio.tracing.thresholds import limits
 
@@ -78,11 +79,10 @@ def _shared(term: NamedTerm, data: Readings) -> list[NamedTerm]:
     """
     kind, found = type(term.effect), [term]
     driven = "time" in kind.covariates or any(need.endswith("_history") for need in kind.needs)
-    weights = [1.0]
-    constant = kind.prior == "constant"
-    if term.dwell is not None or (kind.in_base and not constant):
+    constant, weights, groups = kind.prior == "constant", [1.0], sharings(data.model.origins)
+    if not groups or term.dwell is not None or (kind.in_base and not constant):
         return found
-    for sharing in sharings(data.model.origins):
+    for sharing in groups:
         effect = split_effect(term.effect, sharing)
         later = len(effect.parameters) - len(term.effect.parameters)
         split = replace(
@@ -92,17 +92,17 @@ def _shared(term: NamedTerm, data: Readings) -> list[NamedTerm]:
             shapes=tuple((k + later, value) for k, value in term.shapes),
         )
         if constant and sharing.by == "session":
-            u = float(np.sqrt(np.median(data.variance_of_mean)))
-            sizes = u * 4.0 ** np.arange(limits.zero_scatters)
+            sizes = SESSION_BIAS_MG * 3.0 ** np.arange(-4, 2)
             found += [replace(split, label=f"{split.label}<{s:.2g}>", spread=float(s)) for s in sizes]
         else:
             found.append(split)
         own = sharing.by != "session" or constant or driven
         weights += [1.0 if own else limits.own_weight] * (len(found) - len(weights))
-    return [
-        replace(one, cost=term.cost - math.log(weight / sum(weights)))
-        for one, weight in zip(found, weights, strict=True)
-    ]
+    costs = [term.cost - math.log(weight / sum(weights)) for weight in weights]
+    if constant and len(term.effect.axes) == data.axes:
+        # Every part has a bias: it is in every model, and costs nothing.
+        costs[next((k for k, one in enumerate(found) if one.label.endswith("@part")), 0)] = 0.0
+    return [replace(one, cost=cost) for one, cost in zip(found, costs, strict=True)]
 
 
 def _variants(kind: type[Effect], data: Readings) -> Iterator[tuple[Effect, tuple[tuple[int, float], ...]]]:

@@ -73,7 +73,7 @@ class SplitEffect(Effect):
         return np.array([one.shape for one in self.whole.parameters])
 
     @cached_property
-    def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
+    def parameters(self) -> tuple[Parameter, ...]:
         """Amplitudes of each group, named `drift_z@group`, then the shape parameters."""
         inner = self.whole.parameters
         own = [
@@ -84,7 +84,9 @@ class SplitEffect(Effect):
         ]
         return (*own, *(one for one in inner if one.shape))
 
-    def _groups(self, values: Floats, conditions: Conditions) -> list[tuple[NDArray[np.bool_], Floats, slice]]:
+    def _groups(
+        self, values: Floats, conditions: Conditions
+    ) -> list[tuple[NDArray[np.bool_], Floats, slice]]:
         """Return for each group the mask (n,) of its rows, its values, and the slice of its amplitudes."""
         group = np.array(self.sharing.group)[conditions.covariate("session").astype(np.intp)]
         width = int((~self._shapes).sum())
@@ -92,7 +94,10 @@ class SplitEffect(Effect):
         for k in range(len(self.sharing.labels)):
             place = slice(k * width, (k + 1) * width)
             own = np.empty(len(self._shapes))
-            own[~self._shapes], own[self._shapes] = values[place], values[len(self.sharing.labels) * width :]
+            own[~self._shapes], own[self._shapes] = (
+                values[place],
+                values[len(self.sharing.labels) * width :],
+            )
             found.append((group == k, own, place))
         return found
 
@@ -129,7 +134,9 @@ class SplitEffect(Effect):
 
 @cache
 def _split_kind(kind: type[Effect], sharing: Sharing) -> type[Effect]:
-    made: Any = type(f"{kind.__name__}By{sharing.by}", (SplitEffect, kind), {"kind": kind, "sharing": sharing})
+    made: Any = type(
+        f"{kind.__name__}By{sharing.by}", (SplitEffect, kind), {"kind": kind, "sharing": sharing}
+    )
     return made  # type: ignore[no-any-return]
 
 

@@ -42,7 +42,9 @@ def stack(each: Sequence[Readings], origins: Sequence[Origin]) -> Readings:
     if len(each) == 1:
         return first
     by_row = ["mean", "own_covariance", "dof", "known", "angle_rad", "check", "position", "samples"]
-    parts = [name for name in ("quantization", "flicker") if all(getattr(r, name) is not None for r in each)]
+    parts = [
+        name for name in ("quantization", "flicker") if all(getattr(r, name) is not None for r in each)
+    ]
     joined: dict[str, Any] = {n: np.concatenate([getattr(r, n) for r in each]) for n in (*by_row, *parts)}
     return replace(
         first,

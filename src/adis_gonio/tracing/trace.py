@@ -179,16 +179,7 @@ def trace_readings(data: Readings, max_effects: int = 6, positions: Diagnosis | 
     positions : Diagnosis, optional
         Earlier diagnosis of the positions: effects of single dwells to exclude, sizes of large slips.
     """
-    run = TraceRun(data, max_effects, positions)
-    run.search()
-    run.drop_refuted_functions()
-    run.judge_names()
-    run.measure_errors()
-    if current().left_out:
-        return run.unfinished()
-    run.shorten()
-    run.judge_findings()
-    return run.finished()
+    return TraceRun(data, max_effects, positions).result()
 
 
 class TraceRun:
@@ -238,6 +229,18 @@ class TraceRun:
         judge, best = self.weighed, self.selection.verdict.best
         verdict = replace(judge.verdict, best=best)
         return replace(self.selection, problem=judge.problem, found=judge.found, verdict=verdict)
+
+    def result(self) -> TraceResult:
+        """Run all stages, and return the result."""
+        self.search()
+        self.drop_refuted_functions()
+        self.judge_names()
+        self.measure_errors()
+        if current().left_out:
+            return self.unfinished()
+        self.shorten()
+        self.judge_findings()
+        return self.finished()
 
     def search(self) -> None:
         """Choose a model of the readings; include dwell-to-dwell scatter if this is more probable."""

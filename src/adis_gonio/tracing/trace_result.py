@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from adis_gonio.base.budget import Budget
 from adis_gonio.base.errors import FitError
@@ -317,7 +317,7 @@ class TraceResult(ParameterTable):
         Positions that differ from their declaration (`adis_gonio.fitting.slips`).
     """
 
-    document_keys = (
+    document_keys: ClassVar[tuple[str, ...]] = (
         *("adequate", "adequacy", "found", "steps", "sets", "confounded", "unnamed", "error", "detectable"),
         *("advice", "measurements", "rivals", "base", "reasons", "notes", "within", "heldout_design"),
         *("reference_temperature_c", "stopped", "overrides"),

@@ -92,29 +92,24 @@ def rms(residual: Floats, by_axis: bool) -> float:
 
 
 def folds(data: Readings) -> dict[str, list[NDArray[np.bool_]]]:
-    """Return the possible designs of holding out dwells: for each name, the masks (n,) of its folds."""
+    """Return the possible designs of holding out dwells: for each name, the masks (n,) of its folds.
+
+    Of several sessions dwells are left out, and no blocks: a whole session is a block.
+    """
     n = len(data)
     count = min(limits.folds, n) if n > limits.alone else n
     # A fixed shuffle, so that no fold consists of exactly every fifth angle of a turn.
     shuffled = np.random.default_rng(5).permutation(n)
     designs = {"whole dwells": [shuffled % count == k for k in range(count)]}
-    place, length = _places(data)
-    blocks = [place * limits.blocks // length == k for k in range(limits.blocks)]
-    if length.min() >= 2 * limits.blocks and _poses_repeat(data, blocks):
+    if data.model.origins:
+        return designs
+    blocks = [np.arange(n) * limits.blocks // n == k for k in range(limits.blocks)]
+    if n >= 2 * limits.blocks and _poses_repeat(data, blocks):
         designs[BLOCKS_OF_TIME] = blocks
     by_axis = masks_about_axes(data)
     if by_axis and 3 * int(determined(data, by_axis).sum()) >= n:
         designs[BY_AXIS] = by_axis
     return designs
-
-
-def _places(data: Readings) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the number (n,) of each dwell in its session, and the number of dwells of its session."""
-    session = data.conditions.session
-    if session is None:
-        return np.arange(len(data)), np.full(len(data), len(data))
-    _, first, own, counts = np.unique(session, return_index=True, return_inverse=True, return_counts=True)
-    return np.arange(len(data)) - first[own], counts[own]
 
 
 def masks_about_axes(data: Readings) -> list[NDArray[np.bool_]]:

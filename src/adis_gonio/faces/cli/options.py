@@ -263,6 +263,7 @@ def time_limit(help: str) -> Option[Any]:
 
 url = click.argument("url")
 session = click.argument("session", type=FILE)
+sessions = click.argument("sessions", type=FILE, nargs=-1, required=True, metavar="SESSION...")
 places = click.argument(
     "places", type=click.Path(path_type=Path, readable=False), nargs=-1, metavar="[DIR]..."
 )

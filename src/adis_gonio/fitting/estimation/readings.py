@@ -235,7 +235,12 @@ class Readings(ComputedOnce):
             return float(finite.sum())
         session = self.conditions.session
         whole = np.zeros(len(self)) if session is None else session
-        return float(sum(finite[whole[np.isfinite(self.dof)] == k].max() for k in np.unique(whole[np.isfinite(self.dof)])))
+        return float(
+            sum(
+                finite[whole[np.isfinite(self.dof)] == k].max()
+                for k in np.unique(whole[np.isfinite(self.dof)])
+            )
+        )
 
     @cached_property
     def fixture(self) -> Floats:

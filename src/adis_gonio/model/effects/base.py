@@ -176,7 +176,7 @@ class Parameter:
 
 
 APART_S = 1e9
-"""Time between the begins of two sessions on the clock of their histories: long enough to forget any lag."""
+"""Time between the begins of two sessions on the clock of their histories; any lag ends within it."""
 
 
 @dataclass(frozen=True)
@@ -278,7 +278,9 @@ class Conditions:
         key = history, axis, tau_s
         if key not in self._late:
             times, values = self.covariate(history)
-            self._late[key] = lagged(times, values if axis is None else values[:, axis], self.clock_s, tau_s)
+            self._late[key] = lagged(
+                times, values if axis is None else values[:, axis], self.clock_s, tau_s
+            )
         return self._late[key]
 
     @property
