@@ -102,7 +102,11 @@ def finding_of(
                     u = mixture.u(u, np.array([float(other == parameter.name) for other in amplitude_of]))
                 undetermined = k in unseen
                 value = 0.0 if undetermined else float(values[k])
-                parameters[parameter.name] = Value(value, None if undetermined else u, parameter.unit, dof)
+                # Sessions may show two courses of one name; a single session keeps the last one.
+                stated = parameter.name
+                if stated in parameters and selection.data.model.origins:
+                    stated += " (second)"
+                parameters[stated] = Value(value, None if undetermined else u, parameter.unit, dof)
             for choice in (c for c in term.effect.choices() if c not in term.effect.options):
                 parameters[choice] = Value(float(getattr(term.effect, choice)), None, "1")
     # The prior distributes the test level: a name has a far greater share of it than one of thousands

@@ -169,14 +169,14 @@ def cycles_shown(angle_rad: Floats, most: int | None = None) -> list[int]:
 def _grid(parameter: Parameter, data: Readings) -> list[float]:
     """Return the values to try for a shape parameter: a grid of time constants, or its typical value.
 
-    Time constants range from the spacing of the dwells to 1.5 times the length of all sessions.
+    Time constants range from the spacing of the dwells to 1.5 times the length of a session;
+    a slower course is a bias of the session.
     """
     if parameter.unit != "s":
         return [parameter.typical]
     time = data.conditions.time_s
     length = max(float(np.ptp(time)), 1.0)
     sessions = max(len(data.model.origins), 1)
-    low = max(parameter.low, length * sessions / max(len(time) - sessions, 1))
-    high = min(parameter.high, max(1.5 * length * sessions, 2 * low))
-    more = round(np.log2(sessions))  # the grid stays as dense as in one session
-    return [float(value) for value in np.geomspace(low, high, limits.grid + more)]
+    low = max(parameter.low, length / max(len(time) / sessions - 1, 1))
+    high = min(parameter.high, max(1.5 * length, 2 * low))
+    return [float(value) for value in np.geomspace(low, high, limits.grid)]
