@@ -3,9 +3,10 @@
 Each operator has a seed, a part of its own and a plan, and makes at least one mistake
 (tests/fakes/clumsy.py): shakes, overshoots, turns the wrong way, forgets to turn, bumps the table, answers
 nonsense, pulls the plug, walks away for an hour, swaps positions, keeps against advice. Beside every fourth
-a perfect operator does the same plan on the same part. With --typed the operators sit before
-`calibrate --plain` itself, else before a runner's events; with --arrow they turn the part by the arrow of
-the screen first, and look at the scale when it says so.
+a perfect operator does the same plan on the same part, and sets it in the same way. With --typed the
+operators sit before `calibrate --plain` itself, with --screen they press the keys of the screen, else they
+answer a runner's events. With --arrow they turn the part by the arrow of the screen first, and look at the
+scale when it says so.
 
 Ends with status 1 where a target is missed: no dead end, no traceback, nothing recorded lost, at most 5 %
 of the values with exit status 0 outside their U (to two standard deviations of the count) and at most 2 %
@@ -13,6 +14,7 @@ outside 3 U, median time at most 1.15 of a perfect operator's.
 
     python scripts/clumsy_operators.py --operators 1000 --seed 1
     python scripts/clumsy_operators.py --operators 60 --seed 2 --typed
+    python scripts/clumsy_operators.py --operators 60 --seed 3 --arrow --screen
     python scripts/clumsy_operators.py --operators 40 --only misread --plan mmpm
 """
 
@@ -25,6 +27,7 @@ import tempfile
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from statistics import median
@@ -34,7 +37,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from fakes.clumsy import BLUNDERS, PERFECT, Manner
-from fakes.clumsy_sessions import Outcome, Task, by_events
+from fakes.clumsy_screen import one_run as on_screen
+from fakes.clumsy_sessions import OneRun, Outcome, Task, by_events
 from fakes.clumsy_typist import by_typing
 
 MIX = {
@@ -62,11 +66,12 @@ def tasks(count: int, seed: int, plan: str, only: str) -> list[Task]:
     return made
 
 
-def pair(task: Task, obeys: float = 0.0) -> Pair:
+def pair(task: Task, obeys: float = 0.0, one_run: OneRun | None = None) -> Pair:
     """A clumsy operator and, with every fourth, a perfect one with the same plan and part."""
     with tempfile.TemporaryDirectory() as folder:
-        clumsy = by_events(task, Path(folder), Manner(obeys=obeys))
-        return clumsy, by_events(task, Path(folder), PERFECT) if task.seed % 4 == 0 else None
+        clumsy = by_events(task, Path(folder), Manner(obeys=obeys), one_run)
+        careful = replace(PERFECT, obeys=obeys)  # sets the part in the same way, but makes no mistake
+        return clumsy, by_events(task, Path(folder), careful) if task.seed % 4 == 0 else None
 
 
 def typed(task: Task) -> Pair:
@@ -149,13 +154,15 @@ def main() -> int:
     parser.add_argument("--plan", default="", choices=["", *MIX])
     parser.add_argument("--only", default="", choices=["", *BLUNDERS], help="the only kind of mistake")
     parser.add_argument("--typed", action="store_true", help="by calibrate --plain")
+    parser.add_argument("--screen", action="store_true", help="by the keys of the screen")
     parser.add_argument("--arrow", action="store_true", help="all obey the arrow of the screen")
     parser.add_argument("--log", type=Path, help="a line of JSON for each operator")
     options = parser.parse_args()
     todo = tasks(options.operators, options.seed, options.plan, options.only)
     pairs = []
     with ProcessPoolExecutor(options.jobs) as pool:
-        work = typed if options.typed else partial(pair, obeys=float(options.arrow))
+        work = partial(pair, obeys=float(options.arrow), one_run=on_screen if options.screen else None)
+        work = typed if options.typed else work
         for number, done in enumerate(pool.map(work, todo), 1):
             pairs.append(done)
             print(f"\r{number}", end="", file=sys.stderr, flush=True)

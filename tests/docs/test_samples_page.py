@@ -1,4 +1,4 @@
-"""Every example of docs/samples.md does what the page says; its tables are those of the code."""
+"""Every example of docs/files.md does what the page says; its tables are those of the code."""
 
 import re
 import shlex
@@ -9,14 +9,9 @@ import pytest
 from adis_gonio.faces.cli import main
 from adis_gonio.record.samples_columns import COLUMNS, KEYS, recognise_column
 
-PAGE = Path(__file__).parents[2] / "docs" / "samples.md"
+PAGE = Path(__file__).parents[2] / "docs" / "files.md"
 TEXT = PAGE.read_text(encoding="utf-8")
-FORMAT = (
-    PAGE.with_name("files.md")
-    .read_text(encoding="utf-8")
-    .partition("## Samples CSV")[2]
-    .partition("\n## ")[0]
-)
+FORMAT = TEXT.partition("\n## Samples CSV\n")[2].partition("\n## ")[0]
 BLOCKS = re.findall(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL)
 
 

@@ -1,4 +1,4 @@
-"""The page on the simulator: its figures are those that are drawn, its names exist, its commands run."""
+"""The page on the simulator: its names exist, its commands run."""
 
 import re
 import shlex
@@ -9,15 +9,14 @@ import pytest
 from adis_gonio.faces.cli import main
 from adis_gonio.record.loading import load_session
 from adis_gonio.sim import World, WorldSettings
-from adis_gonio.sim.gyros import FIGURES, realistic_gyros, stream_of
+from adis_gonio.sim.gyros import realistic_gyros, stream_of
 
-PAGE = (Path(__file__).parents[2] / "docs" / "simulator.md").read_text(encoding="utf-8")
+PAGE = (
+    (Path(__file__).parents[2] / "docs" / "simulator.md")
+    .read_text(encoding="utf-8")
+    .partition("## Test doubles")[0]
+)
 COMMANDS = re.search(r"```sh\n(.*?)```", PAGE, re.S)[1].splitlines()
-
-
-def test_every_figure_that_is_drawn_stands_in_the_table_with_its_source():
-    rows = re.findall(r"^\| `(\w+)`(?:, …)? \| (.*?) \| (.*?) \| ([ABCD]) \|$", PAGE, re.M)
-    assert rows == [(f.setting.format(f.axes[0]), f.described, f.source, f.confidence) for f in FIGURES]
 
 
 def test_every_name_on_the_page_is_a_setting_or_stands_in_the_truth():
@@ -25,8 +24,7 @@ def test_every_name_on_the_page_is_a_setting_or_stands_in_the_truth():
     named = set(
         re.findall(r"\b(?:gyro|g|die|hand|mark|accel_place|origin|earth|move)_[a-z0-9_]*[a-z0-9]", PAGE)
     )
-    named |= set(re.findall(r"\b(?:precision_)?autonull_s\b", PAGE))
-    assert len(named) > 30
+    assert len(named) > 10
     assert named - known - {"gyro_faults", "g_sensitivity"} == set()
 
 

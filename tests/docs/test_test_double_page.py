@@ -1,4 +1,4 @@
-"""The tests that docs/testing.md shows under *Test doubles* pass as printed."""
+"""The tests that docs/simulator.md shows under *Test doubles* pass as printed."""
 
 import os
 import re
@@ -9,7 +9,7 @@ from pathlib import Path
 from adis_gonio.sim.testing.plugin import OPTIONS
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = (ROOT / "docs" / "testing.md").read_text("utf-8").partition("## Test doubles")[2]
+PAGE = (ROOT / "docs" / "simulator.md").read_text("utf-8").partition("## Test doubles")[2]
 BLOCK = re.compile(r"^```python\n# (test_\w+\.py)\n(.*?)^```$", re.M | re.S)
 
 

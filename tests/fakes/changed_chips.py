@@ -2,6 +2,26 @@
 
 Each chip is written from the description of the part, with its facts and doubts, and not from the code that
 looks for the changes. `rule` is the name of the changed row.
+
+Further chips go into a module of their own, with one dictionary `CHANGES: dict[str, Change]`, and
+`scripts/changed_chips.py --list MODULE` runs them. The key says in a few words what the chip does
+differently. A `Change` has:
+
+* `rule`: the row of the register table that says otherwise, for example `flash_time`. The command
+  `adis-gonio bringup --from FILE` prints the names of all rows, and `rows()` returns each name with the
+  table's statement. If two rows describe the changed property, write both with a comma between them: either
+  counts as named.
+* `kind`: a subclass of `adis_gonio.sim.SimulatedChip` that behaves differently in this one property and is
+  right in all others. Its methods are the places to change: `_answer` (the reply to a frame), `_read` and
+  `_fast` (reads, one by one and in bulk: a chip that changes `_read` for output registers has to return 0
+  from `_fast`, so that every read takes the slow way), `_control_word` (the content of a control register
+  as it is read), `_write`, `_command` (a byte written to COMMAND), `_finish` (the end of a busy time),
+  `_save` (the flash update), `_restart_sampling` (the period), `_memory` (`sim.memory.Memory`: registers
+  and flash) and `_sampler` (`sim.sampling.SignalChain`: scale, offsets, filter and self-test of the
+  signals).
+* `options`: further arguments of the chip's constructor, `settings`: fields of `sim.WorldSettings`, for
+  example the noise.
+* `parts`: number of parts whose recordings are judged together, if one part does not decide the row.
 """
 
 from __future__ import annotations
@@ -15,6 +35,7 @@ import numpy as np
 
 from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.bench.bringup import Permission, bring_up
+from adis_gonio.bench.bringup.chip_rows import ROWS
 from adis_gonio.device.bus.recording import RecordingBus
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.registers import (
@@ -541,12 +562,13 @@ def _truncating(step: int) -> type[SimulatedChip]:
 
 @dataclass(frozen=True)
 class Change:
-    """One changed rule: the name of its row, and how to make the chip and the world."""
+    """One changed rule: the name of its row, and how to make the chip and the world; see the module."""
 
     rule: str
     kind: type[SimulatedChip] = SimulatedChip
     options: dict = field(default_factory=dict)
     settings: dict = field(default_factory=dict)
+    parts: int = 1
 
 
 CHANGES: dict[str, Change] = {
@@ -603,7 +625,7 @@ CHANGES: dict[str, Change] = {
     "a pulse of 0.2 ms ends at the update": Change(
         "data_ready_edge", options={"update_edge": "last", "data_ready_pulse_s": 200e-6}
     ),
-    "an autonull truncates to its LSB": Change("autonull_rounding", _truncating(1)),
+    "an autonull truncates to its LSB": Change("autonull_rounding", _truncating(1), parts=20),
     "an autonull truncates to the output's LSB": Change("autonull_rounding", _truncating(4)),
     "accelerometers are twice as noisy": Change("accel_noise", settings={"noise_mg": 9.4}),
     "accelerometers are half as noisy": Change("accel_noise", settings={"noise_mg": 2.35}),
@@ -638,6 +660,18 @@ def record_bringup(change: Change | None, seed: int, path: Path) -> None:
     """Record a bring-up that may write everything."""
     with contextlib.closing(RecordingBus(open_chip(change, seed), path)) as bus:
         bring_up(bus, permission=Permission(writes=True, flash=True))
+
+
+def rows() -> dict[str, str]:
+    """Return the statement of the register table by the name of the row."""
+    return {row.question.name: f"{row.question.text} {row.alternatives[0]}" for row in ROWS}
+
+
+def record_nulls(change: Change | None, seed: int, path: Path) -> None:
+    """Record four precise autonulls, each with a rest behind it."""
+    with contextlib.closing(RecordingBus(open_chip(change, seed), path)) as bus:
+        for act in (_offsets, *[_precise] * 4):
+            act(Adis16354(bus, check=False))
 
 
 def record_service(change: Change | None, seed: int, path: Path) -> None:

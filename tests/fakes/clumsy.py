@@ -97,7 +97,8 @@ class Person:
         self.obeys = bool(np.random.default_rng([seed, 5]).random() < self.manner.obeys)
         clumsy = self.manner.blunder > 0
         self._forced = int(taste.integers(len(places))) if clumsy else -1
-        self._accepts = bool(taste.random() < self.manner.accepts)
+        # A generator of its own, so that a perfect person decides alike.
+        self._accepts = bool(np.random.default_rng([seed, 6]).random() < self.manner.accepts)
         self.backwards = clumsy and not only and bool(taste.random() < 0.04)
         self._sense = -1 if self.backwards else 1
         self._at: float | tuple[float, ...] = 0.0

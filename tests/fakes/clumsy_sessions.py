@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import traceback
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -223,7 +225,9 @@ def lost(path: Path, number: int | None, delivered: list[np.ndarray]) -> list[st
     return []
 
 
-def by_events(task: Task, folder: Path, manner: Manner | None = None) -> Outcome:
+def by_events(
+    task: Task, folder: Path, manner: Manner | None = None, one_run: OneRun | None = None
+) -> Outcome:
     """Let a person go through a session to its end, with as many resumptions as that takes."""
     part = HandPart(task.seed)
     chosen = plan(task.plan, task.positions)
@@ -234,7 +238,7 @@ def by_events(task: Task, folder: Path, manner: Manner | None = None) -> Outcome
     for _ in range(MOST_RUNS):
         outcome.runs += 1
         try:
-            _one_run(part, person, path, chosen, outcome)
+            (one_run or _one_run)(part, person, path, chosen, outcome)
         except BusError as error:
             outcome.said.append(str(error))
         except AdisGonioError as error:
@@ -253,12 +257,19 @@ def by_events(task: Task, folder: Path, manner: Manner | None = None) -> Outcome
     return outcome
 
 
+OneRun = Callable[[HandPart, Person, Path, Any, Outcome], None]
+
+
+def runner_of(sensor: Adis16354, path: Path, chosen) -> SessionRunner:
+    """A runner that begins a session, or goes on with it if there is one."""
+    if path.exists():
+        return SessionRunner.resume(sensor, path)
+    return SessionRunner.begin(sensor, path, chosen, QUICK, fixture_sigma_deg=FIXTURE_DEG)
+
+
 def _one_run(part: HandPart, person: Person, path: Path, chosen, outcome: Outcome) -> None:
     with part.switch_on() as bus, Adis16354(bus) as sensor:
-        if path.exists():
-            runner = SessionRunner.resume(sensor, path)
-        else:
-            runner = SessionRunner.begin(sensor, path, chosen, QUICK, fixture_sigma_deg=FIXTURE_DEG)
+        runner = runner_of(sensor, path, chosen)
         hand, dwelling = EventHand(person, runner, bus, outcome), False
         try:
             for event in runner.run():

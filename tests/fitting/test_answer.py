@@ -16,7 +16,7 @@ from adis_gonio.base.uncertainty import Value
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.answer import Answer
 from adis_gonio.fitting.estimation.readings import Unit
-from adis_gonio.handover.calibration_report import build_page
+from adis_gonio.handover.calibration_report import build_page, certificate_section
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.record.samples_writer import write_samples_csv
 from adis_gonio.tracing.findings import in_units_of_file, shares
@@ -261,3 +261,21 @@ def test_error_figures_without_a_known_noise_share_by_the_residual():
 
     figures = [ErrorFigures(r, None, None, None) for r in (4.0, 2.0, 1.0)]
     assert shares(["a", "b"], excesses([], figures)) == pytest.approx({"a": 0.75, "b": 0.1875})
+
+
+def test_an_rms_error_above_u_is_explained_on_every_face():
+    session = planar()
+    answer = Answer.of(fit(session))
+    assert not any("rms error" in text for text in answer.remarks)
+    large = {"angle": Value(3 * answer.values["angle"].U, answer.values["angle"].u, "deg")}
+    vars(answer)["values"] = large
+    (said,) = (text for text in answer.remarks if "rms error" in text)
+    assert said in " ".join(answer.text(80).split())
+    page = certificate_section(session, answer, None)
+    assert said in page.notes
+
+
+def test_a_stated_noise_is_not_called_the_noise_within_the_dwells():
+    bent = fit(planar(k2=8.0))
+    assert any("noise of the readings" in text for text in bent.warnings)
+    assert not any("within the dwells" in text for text in bent.warnings)

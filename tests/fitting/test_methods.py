@@ -354,7 +354,7 @@ def test_a_residual_beyond_the_noise_is_said_and_enlarges_the_uncertainty():
     noise = rng.normal(0, 2.0, (18, 2))
     result = fit(planar(angles, noise=noise, u=0.1, sigma=0.01), "ml")
     assert result.chi2 / result.dof > 50
-    assert any("times what the noise within the dwells explains" in w for w in result.warnings)
+    assert any("times what the noise of the readings explains" in w for w in result.warnings)
     assert result.extra_mg == pytest.approx(2.0, rel=0.4)
     honest = fit(planar(angles, noise=noise, u=2.0, sigma=0.01), "ml")
     # Effects of the catalogue that 2 mg of scatter would hide are covered as well.

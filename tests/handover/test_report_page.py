@@ -244,7 +244,7 @@ def test_sections_of_others_stand_before_the_data():
 
 def test_words_say_what_was_found_and_how_sure(curved):
     _, result, _ = curved
-    assert headline(result).startswith("Two effects bring the residual down to the measured noise: ")
+    assert headline(result).startswith("Two effects bring the residual down to the noise of the readings: ")
     assert "bias (x, y)" in headline(result)
     assert "quadratic (x)" in headline(result)
     sure = replace(result.found[0], probability=1.0, p_value=0.0)
@@ -261,7 +261,7 @@ def test_a_step_that_is_not_called_found_is_said_to_be_uncertain(curved):
 
 def test_an_inadequate_model_is_never_said_to_reach_the_noise(curved):
     said = headline(replace(curved[1], adequate=False))
-    assert "down to the measured noise" not in said
+    assert "down to the noise of the readings" not in said
     assert "stays larger than the noise" in said
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.conformity import Tolerance
-from adis_gonio.base.errors import UsageError
+from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.plan import Bench, best_plan, fewest_positions, positions_in
 from adis_gonio.plan.optimal_plan import candidates, even_plan, interleaved_plan, search
 from adis_gonio.plan.prediction import LARGEST_FIXTURE_DEG, expected_readings, predict_uncertainty
@@ -197,6 +197,6 @@ def test_a_bench_that_there_is_not_is_refused():
     for minutes in (0.1, 1000.0, math.nan):
         with pytest.raises(UsageError, match="minutes"):
             positions_in(QUIET, minutes)
-    with pytest.raises(UsageError, match="100 positions cannot decide"):
+    with pytest.raises(FitError, match="100 positions cannot decide"):
         fewest_positions(QUIET, Tolerance(1e-5))
     assert len(expected_readings(even_plan(5), QUIET)) == 5

@@ -103,6 +103,11 @@ class Record:
         if self.readable():
             self.by_hand = self.base
 
+    def note_power(self) -> None:
+        """The part has lost its power, and with it numbers that were written by hand and not saved."""
+        if not self.written():
+            self.base = self.offsets()
+
     def note_forgery(self) -> None:
         """A stranger has changed the session file: from here on its rows are as they are now."""
         self.rows, self.forged = _rows(self.bench.folder / SESSION), True

@@ -231,6 +231,7 @@ class Play:
             return None
         if step.command == POWER:
             bench.switch_part_off_and_on()
+            self.record.note_power()
             outcome.told.append("the part is switched off and on")
             return None
         if step.command in FORGERIES:

@@ -103,7 +103,13 @@ def named(name: str | None, cost: float = 0.0, covariates: tuple[str, ...] = ())
     """As much of a term as names and sets look at."""
     constant = name == "bias"
     return SimpleNamespace(
-        name=name, shown_as=name, covariates=covariates, dwell=None, cost=cost, constant=constant
+        name=name,
+        shown_as=name,
+        covariates=covariates,
+        dwell=None,
+        cost=cost,
+        constant=constant,
+        forced=False,
     )
 
 

@@ -1,7 +1,7 @@
 """What each number of the trace means, said so that half or twice of it is noticed.
 
 `scripts/trace_numbers.py` runs each test with the number of `tracing/thresholds.py` that it is marked with
-halved and doubled. What is expected stands here in words and figures of its own (docs/thresholds.md); where
+halved and doubled. What is expected stands here in words and figures of its own (docs/testing.md); where
 a number is derived it is derived here once more.
 """
 

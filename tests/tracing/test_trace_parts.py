@@ -19,6 +19,7 @@ from scipy import linalg, stats
 
 from adis_gonio.base.budget import Budget, within
 from adis_gonio.base.errors import FitError
+from adis_gonio.base.numbers import format_percent
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, from_means
@@ -844,7 +845,7 @@ class TestSurvival:
             slip = Finding("position_slip", (), {"slip": Value(-0.15, 0.01, "deg")}, 0.0, 0.0, probability)
             weak = weak_names([slip], checked, {})
             assert (weak == {}) == found
-            assert found or f"{1 - probability:.0%}" in weak["position_slip"]
+            assert found or format_percent(1 - probability) in weak["position_slip"]
 
     def test_check_dwells_that_do_not_agree_are_said_with_their_number(self) -> None:
         check = np.arange(24) % 4 == 0

@@ -214,7 +214,7 @@ class TestStatement:
         assert told.u == pytest.approx(0.05 / math.sqrt(2 * 22), rel=0.3)
 
     def test_it_costs_the_thought_of_an_effect_and_one_parameter(self) -> None:
-        assert scatter._price(rough(1.0)) == pytest.approx(-math.log(0.0175) + 0.5 * math.log(48))
+        assert scatter.price_of_scatter(rough(1.0)) == pytest.approx(-math.log(0.0175) + 0.5 * math.log(48))
 
 
 class TestRival:
@@ -336,7 +336,7 @@ class TestChoice:
             lambda data, kind, *more: (of[kind], None if math.isnan(of[kind]) else of[kind]),
         )
         monkeypatch.setattr(scatter, "_evidence", lambda one: worth[0] if one is selection else one)
-        monkeypatch.setattr(scatter, "_price", lambda data: 1.0)
+        monkeypatch.setattr(scatter, "price_of_scatter", lambda data: 1.0)
         monkeypatch.setattr(scatter, "_evidence_of_processes", lambda selection: smooth)
         monkeypatch.setattr(
             scatter, "_select_with", lambda data, kind, size, terms, most: (kind, size, len(terms))

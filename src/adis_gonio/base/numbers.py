@@ -137,7 +137,7 @@ def format_p(p: float) -> str:
     if p < 1e-12:
         return f"p{NO_BREAK}<{NO_BREAK}10⁻¹²"
     if p < 1e-3:
-        return f"p{NO_BREAK}<{NO_BREAK}10{str(math.ceil(math.log10(p))).translate(_RAISED)}"
+        return f"p{NO_BREAK}<{NO_BREAK}{power_of_ten(math.ceil(math.log10(p)))}"
     return f"p{NO_BREAK}={NO_BREAK}{p:.2g}"
 
 
@@ -241,5 +241,10 @@ class QuantityRow:
         return (self.name, self.unit, self.value, self.u, self.expanded, self.k)
 
 
+def power_of_ten(exponent: int) -> str:
+    """Format a power of ten, such as `10⁻⁶`."""
+    return f"10{str(exponent).translate(_RAISED)}"
+
+
 def _power(exponent: int) -> str:
-    return f"·10{str(exponent).translate(_RAISED)}"
+    return f"·{power_of_ten(exponent)}"

@@ -148,7 +148,7 @@ class Value:
 
     @property
     def k(self) -> float | None:
-        """Coverage factor for 95 %: `factor`, or computed from `dof`; None if u is unknown."""
+        """Coverage factor k of 95 %: the stated factor, or Student's quantile; None if u is unknown."""
         return expanded(self.u, self.dof, self.factor)[0]
 
     @property

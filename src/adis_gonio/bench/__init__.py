@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING
 
 from adis_gonio.base import lazily
 
-_HOMES = {
-    "runner": "SessionRunner",
-}
+_HOMES = {"runner": "SessionRunner"}
 
 
 if TYPE_CHECKING:

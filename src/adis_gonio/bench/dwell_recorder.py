@@ -23,11 +23,11 @@ from adis_gonio.bench.events import (
 )
 from adis_gonio.bench.guards import (
     Guard,
-    add_repeat_hint,
     drift_guard,
     judge_dwell,
     judge_shift,
     shock_guard,
+    shorten_repeated,
     stuck_guard,
 )
 from adis_gonio.bench.recorder import BROKEN_STREAM, Recorder, why_broken_off
@@ -275,6 +275,7 @@ class DwellRecorder(Recorder):
         self._kept_kinds: set[str] = set()
         self._doubts: list[Guard] = []
         self._stops: Counter[int] = Counter()
+        self._said: set[str] = set()  # words of the questions of guards so far
 
     def take(self, place: int) -> Iterator[Event]:
         """Record the dwell of the position at index `place` of the plan; a disturbed dwell is restarted.
@@ -516,7 +517,7 @@ class DwellRecorder(Recorder):
         """Ask the operator the question of a guard; return True if the dwell is kept or continues."""
         ledger = self._ledger
         self._stops[place] += 1
-        shown = add_repeat_hint(guard, self._stops[place] if ledger.done else 1)
+        shown = shorten_repeated(guard, self._stops[place] if ledger.done else 1, self._said)
         answer = yield from self._questions.ask_guard(guard, place, shown)
         if answer is Reply.KEEP:
             self._keep(guard)

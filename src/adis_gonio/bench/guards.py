@@ -20,7 +20,7 @@ from adis_gonio.base.numbers import counted, format_uncertain, signed
 from adis_gonio.base.uncertainty import NORMAL_95
 from adis_gonio.bench.events import GuardKind, TurnMeasured
 from adis_gonio.fitting.slips import Angles, Diagnosis, Increments, PositionFinding, diagnose
-from adis_gonio.fitting.slips.session_positions import LARGEST, MEANINGS
+from adis_gonio.fitting.slips.session_positions import LARGEST, MEANINGS, UNMOVED
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.record.blocks import Block, session_columns, session_series
@@ -88,15 +88,23 @@ class Guard:
         return self.kind in ("not_moved", "reversed", "wrong_axis", "wrong_angle")
 
 
-def add_repeat_hint(guard: Guard, times: int) -> Guard:
-    """Add a hint to a guard that stopped `times` times at one position: an earlier dwell may be wrong."""
-    if times < 2 or not guard.contradicts:
-        return guard
-    hint = (
-        f"stopped here {times} times: if the part is right now, an earlier dwell is wrong, or the part has"
-        " slipped since; take the position again and undo the earlier dwell"
-    )
-    return replace(guard, message=f"{guard.message}; {hint}", values=guard.values | {"times": float(times)})
+def shorten_repeated(guard: Guard, times: int, said: set[str]) -> Guard:
+    """Return a guard as the operator reads it, with a message of one clause if it repeats known words.
+
+    `times` counts the stops at this position without a dwell between them: a second stop may mean that an
+    earlier dwell is wrong. `said` holds the words of the messages so far and is extended.
+    """
+    words = "".join(filter(str.isalpha, guard.message))
+    message = guard.message.split("; ")[0] if words in said else guard.message
+    said.add(words)
+    if times >= 2 and guard.contradicts:
+        message += f"; stopped here {times} times"
+        if times == 2:
+            message += (
+                ": if the part is right now, an earlier dwell is wrong, or the part has slipped since; take"
+                " the position again and undo the earlier dwell"
+            )
+    return replace(guard, message=message)
 
 
 @dataclass(frozen=True)
@@ -548,13 +556,21 @@ def _values(found: PositionFinding, sense: int) -> dict[str, float]:
     }
 
 
+_AT_BENCH = dict.fromkeys(("mistyped", "misset"), "the stage was set to another angle")
+"""Causes in the words of an operator, who sets angles and types none."""
+
+
 def _diagnosis_text(
     found: PositionFinding, here: int, angles_deg: Sequence[float | None], sense: int
 ) -> str:
     by = "gravity" if found.gyro_deg is None else "gravity and gyro"
     error, u = found.error_deg
     off = format_uncertain(sense * error, NORMAL_95 * u, "deg", sign=True)
-    names = " or ".join(dict.fromkeys(MEANINGS[named.name] for named in found.names))
+    names = " or ".join(
+        dict.fromkeys(_AT_BENCH.get(named.name, MEANINGS[named.name]) for named in found.names)
+    )
+    if found.unmoved:
+        names = UNMOVED
     if found.finding == "gravity_wrong":
         return f"the gyro turned as requested, but gravity does not agree: {names}"
     if found.finding == "swapped":
@@ -563,7 +579,7 @@ def _diagnosis_text(
     angle = angles_deg[found.position]
     since = "a dwell that was kept" if angle is None else f"{angle:g}°"
     where = "" if found.position == here else f" since {since}"
-    return f"by {by} the part is {off} from the requested angle{where}: {names}"
+    return f"by {by} the part is {off} from the requested angle{where}; {names}"
 
 
 @dataclass(frozen=True)

@@ -573,7 +573,7 @@ class NetworkDevice:
         return parse_number({"raw": text}, "raw", 0.0, self.where)
 
     def _id_of(self, channel: str) -> str:
-        """Return the id of a channel as requests need it, without the label."""
+        """Return the id by which the server knows a channel, such as `voltage0` for `voltage0_supply`."""
         for element in self._element.findall("channel"):
             if channel in (element.get("id"), f"{element.get('id')}_{element.get('name')}"):
                 return element.get("id", "")

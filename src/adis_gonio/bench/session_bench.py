@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Sequence
 from datetime import datetime
 from typing import Protocol, runtime_checkable
@@ -24,6 +25,7 @@ from adis_gonio.record.source import (
     as_source,
 )
 from adis_gonio.record.stillness import window_samples
+from adis_gonio.record.write_journal import KIND
 
 CHECKPOINT_S = 1e-3
 """Time in s without frames before a checkpoint, so that no frame spans the point of resuming."""
@@ -274,9 +276,11 @@ class SessionBench:
         before = self.source.identity(registers, measuring)
         for name, value in self.source.identity(now, self.configuration.as_dict()).items():
             if before.get(name) != value:
+                undo = shlex.join(["adis-gonio", "write", str(archive.path), self.source.url, "--undo"])
+                written = f" by {undo}," if archive.last(KIND) else ""
                 raise SessionError(
                     f"{archive.path}: {name} was {before.get(name)} and is {value}: another sensor, or"
-                    " it was changed; set it back or begin a new session"
+                    f" it was changed; set it back{written} or begin a new session"
                 )
 
     def changes(self, before: dict[str, int], after: dict[str, int]) -> dict[str, tuple[int, int]]:

@@ -203,7 +203,7 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
         }
 
     def _moved(self, by: Mapping[str, float]) -> tuple[Coefficient, ...]:
-        """Return a copy of the parameters, with the values named in `by` increased by its amounts."""
+        """Return a copy of the parameters with the amounts `by` (by name) added to their values."""
         return tuple(replace(one, value=one.value + by.get(one.name, 0.0)) for one in self.parameters)
 
     def _with_variance(
@@ -423,7 +423,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
 
     @property
     def unit(self) -> str:
-        """Unit of the readings that `apply` expects: mg or counts."""
+        """Unit of the readings that the calibration converts: mg or counts."""
         return "counts" if self.provenance.counts else "mg"
 
     @property
@@ -506,7 +506,8 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         Parameters
         ----------
         accel : (n, 2), (n, 3), (2,) or (3,) float
-            Readings in `unit`, such as mg from `ScanBlock.accel_mg`; in the plane z is ignored.
+            Readings in the unit of the calibration (mg or counts), such as `ScanBlock.accel_mg`; in the
+            plane z is ignored.
         temperature_c, supply_v : (n,) float or float, optional
             Conditions, for effects that depend on them; the mean of the session by default.
 
@@ -529,7 +530,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
     def readings_of(
         self, gravity: ArrayLike, temperature_c: float | None = None, *, supply_v: float | None = None
     ) -> Floats:
-        """Return the readings (n, axes) in `unit` that the sensor gives for gravity (n, axes).
+        """Return the readings (n, axes), in mg or counts, that the sensor gives for gravity (n, axes).
 
         This is the inverse of `apply`; gravity is in units of local gravity. The default of `temperature_c`
         and `supply_v` is the mean of the session.
@@ -554,16 +555,17 @@ class Calibration(Coefficients, eq=False, kw_only=True):
     ) -> AngleReading:
         """Compute the angle ψ of gravity with u from readings, from the plane's first axis to its second.
 
-        A positive turn of the stage by θ reduces it: ψ = α − θ, and `stage_angle` returns θ.
+        A positive turn of the stage by θ reduces ψ: ψ = α − θ with the start angle α. The method
+        `stage_angle` returns θ.
 
         Parameters
         ----------
         accel, temperature_c, supply_v
-            Readings in `unit`, (n, axes) or (axes,), and their conditions; the mean of the session by
-            default.
+            Readings (n, axes) or (axes,) in the unit of the calibration (mg or counts), and their
+            temperature in °C and supply in V; the mean of the session by default.
         reading_u : float or sequence of float, optional
-            Standard uncertainty of a reading, for all axes or for each axis, in `unit`; by default the
-            result has only the uncertainty of the calibration.
+            Standard uncertainty of a reading, for all axes or for each axis, in the unit of the readings;
+            by default the result has only the uncertainty of the calibration.
         plane : {"xy", "xz", "yz"}, optional
             Plane of the angle; required for a calibration in space, by default xy otherwise.
 
@@ -591,10 +593,10 @@ class Calibration(Coefficients, eq=False, kw_only=True):
     ) -> AngleReading:
         """Compute the angle θ = α − ψ of the stage from readings, with u.
 
-        It is positive in the direction of the session's declared angles. `accel` are the readings in
-        `unit`, (n, axes) or (axes,), and `reading_u` is their standard uncertainty; without it u is the
-        uncertainty by the calibration alone. The default of `temperature_c` and `supply_v` is the mean of
-        the session.
+        It is positive in the direction of the session's declared angles. `accel` are the readings (n, axes)
+        or (axes,) in the unit of the calibration (mg or counts), and `reading_u` is their standard
+        uncertainty; without it u is the uncertainty by the calibration alone. The default of
+        `temperature_c` and `supply_v` is the mean of the session.
 
         Raises
         ------
@@ -804,7 +806,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         """Yield changes (n, axes) of the readings by each effect of temperature that was not determined.
 
         Each coefficient has its typical size, over the difference to the temperature of the session.
-        Nothing is yielded if one of the temperatures is unknown.
+        Nothing is yielded if the temperature of the readings (None) or of the session is unknown.
         """
         session = self.provenance.temperature_c
         now = checked_condition("temperature_c", temperature_c, len(readings), None)

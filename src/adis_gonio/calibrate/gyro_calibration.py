@@ -384,6 +384,9 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
     ) -> tuple[Floats, Floats, Floats]:
         """Check the conditions and expand them to one row for each of n readings.
 
+        A temperature or supply of None takes the mean of the session, a force of None counts as zero if no
+        gyro is sensitive to force.
+
         Return the force (n, 3) in g, degrees above 25 °C (n, 3) and volts above 5 V (n, 1).
         """
         needs = self.needs

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
@@ -100,6 +101,9 @@ def trace(
     max_effects: int = 6,
     time_limit: float | None = None,
     part: str = "accelerometer",
+    include: str | Sequence[str] = (),
+    exclude: str | Sequence[str] = (),
+    only: bool = False,
 ) -> TraceResult:
     """Trace a session, or the session in a file; see `adis_gonio.tracing.trace`.
 
@@ -113,17 +117,24 @@ def trace(
         Time in s after which the search ends; None is unlimited.
     part : {"accelerometer", "gyro"}
         Part of the sensor that is traced.
+    include, exclude : str or sequence of str
+        Terms that every model has, such as `quadratic:x` or `mine_x = (T - 25)**2 * gx`, and names of
+        effects that no model has.
+    only : bool
+        True: the model has the terms of `include` and no other.
 
     Raises
     ------
     UsageError
-        `session` is neither a session nor a path, or the time limit is not positive.
+        `session` is neither a session nor a path, the time limit is not positive, or a term is unknown or
+        cannot be shown by the session.
     DataError, FitError
         The file cannot be read, or no trace is possible; see `adis_gonio.tracing.trace`.
     """
     from adis_gonio.tracing.trace import trace as trace_session
 
-    return trace_session(_load(session, "trace"), max_effects, time_limit, part)
+    loaded = _load(session, "trace")
+    return trace_session(loaded, max_effects, time_limit, part, include, exclude, only)
 
 
 def _load_gyros(

@@ -88,7 +88,7 @@ class Answer:
 
     @property
     def parameters(self) -> dict[str, Value]:
-        """All parameters of the shown result, by name; equal to `model_parameters`."""
+        """All parameters of the shown result, by name: the parameters of its model."""
         return self.model_parameters
 
     @property
@@ -102,7 +102,7 @@ class Answer:
         return self.result.method != self.recommended.method
 
     def _angle(self) -> dict[str, Value]:
-        """Entry `angle` of `values`, the error of the calibrated angle; empty in space."""
+        """Error of the calibrated angle as an entry `angle` of the main results; empty in space."""
         return {} if self.result.angle is None else {"angle": self.result.angle}
 
     def error_curves(self) -> tuple[ErrorCurve | None, ErrorCurve]:
@@ -138,8 +138,9 @@ class Answer:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Warning to print first if the residual is larger than the measured noise; otherwise empty."""
-        return self.result.doubts
+        """Warnings to print first: wrong positions, and a residual larger than the measured noise."""
+        wrong = dict.fromkeys(found.sentence for found in self.result.position_findings)
+        return (*wrong, *self.result.doubts)
 
     @property
     def lines(self) -> list[QuantityRow]:
@@ -151,8 +152,19 @@ class Answer:
         """Sentences on the main results, such as the temperature at which they are valid; often none."""
         temperature = self.reference_temperature_c
         if temperature is None or {"delta_k", "delta_phi"} & set(self.values):
+            return self._excess
+        return (f"Parameters are valid at {temperature:.1f} °C, the mean of the session.", *self._excess)
+
+    @property
+    def _excess(self) -> tuple[str, ...]:
+        """Sentence on an rms error of the angle above U; empty if it is below."""
+        angle = self.values.get("angle")
+        if angle is None or angle.U is None or not angle.value > angle.U:
             return ()
-        return (f"Parameters are valid at {temperature:.1f} °C, the mean of the session.",)
+        return (
+            "The rms error of the angle is larger than U: it is the error on dwells that the fit did not"
+            " use. With few positions such a fit is weak; with many positions U is too small.",
+        )
 
     @property
     def reference_temperature_c(self) -> float | None:
@@ -164,7 +176,7 @@ class Answer:
         return "\n".join([*self.doubt_lines(width), *self.headline(width)])
 
     def doubt_lines(self, width: int = 80) -> list[str]:
-        """Return the sentences of `doubts`, folded to lines of at most `width` columns."""
+        """Return the doubts about the result as sentences, folded to lines of at most `width` columns."""
         return [line for doubt in self.doubts for line in fold_text(doubt, width)]
 
     def headline(self, width: int = 80) -> list[str]:
@@ -264,7 +276,7 @@ class Answer:
         with the names of the methods that give it.
         """
         if not everything:
-            return [text for text in self.result.warnings if text not in self.result.doubts]
+            return [text for text in self.result.warnings if text not in self.doubts]
         methods: dict[str, list[str]] = {}
         for result in self.comparison.results:
             for warning in result.warnings:

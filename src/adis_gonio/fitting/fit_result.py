@@ -323,7 +323,7 @@ class FitResult(ParameterTable):
 
     @cached_property
     def angle(self) -> Value | None:
-        """Error of the angle after calibration (rms, deg), with `shown_angle`'s uncertainty; None in space.
+        """Error of the calibrated angle (rms, deg), with the u of one displayed angle; None in space.
 
         The value is the root mean square over the dwells of the session, each left out of the fit; NaN if
         no angle is declared or no dwell can be left out.

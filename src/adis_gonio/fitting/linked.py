@@ -69,6 +69,9 @@ class LinkReport:
     ratio : float or None
         Median ratio of u with links to u without links, over the parameters that both fits determine; None
         without links or such a parameter.
+    missed_deg : float
+        Standard uncertainty of a turn about each axis because the samples miss fast motion; 0 if their
+        noise has more effect.
     """
 
     used: int
@@ -79,6 +82,7 @@ class LinkReport:
     why: str = ""
     gained: tuple[str, ...] = ()
     ratio: float | None = None
+    missed_deg: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON object of the report, the value of `links` in a result."""
@@ -91,6 +95,7 @@ class LinkReport:
             "why_none": self.why or None,
             "gained": list(self.gained),
             "u_ratio": self.ratio,
+            "missed_deg": self.missed_deg,
         }
 
     @property
@@ -105,6 +110,8 @@ class LinkReport:
             of = "u of the others" if self.gained else "u with them"
             parts.append(f"{of} is {self.ratio:.2f} of that without, median")
         parts.append(f"χ² {self.chi2:.1f} at {counted(self.dof, 'degree')} of freedom")
+        if self.missed_deg:
+            parts.append(f"the samples miss fast motion, {self.missed_deg:.2g}° of a turn; sample faster")
         left = "; ".join(f"{b} to {a} left out: {why}" for b, a, why in self.refused[:2])
         more = len(self.refused) - 2
         if more > 0:
@@ -150,7 +157,8 @@ def _linked(session: Session, gyros: GyroCalibration | None = None) -> tuple[Rea
         judged = JudgedLinks.of(readings.training, found)
     except (np.linalg.LinAlgError, UsageError):  # with few poses the fit can run to impossible axes
         judged = JudgedLinks(None, found.refused, "a fit with them does not converge")
-    report = judged.report(calibrated=gyros is not None)
+    missed = 0.0 if judged.links is None else found.missed_deg
+    report = judged.report(calibrated=gyros is not None, missed_deg=missed)
     if judged.links is None:
         return readings, report
     # Links are numbered among the fitted readings: renumber them among all readings.
@@ -218,7 +226,11 @@ class JudgedLinks:
             if chi2 <= chi2_quantile(dof, LINK_REFUSED):
                 return cls(links, tuple(refused), "", chi2, dof, plain, linked)
             if left_out >= allowed:
-                reason = f"they contradict gravity (χ² {chi2:.3g} at {counted(dof, 'degree')} of freedom)"
+                off = np.degrees(_misclosure(linked.fit))
+                reason = (
+                    f"they contradict gravity (χ² {chi2:.3g} at {counted(dof, 'degree')} of freedom):"
+                    f" {np.sqrt((off**2).mean()):.2g}° rms, at most {np.abs(off).max():.2g}°"
+                )
                 return cls(None, tuple(refused), reason, chi2, dof)
             worst = _worst(linked.fit)
             refused.append((*_ends(links, position, worst), "it contradicts gravity and the other turns"))
@@ -227,14 +239,16 @@ class JudgedLinks:
         why = refused[0][2] if refused else "none lies between two poses that are fitted"
         return cls(None, tuple(refused), why)
 
-    def report(self, *, calibrated: bool) -> LinkReport:
+    def report(self, *, calibrated: bool, missed_deg: float = 0.0) -> LinkReport:
         """Return the report for the user on these links.
 
-        `calibrated` is True if the gyros have a calibration.
+        `calibrated` is True if the gyros have a calibration; `missed_deg` is `GyroLinks.missed_deg`.
         """
         used = 0 if self.links is None else len(self.links)
         gained, ratio = _gain(self.plain, self.linked)
-        return LinkReport(used, self.chi2, self.dof, self.refused, calibrated, self.why, gained, ratio)
+        return LinkReport(
+            used, self.chi2, self.dof, self.refused, calibrated, self.why, gained, ratio, missed_deg
+        )
 
 
 _FAR = "the gyros turn gravity to a wrong direction"
@@ -295,6 +309,14 @@ def probable_gyros(fit: Fit, prior: GyroPrior) -> Floats:
     # Posterior mean of the shared modes with unit prior; the gyros' modes are the last ones.
     found = np.linalg.solve(np.eye(rows.shape[1]) + rows.T @ rows, rows.T @ flat)
     return np.asarray(prior.values + prior.root @ found[-count:])
+
+
+def _misclosure(fit: Fit) -> Floats:
+    """Return gravity after each link minus gravity before it, turned by the fitted gyros, (m, 2) in rad."""
+    rows = fit.link_rows
+    assert rows is not None
+    # The misclosure is relative to the prior; its offset leads back to the gyros of the linearisation.
+    return np.asarray(rows.misclosure + (rows.turned @ rows.links.offset_rad[:, :, None])[:, :, 0])
 
 
 def _worst(fit: Fit) -> int:

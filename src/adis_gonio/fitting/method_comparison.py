@@ -123,8 +123,8 @@ def recommend(
     if scored:
         first = min(able, key=lambda r: _rms(scores[r.method]))
         good = [r for r in able if not predicts_worse(found[r.method], found[first.method])]
-    least = min(_doubt(result) for result in good)
-    equal = [result for result in good if _doubt(result) <= least * (1 + ALIKE)]
+    least = min(_mean_u(result) for result in good)
+    equal = [result for result in good if _mean_u(result) <= least * (1 + ALIKE)]
     names = [result.method for result in equal]
     chosen = preferred if preferred in names else names[-1]
     result = next(result for result in equal if result.method == chosen)
@@ -163,7 +163,7 @@ def predicts_worse(one: DwellPrediction, best: DwellPrediction) -> bool:
     return mean > BEYOND * scatter and mean > 1e-3 * float(np.nanmean(base))
 
 
-def _doubt(result: FitResult) -> float:
+def _mean_u(result: FitResult) -> float:
     """Return the geometric mean of the standard uncertainties of a result's main parameters.
 
     It ranks the methods. The main parameters are ΔK and Δφ, in space all parameters. The mean is inf if one
@@ -203,7 +203,7 @@ def _why(
         )
     else:
         reasons.append("no dwell can be left out to compare the methods by")
-    if len(good) > 1 and _doubt(result) < math.inf:
+    if len(good) > 1 and _mean_u(result) < math.inf:
         reasons.append("no other gives a smaller u of ΔK and Δφ")
     return "; ".join(reasons)
 

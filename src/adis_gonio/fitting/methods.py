@@ -407,7 +407,7 @@ def _fit(data: Readings, beta: Floats, *, bias: bool) -> Fit:
 
 
 def _sources(data: Readings, linear: _Linear, noise: NoiseAssumptions) -> Sources:
-    """Return the sources of the uncertainty of the natural parameters.
+    """Return the sources of the uncertainty of α, the gains, Δφ and the biases in natural units.
 
     An error of a declared angle acts along the tangent of the circle of readings.
     """

@@ -112,7 +112,7 @@ def settle(readings: Readings) -> Settled:
         extra = scale_at_dof(lambda s: follow(replace(noise, extra_mg=s)).chi2, dof, low, high)
         ratio = math.sqrt(chi2 / dof)
         note = (
-            f"the residual is {ratio:.3g} times what the noise within the dwells explains (chi2 "
+            f"the residual is {ratio:.3g} times what the noise of the readings explains (chi2 "
             f"{chi2:.4g}, dof {dof}): the model does not describe this session; each u includes "
             f"{extra:.3g} mg of scatter on every reading and the catalogue's effects that the data allow"
         )
@@ -252,8 +252,8 @@ def _unknown_readings(
 def _unknown_fixture(follow: _Follow, noise: NoiseAssumptions, dof: int) -> NoiseAssumptions:
     """Estimate the standard deviation σ_f of the declared angles by restricted maximum likelihood.
 
-    `dof` are the degrees of freedom of the residual. With fewer than 2, or if the residual shows no such
-    deviation, the result is `noise` with a note.
+    `follow` fits the session again with other noise. `dof` are the degrees of freedom of the residual. With
+    fewer than 2, or if the residual shows no such deviation, the result is `noise` with a note.
     """
     if dof < 2:
         note = (

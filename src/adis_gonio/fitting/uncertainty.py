@@ -139,7 +139,7 @@ class Source:
         """Return the change (m, k) of m quantities by one standard uncertainty of each of k components.
 
         `gradient` (m, p) and `reading` (m, axes) are the derivatives of the quantities by the parameters
-        and by a further reading.
+        and by a further reading; None leaves out the effect on a further reading.
         """
         moved = gradient @ self.moves
         if reading is not None and self.further_mg is not None:
@@ -195,8 +195,8 @@ class Sources:
         """Return the contributions of all sources to the variance of a quantity.
 
         The quantity is the root mean square of m values, with the derivatives `gradient` (m, p) by the
-        parameters and `reading` (m, axes) by one further reading. Each contribution is (number of the
-        estimate, degrees of freedom, variance).
+        parameters and `reading` (m, axes) by one further reading (None: the parameters alone). Each
+        contribution is (number of the estimate, degrees of freedom, variance).
         """
         return [part for source in self._counted for part in source.parts(gradient, reading)]
 
@@ -223,7 +223,7 @@ class Sources:
         """Return the standard uncertainty of a quantity and its effective degrees of freedom.
 
         The quantity is the root mean square of m values, with the derivatives `gradient` (m, p) by the
-        parameters and `reading` (m, axes) by one further reading.
+        parameters and `reading` (m, axes) by one further reading (None: the parameters alone).
         """
         parts = self.parts(gradient, reading)
         return math.sqrt(sum(part[2] for part in parts)), dof_of(parts)
@@ -815,7 +815,11 @@ class ShownAngle:
 
     @classmethod
     def at_dwells(cls, fit: Fit) -> ShownAngle:
-        """Return the derivatives at the dwells of a planar fit, by all parameters, also of terms."""
+        """Return the derivatives of the calibrated angle at the dwells of a planar fit.
+
+        They are by all parameters of the fit (base parameters, then the values of terms) and by the
+        reading.
+        """
         psi = fit.values.base[0] + fit.turn_rad + fit.values.attitude
         slope = _by_reading(fit, psi)
         gradient = np.einsum("na,nap->np", slope, fit.columns)

@@ -190,8 +190,8 @@ def run_fleet(
 ) -> Fleet:
     """Compute the record of every session that has no record in the store yet; return all records.
 
-    `tell` is called with the progress after each session. `found` has the sessions, `options` the
-    computations to make.
+    `tell` is called with the progress after each session; None reports none. `found` has the sessions,
+    `options` the computations to make.
 
     Raises
     ------

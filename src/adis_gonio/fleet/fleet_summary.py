@@ -241,7 +241,7 @@ def _quantities(table: Table) -> list[str]:
     return [name for name in QUANTITIES if name in table and np.isfinite(table[name]).any()]
 
 
-def _doubt(table: Table, name: str, group: Codes | None = None) -> Floats:
+def _u_in_groups(table: Table, name: str, group: Codes | None = None) -> Floats:
     """Return the standard uncertainties (n,) of the values of a quantity; NaN if a session states none.
 
     They are for comparisons within each group of sessions: the influence of the stage that a group shares
@@ -268,8 +268,8 @@ def _parameters(table: Table, unit: Codes) -> list[QuantitySummary]:
         dof = np.where(np.isfinite(dof), dof, np.inf)
         known = values[np.isfinite(values)]
         by_u = (
-            beyond(values, _doubt(table, name), dof),
-            repeats(values, _doubt(table, name, unit), dof, unit),
+            beyond(values, _u_in_groups(table, name), dof),
+            repeats(values, _u_in_groups(table, name, unit), dof, unit),
         )
         found.append(QuantitySummary(name, QUANTITIES[name], Distribution.of(known), *by_u))
     return found
@@ -301,7 +301,7 @@ def _comparisons(table: Table, groups: dict[str, Codes], traced: Any) -> list[Fa
     made = []
     for name in _quantities(table):
         values = _compared(name, table[name])
-        made.append(by_unit(name, values, _doubt(table, name), unit))
+        made.append(by_unit(name, values, _u_in_groups(table, name), unit))
         made += [by_rank(kind, name, values, groups[kind], unit) for kind in KINDS[1:]]
     for effect, shown in _effects(table):
         made += [by_share(kind, effect, shown, np.where(traced, groups[kind], -1), unit) for kind in KINDS]
@@ -438,7 +438,8 @@ def _tau(beyond: Beyond) -> str:
     low, high = beyond.tau_95
     if beyond.tau == 0:
         return "0" if high == 0 else f"0 (to {format_number(high, 2)})"
-    return f"{format_number(beyond.tau, 2)} ({format_number(low, 2)} to {format_number(high, 2)})"
+    ends = dict.fromkeys(format_number(end, 2) for end in (low, high))
+    return f"{format_number(beyond.tau, 2)} ({' to '.join(ends)})"
 
 
 def effect_rows(summary: Summary) -> list[list[str]]:

@@ -272,8 +272,8 @@ class Units:
     def joint(self, index: Sequence[int], relative: Sequence[bool] | bool = False) -> Block:
         """Return score and information of all sessions for the columns `index`.
 
-        Amplitudes are in units of `typical` or, if `relative` is true (for all columns or for each), in
-        each session's standard uncertainty.
+        Amplitudes are in units of the typical standard uncertainty over all sessions or, if `relative` is
+        true (for all columns or for each), of the standard uncertainty in each session.
         """
         chosen = list(index)
         length = self.length[:, chosen]

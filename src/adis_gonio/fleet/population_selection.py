@@ -320,7 +320,7 @@ class Population:
         return log_prior + log_factor(first, mean, spread), Block(score, information)
 
     def by_unit(self, parts: Sequence[ChosenCause], candidate: Candidate, most: float = MOST) -> Floats:
-        """Return the log likelihood ratio (n, 2 h) of each session, with a candidate to without it.
+        """Return the log likelihood ratio (n, 2 h) of each session, with a candidate against without it.
 
         `parts` are the causes that are already in the model. There is one column for each distribution of
         the candidate's grid. The log Bayes factor of a session is limited to `most`.
@@ -421,7 +421,7 @@ class Population:
     def affected(self, parts: Sequence[ChosenCause], part: ChosenCause) -> Floats:
         """Return the probability (n,) that the cause `part` affects each session.
 
-        The other causes `parts` are given.
+        `parts` are the other causes, with the distributions of their amplitudes.
         """
         amplitudes = part.amplitudes
         share = min(amplitudes.share, 1 - 1e-9)
@@ -460,7 +460,9 @@ def parameters_of(group: Group) -> Floats:
 
 
 def group_at(parameters: Floats, like: Group) -> Group:
-    """Convert the parameters of `parameters_of` back to a distribution.
+    """Convert unbounded parameters back to a distribution of amplitudes.
+
+    `parameters` (m,) are the logit of the share, the log of the spread and, if it is not fixed, the mean.
 
     The distribution `like` gives the mean if it is not among the parameters, and the flag `relative`.
     """

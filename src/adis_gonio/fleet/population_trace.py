@@ -13,7 +13,7 @@ import numpy as np
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.base.numbers import counted
+from adis_gonio.base.numbers import counted, format_percent
 from adis_gonio.base.uncertainty import POPULATION_SET, Value
 from adis_gonio.fleet.cause_distribution import Reach, means_of, reach_of, share_of
 from adis_gonio.fleet.population_likelihood import Units, units_of
@@ -115,8 +115,9 @@ class Common(JsonRecord):
         where = "" if self.by == "all" else f" of {self.by} {self.value}"
         sign = "of one sign" if self.common_sign else "of either sign"
         sizes, share = "; ".join(self._size(name) for name in self.mean), self.share
+        affected, low, high = (format_percent(share[name]) for name in ("value", "low", "high"))
         return (
-            f"{what}{axes}: in {share['value']:.0%} ({share['low']:.0%} to {share['high']:.0%}) of"
+            f"{what}{axes}: in {affected} ({low} to {high}) of"
             f" {counted(self.sessions, 'session')}{where}, {sign} ({sizes}); p < {_p(self.p_value)},"
             f" on held-out sessions the log likelihood gains {self.heldout_gain:.1f}"
         )

@@ -356,6 +356,10 @@ class Store:
         """
         return sorted(once(self._records(serial))[0], key=lambda record: record.when or "")
 
+    def copies(self, serial: str) -> dict[str, str]:
+        """Map each file of a sensor that is not counted to the file with equal data that is counted."""
+        return once(self._records(serial))[1]
+
     def _records(self, serial: str | None) -> list[SessionRecord]:
         where, values = ("1", ()) if serial is None else ("serial = ?", (serial,))
         found = self._connection.execute(f"SELECT record FROM records WHERE {where}", values)

@@ -40,7 +40,8 @@ from adis_gonio.model.records import METADATA, Session
 from adis_gonio.page.document import Figure, KeyFigure, Role, Section, Series, Style, Table, plot, render
 from adis_gonio.record.provenance import digest_of_file
 from adis_gonio.tracing import trace_summary as words
-from adis_gonio.tracing.trace_figures import Panel, Views, series_views, views_of
+from adis_gonio.tracing.further_terms import bought_by_terms, next_term
+from adis_gonio.tracing.trace_figures import Panel, Views, series_views, views_of, what_if_panels
 from adis_gonio.tracing.trace_result import TraceResult
 from adis_gonio.tracing.traced_answer import answer_with_trace
 from adis_gonio.tracing.within.samples import Place, WithinFinding
@@ -126,7 +127,7 @@ def certificate_section(
         if tolerance is not None:
             first, *lines = state_conformity(tolerance, curves).lines
             stated = [f"{first}.", *(f"{line[:1].upper()}{line[1:]}." for line in lines)]
-    doubts = [*answer.doubts, *dict.fromkeys(found.sentence for found in positions)]
+    doubts = list(dict.fromkeys([*(found.sentence for found in positions), *answer.doubts]))
     who = ("serial", "stage", "operator", "laboratory", "customer")
     instrument = [["sensor", session.sensor], *([n, getattr(session, n) or "not stated"] for n in who)]
     known = dict(facts(session, observed, "", answer.reference_temperature_c))
@@ -150,7 +151,8 @@ def certificate_section(
         ],
         notes=[
             f"Method {answer.title}. U = k·u covers 95 %. The errors apply to the mean of many readings; "
-            "they are traceable to the declared angles of the stage only. The annex follows."
+            "they are traceable to the declared angles of the stage only. The annex follows.",
+            *answer.remarks,
         ],
         sheet=True,
     )
@@ -466,6 +468,63 @@ def residual_section(views: Views) -> Section:
     return Section("Remaining residual", figures=figures)
 
 
+def what_if_section(traced: TraceResult) -> list[Section]:
+    """Return a list with the section that compares the user's model with the best; empty without such."""
+    if traced.what_if is None:
+        return []
+    head, rows = words.compared(traced.what_if)
+    caption = "Left out: the same dwells for all models. Odds contain the prior probability of the model."
+    table = Table(head, rows, numeric=tuple(range(1, len(head))), strong=(2,), caption=caption)
+    labels = ("the asked model", "with the best model")
+    figures = [
+        Figure(_panel_plot(panel, *labels), _panel_caption(panel, *labels))
+        for panel in what_if_panels(traced.what_if)
+    ]
+    points = words.forced(traced.what_if)
+    return [Section(words.asked(traced.what_if), points=points, tables=[table], figures=figures)]
+
+
+def further_terms_section(session: Session, traced: TraceResult) -> Section:
+    """Return the section on what each further term of the model buys: a sentence, a table, two figures."""
+    if traced.fold is None:
+        return Section("What each further term buys")
+    bought = bought_by_terms(traced.by_terms, traced.fold, readings_of(session).checking)
+    if not bought:
+        return Section("What each further term buys")
+    unit = traced.before.unit
+    count = np.array([len(one.terms) for one in bought])
+    error, u, nats = (
+        np.array([getattr(one, name) for one in bought]) for name in ("heldout_rms", "u", "log_evidence")
+    )
+    chosen = np.array([one.chosen for one in bought])
+    figures = []
+    for values, bars, y in (
+        (error, u, f"left out / {unit}"),
+        (nats - nats.max(), None, "log evidence − best"),
+    ):
+        series = [Series(count, values, "best of this number", bars, "before")]
+        series.append(Series(count[chosen], values[chosen], "chosen model", role="after"))
+        ticks = {float(k): str(k) for k in count}
+        title = f"{y} against the number of terms"
+        figures.append(Figure(plot(series, "terms", y, title=title, x_ticks=ticks), title))
+    rows = [
+        [
+            str(len(one.terms)),
+            " + ".join(one.terms) or "base model",
+            format_number(one.log_evidence),
+            format_number(one.heldout_rms),
+            format_uncertain(one.gain, NORMAL_95 * one.u) if one.terms else DASH,
+            "yes" if one.efficient else "no",
+        ]
+        for one in bought
+    ]
+    head = ["terms", "best model", "log evidence", f"left out / {unit}", f"gain ± U / {unit}", "efficient"]
+    caption = "Efficient: no model of fewer terms has more evidence and a smaller left-out error."
+    table = Table(head, rows, numeric=(0, 2, 3, 4), caption=caption)
+    lead = [next_term(bought, unit)]
+    return Section("What each further term buys", words=lead, tables=[table], figures=figures)
+
+
 def rivals_section(traced: TraceResult) -> Section:
     """Return the section with the most probable models and their probabilities."""
     rows = [
@@ -666,10 +725,9 @@ def _panel_plot(panel: Panel, effect: str, before: str) -> str:
     if panel.check_x.size:
         series.append(Series(panel.check_x, panel.check_after, "after, check dwells", role="third"))
     x = _COVARIATES.get(panel.covariate, _reading(panel.covariate))
-    y = {
-        "norm": "residual of the norm / mg",
-        "angle": "computed − declared angle / °",
-    }.get(panel.quantity, f"residual of {panel.quantity[-1]} / mg")
+    y = {"norm": "residual of the norm / mg", "angle": "computed − declared angle / °"}.get(
+        panel.quantity, f"residual of {panel.quantity[-1]} / mg"
+    )
     sides = panel.covariate == "approach"
     return plot(
         series,
@@ -754,7 +812,8 @@ def build_page(
         body += [budget_section(answer), scores_section(answer)]
     body += [fitted_section(fits, failures or {})]
     if result is not None:
-        body += [found_section(result), errors_section(result)]
+        body += [*what_if_section(result), found_section(result), errors_section(result)]
+        body += [further_terms_section(session, result)]
         if shown is not None:
             body += [steps_section(result, shown), residual_section(shown)]
         body += [within_section(result)]

@@ -141,7 +141,7 @@ class TermEffect(Effect):
 
     @classmethod
     def choices(cls) -> tuple[str, ...]:
-        """Return no choices: a user cannot select variants of this effect."""
+        """Return no choices: a user cannot select a form of this effect."""
         return ()
 
     @property
@@ -650,7 +650,7 @@ def twin_section(session: Session, traced: TraceResult, *, seed: int = 0) -> Sec
     verdict = (
         "They agree: the model and the noise explain the measured data."
         if found.agrees
-        else "They differ: neither the model nor the measured noise explains all of the session."
+        else "They differ: neither the model nor the noise of the readings explains all of the session."
     )
     return Section(
         title="The digital twin against the measured data",

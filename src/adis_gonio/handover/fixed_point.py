@@ -305,7 +305,7 @@ class Scaled:
 
     @classmethod
     def of(cls, value: float, most_shift: int = 62) -> Scaled:
-        """Return a constant scaled so that `number` has 30 bits; a value far below the range becomes 0.
+        """Return a constant as an integer of 30 bits and a shift; a value far below the range becomes 0.
 
         `most_shift` is the largest shift.
         """

@@ -72,12 +72,12 @@ class OffsetWord(JsonRecord):
 
     @property
     def value(self) -> float:
-        """Offset that the register adds to the output with this number, in `unit`."""
+        """Offset that the register adds to the output with this number, in mg or, for a gyro, °/s."""
         return self.lsb * self.number
 
     @property
     def remainder(self) -> float:
-        """Bias that remains after the correction because the number is rounded, in `unit`."""
+        """Bias that remains because the number is rounded, in mg or, for a gyro, °/s."""
         return self.bias + (self.number - (self.before or 0)) * self.lsb
 
     def __str__(self) -> str:

@@ -387,8 +387,8 @@ def live_angles(
 ) -> Iterator[LiveAngle]:
     """Yield the angles of a running sensor; after a break of its link it is opened again.
 
-    The estimated errors of the gyro are kept after a break if the settings and offsets of the sensor are
-    unchanged.
+    `calibration` is None for raw angles, `lag_s` the delay of the smoothed angle. The estimated errors of
+    the gyro are kept after a break if the settings and offsets of the sensor are unchanged.
 
     Raises
     ------

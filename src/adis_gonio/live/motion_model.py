@@ -566,7 +566,7 @@ def smooth_lagged(state: StateEstimate, later: Sequence[Passed]) -> StateEstimat
 
 
 class _Adjoint:
-    """Vector and matrix that carry the information of later observations back to earlier states."""
+    """Vector and matrix by which the smoother carries information of later observations back in time."""
 
     def __init__(self, size: int) -> None:
         self._vector, self._matrix = np.zeros(size), np.zeros((size, size))
@@ -651,7 +651,7 @@ class Turned:
 
     @property
     def lever_mg(self) -> tuple[complex, complex]:
-        """Change of `gravity` in mg for a distance of 1 mm from the stage's axis, along X and along Y."""
+        """Change of gravity in mg by 1 mm of distance from the stage's axis, along X and along Y."""
         spin = math.radians(self.rate_dps)
         square = spin * spin * _MG_PER_MM
         change = self.spin_rad_s2 * _MG_PER_MM

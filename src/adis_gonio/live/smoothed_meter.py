@@ -336,9 +336,10 @@ class AngleSmoother:
         return StateEstimate(state.mean, covariance)
 
     def finish(self) -> list[Kept]:
-        """Filter all remaining time steps after the last sample; return the steps kept for `smooth`.
+        """Filter all remaining time steps after the last sample; return all filtered steps.
 
-        The list is empty if `keeps` is False.
+        The list is empty unless the smoother was made with `keeps=True`; `smooth` needs it for a whole
+        recording.
         """
         while self._state is not None and self._done < len(self._seen):
             self._pass(self._state)
@@ -404,7 +405,7 @@ class AngleSmoother:
     # -- the angle -----------------------------------------------------------------------------------
 
     def angle(self) -> SmoothedAngle | None:
-        """Return the angle at `lag_s` before the newest sample, estimated from all samples so far.
+        """Return the angle at one lag before the newest sample, estimated from all samples so far.
 
         None until a lag has passed.
         """
@@ -603,6 +604,7 @@ class SmoothedMeter:
     def take_rest(self, mean_mg: Floats, temperature_c: float | None) -> None:
         """Check the calibration at rest: compare the length of the reading `mean_mg` with local gravity.
 
+        `temperature_c` is None if the sensor reports none: the mean of the calibration's session is taken.
         If the length contradicts the calibration, the error is added to the uncertainty of later angles,
         with a note.
         """
@@ -643,7 +645,10 @@ class SmoothedMeter:
         )
 
     def _corrected(self, accel_mg: Floats, temperature_c: float | None) -> Floats:
-        """Return the calibrated gravity vector in mg; zeros if the calibration cannot compute it."""
+        """Return the calibrated gravity vector (3,) in mg; zeros if the calibration cannot compute it.
+
+        `temperature_c` None takes the mean of the calibration's session.
+        """
         assert self._calibration is not None
         gravity = self._calibration.apply(accel_mg, temperature_c) * self._calibration.gravity_mg
         return np.nan_to_num(gravity)

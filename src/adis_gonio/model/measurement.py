@@ -143,7 +143,7 @@ class Measurement(ABC):
 
     @property
     def size(self) -> float:
-        """Typical size of a reading, in `unit`: local gravity for accelerometers, else `full`."""
+        """Typical size of a reading: local gravity in mg for accelerometers, 100 °/s for gyros."""
         return float(getattr(self, "gravity_mg", self.full))
 
     @property
@@ -152,7 +152,7 @@ class Measurement(ABC):
         return False
 
     def stimulus(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """Return the quantity (n, axes) that the scale factors multiply, as a fraction of `full`."""
+        """Return the quantity (n, axes) that the gains multiply, in units of 1 g (gyros: 100 °/s)."""
         return ideal / self.full
 
     def pose(self, reading: Floats, conditions: Conditions) -> Floats | None:
@@ -177,7 +177,7 @@ class Measurement(ABC):
         return np.array([parameter.nominal for parameter in self.parameters])
 
     def by_pose(self, conditions: Conditions) -> NDArray[np.bool_]:
-        """Return for each reading (n,) if its pose alone determines it, as for a sensor at rest."""
+        """Return for each reading (n,) True if the pose determines it, as at rest, False if a turn does."""
         return np.ones(len(conditions), dtype=bool)
 
     @abstractmethod
@@ -200,21 +200,23 @@ class Measurement(ABC):
 
     @abstractmethod
     def ideal(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Return the ideal readings (n, axes) in `unit` at attitudes rotated further by `turn_rad`.
+        """Return the ideal readings (n, axes) in mg or °/s at attitudes rotated further by `turn_rad`.
 
         `base` (p,) are the base parameters; `attitude` are the attitudes of n dwells.
         """
 
     @abstractmethod
     def tangent(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Return the derivative of `ideal` by the attitude, (n, axes, freedom) in `unit` per rad.
+        """Return the derivative of the ideal readings by the attitude, (n, axes, freedom) in mg per rad.
+
+        `freedom` is the number of unknown angles in an attitude.
 
         It is taken for the base parameters `base` (p,), at attitudes rotated further by `turn_rad` (n,).
         """
 
     @abstractmethod
     def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Return the derivative of `ideal` by the base parameters, (n, axes, p), per rad or per 1.
+        """Return the derivative of the ideal readings by the base parameters, (n, axes, p), per rad or 1.
 
         It is taken at the attitudes of n dwells, rotated further by `turn_rad` (n,).
         """
@@ -224,7 +226,10 @@ class Measurement(ABC):
         """Return the attitudes after a change of each one by `step` (n, freedom) in rad."""
 
     def deviation_rad(self, attitude: Floats) -> Floats:
-        """Return how far attitudes are from the declared ones, (n, freedom) in rad; a fit penalizes it."""
+        """Return the deviation of attitudes from the declared ones, (n, freedom) in rad.
+
+        A fit penalizes it by the uncertainty of the fixture.
+        """
         return np.zeros((len(attitude), self.freedom))
 
     @abstractmethod
@@ -425,7 +430,10 @@ class FreeAttitude(Measurement):
         return columns
 
     def moved(self, attitude: Floats, step: Floats) -> Floats:
-        """Return the unit vectors (n, 3) after a small rotation `step` (n, 2) along `across` in rad."""
+        """Return the unit vectors of gravity (n, 3) after a small change `step` (n, 2) in rad.
+
+        The two components of the change are along two directions across the vector.
+        """
         # Step in the tangent plane, then back to unit length.
         turned = attitude + (across(attitude) @ step[:, :, None])[:, :, 0]
         return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True))

@@ -448,6 +448,11 @@ class Session(ComputedOnce):
         held = f"{what}, {counted(samples, 'sample')}"
         return f"Session({name}: {held}, {self.sensor})"
 
+    @property
+    def filter_m(self) -> int | None:
+        """Exponent M of the chip's filter, two passes of 2^M taps; None if it is not known."""
+        return (self.facts.get("configuration") or {}).get("filter_m")
+
     def to_pandas(self) -> pd.DataFrame:
         """Return all samples as a pandas data frame with the columns of the samples CSV (extra: pandas)."""
         from adis_gonio.base.tables import frame

@@ -306,7 +306,8 @@ def plot(
 def _clean(one: Series, x_log: bool, y_log: bool, x_range: tuple[float, float] | None) -> Points:
     """Return the points of a series that can be drawn: x, y and error, each (n,).
 
-    They are finite, within `x_range`, and positive on an axis that is logarithmic (`x_log`, `y_log`).
+    They are finite, within `x_range` (None: no limit), and positive on an axis that is logarithmic
+    (`x_log`, `y_log`).
     """
     x, y = np.asarray(one.x, dtype=float).ravel(), np.asarray(one.y, dtype=float).ravel()
     error = np.zeros(len(y)) if one.error is None else np.asarray(one.error, dtype=float).ravel()

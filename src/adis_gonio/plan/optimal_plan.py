@@ -214,7 +214,10 @@ class Candidates:
 
     @property
     def precision(self) -> Floats:
-        """Inverse prior variance of each parameter, (p,), in its unit in `columns`."""
+        """Inverse prior variance of each parameter, (p,).
+
+        Base parameters are in natural units, amplitudes of effects in units of their typical size.
+        """
         precision = np.full(self.columns.shape[3], 1 / TYPICALS**2)
         precision[: self.base] = 1 / _LOOSE**2
         return precision
@@ -715,7 +718,7 @@ def fewest_positions(
 
     Raises
     ------
-    UsageError
+    FitError
         A plan of `MOST` positions cannot show that the angle conforms.
     """
     count = _fewest_interleaved(bench, tolerance)
@@ -749,7 +752,7 @@ def _fewest_interleaved(bench: Bench, tolerance: Tolerance) -> int:
             return False
 
     if not decides(MOST):
-        raise UsageError(
+        raise FitError(
             f"{counted(MOST, 'position')} cannot decide on {tolerance}: take longer dwells, a better stage"
             " or a quieter part"
         )

@@ -421,7 +421,9 @@ def document_of(made: Plan, made_for: Mapping[str, Any] | None = None) -> dict[s
 
 
 def write_plan(path: str | Path, made: Plan, made_for: Mapping[str, Any] | None = None) -> None:
-    """Write a plan to a JSON file, with facts for people about the search that found it (`made_for`).
+    """Write a plan to a JSON file.
+
+    `made_for` are facts for people about the search that found the plan; None writes none.
 
     Raises
     ------

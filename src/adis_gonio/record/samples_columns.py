@@ -261,6 +261,12 @@ def _positive(text: str) -> float:
     return value
 
 
+def _filter(text: str) -> int:
+    if text not in map(str, range(7)):
+        raise ValueError("expected a whole number from 0 to 6")
+    return int(text)
+
+
 def _sigma(text: str) -> float:
     if text.lower() == "free":
         return math.inf
@@ -305,6 +311,7 @@ KEYS: dict[str, Key] = {
     "fixture_sigma_deg": Key(_sigma, lambda sigma: "free" if math.isinf(sigma) else number_text(sigma)),
     "stage_curve": Key(_curve, _curve_text),
     "reading_u_mg": Key(_positive, number_text),
+    "filter_m": Key(_filter, str),
     "decimal": Key(_mark),
 }
 """Keys of the lines `# key: value` in the order of writing: fields of `Session`, and the decimal mark."""

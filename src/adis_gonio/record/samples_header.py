@@ -362,7 +362,9 @@ class Head:
         DataError
             Header and key state different units, and the user has not given the unit.
         """
-        values = {name: value for name, value in self.keys.items() if name != "decimal"}
+        values = {name: value for name, value in self.keys.items() if name not in ("decimal", "filter_m")}
+        if "filter_m" in self.keys:
+            values["facts"] = {"configuration": {"filter_m": self.keys["filter_m"]}}
         for key, axes, table in (("accel_unit", AXES, "accelerations"), ("gyro_unit", GYROS, "rates")):
             unit = next((c.unit for c in self.columns.values() if c.name in axes), "")
             if not unit:

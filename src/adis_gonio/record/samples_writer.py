@@ -283,6 +283,8 @@ class SamplesRecorder:
         Local gravity in m/s², for the head of the file.
     title : str
         Title for the head of the file; empty for a general title.
+    filter_m : int or None
+        Exponent M of the chip's filter, for the head of the file; None for another sensor.
 
     Attributes
     ----------
@@ -300,7 +302,13 @@ class SamplesRecorder:
     """
 
     def __init__(
-        self, path: Path, variant: str, *, gravity_mps2: float = STANDARD_GRAVITY_MPS2, title: str = ""
+        self,
+        path: Path,
+        variant: str,
+        *,
+        gravity_mps2: float = STANDARD_GRAVITY_MPS2,
+        title: str = "",
+        filter_m: int | None = None,
     ) -> None:
         if path.exists():
             raise exists_error(path)
@@ -318,6 +326,7 @@ class SamplesRecorder:
             f"# gravity_mps2: {gravity_mps2:.6g}",
             "# fixture_sigma_deg: free",
             "# plane: none",
+            *([] if filter_m is None else [f"# filter_m: {filter_m}"]),
         ]
         self._named = False
         self._file: IO[str] = (

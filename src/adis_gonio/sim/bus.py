@@ -45,7 +45,7 @@ from adis_gonio.sim.world import Values, World
 
 _POWERED_BEFORE_S = 0.5
 _TRIGGER_S = 2e-6
-_OPTIONS = ("seed", "variant", "stream", "realtime", "effects", "flash", "gyros")
+_OPTIONS = ("seed", "day", "variant", "stream", "realtime", "effects", "flash", "gyros")
 
 
 class SimBus(SpiBus):
@@ -319,10 +319,10 @@ class SimStage:
 def open_from_url(url: BusUrl) -> SimBus:
     """Open a simulated bus by a URL such as `sim:?seed=1&variant=adis16354&noise_mg=4.7`.
 
-    Options of the URL are `seed`, `variant`, `stream` (0 or 1), `realtime` (0 or 1), `effects` (of the
-    catalogue, such as `quadratic:k2_x=2.5;cubic`), `flash` (a file that stores the sensor's flash between
-    two openings), `gyros` (`realistic` draws their errors from the seed, but keeps values given by name),
-    and every name of `WorldSettings`.
+    Options of the URL are `seed`, `day` (another session of the same part), `variant`, `stream` (0 or 1),
+    `realtime` (0 or 1), `effects` (of the catalogue, such as `quadratic:k2_x=2.5;cubic`), `flash` (a file
+    that stores the sensor's flash between two openings), `gyros` (`realistic` draws their errors from the
+    seed, but keeps values given by name), and every name of `WorldSettings`.
 
     Raises
     ------
@@ -331,6 +331,8 @@ def open_from_url(url: BusUrl) -> SimBus:
     """
     if url.place:
         raise UsageError(f"'{url.text}': the simulator has no place '{url.place}'; write sim:?seed=1")
+    if "hands" in url.options:
+        raise UsageError(f"'{url.text}': only calibrate and write know hands=free; leave it out")
     options = UrlOptions(url, tuple(url.options))  # `WorldSettings.from_options` refuses unknown names
     seed = options.number("seed", 0, 0, 2**63 - 1)
     realistic = options.one_of("gyros", ("ideal", "realistic")) == "realistic"
@@ -339,6 +341,7 @@ def open_from_url(url: BusUrl) -> SimBus:
         WorldSettings.from_options(url.options, others=_OPTIONS, drawn=drawn),
         part=options.text("variant", "adis16354"),
         seed=seed,
+        day=options.number("day", 0, 0, 2**63 - 1),
         effects=[parse_effect(text) for text in filter(None, options.text("effects").split(";"))],
     )
     return SimBus(

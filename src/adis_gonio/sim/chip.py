@@ -420,7 +420,7 @@ class SimulatedChip:
             Word that is shifted out during each frame.
         """
         return self.frames_at(
-            words, start_s + np.arange(len(words), dtype=np.float64) * frame_s, clock_hz=clock_hz
+            words, start_s + frame_s * np.arange(len(words), dtype=float), clock_hz=clock_hz
         )
 
     def frames_at(self, words: Words, starts_s: Floats, *, clock_hz: float) -> Words:

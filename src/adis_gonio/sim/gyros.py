@@ -304,17 +304,6 @@ class DrawnFault:
     middle: float = 0.0
     most: float = 0.0
 
-    @property
-    def described(self) -> str:
-        """The distribution as text, such as "normal, 0, σ 0.05".
-
-        It has the law, the mean, and the standard deviation or half width.
-        """
-        if self.law == "uniform":
-            return f"uniform, {self.middle:g} ± {self.size:g}"
-        bound = f", at most {self.most:g} away" if self.most else ""
-        return f"normal, {self.middle:g}, σ {self.size:g}{bound}"
-
     def draw(self, rng: np.random.Generator) -> dict[str, float]:
         """Draw one value for each axis; return the values by the name of their setting."""
         n = len(self.axes)

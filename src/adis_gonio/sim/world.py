@@ -62,6 +62,9 @@ class World:
         Variant that provides the figures.
     seed : int
         Seed of all random numbers.
+    day : int
+        Number that another session of the same part differs in: it changes the noise and the errors of the
+        stage, but no hidden parameter. 0 for the first session.
     effects : sequence of (Effect, values)
         Effects to add to the readings; the values are by name, or in the order of the effect's parameters.
     """
@@ -72,15 +75,17 @@ class World:
         *,
         part: str | Variant = "adis16354",
         seed: int = 0,
+        day: int = 0,
         effects: Sequence[tuple[Effect, Values]] = (),
     ) -> None:
         self.settings = settings or WorldSettings()
         self.variant = variant(part)
         self.seed = seed
         # Separate streams, so that a change of one part leaves the draws of the others unchanged.
-        streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(12)]
-        hidden, white, self._flicker_rng, fixture, changes, shaking, self._level_rng = streams[:7]
-        self._draw(hidden)
+        self._draw(np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0]))
+        source = np.random.SeedSequence([seed, day] if day else seed)
+        streams = [np.random.default_rng(child) for child in source.spawn(12)]
+        _, white, self._flicker_rng, fixture, changes, shaking, self._level_rng = streams[:7]
         self._effect_rngs = changes.spawn(len(effects))
         self.effects = tuple((effect, _values(effect, given)) for effect, given in effects)
         self.stage = Stage(
@@ -228,7 +233,7 @@ class World:
     def temperature_c(self, time_s: Floats) -> Floats:
         """Return the temperature (n,) of the sensor in °C at times (n,) in s.
 
-        It is the sum of ambient temperature, self-heating, and changes by `bring_to`.
+        It is the sum of ambient temperature, self-heating, and changes that a user of the simulation made.
         """
         given = self.settings
         ambient = given.ambient_c + given.ambient_drift_c_per_h * time_s / 3600

@@ -57,7 +57,7 @@ def advise(
     if not selection.adequate and not lines:
         lines.append(
             "repeat each position at another time and from the other side: the residual is larger than "
-            "the noise within the dwells, and no single cause explains it"
+            "the noise of the readings, and no single cause explains it"
         )
     return tuple(lines), measurements
 

@@ -324,7 +324,8 @@ def mixed_covariance(
     """Return the covariance (width, width) of the first `width` values of the members' fits.
 
     It contains the uncertainty within each member and the differences between members, both in units of the
-    noise variance times `inflation`. Each member of `solutions` has its weight.
+    noise variance times `inflation`. A member of `solutions` is the weight of a model and its fit; the
+    weights add up to 1.
     """
     mean = np.sum([weight * one.values[:width] for weight, one in solutions], axis=0)
     covariance = np.zeros((width, width))

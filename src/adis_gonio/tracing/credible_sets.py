@@ -25,7 +25,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import HIDDEN, JsonRecord
-from adis_gonio.base.numbers import join_words
+from adis_gonio.base.numbers import format_percent, join_words
 from adis_gonio.fitting.estimation.terms import NamelessTerm, Term
 from adis_gonio.tracing.averaging import Averaged
 from adis_gonio.tracing.linear_problem import LinearProblem, span
@@ -79,7 +79,7 @@ def judge(selection: Selection, averaged: Averaged | None = None) -> Names:
         beside = [u for u in unknown if any(related(term, u) for term in mine)]
         probability = verdict.names.get(name, 0.0)
         if probability < limits.certain:
-            rejected[name] = f"models without it have {1 - probability:.0%} of the posterior"
+            rejected[name] = f"models without it have {format_percent(1 - probability)} of the posterior"
         elif beside:
             rejected[name] = "may be a piece of the same unnamed cause"
             confounded.append((name, *(u.shown_as for u in beside)))

@@ -295,7 +295,10 @@ def in_units_of_file(finding: Finding, unit: Unit) -> Finding:
 
 
 def notes_of(selection: Selection, scatter: Scatter | None) -> tuple[str, ...]:
-    """Return notes on the noise, on dwell-to-dwell scatter, and on stage errors that look alike."""
+    """Return notes on the noise, on dwell-to-dwell scatter, and on stage errors that look alike.
+
+    `scatter` is None if there is no dwell-to-dwell scatter.
+    """
     data = selection.data
     notes = list(data.notes)
     for cycles, others in cycles_alike(selection):
@@ -309,7 +312,7 @@ def notes_of(selection: Selection, scatter: Scatter | None) -> tuple[str, ...]:
             "tested"
         )
     if scatter is not None:
-        what = "stated of the fixture" if scatter.kind == "fixture_scatter" else "shown within the dwells"
+        what = "stated of the fixture" if scatter.kind == "fixture_scatter" else "the noise of a reading"
         unit = "°" if scatter.unit == "deg" else f" {scatter.unit}"
         notes.append(
             f"dwells scatter by {scatter.value:.2g}{unit}, but {scatter.declared:.2g}{unit} was {what}; "
@@ -317,8 +320,8 @@ def notes_of(selection: Selection, scatter: Scatter | None) -> tuple[str, ...]:
         )
     elif data.noise_known and selection.inflation > 1 and not selection.adequate:
         notes.append(
-            f"no model explains the residual down to the measured noise; effects were judged against "
-            f"{np.sqrt(selection.inflation):.2g} times that noise"
+            "no model explains the residual down to the noise of the readings; effects were judged against"
+            f" {np.sqrt(selection.inflation):.2g} times that noise"
         )
     return tuple(notes)
 
@@ -361,7 +364,7 @@ def with_shares(found: Sequence[Finding], of_step: dict[str, float]) -> tuple[Fi
 
 
 def unnamed_with_share(unnamed: Unnamed | None, of_step: dict[str, float]) -> Unnamed | None:
-    """Return the unnamed part, if any, with `explains` set to its share of the base model's excess χ².
+    """Return the unnamed part (None if there is none) with its share of the base model's excess χ².
 
     If no step added an unnamed term, the share is limited to the part that the steps leave unexplained.
     `of_step` are the shares of all effects.
@@ -595,7 +598,10 @@ def detectable(
 
     @cache
     def basis_without(name: str | None) -> Floats:
-        """Return an orthonormal basis of the model's columns without the terms of one effect."""
+        """Return an orthonormal basis of the model's columns without the terms of the effect `name`.
+
+        None leaves no term out.
+        """
         return span(problem, [m for m in model if name is None or problem.terms[m].name != name])[0]
 
     figures: dict[tuple[str, str, str], list[float]] = defaultdict(list)

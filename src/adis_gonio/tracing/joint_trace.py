@@ -170,7 +170,7 @@ def trace_stacked(
         Largest number of terms added to the base model.
     """
     run = JointRun(stack(readings, origins), max_effects)
-    result = run.result()
+    result = run.traced()
     return result if isinstance(result, JointResult) else JointResult(**vars(result))
 
 

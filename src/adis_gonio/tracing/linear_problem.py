@@ -285,7 +285,7 @@ def _solve_small_systems(gram: Floats, right: Floats) -> Floats:
 
 
 class Products:
-    """Cache of the products of the columns of models with the columns of the terms that may extend them.
+    """Cache of scalar products between the columns of models and those of terms that may extend them.
 
     With these products, an extension of a model can be scored without using the rows.
     """

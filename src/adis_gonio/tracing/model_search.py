@@ -37,6 +37,7 @@ import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +75,11 @@ class Search:
     inflation: float = 1.0
     scores: dict[Model, float] = field(default_factory=dict)
     promise: Floats = field(default_factory=lambda: np.zeros(0))
+
+    @cached_property
+    def forced(self) -> Model:
+        """The terms that are in every model."""
+        return tuple(k for k, term in enumerate(self.problem.terms) if term.forced)
 
     @property
     def best(self) -> Model:
@@ -125,10 +131,11 @@ def search(
         spare = max(problem.dof // 2, 1)
     problem = problem.with_inflation(inflation)
     found = Search(problem, price(problem), inflation)
-    found.scores[()] = 0.0
     found.promise = np.full(len(problem.terms), -np.inf)
     if problem.terms:
         _Climb(found, spare, max_terms, explored).run()
+    else:
+        found.scores[()] = 0.0
     return found
 
 
@@ -163,14 +170,16 @@ class _Climb:
         # The best of all models and of those with names only, by their names and covariates.
         kinds = {key: i for i, key in enumerate(dict.fromkeys((t.name, t.covariates) for t in terms))}
         self.kind = np.array([kinds[term.name, term.covariates] for term in terms], dtype=np.intp)
-        nothing: dict[frozenset[int], tuple[float, Model]] = {frozenset(): (0.0, ())}
-        self.leads = nothing, dict(nothing)
-        self.top = 0.0
+        self.forced = found.forced
+        first = self._score(self.forced, problem.chi2 - problem.gain(self.forced))
+        found.scores[self.forced] = self.top = first
+        begin = {frozenset(self.kind[list(self.forced)].tolist()): (first, self.forced)}
+        self.leads = begin, dict(begin)
 
     def run(self) -> None:
         """Extend the best single terms, then search with the named terms alone, then with every term."""
-        ends: list[Model] = [()] if self.bias is None else [(), (self.bias,)]
-        for model in ends:
+        with_bias = () if self.bias is None else (self.bias,)
+        for model in dict.fromkeys((self.forced, tuple(sorted({*self.forced, *with_bias})))):
             self.open(model, self.every)
             if not spent():
                 self.score_pairs(model, start=True)
@@ -213,8 +222,10 @@ class _Climb:
 
         If `far` is true, also yield the models without two terms, and each model with a bias added.
         """
-        for dropped in range(min(len(model), 1 + far) + 1):
-            for rest in itertools.combinations(model, len(model) - dropped):
+        free = [k for k in model if k not in self.forced]
+        for dropped in range(min(len(free), 1 + far) + 1):
+            for kept in itertools.combinations(free, len(free) - dropped):
+                rest = tuple(sorted((*self.forced, *kept)))
                 yield rest
                 biased = any(self.found.problem.terms[k].constant for k in rest)
                 if far and self.bias is not None and not biased:
@@ -297,7 +308,7 @@ class _Climb:
             float(np.partition(gained, -few)[-few]),
         )
         wanted = gained >= floor
-        if not model:
+        if model == self.forced:
             # A single name may score far below many unnamed terms that replace two names at once.
             wanted |= self.named[number]
         kept = np.flatnonzero(wanted & np.isfinite(gained))

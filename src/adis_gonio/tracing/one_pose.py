@@ -30,7 +30,7 @@ from adis_gonio.base.arrays import Floats, log_sum_exp
 from adis_gonio.base.budget import attempt, check
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.jsonable import ComputedOnce
-from adis_gonio.base.numbers import counted
+from adis_gonio.base.numbers import counted, format_percent
 from adis_gonio.base.uncertainty import Detectable, Value
 from adis_gonio.fitting.estimation.readings import mg_per_unit
 from adis_gonio.model.effects import AXES, Conditions, Effect, effect
@@ -183,7 +183,8 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
         none = 1 - sum(share.values())
         if chosen is None or none > limits.certain:
             reasons = {
-                one.effect.name: f"a jump or slow noise of the bias is more probable ({none:.0%})"
+                one.effect.name: "a jump or slow noise of the bias is more probable"
+                f" ({format_percent(none)})"
                 for one in share
                 if share[one] > 1 - limits.set_level
             }
@@ -607,7 +608,7 @@ def _uncaused(problem: _Problem, model: Model) -> list[str]:
         }
         likely = max(ways, key=ways.__getitem__)
         if likely != _WHITE and chance[0, 0, axis] < 1 - limits.set_level:
-            out.append(f"{AXES[axis]} by {likely} ({ways[likely]:.0%})")
+            out.append(f"{AXES[axis]} by {likely} ({format_percent(ways[likely])})")
     return out
 
 

@@ -93,7 +93,7 @@ def with_scatter(
         size, again = _fit_component(data, kind, selection, promising, max_effects)
         if again is None:
             continue
-        score = _evidence(again) - _price(data)
+        score = _evidence(again) - price_of_scatter(data)
         if best is None or score > best[0]:
             best = (score, again, kind, size)
     if best is not None and best[0] > at_most:
@@ -111,15 +111,24 @@ def _kinds(data: Readings) -> Iterator[Kind]:
         yield "fixture_scatter"
 
 
-def _price(data: Readings) -> float:
+def price_of_scatter(data: Readings) -> float:
     """Return the loss of log evidence in nats by scatter: for its parameter and its prior probability."""
     return -math.log(limits.effect_share) + 0.5 * math.log(max(data.mean.size, 2))
 
 
 def _evidence(selection: Selection) -> float:
     """Return the log evidence of a selection's model, except for constants common to all models."""
-    prices = sum(float(selection.found.prices[k]) for k in selection.verdict.best)
-    return _restricted(selection.fit, base_only=True) - prices
+    return log_evidence(selection.fit, selection.price)
+
+
+def log_evidence(fit: Fit, prices: float, inflation: float = 1.0) -> float:
+    """Return the log evidence of a fitted model, except for constants common to all models.
+
+    `prices` is the price of its terms in nats, `inflation` a factor on the variance of the noise.
+    """
+    checks = fit.equations - len(fit.values.base)
+    larger = fit.loss * (1 - 1 / inflation) - checks * math.log(inflation)
+    return _restricted(fit, base_only=True) + 0.5 * larger - prices
 
 
 def _evidence_of_processes(selection: Selection) -> float:

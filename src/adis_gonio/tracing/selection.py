@@ -51,6 +51,11 @@ class Selection(ComputedOnce):
         return self.fit.data
 
     @property
+    def price(self) -> float:
+        """Price of the terms of the chosen model in nats (`model_search.price`)."""
+        return float(sum(self.found.prices[k] for k in self.verdict.best))
+
+    @property
     def terms(self) -> tuple[Term, ...]:
         """Terms that the chosen model adds to the base model."""
         return self.fit.terms

@@ -1,7 +1,7 @@
 """The tuned numbers of the trace, each with its origin, in one table.
 
 They are the fields of `limits`. `python scripts/trace_ablation.py` switches off each number that is a
-rule, on blind sessions, and prints the changes. docs/thresholds.md contains this table and those figures.
+rule, on blind sessions, and prints the changes. docs/testing.md reports the changes.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ INFINITE = float("inf")
 
 @dataclass
 class Limits:
-    """The thresholds and weights of the trace; docs/thresholds.md lists them with origin and reason."""
+    """The thresholds and weights of the trace; `scripts/trace_ablation.py --numbers` lists them."""
 
     # Prior
     effect_share: float = number(0.0175, "measured", "prior share of an effect (scripts/trace_level.py)")

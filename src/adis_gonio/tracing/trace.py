@@ -24,13 +24,14 @@ import numpy as np
 from adis_gonio.base.arrays import solvable
 from adis_gonio.base.budget import attempt, current, spent, within
 from adis_gonio.base.errors import FitError, UsageError
-from adis_gonio.base.numbers import counted, format_p, signed
+from adis_gonio.base.numbers import counted, format_p, format_percent, signed
 from adis_gonio.base.uncertainty import Detectable
 from adis_gonio.fitting.estimation.readings import ACCELEROMETER, Readings, known_part, readings_of_part
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.fitting.noise_estimation import state_noise
 from adis_gonio.fitting.slips import Diagnosis, PositionFinding
 from adis_gonio.fitting.slips.session_positions import failure_message, positions_of
+from adis_gonio.model.effects import catalogue
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
 from adis_gonio.tracing.averaging import average
@@ -52,6 +53,7 @@ from adis_gonio.tracing.findings import (
     with_shares,
     zeros_of,
 )
+from adis_gonio.tracing.further_terms import best_by_terms
 from adis_gonio.tracing.grammar import nameless_terms
 from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.scatter import Scatter, with_scatter
@@ -79,6 +81,7 @@ from adis_gonio.tracing.validation import (
     reject_unchecked,
     without_folds,
 )
+from adis_gonio.tracing.what_if import FREE, Request, compare
 
 UNCHECKED = "the time limit ended the trace before this was checked"
 """Reason that the result gives for each term of a model that was not validated."""
@@ -92,6 +95,9 @@ def trace(
     max_effects: int = 6,
     time_limit: float | None = None,
     part: str = ACCELEROMETER,
+    include: str | Sequence[str] = (),
+    exclude: str | Sequence[str] = (),
+    only: bool = False,
 ) -> TraceResult:
     """Trace the residual of a session to the effects that the base model lacks.
 
@@ -107,6 +113,14 @@ def trace(
         (`TraceResult.stopped`). By default there is no limit, so the result does not depend on the machine.
     part : {"accelerometer", "gyro"}
         The traced readings: of the accelerometers or the gyros.
+    include : str or sequence of str
+        What if these terms are in the model: effects such as `quadratic:x`, or formulas such as
+        `mine_x = (T - 25)**2 * gx` (`tracing.what_if`). The result compares the model with the best model
+        (`TraceResult.what_if`).
+    exclude : str or sequence of str
+        What if the model has none of the effects with these names.
+    only : bool
+        True: the model has the terms of `include` and no other.
 
     Raises
     ------
@@ -115,30 +129,36 @@ def trace(
     FitError
         Fewer readings than base parameters.
     UsageError
-        A time limit that is not positive, or a part that no sensor has.
+        A time limit that is not positive, a part that no sensor has, or a term or name of a what-if that is
+        unknown or that the session cannot show.
     """
     known_part(part)
+    request = Request.of(include, exclude, only)
     if session.free_turn and not session.dwells:
         raise FitError(
             f"{session.source or 'session'}: a free turn has no positions whose residuals a trace could"
             " follow; use fit, or measure positions (calibrate --plan tumble) and trace those"
         )
     if time_limit is None:
-        result = _trace(session, max_effects, part)
+        result = _trace(session, max_effects, part, request)
     elif not time_limit > 0:
         raise UsageError(f"a time limit of {time_limit:g} s: give a positive number of seconds")
     else:
         with within(current().limited(time_limit)):
-            result = _trace(session, max_effects, part)
+            result = _trace(session, max_effects, part, request)
     overrides = session.facts.get("overrides", {})
     return replace(result, provenance=provenance_of(session), overrides=overrides)
 
 
-def _trace(session: Session, max_effects: int, part: str) -> TraceResult:
+def _trace(session: Session, max_effects: int, part: str, request: Request) -> TraceResult:
     own = part == ACCELEROMETER  # only accelerometer samples are searched inside the dwells
     if own and len([dwell for dwell in session.dwells if len(dwell)]) == 1:
         from adis_gonio.tracing.one_pose import trace_series
 
+        if request:
+            raise UsageError(
+                f"{session.source or 'session'}: --with, --without and --only need dwells in several poses"
+            )
         return with_time_left_out(trace_series(session, max_effects), checked=True)
     from adis_gonio.tracing.within.second_pass import with_second_pass
 
@@ -146,7 +166,7 @@ def _trace(session: Session, max_effects: int, part: str) -> TraceResult:
     data = correct_slips(readings_of_part(session, part), positions)
     try:
         data = state_noise(data) if own else data
-        result = trace_readings(data, max_effects, positions)
+        result = trace_readings(data, max_effects, positions, request)
     except FitError as error:
         raise FitError(failure_message(session, error)) from error
     result = with_positions(result, data, positions)
@@ -167,7 +187,12 @@ def with_time_left_out(result: TraceResult, *, checked: bool) -> TraceResult:
     return replace(result, stopped=Stopped.of(budget, checked=checked)) if budget.left_out else result
 
 
-def trace_readings(data: Readings, max_effects: int = 6, positions: Diagnosis | None = None) -> TraceResult:
+def trace_readings(
+    data: Readings,
+    max_effects: int = 6,
+    positions: Diagnosis | None = None,
+    request: Request = FREE,
+) -> TraceResult:
     """Trace readings to the causes of their residual.
 
     Parameters
@@ -178,8 +203,15 @@ def trace_readings(data: Readings, max_effects: int = 6, positions: Diagnosis | 
         Largest number of terms added to the base model.
     positions : Diagnosis, optional
         Earlier diagnosis of the positions: effects of single dwells to exclude, sizes of large slips.
+    request : Request
+        Terms and names that the user puts into the model or takes out of it.
     """
-    return TraceRun(data, max_effects, positions).result()
+    if not request:
+        return TraceRun(data, max_effects, positions).traced()
+    asked = TraceRun(data, max_effects, positions, request)  # this first: it checks the request
+    free = TraceRun(data, max_effects, positions)
+    free.traced()
+    return replace(asked.traced(), what_if=compare(free, asked, request))
 
 
 class TraceRun:
@@ -199,6 +231,10 @@ class TraceRun:
     fits, steps, errors, figures
         Nested fits from the base model to the chosen model; the name of the term added at each step; the
         held-out errors that choose the longest acceptable model; the error figures of the result.
+    forced, closed : list of str, bool
+        Names of the terms that the user put into every model; True if no other term is searched.
+    shortened : bool
+        True if the result has fewer terms than the chosen model.
     names : Names
         Accepted, rejected and confounded names of the model.
     findings : list of Finding
@@ -207,31 +243,28 @@ class TraceRun:
         For each rejected name, the reason.
     """
 
-    def __init__(self, data: Readings, max_effects: int, positions: Diagnosis | None) -> None:
+    def __init__(
+        self,
+        data: Readings,
+        max_effects: int,
+        positions: Diagnosis | None,
+        request: Request = FREE,
+    ) -> None:
         self.data, self.measured, self.max_effects = data, data.training, max_effects
         refuse_too_few(self.measured)
         named, self.missing = named_terms(self.measured)
         if positions is not None:
             named = restrict_candidates(named, self.measured, positions)
         self.terms: list[Term] = [*named, *nameless_terms(self.measured)]
+        self.closed = request.only
+        if request:
+            self.terms, self.max_effects = request.candidates(self.measured, self.terms, max_effects)
+            gone = catalogue(data.model.part) if request.only else request.exclude
+            self.missing |= dict.fromkeys(gone, "left out of the model as asked")
+        self.forced = [term.name for term in self.terms if term.forced and term.name is not None]
 
-    @property
-    def final(self) -> Selection:
-        """The selection for the result: the chosen model, with averaged unnamed functions if any."""
-        return self.selection if self.averaged is None else self.selection.with_fit(self.averaged.fit)
-
-    @property
-    def judged(self) -> Selection:
-        """The chosen model with the posterior by which its causes are judged.
-
-        The posterior may include an unknown cause (`beside_unknown_cause`).
-        """
-        judge, best = self.weighed, self.selection.verdict.best
-        verdict = replace(judge.verdict, best=best)
-        return replace(self.selection, problem=judge.problem, found=judge.found, verdict=verdict)
-
-    def result(self) -> TraceResult:
-        """Run all stages, and return the result."""
+    def traced(self) -> TraceResult:
+        """Go through all stages and return the result."""
         self.search()
         self.drop_refuted_functions()
         self.judge_names()
@@ -242,9 +275,27 @@ class TraceRun:
         self.judge_findings()
         return self.finished()
 
+    @property
+    def final(self) -> Selection:
+        """The selection for the result: the chosen model, with averaged unnamed functions if any."""
+        return self.selection if self.averaged is None else self.selection.with_fit(self.averaged.fit)
+
+    @property
+    def judged(self) -> Selection:
+        """The chosen model, with the posterior probabilities by which its causes are accepted or rejected.
+
+        If no model is adequate, an unknown cause competes with all models in this posterior.
+        """
+        judge, best = self.weighed, self.selection.verdict.best
+        verdict = replace(judge.verdict, best=best)
+        return replace(self.selection, problem=judge.problem, found=judge.found, verdict=verdict)
+
     def search(self) -> None:
         """Choose a model of the readings; include dwell-to-dwell scatter if this is more probable."""
-        self.selection, self.scatter = search_model(self.measured, self.terms, self.max_effects)
+        if self.closed:
+            self.selection, self.scatter = select(self.measured, self.terms, self.max_effects), None
+        else:
+            self.selection, self.scatter = search_model(self.measured, self.terms, self.max_effects)
         if self.scatter is not None:
             self.data = self.scatter.applied(self.data)
         self.checking = self.data.checking
@@ -261,7 +312,8 @@ class TraceRun:
             if current().left_out:
                 break
             before = dict(vars(self))
-            least = min((error for error in self.errors if error is not None), default=math.inf)
+            known = [error for error in self.errors[len(self.forced) :] if error is not None]
+            least = min(known, default=math.inf)
             self.nest(self.selection.without_functions(gone))
             after = self.errors[-1] if self.errors else None
             if after is not None and after > limits.worse * least:
@@ -271,7 +323,11 @@ class TraceRun:
     def nest(self, selection: Selection) -> None:
         """Store a selection, and fit its nested models (one term more each) with held-out errors."""
         self.selection = selection
-        self.averaged = attempt("the average of functions without a name", lambda: average(selection), None)
+        self.averaged = attempt(
+            "the average of functions without a name",
+            lambda: None if self.closed else average(selection),
+            None,
+        )
         self.fold = Fold.of(selection, self.terms, self.averaged, self.max_effects)
         self.fits, self.steps = nest_fits(selection, self.averaged)
         unguarded: list[float | None] = [None for _ in self.fits]
@@ -315,10 +371,11 @@ class TraceRun:
 
         Not worse means hardly larger than the held-out error of any shorter model.
         """
-        reported = reported_errors(self.figures) if self.checking is None else None
-        unit = self.measured.model.unit
-        count, self.names, cut = never_worse(self.names, self.steps, self.errors, reported, unit)
-        if count < len(self.steps):
+        least, unit = len(self.forced), self.measured.model.unit
+        reported = reported_errors(self.figures[least:]) if self.checking is None else None
+        count, self.names, cut = never_worse(self.names, self.steps, self.errors, reported, unit, least)
+        self.shortened = count < len(self.steps)
+        if self.shortened:
             # All nested models already have their figures, so the longer ones are only dropped.
             self.fits, self.figures = self.fits[: count + 1], self.figures[: count + 1]
             self.steps = self.steps[:count]
@@ -334,14 +391,18 @@ class TraceRun:
         final, noise_known = self.final, self.measured.noise_known
         judged = self.judged
         # Counts have no zero of their own: their bias is a base parameter, and not a finding.
-        accepted = [n for n in self.names.accepted if n != "bias" or self.data.unit.known]
+        # A forced term was asked for, and not found.
+        own = {*self.forced, *(() if self.data.unit.known else ("bias",))}
+        accepted = [n for n in self.names.accepted if n not in own]
         findings = [finding_of(final, name, self.averaged, judged) for name in accepted]
         places = credible_sets(judged, self.averaged)
         known = {term.name for term in self.terms}
         self.sets = tuple(
             one
             for one in places
-            if one.present >= limits.certain and (one.names[0] in known or self.functions_checked)
+            if one.cause not in self.forced
+            and one.present >= limits.certain
+            and (one.names[0] in known or self.functions_checked)
         )
         self.likelier = likelier_functions(self.sets, self.terms)
         at_middle = [bias_at_middle(final, finding) for finding in findings]
@@ -401,6 +462,8 @@ class TraceRun:
             advice=advice,
             measurements=measurements,
             base={**base_of(final), **zeros},
+            by_terms=best_by_terms(selection, self.fits),
+            fold=self.fold,
             reasons=self.reasons,
             notes=tuple(self.notes),
         )
@@ -507,7 +570,9 @@ def weak_names(
         elif finding.probability < limits.certain:
             # Models with equal predictions count as one model, which may have this name although most of
             # them have another name or none.
-            weak[finding.effect] = f"other names or none in its place have {1 - finding.probability:.0%}"
+            weak[finding.effect] = (
+                f"other names or none in its place have {format_percent(1 - finding.probability)}"
+            )
         elif final.heldout_rms is None and finding.effect != "bias":
             weak[finding.effect] = "no dwell could be held out to check it"
         elif not differs_from_zero(finding):

@@ -177,7 +177,7 @@ class _Columns:
         return float(factor), self._padded(slope[axis] - self._slope[axis]) / MG_PER_G
 
     def _padded(self, slope: Floats) -> Floats:
-        """Return a gradient (p,) with zeros appended, up to the length of the gradients in `rows`."""
+        """Return a gradient with zeros appended for the parameters of the fit that it lacks, (p,)."""
         return np.pad(slope, (0, len(self.covariance) - len(slope)))
 
     def _gradient(self, place: int | None, factor: float = 1.0) -> Floats:

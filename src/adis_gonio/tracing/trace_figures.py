@@ -20,6 +20,7 @@ from adis_gonio.model.records import Session
 from adis_gonio.tracing.one_pose import series_columns, series_conditions, series_readings
 from adis_gonio.tracing.trace_result import TraceResult
 from adis_gonio.tracing.validation import residuals_on
+from adis_gonio.tracing.what_if import WhatIf
 
 _LEFT = ("angle", "time", "temperature", "supply")
 _LEAST_SPAN = {"temperature": 0.145, "supply": 0.0018}
@@ -107,6 +108,23 @@ def views_of(readings: Readings, result: TraceResult) -> Views:
     for (before, after), step in zip(itertools.pairwise(chain), result.steps, strict=True):
         steps.append(StepView(step.effect, _panels(checking, _new_term(before, after), before, after)))
     return Views(tuple(steps), _left(checking, result))
+
+
+def what_if_panels(what_if: WhatIf) -> tuple[Panel, ...]:
+    """Return panels with the residuals of the best model (`before`) and of the asked model (`after`).
+
+    They are over the covariates of the terms that only one of the two models has.
+    """
+    best, asked = what_if.fits
+    labels = [{term.label for term in fit.terms} for fit in (asked, best)]
+    terms = [
+        term
+        for fit, other in zip((best, asked), labels, strict=True)
+        for term in fit.terms
+        if term.label not in other
+    ]
+    panels = [panel for term in terms for panel in _panels(None, term, best, asked)]
+    return tuple({(panel.covariate, panel.quantity): panel for panel in panels}.values())
 
 
 def _new_term(before: Fit, after: Fit) -> Term:
@@ -263,7 +281,8 @@ def view_uncertainty(fit: Fit, quantity: str) -> Floats:
 def _left(checking: Readings | None, result: TraceResult) -> tuple[Panel, ...]:
     """Return panels with the final model's residual over each covariate that varied.
 
-    The covariates of the unnamed part are first.
+    `checking` are the readings of check dwells, None without any. The covariates of the unnamed part are
+    first.
     """
     base, last = result.fits[0], result.fits[-1]
     data = last.data

@@ -30,6 +30,9 @@ from adis_gonio.tracing.within.samples import WithinFinding
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration, GyroCalibration
+    from adis_gonio.tracing.further_terms import Scored
+    from adis_gonio.tracing.validation import Fold
+    from adis_gonio.tracing.what_if import WhatIf
 
 
 class ErrorFigures(JsonRecord):
@@ -304,6 +307,10 @@ class TraceResult(ParameterTable):
     fits : tuple of Fit
         Fit of the base model, then of the model after each step; not in the JSON and not compared. Empty
         for a single pose traced sample by sample.
+    by_terms : tuple of Scored
+        The best model that the search scored of each number of terms; not in the JSON and not compared.
+    fold : Fold or None
+        Residuals on held-out dwells by model, which the trace has computed; None if it has not.
     inflation : float
         Factor on the measured noise variance for the stated uncertainties; above 1 if it does not explain
         the residual.
@@ -315,12 +322,14 @@ class TraceResult(ParameterTable):
         Metadata that replaced values of the session's file, old and new (`session.overrides`).
     position_findings : tuple of PositionFinding
         Positions that differ from their declaration (`adis_gonio.fitting.slips`).
+    what_if : WhatIf or None
+        Comparison with the best model; None if the user put no term into the model and took none out.
     """
 
     document_keys: ClassVar[tuple[str, ...]] = (
         *("adequate", "adequacy", "found", "steps", "sets", "confounded", "unnamed", "error", "detectable"),
         *("advice", "measurements", "rivals", "base", "reasons", "notes", "within", "heldout_design"),
-        *("reference_temperature_c", "stopped", "overrides"),
+        *("reference_temperature_c", "stopped", "overrides", "what_if"),
     )
 
     adequate: bool
@@ -341,11 +350,14 @@ class TraceResult(ParameterTable):
     sets: tuple[CredibleSet, ...] = ()
     measurements: tuple[NextDwell, ...] = ()
     fits: tuple[Fit, ...] = field(default=(), repr=False, compare=False)
+    by_terms: tuple[Scored, ...] = field(default=(), repr=False, compare=False)
+    fold: Fold | None = field(default=None, repr=False, compare=False)
     inflation: float = 1.0
     stopped: Stopped | None = None
     provenance: Provenance | None = field(default=None, repr=False, compare=False)
     overrides: dict[str, Any] = field(default_factory=dict)
     position_findings: tuple[PositionFinding, ...] = ()
+    what_if: WhatIf | None = field(default=None, metadata=OPTIONAL)
 
     def __repr__(self) -> str:
         found = ", ".join(finding.effect for finding in self.found) or "no effect"

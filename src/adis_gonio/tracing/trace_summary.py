@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,7 @@ from adis_gonio.base.numbers import (
     format_reduction,
     format_unit,
     join_words,
+    power_of_ten,
     with_unit,
 )
 from adis_gonio.base.uncertainty import Detectable
@@ -25,6 +27,7 @@ from adis_gonio.tracing.trace_result import ErrorFigures, Finding, TraceResult
 
 if TYPE_CHECKING:
     from adis_gonio.tracing.joint_trace import JointResult
+    from adis_gonio.tracing.what_if import WhatIf
 
 _IN_SAMPLES = "looked for within the dwells"
 _COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six")
@@ -157,6 +160,46 @@ def _by_axis(rows: Sequence[tuple[str, ErrorFigures]], unit: str) -> dict[str, l
     return {f"{axis} / {unit}": [(own or {}).get(axis) for own in each] for axis in each[0] or ()}
 
 
+def asked(what_if: WhatIf) -> str:
+    """Return the question of a what-if, such as `What if: with quadratic:x, without bias_drift`."""
+    words = {"only" if what_if.only else "with": what_if.include, "without": what_if.exclude}
+    parts = [f"{word} {join_words(names)}" for word, names in words.items() if names]
+    return f"What if: {', '.join(parts) or 'the base model only'}"
+
+
+def compared(what_if: WhatIf) -> tuple[list[str], list[list[str]]]:
+    """Return the column names and the rows of the table that compares the models of a what-if."""
+    models = {"base": what_if.before, "best": what_if.best, "asked": what_if.asked}
+    unit = format_unit(what_if.before.error.unit)
+    rows = [
+        [
+            f"{name}: {' + '.join(model.terms) or 'no effect'}",
+            format_number(model.error.residual_rms),
+            format_number(model.error.heldout_rms),
+            format_number(model.error.chi2_per_dof),
+            odds(model.log_evidence - what_if.best.log_evidence),
+        ]
+        for name, model in models.items()
+    ]
+    return ["model", f"residual / {unit}", f"left out / {unit}", "χ² / dof", "odds / best"], rows
+
+
+def odds(log_odds: float) -> str:
+    """Format the ratio of two probabilities from its logarithm, such as `1 : 25`."""
+    tenfold = abs(log_odds) / math.log(10)
+    size = format_number(10**tenfold, 2) if tenfold < 4 else power_of_ten(round(tenfold))
+    return f"1 : {size}" if log_odds < 0 else f"{size} : 1"
+
+
+def forced(what_if: WhatIf) -> list[str]:
+    """Return a line for each term that the user put into the model, with its values."""
+    return [
+        f"{term.effect}: {'; '.join(f'{name} = {value}' for name, value in term.parameters.items())}"
+        + ("" if term.differs_from_zero else " (not different from zero)")
+        for term in what_if.forced
+    ]
+
+
 def how_sure(finding: Finding) -> str:
     """Describe how certain a finding is, such as `very likely: probability 99.6 %, p < 10⁻¹²`."""
     word = next(
@@ -166,9 +209,10 @@ def how_sure(finding: Finding) -> str:
 
 
 def uncertain_steps(result: TraceResult) -> list[str]:
-    """Return the effects in the final model that are not certain enough to be findings."""
-    found = {finding.effect for finding in result.found}
-    return list(dict.fromkeys(step.effect for step in result.steps if step.effect not in found))
+    """Return the effects in the final model that are neither findings nor put there by the user."""
+    known = {finding.effect for finding in result.found}
+    known |= {term.effect for term in result.what_if.forced} if result.what_if is not None else set()
+    return list(dict.fromkeys(step.effect for step in result.steps if step.effect not in known))
 
 
 def ordered(result: TraceResult) -> list[Finding]:
@@ -219,21 +263,22 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
         covariates = join_words(list(rest.covariates))
         return f"{begin} residual follows {covariates} in a way that no named effect explains.{end}"
     if result.adequate:
+        names += [term.effect for term in result.what_if.forced] if result.what_if is not None else []
         if not names and not result.steps:
             return (
-                "The base model explains this session: the residual is the noise that was measured within "
-                "the dwells. No effect had to be added."
+                "The base model explains this session: the residual is the noise of the readings. No effect"
+                " had to be added."
             )
         unsure = uncertain_steps(result)
         if unsure:
             verb = "is" if len(unsure) == 1 else "are"
             return (
-                f"The residual falls to the measured noise with {join_words([*names, *unsure])}; "
+                f"The residual falls to the noise of the readings with {join_words([*names, *unsure])}; "
                 f"{join_words(unsure)} {verb} not certain."
             )
         count = _COUNTS[len(names)] if len(names) < len(_COUNTS) else str(len(names))
         word = "effect brings" if len(names) == 1 else "effects bring"
-        return f"{count} {word} the residual down to the measured noise: {join_words(names)}."
+        return f"{count} {word} the residual down to the noise of the readings: {join_words(names)}."
     if exact(result):
         return (
             f"{what} The model has as many parameters as there are readings: no reading remains to "

@@ -75,7 +75,7 @@ class TracedAnswer(Answer):
 
     @cached_property
     def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
-        """Uncertainty budget of each of `values` by the traced model; empty for attitudes in space."""
+        """Uncertainty budgets of ΔK, Δφ and the angle by the traced model; empty for attitudes in space."""
         return budgets_of_trace(self.traced, self.values)
 
     @property
@@ -92,9 +92,9 @@ class TracedAnswer(Answer):
     def remarks(self) -> tuple[str, ...]:
         """Remarks on the shown values, such as the temperature at which they are valid."""
         temperature = self.traced.reference_temperature_c
-        return (
-            super().remarks if temperature is None else (f"Parameters are valid at {temperature:.1f} °C.",)
-        )
+        if temperature is None:
+            return super().remarks
+        return (f"Parameters are valid at {temperature:.1f} °C.", *self._excess)
 
     @property
     def reference_temperature_c(self) -> float | None:
@@ -104,7 +104,7 @@ class TracedAnswer(Answer):
 
     @property
     def scored_as(self) -> str:
-        """Name of the shown model in `scores`: `trace`."""
+        """Name under which the table of scores lists the shown model: `trace`."""
         return TRACED
 
     def facts(self) -> list[str]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -255,11 +256,12 @@ def drop_unpredicted(
 ) -> dict[str, NDArray[np.bool_]]:
     """Remove from masks of counted dwells those that a model chosen without them does not determine.
 
-    `counts` has the mask of each design, `anew` the residuals under models chosen again in each fold. If
-    the quarter of a turn that shows an effect is left out, or a fifth of a few poses, another effect may
-    be chosen that fits the rest equally well. Its covariance shows that the missing dwells are
-    undetermined by many mg. A design with less than a third of its dwells remaining is dropped, unless all
-    designs are.
+    `counts` has the mask (n,) of the dwells that count, by design of the held-out folds; `anew` has the
+    residuals under models that were chosen again without each fold, with a mark for the dwells that those
+    models determine. If the quarter of a turn that shows an effect is left out, or a fifth of a few poses,
+    another effect may be chosen that fits the rest equally well. Its covariance shows that the missing
+    dwells are undetermined by many mg. A design with less than a third of its dwells remaining is dropped,
+    unless all designs are.
     """
     out = {}
     for name, own in counts.items():
@@ -294,8 +296,16 @@ class Fold:
     def of(
         cls, selection: Selection, terms: Sequence[Term], averaged: Averaged | None, max_effects: int
     ) -> Fold:
-        """Return settings with those of `terms` as candidates that scored well on all dwells."""
+        """Return settings with those of `terms` as candidates that scored well on all dwells.
+
+        `averaged` is the average over unnamed functions of the model (None without one), `max_effects` the
+        largest number of terms.
+        """
         return cls(selection.promising(terms), averaged, max_effects)
+
+    def __contains__(self, fit: Fit) -> bool:
+        """Return True if residuals of this very fit were computed in the folds."""
+        return any(known == id(fit) for known, _ in self._made)
 
     def left_out(
         self, data: Readings, designs: Mapping[str, list[NDArray[np.bool_]]], fit: Fit | None = None
@@ -331,15 +341,17 @@ class Fold:
 def nest_fits(selection: Selection, averaged: Averaged | None) -> tuple[list[Fit], list[str]]:
     """Return fits of nested models, from the base model to the chosen model, and the name added at each.
 
-    The term that explains most is added first. `averaged` is the average that replaces the unnamed part,
-    if any.
+    The term that explains most is added first, after the forced terms. `averaged` is the average that
+    replaces the unnamed part, if any.
     """
     left = list(selection.verdict.best)
     model: list[int] = []
     values = {t.label: v for t, v in zip(selection.terms, selection.fit.values.terms, strict=True)}
     fits, steps = [selection.base], []
     while left:
-        chi2 = {k: float((span(selection.problem, [*model, k])[1] ** 2).sum()) for k in left}
+        # Forced terms come first, so that no shorter model lacks them.
+        next_ = [k for k in left if selection.problem.terms[k].forced] or left
+        chi2 = {k: float((span(selection.problem, [*model, k])[1] ** 2).sum()) for k in next_}
         best = min(chi2, key=lambda k: chi2[k])
         model.append(best)
         left.remove(best)
@@ -421,18 +433,24 @@ def figures_of_fit(fit: Fit, measured: Readings, left: Sequence[HeldOut]) -> Err
 
     `left` are its residuals on held-out dwells, `measured` the readings with the measured noise.
     """
-    residual = [part.residual for part in left]
-    turned = [part.angle_rad for part in left if part.angle_rad is not None]
     # χ² against the measured noise, whatever noise the fit assumed.
     chi2 = fit.chi2 if fit.data is measured else replace(fit, data=measured).settled().chi2
     return ErrorFigures(
         residual_rms=rms(fit.misfit, fit.data.by_axis),
-        heldout_rms=_heldout(left, fit.data),
-        angle_rms_deg=rms_deg(turned),
         chi2_per_dof=chi2 / fit.dof if fit.data.noise_known and fit.dof > 0 else None,
-        heldout_by_axis=_by_axis(fit.data, residual),
         unit=fit.data.model.unit,
+        **heldout_errors(fit.data, left),
     )
+
+
+def heldout_errors(data: Readings, left: Sequence[HeldOut]) -> dict[str, Any]:
+    """Return the figures of `ErrorFigures` that follow from the residuals on held-out dwells."""
+    turned = [part.angle_rad for part in left if part.angle_rad is not None]
+    return {
+        "heldout_rms": _heldout(left, data),
+        "angle_rms_deg": rms_deg(turned),
+        "heldout_by_axis": _by_axis(data, [part.residual for part in left]),
+    }
 
 
 def _by_axis(data: Readings, residual: Sequence[Floats]) -> dict[str, float] | None:
@@ -542,17 +560,18 @@ def reject_names(names: Names, reasons: dict[str, str]) -> Names:
     return Names(accepted, names.rejected, tuple(dict.fromkeys((*names.confounded, *more))))
 
 
-def longest_acceptable(errors: Sequence[float | None], most: int) -> int:
+def longest_acceptable(errors: Sequence[float | None], most: int, least: int = 0) -> int:
     """Return the number of terms of the longest nested model with a held-out error that is not worse.
 
     Not worse means hardly larger than the error of any shorter model. `errors` are the held-out errors, the
-    base model first; at most `most` terms are allowed, which is the result if an error is None.
+    base model first; at least `least` and at most `most` terms are allowed. The result is `most` if an
+    error is None.
     """
     known = [error for error in errors if error is not None]
     if len(known) < len(errors):
         return most
     count = most
-    while known[count] > limits.worse * min(known[: count + 1]):
+    while count > least and known[count] > limits.worse * min(known[least : count + 1]):
         count -= 1
     return count
 
@@ -562,9 +581,10 @@ def refuted_functions(
 ) -> list[Term]:
     """Return the model's unnamed functions that make the prediction of held-out dwells worse.
 
-    `errors` are the held-out errors of the nested `fits`.
+    `errors` are the held-out errors of the nested `fits`, None if no dwell could be held out.
     """
-    stay = fits[longest_acceptable(errors, len(fits) - 1)]
+    forced = sum(term.forced for term in selection.terms)
+    stay = fits[longest_acceptable(errors, len(fits) - 1, forced)]
     if stay is fits[-1]:
         return []
     return [term for term in selection.terms if term.name is None and term not in stay.terms]
@@ -576,10 +596,11 @@ def never_worse(
     errors: Sequence[float | None],
     reported: tuple[float, float] | None,
     unit: str = "mg",
+    least: int = 0,
 ) -> tuple[int, Names, dict[str, str]]:
     """Find the longest nested model whose held-out error is hardly larger than any shorter model's.
 
-    `unit` is the unit of the errors in the reasons.
+    `unit` is the unit of the errors in the reasons; the first `least` terms are always kept.
 
     Parameters
     ----------
@@ -602,9 +623,9 @@ def never_worse(
     if len(known) < len(errors):
         return last, names, {}
     stated_worse = reported is not None and reported[1] > limits.worse * reported[0]
-    count = longest_acceptable(known, last - 1 if last > 0 and stated_worse else last)
+    count = longest_acceptable(known, last - 1 if last > least and stated_worse else last, least)
     cut = set(steps) - set(steps[:count])
-    before, after = min(known[: count + 1]), known[last]
+    before, after = min(known[least : count + 1]), known[last]
     if reported is not None and after <= limits.worse * before:
         before, after = reported
     reasons = dict.fromkeys(

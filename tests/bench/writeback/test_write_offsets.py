@@ -16,6 +16,7 @@ from adis_gonio.base.errors import (
     UsageError,
     VerifyError,
 )
+from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.bench.writeback import (
     OffsetWriter,
     WriteSettings,
@@ -604,3 +605,12 @@ def test_after_an_interrupted_write_there_are_no_coefficients(path):
     assert "was interrupted" in describe_writes(operations(begun), dict.fromkeys(OFFSETS, 0))[0]
     with pytest.raises(SessionError, match="--status"):
         fit(session).calibration()
+
+
+def test_a_session_that_was_written_back_names_the_undo_when_it_is_resumed(tmp_path):
+    bus = new_bus(bias_x_mg=15.0, bias_y_mg=16.0)
+    path = record(tmp_path / "a.session", bus)
+    wrote(bus, path)
+    again = SessionRunner.resume(Adis16354(bus), path, auto=True)
+    with pytest.raises(SessionError, match=r"by adis-gonio write .*a\.session .* --undo, or begin"):
+        list(again.run())

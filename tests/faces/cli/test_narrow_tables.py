@@ -1,10 +1,12 @@
 """Tables on terminals of every width: nothing of a row is lost, and no number is cut."""
 
 import io
+import re
 
 import pytest
 from rich.console import Console
 
+from adis_gonio.faces.cli import main
 from adis_gonio.faces.cli.show import print_table
 from adis_gonio.faces.cli.terminal import ascii_form
 from adis_gonio.fleet import sensor_history as words
@@ -57,3 +59,15 @@ def test_the_chart_of_a_history_has_a_letter_for_every_mark():
     chart = "".join(words.chart_lines(history.tracks["bias_x"], 80))
     assert "●" in chart
     assert "?" not in {ascii_form(mark) for mark in set(chart) if ord(mark) > 127}
+
+
+def test_a_fit_at_40_columns_cuts_no_number(tmp_path, capsys, monkeypatch):
+    path = tmp_path / "a.session"
+    assert main(["simulate", "--dwell", "0.5", "-o", str(path)]) == 0
+    monkeypatch.setenv("COLUMNS", "40")
+    capsys.readouterr()
+    assert main(["fit", str(path)]) == 0
+    narrow = capsys.readouterr().out
+    assert max(map(len, narrow.splitlines())) <= 40
+    assert "…" not in narrow
+    assert re.search(r"parameter bias_x; unit mg;\s+value", narrow)

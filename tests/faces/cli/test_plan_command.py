@@ -31,6 +31,14 @@ def test_the_headline_stands_first_and_eighty_columns_are_enough(capsys):
     assert places == sorted(places)
 
 
+def test_effects_that_a_plan_confounds_stand_side_by_side(capsys):
+    assert main(["plan", "--fixture", "0.02", "--plan", "tumble", "--positions", "6"]) == 0
+    text = capsys.readouterr().out
+    told = text[text.index("Cannot tell apart") : text.index("Positions, in this order")]
+    assert "  quadratic from cubic, cross_quadratic" in told
+    assert "nothing of what it sees" not in told
+
+
 def test_a_given_plan_is_evaluated_and_nothing_searched(capsys):
     assert main(["plan", "--fixture", "0.02", "--plan", "tumble", "--positions", "6", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)

@@ -1,5 +1,6 @@
 """`simulate` says what it recorded, and not what it was asked for."""
 
+import re
 import signal
 import subprocess
 import sys
@@ -8,6 +9,7 @@ import pytest
 
 from adis_gonio import load_session
 from adis_gonio.faces.cli import main
+from adis_gonio.record.samples_writer import write_samples_csv
 from programs import running
 
 
@@ -48,3 +50,31 @@ def test_a_whole_session_tells_its_dwells(capsys, tmp_path):
     path = tmp_path / "all.session"
     assert main(["simulate", "--plan", "two-position", "--dwell", "0.5", "-o", str(path)]) == 0
     assert capsys.readouterr().err.splitlines()[-1] == f"written: {path}, 2 dwells"
+
+
+def test_each_date_is_another_session_of_one_part_and_a_copy_of_its_samples_counts_once(tmp_path, capsys):
+    words = ["simulate", "--seed", "5", "--serial", "A1", "--dwell", "0.5", "-o"]
+    for day in ("2023-05-31", "2024-05-31"):
+        assert main([*words, str(tmp_path / f"{day}.session"), "--date", day]) == 0
+    first, other = (load_session(path) for path in sorted(tmp_path.glob("*.session")))
+    hidden = ("delta_k", "delta_phi", "scale_y", "skew_xz")
+    one, two = ([session.facts["truth"][name] for name in hidden] for session in (first, other))
+    assert one == pytest.approx(two, rel=1e-4)  # at the temperature of each session
+    assert (first.dwells[0].accel[:100] != other.dwells[0].accel[:100]).any()
+    write_samples_csv(other, tmp_path / "copy.csv")
+    capsys.readouterr()
+    assert main(["due", "A1", str(tmp_path)]) == 0
+    said = capsys.readouterr()
+    assert "copy.csv holds the same samples as " in said.err
+    assert re.search(r"Next calibration of A1: 2\d{3}-\d\d-\d\d, by .*: overdue by \d+ days", said.out)
+    assert main(["history", "A1", str(tmp_path)]) == 0
+    assert "Sensor A1: 2 sessions" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("given", "form"),
+    [("31.05.2024", "2024-05-31"), ("2024/5/31", "2024-05-31"), ("soon", "2024-05-31 or 2024-05-31T14:30")],
+)
+def test_a_date_in_another_form_is_answered_in_the_accepted_form(tmp_path, capsys, given, form):
+    assert main(["simulate", "--date", given, "-o", str(tmp_path / "a.session")]) == 2
+    assert capsys.readouterr().err.endswith(f"'{given}' is no date of the form YYYY-MM-DD: write {form}\n")

@@ -11,6 +11,7 @@ import time
 
 import pytest
 
+from adis_gonio import load_session
 from adis_gonio.faces.cli import main
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.testing.doubles import SimulatedBoard
@@ -163,3 +164,17 @@ def test_a_full_disk_leaves_whole_rows_and_names_the_file_with_their_number(tmp_
         text = out.read_text()
         assert text.endswith("\n")
         assert len([line for line in text.splitlines() if line[0].isdigit()]) == rows
+
+
+def test_a_recording_keeps_the_filter(tmp_path, capsys):
+    out = tmp_path / "rest.csv.gz"
+    words = ["stream", "sim:?seed=1", "--filter", "4", "--rate", "100", "--seconds", "3", "-o", str(out)]
+    assert main(words) == 0
+    assert load_session(out).filter_m == 4
+    assert main(["allan", str(out)]) == 0
+    assert "filter M = 4" in capsys.readouterr().out
+    session = tmp_path / "a.session"
+    words = ["simulate", "--plan", "two-position", "--filter", "3", "--dwell", "1"]
+    assert main([*words, "-o", str(session)]) == 0
+    assert main(["export", str(session), "--format", "csv", "-o", str(tmp_path / "a.csv")]) == 0
+    assert load_session(tmp_path / "a.csv").filter_m == load_session(session).filter_m == 3

@@ -24,7 +24,7 @@ COMMANDS = [
     ["trace", "SESSION"],
     ["registers"],
     ["registers", SIM],
-    ["write", "SESSION", f"{SIM}&variant=adis16354", "--dry-run", "--dwell", "0.5"],
+    ["write", "SESSION", f"{SIM}&day=202002290000&variant=adis16354", "--dry-run", "--dwell", "0.5"],
     ["simulate", "--list-settings"],
     ["simulate", "--list-effects"],
     ["export", "--help"],

@@ -40,7 +40,7 @@ def test_json_is_the_result_and_nothing_else(capsys, biased):
 def test_the_summary_says_what_how_sure_before_after_and_next(capsys, biased):
     assert main(["trace", str(biased)]) == 0
     out = capsys.readouterr().out.replace("\u00a0", " ")
-    assert "One effect brings the residual down to the measured noise: bias (x, y)." in out
+    assert "One effect brings the residual down to the noise of the readings: bias (x, y)." in out
     assert "bias_x = 8.0" in out
     assert "as good as certain" in out
     headings = [

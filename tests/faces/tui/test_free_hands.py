@@ -89,7 +89,7 @@ def test_the_board_of_the_url_is_moved_and_any_other_url_is_left():
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a pty needs POSIX")
-def test_its_session_states_its_url_and_that_the_sensor_is_simulated(tmp_path, monkeypatch):
+def test_its_session_states_its_url_and_that_the_sensor_is_simulated(tmp_path, monkeypatch, capsys):
     """Else a report on an evening of practice would look like the certificate of a part."""
     url, path = "sim:?seed=1&hands=free", tmp_path / "free.session"
     monkeypatch.setattr("sys.stdin", io.StringIO("\n"))  # one dwell, then nobody is there
@@ -98,6 +98,10 @@ def test_its_session_states_its_url_and_that_the_sensor_is_simulated(tmp_path, m
     assert len(session.dwells) == 1
     assert (session.facts["url"], session.facts["simulated"]) == (url, True)
     assert "truth" not in session.facts
+    capsys.readouterr()
+    assert main(["write", str(path), url, "--status"]) == 0
+    assert main(["registers", url]) == 2
+    assert "only calibrate and write know hands=free" in capsys.readouterr().err
 
 
 def test_every_key_is_on_a_screen_of_80_columns_with_help_last():

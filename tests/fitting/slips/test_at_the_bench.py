@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adis_gonio.bench.guards import Guard, GyroIntegral, PartPosition, add_diagnosis, diagnose_positions
+from adis_gonio.bench.guards import (
+    Guard,
+    GyroIntegral,
+    PartPosition,
+    add_diagnosis,
+    diagnose_positions,
+    shorten_repeated,
+)
 from adis_gonio.record.plans import PriorKnowledge
 
 SPREAD = PriorKnowledge(bias_mg=10.0, reading_mg=0.5, fixture_deg=0.05)
@@ -75,3 +82,25 @@ def test_other_guards_stay_as_they_are():
     some = stands([*ASKED[:5], 160.0], ASKED)
     still = Guard("not_moved", "the part has not moved", {}, spoils=True)
     assert add_diagnosis(still, diagnose_positions(some, SPREAD, 1), some, 1) is still
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+def test_a_part_that_was_not_moved_is_called_that_and_nobody_has_typed_anything(sense):
+    some = stands([*ASKED[:5], 160.0], ASKED, sense=sense)
+    guard = add_diagnosis(OFF, diagnose_positions(some, SPREAD, sense), some, sense)
+    assert "the part was not moved" in guard.message
+    some = stands([*ASKED[:5], 210.0], ASKED, sense=sense)
+    guard = add_diagnosis(OFF, diagnose_positions(some, SPREAD, sense), some, sense)
+    assert "not moved" not in guard.message
+    assert "mistyped" not in guard.message
+
+
+def test_a_question_is_put_in_full_once_and_later_in_one_clause():
+    said = set()
+    first, again = (Guard("wrong_angle", f"{off}° off; explained; set wrong", {}) for off in (5.3, 5.2))
+    assert shorten_repeated(first, 1, said).message == first.message
+    second = shorten_repeated(again, 2, said).message
+    assert second.startswith("5.2° off; stopped here 2 times: if the part is right now")
+    assert shorten_repeated(again, 3, said).message == "5.2° off; stopped here 3 times"
+    other = Guard("wrong_angle", "5.3° off; explained; the part slipped", {})
+    assert shorten_repeated(other, 1, said).message == other.message

@@ -12,8 +12,10 @@ from adis_gonio import load_session, trace
 from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting import fit
+from adis_gonio.fitting.answer import Answer
 from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.slips.session_positions import angles_of, failure_message, positions_of
+from adis_gonio.model.records import Dwell, Session
 from adis_gonio.record.loading import AngleChange, Overrides
 from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.trace import correct_slips, restrict_candidates
@@ -285,3 +287,26 @@ def test_a_range_is_added_to_from_the_command_line(capsys, file):
     status, out, _ = run(capsys, "fit", file, "--json", "--angles", "7=210, 8-9+=-0.25")
     assert status == 0
     assert json.loads(out)["overrides"]["angles"]["new"] == {"7": 210.0, "8": 239.75, "9": 269.75}
+
+
+def read_once(stood_deg: np.ndarray) -> Session:
+    """Positions declared at `AROUND`, one averaged reading each, with the part at other angles."""
+    rng = np.random.default_rng(4)
+    psi = np.radians(20.0 - stood_deg - 0.02 * rng.standard_normal(len(stood_deg)))
+    mean = 1000 * np.stack([1.01 * np.cos(psi), np.sin(psi + 0.01)], axis=1) + rng.normal(0, 0.3, (12, 2))
+    dwells = tuple(
+        Dwell(k, np.array([20.0 * k]), mean[k : k + 1], angle) for k, angle in enumerate(AROUND.tolist())
+    )
+    return Session(dwells, accel_unit="mg", sensor="generic", fixture_sigma_deg=0.02, reading_u_mg=0.3)
+
+
+def test_a_position_that_was_not_moved_is_named_before_the_numbers_that_it_spoils():
+    session = read_once(np.where(AROUND == 90.0, 60.0, AROUND))
+    result = fit(session)
+    first, *rest = Answer.of(result).text(400).splitlines()
+    assert first.startswith("position 3: declared 90°, ")
+    assert "the part was not moved" in first
+    assert not any("position 3" in line for line in rest)
+    assert not any("position 3" in line for line in Answer.of(result).warnings())
+    (one,) = positions_of(read_once(np.where(AROUND == 90.0, 97.0, AROUND))).findings
+    assert not one.unmoved

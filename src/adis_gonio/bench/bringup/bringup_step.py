@@ -487,7 +487,7 @@ class AlarmBudget:
     def highest_bin(self, bins: int) -> float:
         """Return the limit of the largest of `bins` bins of a periodogram, relative to their mean.
 
-        It is for the next comparison.
+        A bin of white noise exceeds it with the permitted probability of a false alarm in one comparison.
         """
         return math.log(bins / self.alpha())
 

@@ -32,21 +32,19 @@ from adis_gonio.bench.bringup.bringup_step import FALSE_ALARM, QUESTIONS, Outcom
 from adis_gonio.bench.bringup.recorded_chip import SELF_TEST, RecordedChip, RegisterSpan, RestStatistics
 from adis_gonio.device.bus.capture import LogicCapture
 from adis_gonio.device.bus.recording import BusRecording
+from adis_gonio.device.sensor.frame_log import BUSY_S
 from adis_gonio.device.sensor.registers import (
     ACCEL_OFF,
     ACCEL_OUT,
     BY_NAME,
+    GYRO_LSB_DPS,
     GYRO_OFF,
     GYRO_OUT,
     ND,
     Kind,
     Variant,
 )
-from adis_gonio.device.sensor.settings import (
-    FAST_BASE_S,
-    SLOW_BASE_S,
-    white_noise_gain,
-)
+from adis_gonio.device.sensor.settings import FAST_BASE_S, SLOW_BASE_S, white_noise_gain
 
 ELSE = "something else"
 PRIOR = {"A": 0.999, "B": 0.99, "C": 0.9, "D": 0.7}
@@ -58,6 +56,8 @@ DECIDED = 0.01
 
 It is confirmed above one minus this probability.
 """
+SELF_TEST_S = 0.035
+"""Length of the self-test in s (DS, A)."""
 
 
 @dataclass(frozen=True)
@@ -109,8 +109,8 @@ class ChipRow:
     unit: str = ""
     logarithmic: bool = False
 
-    def judge(self, observed: Sequence[Observation]) -> RowFinding:
-        """Compute the probabilities of the alternatives after some observations."""
+    def judge(self, observed: Sequence[Observation], recordings: int = 1) -> RowFinding:
+        """Compute the probabilities of the alternatives after the observations of some recordings."""
         names = (*self.alternatives, ELSE)
         prior = PRIOR[self.question.confidence]
         priors = np.array([prior, *[(1 - prior) / len(self.alternatives)] * len(self.alternatives)])
@@ -131,10 +131,11 @@ class ChipRow:
             outcome = Outcome.CONTRADICTS
         elif table > 1 - DECIDED and likelihood[0] > likelihood[1:].max():
             outcome = Outcome.CONFIRMS
+        more = _more_recordings(names, logs, figures, recordings) if outcome is Outcome.OPEN else None
         return RowFinding(
             self.question.name, self.question.text, names[0], self.question.source,
             self.question.confidence, outcome, max(chances, key=lambda name: chances[name]),
-            len(observed), odds, alone, chances, self._described(labels, figures),
+            len(observed), odds, alone, chances, self._described(labels, figures), more,
         )  # fmt: skip
 
     def _described(self, labels: Counter[str], figures: Sequence[RowFigure]) -> str:
@@ -170,6 +171,9 @@ class RowFinding(JsonRecord):
         Probability of each alternative after the recordings.
     seen : str
         Summary of the observations.
+    more_recordings : int or None
+        Number of further recordings with figures like these that decide an open row with 95 %; None if the
+        row is not open, or if such figures do not distinguish the alternatives.
     """
 
     name: str
@@ -184,6 +188,7 @@ class RowFinding(JsonRecord):
     log10_evidence: float
     probabilities: dict[str, float]
     seen: str
+    more_recordings: int | None
 
 
 def _of_labels(names: Sequence[str], labels: Counter[str]) -> Floats:
@@ -236,6 +241,30 @@ def _density(figure: RowFigure, name: str) -> float:
     return (below - above) / (high - low)
 
 
+def _more_recordings(
+    names: Sequence[str], logs: Floats, figures: Sequence[RowFigure], recordings: int
+) -> int | None:
+    """Return the number of further recordings that decide between the table and its named rivals.
+
+    All densities are taken as normal. The logarithm of the odds is then a random walk: its drift g for a
+    recording is the sum of (difference of the means)² / 2 / variance over the figures, and its variance is
+    2 g. `logs` are the present logarithms of the probabilities of `names`.
+    """
+    needed = 0.0
+    for name, log in zip(names[1:-1], logs[1:-1], strict=True):
+        gain = 0.0
+        for figure in figures:
+            (low, high), (least, most) = figure.predicted[names[0]], figure.predicted[name]
+            variance = figure.u**2 + ((high - low) ** 2 + (most - least) ** 2) / 24
+            gain += (low + high - least - most) ** 2 / 8 / variance / recordings
+        if abs(logs[0] - log) < -math.log(DECIDED):
+            # The longer way, to the decision that is less probable now, with 95 % (1.645 sigma).
+            way = abs(logs[0] - log) - math.log(DECIDED)
+            root = 1.645 + math.sqrt(1.645**2 + 2 * way)
+            needed = max(needed, root**2 / 2 / gain if gain > 0.01 else math.inf)
+    return math.ceil(needed) if 0 < needed < math.inf else None
+
+
 # -- observers --------------------------------------------------------------------------------------------
 
 
@@ -263,24 +292,20 @@ def _upper_bits(chip: RecordedChip, _: Variant) -> Iterator[str]:
             yield "zeros" if not extra else ELSE if extra != upper else "the sign" if negative else "ones"
 
 
-def _contents(cause: str, changed: int = 0xFFFF, flash: bool | None = None) -> Observer:
+def _contents(cause: str, flash: bool | None = None, *, wide: bool = False) -> Observer:
     """Return a function that judges the register contents of a recorded chip after a cause.
 
     The cause is a write or a command. The function labels each changed content as right, unchanged or
-    something else. `changed` is a mask of bits of which the cause must change one; `flash` chooses
-    registers with a flash copy (True), volatile ones (False) or all (None).
+    something else. `wide` leaves out registers with one writable byte; `flash` chooses registers with a
+    flash copy (True), volatile ones (False) or all (None).
     """
 
     def observe(chip: RecordedChip, _: Variant) -> Iterator[str]:
         for row, word, due in ((one.row, one.word, one.expected) for one in chip.checks):
             mask = row.write_mask & ~(SELF_TEST if row.name == "MSC_CTRL" else 0)
             chosen = flash is None or flash == (row.flash_mask == row.write_mask)
-            if (
-                chosen
-                and due is not None
-                and due.cause == cause
-                and (due.word ^ due.before) & mask & changed
-            ):
+            chosen &= not wide or (row.write_mask > 0xFF and row.write_mask & 0xFF > 0)
+            if chosen and due is not None and due.cause == cause and (due.word ^ due.before) & mask:
                 held = word & mask
                 right, unchanged = due.word & mask, due.before & mask
                 yield "right" if held == right else "unchanged" if held == unchanged else ELSE
@@ -300,8 +325,9 @@ def _saves(chip: RecordedChip, _: Variant) -> Iterator[str]:
             yield "once" if change == step else "never" if not change else ELSE
 
 
-def _waits(command: str, table_s: float) -> Observer:
+def _waits(command: str) -> Observer:
     def observe(chip: RecordedChip, _: Variant) -> Iterator[str]:
+        table_s = BUSY_S.get(command, SELF_TEST_S)
         for after_s, ready in chip.waits.get(command, []):
             if ready:
                 yield "in time" if after_s > 0.9 * table_s else "shorter"
@@ -549,26 +575,49 @@ def _edge(chip: RecordedChip, _: Variant) -> Iterator[str]:
 
 
 def _rounding(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
-    """Yield the remaining rate of each gyro after a precision autonull, in LSB of the offset registers.
+    """Yield two figures for each gyro and precision autonull, both in LSB of the offset registers.
 
-    It is positive in the direction of the bias before the autonull.
+    The first is the remainder of the written offset after division by the LSB of the output. The second is
+    the remaining rate, positive in the direction of the bias before the autonull. A recording is used only
+    if its steps of the offsets show that these LSB are right.
     """
     steps = [figure.x for figure in _gyro_steps(chip, part)] or [1.0]
-    if abs(float(np.median(steps)) - 1) > 0.1:
-        return  # the unit of the residual is not known
-    ends = [*(at for at, _ in chip.nulls), len(chip.spans)]
-    for (begin, command), end in zip(chip.nulls, ends[1:], strict=True):
+    nulls = [*chip.nulls, (len(chip.spans), "")] if abs(float(np.median(steps)) - 1) < 0.1 else []
+    for (begin, command), (end, _) in pairwise(nulls):
         after = {id(span) for span in chip.spans[begin:end]}
         rests = [rest for rest in chip.rests if id(rest.span) in after and rest.count > 2000]
         for name, mean in zip(GYRO_OFF, rests[0].mean[3:] if rests else [], strict=False):
-            held = rests[0].span.image.get(name)
-            number = 0 if held is None else BY_NAME[name].number(held)
-            scale = rests[0].dps / 75  # LSB of the offsets in an LSB of the output
-            u = scale * _mean_u(part, rests[0], slice(3, 6))
-            if number and math.isfinite(mean) and command == "precision_autonull":
-                predicted = {"rounded": (-0.5, 0.5), "truncated to its LSB": (0.0, 1.0)}
-                predicted["truncated to the output's LSB"] = 0.0, scale
-                yield RowFigure(-math.copysign(scale, number) * float(mean), u, predicted)
+            number = BY_NAME[name].number(rests[0].span.image.get(name, 0))
+            if command != "precision_autonull" or not number or math.isnan(mean):
+                continue
+            lsb_dps, scale = GYRO_LSB_DPS[75], rests[0].dps / 75  # LSB of the output in LSB of the offset
+            any_rest, one_rest = (-0.5, scale - 0.5), (-0.5, 0.5)
+            lattice = dict.fromkeys(_ROUNDINGS, any_rest) | {"truncated to the output's LSB": one_rest}
+            yield RowFigure(number % scale, 0.01, lattice)
+            # White noise of the mean after the autonull, and flicker between this mean and the autonull.
+            white, floor = part.performance.noise[3], part.performance.floor[3]
+            moves = _flicker_moves(rests[0].count * rests[0].span.period_s, BUSY_S[command])
+            u = math.sqrt(white**2 / rests[0].count + moves * floor**2) / lsb_dps
+            predicted = dict(zip(_ROUNDINGS, ((-0.5, 0.5), (0.0, 1.0), (0.0, scale)), strict=True))
+            yield RowFigure(-math.copysign(scale, number) * float(mean), u, predicted)
+
+
+def _flicker_moves(one_s: float, two_s: float) -> float:
+    """Return the variance of the difference of successive means of 1/f noise, over its Allan variance.
+
+    The means are over `one_s` and `two_s` seconds, and the result is 2 if these are equal. It follows from
+    the covariance −h ln|t| + constant of noise with the spectrum h/f, whose Allan variance is 2 h ln 2.
+    """
+
+    def twice_integrated_log(t: float) -> float:
+        return t * t * (math.log(t) / 2 - 0.75)
+
+    across = twice_integrated_log(one_s + two_s) - twice_integrated_log(one_s) - twice_integrated_log(two_s)
+    within = 3 - math.log(one_s) - math.log(two_s)
+    return (within + 2 * across / (one_s * two_s)) / (2 * math.log(2))
+
+
+_ROUNDINGS = ("rounded", "truncated to its LSB", "truncated to the output's LSB")
 
 
 # -- table ------------------------------------------------------------------------------------------------
@@ -602,7 +651,7 @@ ROWS: tuple[ChipRow, ...] = (
            "zeros", "ones"),
     _entry("offset_upper_bits | Bits above the number of an offset? | estimate | D", _upper_bits,
            "zeros", "the sign", "ones"),
-    _entry("byte_write | Content after its bytes were written? | DS | A", _contents("write", 0xFF00),
+    _entry("byte_write | Content after its bytes were written? | DS | A", _contents("write", wide=True),
            "right", "unchanged"),
     _entry("new_data_flag | When is bit ND cleared? | DS | A", _new_data,
            "by its read", "by any read", "stays", "never"),
@@ -616,23 +665,23 @@ ROWS: tuple[ChipRow, ...] = (
     _entry("restore_zeroes | Offsets after a factory restore? | DS | A", _contents("restore"),
            "right", "unchanged"),
     _entry("reset_loads | Registers with a flash copy after a reset? | DS | A",
-           _contents("reset", flash=True), "right", "unchanged"),
+           _contents("reset", True), "right", "unchanged"),
     _entry("reset_volatile | Volatile registers after a reset? | DS | A",
-           _contents("reset", flash=False), "right", "unchanged"),
-    _entry("reset_time | Recovery from a reset within 0.15 s? | DS, start-up | B", _waits("reset", 0.15),
+           _contents("reset", False), "right", "unchanged"),
+    _entry("reset_time | Recovery from a reset within 0.15 s? | DS, start-up | B", _waits("reset"),
            "in time", "longer", "shorter"),
-    _entry("flash_time | Flash update within 0.1 s? | DS | B", _waits("flash_update", 0.1),
+    _entry("flash_time | Flash update within 0.1 s? | DS | B", _waits("flash_update"),
            "in time", "longer", "shorter"),
-    _entry("self_test_time | Self-test within 35 ms? | DS | B", _waits("self_test", 0.035),
+    _entry("self_test_time | Self-test within 35 ms? | DS | B", _waits("self_test"),
            "in time", "longer", "shorter"),
-    _entry("precision_time | Precision autonull within 30 s? | DS | B", _waits("precision_autonull", 30.1),
+    _entry("precision_time | Precision autonull within 30 s? | DS | B", _waits("precision_autonull"),
            "in time", "longer", "shorter"),
     _entry("accel_offset_lsb", _accel_steps, *_ACCEL_STEPS),
     _entry("gyro_offset_lsb | LSB of the gyro offsets, in 0.018315 °/s? | DS | A", _gyro_steps,
            *_GYRO_STEPS),
     _entry("offset_after_filter", _after_filter, "after", "before"),
     _entry("autonull_rounding | Does an autonull round or truncate? | estimate | D", _rounding,
-           "rounded", "truncated to its LSB", "truncated to the output's LSB", wide=(-50.0, 50.0)),
+           *_ROUNDINGS, wide=(-50.0, 50.0)),
     _entry("sample_period", _periods,
            "base × (N + 1)", "base × N", "bit 7 has no effect",
            wide=(-10.0, 5.0), unit="s", logarithmic=True),
@@ -669,7 +718,11 @@ def judge_recordings(paths: Iterable[str | Path], part: Variant) -> tuple[RowFin
         source = LogicCapture(path) if capture else BusRecording(path)
         rises = None if isinstance(source, LogicCapture) else source.header["edge_rises"]
         chips.append(RecordedChip(source, rises))
-    return tuple(row.judge([one for chip in chips for one in row.observe(chip, part)]) for row in ROWS)
+    findings = []
+    for row in ROWS:
+        observed = [found for chip in chips if (found := [*row.observe(chip, part)])]
+        findings.append(row.judge([one for found in observed for one in found], len(observed)))
+    return tuple(findings)
 
 
 def findings_text(findings: Sequence[RowFinding]) -> str:
@@ -682,6 +735,8 @@ def findings_text(findings: Sequence[RowFinding]) -> str:
         odds = f"{odds}:1" if one.log10_evidence >= 0 else f"1:{odds}"
         lines.append(f"{one.name:20}{one.table[:17]:18}{one.best[:17]:18}{odds:>8}  {one.outcome}")
         lines.append(f"  {one.question} {one.seen}"[:80])
+        if one.more_recordings:
+            lines.append(f"  {one.more_recordings} more recordings like these would decide")
     lines += ["", "evidence: odds of the table against its best rival, by the recordings alone"]
     idle = ", ".join(one.name for one in findings if not one.observations)
     return "\n".join(

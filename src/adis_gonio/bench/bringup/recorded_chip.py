@@ -20,6 +20,7 @@ from adis_gonio.bench.bringup.noise_steps import degrees_of_freedom
 from adis_gonio.device.bus import FrameBlock
 from adis_gonio.device.bus.recording import Call
 from adis_gonio.device.sensor import settings
+from adis_gonio.device.sensor.frame_log import started_commands
 from adis_gonio.device.sensor.registers import (
     ACCEL_OFF,
     ACCEL_OUT,
@@ -41,8 +42,6 @@ SELF_TEST = _MISC.field("self_test").mask
 _ALARM = BY_NAME["STATUS"].field("alarm1").mask
 _MOVING = ("SLP_CNT", "GPIO_CTRL")
 """Registers that also change without a write."""
-_BUSY = ("reset", "restore", "flash_update", "autonull", "precision_autonull")
-_SAVING = _BUSY[1:]
 _IS_OUTPUT = np.array([slot in BY_ADDRESS and BY_ADDRESS[slot].flags for slot in range(64)])
 _BATCH_GAP_S = 2e-3
 """Pause in s between two frames of a capture above which they belong to different batches."""
@@ -398,10 +397,8 @@ class RecordedChip:
             return
         if row is _COMMAND:
             if not high:
-                for name in _BUSY:
-                    if byte & row.field(name).mask:
-                        self._command(name, time_s)
-                        break
+                for name in started_commands(byte)[:1]:
+                    self._command(name, time_s)
             return
         shift = 8 if high else 0
         mask = row.write_mask & 0xFF << shift
@@ -442,7 +439,7 @@ class RecordedChip:
 
     def _command(self, name: str, time_s: float) -> None:
         known = {key: content.word for key, content in self._contents.items()}
-        if name in _SAVING:
+        if name != "reset":
             changed = {"restore": (*GYRO_OFF, *ACCEL_OFF)}.get(name, GYRO_OFF if "null" in name else ())
             for key in changed:
                 if name == "restore":

@@ -186,7 +186,10 @@ class _Edges:
 
     @property
     def slack(self) -> float:
-        """Tolerance of `surplus`: one edge at each end, and the error of the bridge's clock."""
+        """Tolerance of the number of edges minus the number of updates.
+
+        It covers one edge at each end of the scans, and the error of the bridge's clock.
+        """
         return 2 + _BENT * self.expected
 
     @property

@@ -17,7 +17,8 @@ from adis_gonio.bench.bringup.bringup_step import (
     SideEffect,
     StepResult,
 )
-from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, BY_NAME, GYRO_OUT, registers
+from adis_gonio.device.sensor import registers as table
+from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, BY_NAME, GYRO_OUT
 from adis_gonio.device.sensor.settings import Alarm, scales, sens_avg_word
 
 _SCANS = 512
@@ -57,6 +58,11 @@ class Offset(BringupStep):
             found.measure(f"step of {out} / step of {name}", r, "1", s, 1.0)
         off = [k for k in range(3) if abs(ratio[k] - 1) > bench.budget.z() * u[k]]
         filtered = self._behind_filter(bench, held[0], steps[0], float(ratio[0]))
+        for name, value in zip(ACCEL_OFF, held, strict=True):
+            # A low byte alone, for a recording: does it act without the high byte?
+            word = BY_NAME[name].word(value) ^ 0x40
+            bench.bus.exchange_array(table.write_frames(BY_NAME[name], word, byte_mask=0x00FF))
+            sensor.read(name)
         text = f"the outputs moved by {', '.join(f'{r:.4f}' for r in ratio)} LSB for each LSB of the offset"
         found.check("accel_offset_lsb", not off, text, *found.figures)
         found.answers["offset_after_filter"] = filtered
@@ -111,7 +117,7 @@ def _mean_u(bench: BringupBench, count: int) -> Floats:
     It is computed from white noise, flicker noise and rounding, with the figures of the sensor variant.
     """
     part = bench.sensor.variant
-    lsb, _, _ = scales(registers((*ACCEL_OUT, *GYRO_OUT)), part, 300)
+    lsb, _, _ = scales(table.registers((*ACCEL_OUT, *GYRO_OUT)), part, 300)
     white, floor = part.performance.noise / lsb, part.performance.floor / lsb
     result: Floats = np.sqrt(white**2 / count + 2 * floor**2 + 1 / 12 / count)
     return result
@@ -145,7 +151,7 @@ class SelfTests(BringupStep):
             means.append(bench.means(_SCANS // 2, names))
         zero, up, between, down, end = means
         lsb, _, units = scales(
-            registers(names), bench.sensor.variant, bench.sensor.configuration().gyro_range_dps
+            table.registers(names), bench.sensor.variant, bench.sensor.configuration().gyro_range_dps
         )
         # Each stimulus is compared with the means without stimulus before and after it.
         plus, minus = up - (zero + between) / 2, down - (between + end) / 2

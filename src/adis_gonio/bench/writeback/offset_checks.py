@@ -653,7 +653,7 @@ class Gyros:
     def found(self, plan: WritePlan, rest: Rest) -> tuple[Floats, Floats] | None:
         """Return the zero rates (3,) in °/s by a dwell, without the effect of force, and their u.
 
-        The plan is not used.
+        The plan is not used, and the result is never None.
         """
         mean, u = rest.of_gyros
         force, of_force = self.by_force(rest)

@@ -69,17 +69,17 @@ class AxisPlan:
 
     @property
     def effect(self) -> float:
-        """Planned change of the output by the write, in `unit`."""
+        """Planned change of the output by the write, in mg or, for a gyro, °/s."""
         return (self.new - self.now) * self.lsb
 
     @property
     def bias_now(self) -> float:
-        """Bias with the present number in the register, in `unit`."""
+        """Bias with the present number in the register, in mg or, for a gyro, °/s."""
         return self.bias + (self.now - self.recorded) * self.lsb
 
     @property
     def bias_after(self) -> float:
-        """Remaining bias after the write, in `unit`."""
+        """Remaining bias after the write, in mg or, for a gyro, °/s."""
         return self.bias + (self.new - self.recorded) * self.lsb
 
     def as_dict(self) -> dict[str, Any]:
@@ -235,7 +235,7 @@ def _plan(
     method: str,
     doubts: Sequence[str],
 ) -> WritePlan:
-    """Return the plan from biases with their standard uncertainties, `found` by name of the register.
+    """Return the plan from biases `found`, each with its u (None if unknown), by name of the register.
 
     `recorded` and `held` have the numbers during the recording and now; `doubts` are reasons to doubt the
     fit.

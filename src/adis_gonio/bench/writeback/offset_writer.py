@@ -177,10 +177,7 @@ class WriteResult:
             "state": self.standing.as_dict(),
             "endurance": {"before": self.endurance_before, "after": self.endurance_after},
             "checks": [check.as_dict() for check in self.checks],
-            "bias_after": {
-                f"value_{self.unit}": list(self.bias),
-                f"u_{self.unit}": list(self.bias_u),
-            },
+            "bias_after": {f"value_{self.unit}": list(self.bias), f"u_{self.unit}": list(self.bias_u)},
             **null,
         }
 
@@ -252,7 +249,7 @@ class OffsetWriter:
         SessionError
             The session gives no bias; the registers have numbers that session and journal do not explain;
             the sensor at rest does not agree with the session; or there are doubts about the fit and the
-            option `doubtful` is not set.
+            settings do not allow to write in spite of doubts (`WriteSettings.doubtful`).
         ChipError
             The supply is out of range, or the flash is to be written and is worn out.
         FitError
@@ -340,7 +337,7 @@ class OffsetWriter:
         return self._outcome(endurance, bias)
 
     def undo(self) -> WriteResult:
-        """Restore the old offsets; save them if the new offsets are in flash or `save` is set.
+        """Restore the old offsets; save them to flash if the new ones are there or saving was requested.
 
         Raises
         ------

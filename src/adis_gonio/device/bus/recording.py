@@ -571,7 +571,9 @@ class ReplayBus(SpiBus):
             return count, time_s
 
     def answer(self, name: str, frames: Words | None = None) -> Call:
-        """Return the next recorded call with this name and these frames; raise its recorded error.
+        """Return the next recorded call of the method `name` with these frames; raise its recorded error.
+
+        `frames` is None for a call without frames.
 
         It raises `ProtocolError` if no further record fits, or if a strict replay meets another call first.
         """
@@ -617,7 +619,7 @@ def _or_empty(frames: Words | None) -> Words:
 
 
 def _hexadecimal(frames: Words | None) -> str:
-    """Return the first eight frames in hexadecimal, followed by their number if there are more."""
+    """Return the first eight frames in hexadecimal, and their number if there are more; empty for None."""
     shown = " ".join(f"{frame:04X}" for frame in _or_empty(frames)[:8])
     return shown if frames is None or len(frames) <= 8 else f"{shown} … ({len(frames)} frames)"
 

@@ -15,11 +15,11 @@ from adis_gonio.device.bus.recording import Call
 from adis_gonio.device.sensor import registers
 from adis_gonio.device.sensor.settings import Configuration
 
-BUSY_S = {"reset": 0.15, "restore": 0.15, "flash_update": 0.1, "precision_autonull": 30.0}
-"""Time in s for which the chip must not be addressed after a command.
+BUSY_S = {"reset": 0.15, "restore": 0.15, "flash_update": 0.1, "autonull": 0.1, "precision_autonull": 30.1}
+"""Shortest time in s for which the chip must not be addressed after a command.
 
-It is the start-up time after a reset and a restore (DS, B), 100 ms after a flash update (A), 30 s after a
-precision autonull (B).
+It is the start-up time after a reset and a restore (DS, B), 100 ms for a flash update (A), with which both
+autonulls end, and before it 30 s for a precision autonull (B).
 """
 FASTEST_FAST_HZ, FASTEST_NORMAL_HZ = 2e6, 300e3
 """Highest SPI clock in Hz in fast mode and in normal mode (DS, A)."""
@@ -176,9 +176,8 @@ class FrameLog:
         if row.name == "SMPL_PRD":
             self._smpl_prd = byte
         if row.name == "COMMAND":
-            for name, busy_s in BUSY_S.items():
-                if byte & row.field(name).mask:
-                    self._busy_until_s, self._busy_with = time_s + busy_s, name.replace("_", " ")
+            for name in started_commands(byte):
+                self._busy_until_s, self._busy_with = time_s + BUSY_S[name], name.replace("_", " ")
 
     def _broken_rule(self, time_s: float) -> str:
         if time_s < self._busy_until_s:
@@ -195,6 +194,11 @@ class FrameLog:
         if now.stall_us < needed.stall_us * (1 - TOLERANCE):
             return f"stall {now.stall_us:.3g} µs, at least {needed.stall_us:g} µs"
         return ""
+
+
+def started_commands(byte: int) -> list[str]:
+    """Return the commands with a busy time that a byte written to COMMAND starts."""
+    return [name for name in BUSY_S if byte & registers.BY_NAME["COMMAND"].field(name).mask]
 
 
 def _written_fields(row: registers.Register | None, high: bool, frame: int) -> str:

@@ -127,6 +127,8 @@ def _fail(message: str, status: int) -> int:
 def run() -> None:
     """Run the `adis-gonio` program and end the process with its exit status."""
     replace_missing_letters()
+    # All matrices here are small: threads of the linear algebra only wait for one another.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     status = 130
     # The exit status is decided here: a late Ctrl-C must not turn it into a death by signal.
     with suppress(KeyboardInterrupt):  # a second one, while main reports the first

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from datetime import UTC, date as date_type, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,6 +57,8 @@ def _records_of(store: Store, serial: str) -> list[SessionRecord]:
 
     known = store.serials()
     found = store.records(known_serial(serial, known))
+    for path, kept in store.copies(serial).items():
+        click.echo(f"{path} holds the same samples as {kept}: counted once", err=True)
     for other in alike(serial, known):
         click.echo(f"sessions of '{other}' are not included with '{serial}': another sensor?", err=True)
     return found
@@ -218,6 +221,9 @@ def due_command(
         return
     screen = show.console(most=100)
     date = f"{found.date}, by the {found.by}" if found.date else "unknown"
+    late = (datetime.now(UTC).date() - date_type.fromisoformat(found.date)).days if found.date else 0
+    if late > 0:
+        date += f": overdue by {counted(late, 'day')}"
     screen.print(f"Next calibration of {found.serial}: {date}", style="bold")
     for rule in found.rules:
         show.print_indented(screen, f"{rule.method}: {rule.date or 'no date'}: {rule.why}")

@@ -11,7 +11,7 @@ import click
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.numbers import signed, use_minus
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import console, json_text, print_json, report_written, say, table_of
+from adis_gonio.faces.cli.show import console, json_text, print_json, print_table, report_written, say
 
 if TYPE_CHECKING:
     from adis_gonio.bench.bringup import Bringup, Row
@@ -193,6 +193,7 @@ def write_command(
     from adis_gonio.bench.writeback import OffsetWriter, WriteSettings
     from adis_gonio.bench.writeback.offset_writer import load
     from adis_gonio.device.sensor import open_sensor
+    from adis_gonio.faces.free_hands import free_hands
     from adis_gonio.record.source import refuse_chip_options
 
     refuse_chip_options(url, {"write SESSION": True})
@@ -201,7 +202,7 @@ def write_command(
         doubtful=options["even_if_inadequate"],
     )
     variant = load(session).sensor
-    with open_sensor(url, variant=variant, check=not no_check) as sensor:
+    with free_hands(url) as (port, _), open_sensor(port, variant=variant, check=not no_check) as sensor:
         writer = OffsetWriter(sensor, session, settings, tell=say)
         state = writer.standing()
         if status:
@@ -298,7 +299,7 @@ def _print_plan(plan: WritePlan) -> None:
         rows.append(
             (axis.register, use_minus(str(axis.now)), use_minus(str(axis.new)), moved, bias, u, after)
         )
-    console().print(table_of(head, rows))
+    print_table(console(), head, rows)
     for axis in plan.axes:
         if axis.clipped:
             say(f"{axis.register} is at its limit: {signed(axis.bias_after, 1)} mg of the bias remain")

@@ -17,7 +17,7 @@ from adis_gonio.device.bus.host import udev_rules
 from adis_gonio.device.sensor import DEFAULT_SCAN, REGISTERS, Adis16354, Register, open_sensor
 from adis_gonio.device.sensor.registers import CONFIDENCES, Kind, register, registers
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import console, print_json, table_of
+from adis_gonio.faces.cli.show import console, print_json, print_table
 
 if TYPE_CHECKING:
     from adis_gonio.handover.register_offsets import OffsetWord
@@ -48,7 +48,7 @@ def devices_command(*, udev: bool, as_json: bool) -> None:
         print_json({"devices": [device.as_dict() for device in devices]})
         return
     rows = [(device.url, device.description) for device in devices]
-    console().print(table_of(("URL", "device"), rows, texts=(0, 1)))
+    print_table(console(), ("URL", "device"), rows, texts=(0, 1))
 
 
 @option.command("selftest")

@@ -16,7 +16,6 @@ from adis_gonio.record.session_reader import FREE_TURN
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
     from adis_gonio.base.conformity import Tolerance
     from adis_gonio.base.uncertainty import Value
@@ -159,20 +158,20 @@ def print_answer(
             screen.print(line, style=None if k else "bold")
         screen.print()
     if truth is not None or answer.has_more:
-        screen.print(_parameter_table(answer, truth))
+        _print_parameters(screen, answer, truth)
     for line in answer.facts():
         screen.print(f"  {line}")
     names, rows = answer.budget_rows()
     if rows:
         screen.print("\nUncertainty budget: shares of the variance")
-        screen.print(show.table_of(names, rows, range(4)))
+        show.print_table(screen, names, rows, range(4))
     _print_scores(screen, answer, everything=everything)
     for text in answer.warnings(everything=everything):
-        if text not in shown:
+        if text not in shown and text not in answer.doubts:
             screen.print(text)
 
 
-def _parameter_table(answer: Answer, truth: Mapping[str, float] | None) -> Table:
+def _print_parameters(screen: Console, answer: Answer, truth: Mapping[str, float] | None) -> None:
     columns, rows = list(_PARAMETER_HEAD), [list(row) for row in answer.parameter_rows()]
     if truth is not None:
         columns.insert(2, "truth")
@@ -180,7 +179,7 @@ def _parameter_table(answer: Answer, truth: Mapping[str, float] | None) -> Table
             row.insert(
                 2, format_fixed(truth[name], count_decimals(value.u or 0.0)) if name in truth else ""
             )
-    return show.table_of(columns, rows, (0, 1), bold=("ΔK", "Δφ"))
+    show.print_table(screen, columns, rows, (0, 1), bold=("ΔK", "Δφ"))
 
 
 def _print_scores(screen: Console, answer: Answer, *, everything: bool) -> None:
@@ -195,13 +194,12 @@ def _print_scores(screen: Console, answer: Answer, *, everything: bool) -> None:
     if len(rows) > 1 or failures:
         screen.print(f"\n{answer.scored_on}")
         if len(head) > 1:
-            screen.print(show.table_of(head, rows, bold=rows[0][:1] if rows else ()))
+            show.print_table(screen, head, rows, bold=rows[0][:1] if rows else ())
     for method, reason in failures.items():
         screen.print(f"no result by {method}: {reason}")
-    narrow = {"no_wrap": True}
     for block_head, block in method_tables(answer.comparison.results, screen.width) if everything else ():
         screen.print()
-        screen.print(show.table_of(block_head, block, (0, 1), number=narrow, text=narrow))
+        show.print_table(screen, block_head, block, (0, 1))
 
 
 def print_gains(session: Session) -> None:
@@ -215,7 +213,7 @@ def print_gains(session: Session) -> None:
 
 def _print_monte_carlo(screen: Console, run: MonteCarlo) -> None:
     screen.print(f"\nMonte Carlo, {run.trials} trials (GUM Supplement 1)", style="bold")
-    screen.print(show.table_of(*run.rows(), (0, 1)))
+    show.print_table(screen, *run.rows(), (0, 1))
     for line in run.remarks:
         screen.print(f"  {line}")
 
@@ -243,11 +241,11 @@ def show_gyro_fit(
     screen = show.console(most=show.WIDTH)
     title = f"{session.title}: " if session.title else ""
     screen.print(f"{title}gyros, {result.held}, {session.sensor}\n", style="bold")
-    screen.print(_gyro_table(result.parameters))
+    _print_gyros(screen, result.parameters)
     screen.print()
     if result.triad is not None:
         screen.print("The gyros' triad: rotation against the accelerometers', and 90° minus its angles")
-        screen.print(_gyro_table(result.triad))
+        _print_gyros(screen, result.triad)
         screen.print()
     screen.print(
         f"  residual {result.residual_rms_dps:.3g} °/s rms, χ² {result.chi2:.1f} at {result.dof} degrees of"
@@ -258,16 +256,16 @@ def show_gyro_fit(
         scores = [
             (name, *(f"{v:.3f}" for v in score.rms_dps.values())) for name, score in result.scores.items()
         ]
-        screen.print(show.table_of(("model", *"xyz"), scores))
+        show.print_table(screen, ("model", *"xyz"), scores)
     for text in result.warnings:
         screen.print(text)
 
 
-def _gyro_table(parameters: dict[str, Value]) -> Table:
+def _print_gyros(screen: Console, parameters: dict[str, Value]) -> None:
     from adis_gonio.fitting.answer import parameter_row
 
     rows = [parameter_row(name, value) for name, value in parameters.items()]
-    return show.table_of(_PARAMETER_HEAD, rows, (0, 1))
+    show.print_table(screen, _PARAMETER_HEAD, rows, (0, 1))
 
 
 _ALLAN_ENDINGS = (".html", ".htm", ".svg")

@@ -209,14 +209,7 @@ class PlainBench:
         shown = ", ".join(f"{key.letter} {key.word}" for key in (*listed, words.HELP))
         self._open(f"{text} ({shown})", keys, takes_notes=not offers)
 
-    def _open(
-        self,
-        text: str,
-        keys: Actions,
-        *,
-        takes_notes: bool = True,
-        wait: bool = False,
-    ) -> None:
+    def _open(self, text: str, keys: Actions, *, takes_notes: bool = True, wait: bool = False) -> None:
         """Open a question with the text `text` and the action of each key.
 
         The answer is waited for if `wait` is set or the sensor's clock is simulated. A replayed recording

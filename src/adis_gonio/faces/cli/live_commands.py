@@ -100,13 +100,16 @@ def stream_command(
     if as_json and seconds is None:
         raise UsageError("--json needs --seconds: a document has an end")
     with contextlib.ExitStack() as stack:
-        part, rate_hz, open_stream = _open_stream(stack, url, names, **chip)
+        part, configured, open_stream = _open_stream(stack, url, names, **chip)
+        rate_hz, filter_m = configured["sample_rate_hz"], configured.get("filter_m")
         recorder = None
         if output is not None:
             from adis_gonio.record.samples_writer import SamplesRecorder
 
             recorder = stack.enter_context(
-                SamplesRecorder(output, part, gravity_mps2=gravity_mps2, title=f"stream {url}")
+                SamplesRecorder(
+                    output, part, gravity_mps2=gravity_mps2, title=f"stream {url}", filter_m=filter_m
+                )
             )
         show = ShownStream(max(1, round(every_s * rate_hz)), recorder, lines=not as_json)
         stack.callback(show.print_totals)  # also after a failure: the earlier scans remain
@@ -134,8 +137,8 @@ def _open_stream(
     poll: bool,
     variant: str,
     no_check: bool,
-) -> tuple[str, float, Callable[[int], SampleStream]]:
-    """Open a sensor; return its variant, its sample rate in Hz, and a function that starts the stream.
+) -> tuple[str, dict[str, Any], Callable[[int], SampleStream]]:
+    """Open a sensor; return its variant, its configuration, and a function that starts the stream.
 
     The function takes the number of scans in a block. `stack` closes the sensor; `names` are the registers
     to scan, separated by commas, None for the default ones; the other arguments are the options of
@@ -157,8 +160,8 @@ def _open_stream(
     scan = tuple(row.name for row in registers(names.split(","))) if names else DEFAULT_SCAN
     if not has_frames(url):
         source = stack.enter_context(open_source(url))
-        rate = source.configure(Settings()).sample_rate_hz
-        return source.part.name, rate, partial(source.samples, Settings())
+        configured = source.configure(Settings()).as_dict()
+        return source.part.name, configured, partial(source.samples, Settings())
     sensor = stack.enter_context(open_sensor(url, variant=variant, check=not no_check))
     if configures:
         sensor.configure(sample_rate_hz=rate_hz, filter_m=filter_m, gyro_range_dps=range_dps)
@@ -169,7 +172,7 @@ def _open_stream(
             scan, block_scans=block_scans, leave_registers=leave_registers, data_ready=data_ready
         )
 
-    return sensor.variant.name, sensor.configuration().sample_rate_hz, stream
+    return sensor.variant.name, sensor.configuration().as_dict(), stream
 
 
 class ShownStream:

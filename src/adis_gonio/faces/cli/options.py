@@ -261,6 +261,23 @@ def time_limit(help: str) -> Option[Any]:
     return click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help=help)
 
 
+def what_if(function: F) -> F:
+    """Decorate a command with the options `--with`, `--without` and `--only`."""
+    include = click.option(
+        "--with",
+        "include",
+        multiple=True,
+        metavar="TERM",
+        help="Put this term into the model: an effect with axes, such as quadratic:x, or a formula, such as"
+        " 'mine_x = (T-25)**2 * gx' (gx gy gz angle t T V approach).",
+    )
+    exclude = click.option(
+        "--without", "exclude", multiple=True, metavar="NAME", help="Leave this effect out of the model."
+    )
+    only = flag("--only", help="No term but those of --with.")
+    return include(exclude(only(function)))  # type: ignore[no-any-return]
+
+
 url = click.argument("url")
 session = click.argument("session", type=FILE)
 sessions = click.argument("sessions", type=FILE, nargs=-1, required=True, metavar="SESSION...")
@@ -286,7 +303,11 @@ settle = with_default(
     "--settle", "settle_s", type=float, default=0.5, metavar="SECONDS", help="Wait after stillness."
 )
 rate = click.option(
-    "--rate", "rate_hz", type=float, metavar="HZ", help="Samples per second, 0.413 to 819.2 (default)."
+    "--rate",
+    "rate_hz",
+    type=float,
+    metavar="HZ",
+    help="Samples per second, 0.413 to 819.2 (default; 102.4 with hands=free).",
 )
 filter = with_default(
     "--filter", "filter_m", type=int, default=2, metavar="M", help="Filter: two passes of 2^M taps."

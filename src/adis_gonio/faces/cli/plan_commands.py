@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -239,6 +240,21 @@ def _setting_rows() -> list[tuple[str, str]]:
     return described_settings()
 
 
+class _Date(click.DateTime):
+    """A date of the command line; a date in another form is refused with its ISO 8601 form."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Convert a text to a `datetime`."""
+        try:
+            return super().convert(value, param, ctx)
+        except click.BadParameter:
+            iso = "2024-05-31 or 2024-05-31T14:30"
+            for form in ("%d.%m.%Y", "%Y.%m.%d", "%Y/%m/%d"):
+                with suppress(ValueError):
+                    iso = datetime.strptime(value, form).date().isoformat()
+            self.fail(f"'{value}' is no date of the form YYYY-MM-DD: write {iso}", param, ctx)
+
+
 @option.command(
     "simulate",
     "--output --plan --effect",
@@ -269,8 +285,9 @@ def _setting_rows() -> list[tuple[str, str]]:
     help="A setting of the simulated world, such as delta_k=0.01; may be repeated.",
 )  # fmt: skip
 @click.option(
-    "--date", type=click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M"]), metavar="DATE",
-    help="Date of the session, such as 2024-05-31 (UTC; default: now). CSV keeps no date.",
+    "--date", type=_Date(["%Y-%m-%d", "%Y-%m-%dT%H:%M"]), metavar="DATE",
+    help="Date of the session, such as 2024-05-31 (UTC; default: now): another date gives the same part"
+    " other noise. CSV keeps no date.",
 )  # fmt: skip
 @click.option("--serial", default="", help="Serial number of the part.")
 @option.dwell()
@@ -309,7 +326,7 @@ def simulate_command(*, output: Path, date: datetime | None, **options: Any) -> 
     positions = positions.ordered(options["order"], np.random.default_rng(options["seed"]))
     with (
         tempfile.TemporaryDirectory() as folder,
-        open_sensor(_simulator_url(**options), variant=options["variant"]) as sensor,
+        open_sensor(_simulator_url(date, **options), variant=options["variant"]) as sensor,
     ):
         archive = Path(folder) / "simulated.session" if as_csv else output
         world = sensor.bus.world  # type: ignore[attr-defined]  # the simulator's bus has one
@@ -367,9 +384,12 @@ def _simulate_twin(path: Path, output: Path, seed: int) -> None:
 
 
 def _simulator_url(
-    *, seed: int, variant: str, effects: tuple[str, ...], settings: tuple[str, ...], **_: Any
-) -> str:
+    date: datetime | None, *, seed: int, variant: str, effects: tuple[str, ...], settings: tuple[str, ...],
+    **_: Any,
+) -> str:  # fmt: skip
     pairs = [("seed", str(seed)), ("variant", variant)]
+    if date is not None:  # another session of the same part, with noise of its own
+        pairs.insert(1, ("day", f"{date:%Y%m%d%H%M}"))
     if effects:
         pairs.append(("effects", ";".join(effects)))
     for text in settings:

@@ -7,7 +7,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
@@ -22,7 +22,7 @@ from adis_gonio.base.numbers import format_duration
 from adis_gonio.base.tables import fold_text
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    pass
 
 
 WIDTH = 100
@@ -79,43 +79,12 @@ LEAST_TEXT = 16
 """Smallest width in columns of a folded column of text."""
 
 
-def table_of(
-    head: Sequence[str],
-    rows: Iterable[Sequence[str]],
-    texts: Container[int] = (0,),
-    *,
-    bold: Container[str] = (),
-    number: Mapping[str, Any] | None = None,
-    text: Mapping[str, Any] | None = None,
-) -> Table:
-    """Return a rich table without lines, with text aligned left and numbers aligned right.
-
-    Parameters
-    ----------
-    head : sequence of str
-        Headings of the columns.
-    rows : iterable of sequence of str
-        Cells of each row.
-    texts : container of int
-        Indices of the columns of text, aligned left; the others hold numbers, aligned right.
-    bold : container of str
-        First cells of those rows that are printed in bold.
-    number, text : mapping, optional
-        Further options of rich for the columns of numbers and of text.
-    """
-    from rich.table import Table
-
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for k, name in enumerate(head):
-        more = text if k in texts else {"justify": "right", **(number or {})}
-        table.add_column(name, **(more or {}))
-    for row in rows:
-        table.add_row(*row, style="bold" if row[0] in bold else None)
-    return table
-
-
 def print_table(
-    screen: Console, head: Sequence[str], rows: Sequence[Sequence[str]], texts: Container[int]
+    screen: Console,
+    head: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    texts: Container[int] = (0,),
+    bold: Container[str] = (),
 ) -> None:
     """Print a table without its empty columns; if too wide, print each row as `name value; name value; …`.
 
@@ -126,8 +95,13 @@ def print_table(
     rows : sequence of sequence of str
         Cells of each row.
     texts : container of int
-        Indices of the columns of text, which may be folded; the others hold numbers.
+        Indices of the columns of text, aligned left, which may be folded; the others hold numbers, aligned
+        right.
+    bold : container of str
+        First cells of those rows that are printed in bold.
     """
+    from rich.table import Table
+
     shown = [k for k in range(len(head)) if any(row[k] not in ("", "–") for row in rows)]
     head, rows = [head[k] for k in shown], [[row[k] for k in shown] for row in rows]
     texts = {new for new, k in enumerate(shown) if k in texts}
@@ -138,7 +112,15 @@ def print_table(
             pairs = zip(head, row, strict=True)
             screen.print("; ".join(f"{name} {cell}" for name, cell in pairs if cell not in ("", "–")))
         return
-    screen.print(table_of(head, rows, texts, number={"no_wrap": True}, text={"overflow": "fold"}))
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for k, name in enumerate(head):
+        if k in texts:
+            table.add_column(name, overflow="fold")
+        else:
+            table.add_column(name, justify="right", no_wrap=True)
+    for row in rows:
+        table.add_row(*row, style="bold" if row[0] in bold else None)
+    screen.print(table)
 
 
 def check_page(output: Path | None) -> None:

@@ -27,7 +27,10 @@ if TYPE_CHECKING:
     from adis_gonio.tracing.trace_result import TraceResult
 
 
-@option.command("trace", "--max-effects --time-limit --json")
+_WHAT_IF = {"What if": "--with --without --only"}
+
+
+@option.command("trace", "--max-effects --time-limit --json", _WHAT_IF)
 @option.sessions
 @option.with_default(
     "--max-effects",
@@ -40,6 +43,7 @@ if TYPE_CHECKING:
     "End after this time with the best model so far; effects without validation are not called found."
 )
 @option.part()
+@option.what_if
 @option.overrides
 @option.json
 def trace_command(
@@ -50,6 +54,7 @@ def trace_command(
     part: str,
     as_json: bool,
     overrides: Overrides,
+    **what_if: Any,
 ) -> None:
     """Trace the residual of a session to the effects that the seed paper's model lacks.
 
@@ -60,20 +65,23 @@ def trace_command(
 
     The command reports each effect found with its probability, the error before and after on data that the
     fit did not use, the effects that this session cannot distinguish or detect, and measurements to make
-    next.
+    next. With --with, --without or --only it compares your model with the best one.
     """
     from adis_gonio.tracing.joint_trace import trace_sessions
     from adis_gonio.tracing.trace import trace
 
     loaded = [option.load(session, overrides) for session in sessions]
     dwells = counted(sum(len(one.dwells) for one in loaded), "dwell")
-    if len(loaded) > 1 and part != "accelerometer":
-        raise UsageError("several sessions are traced together for the accelerometers only")
+    if len(loaded) > 1 and (part != "accelerometer" or any(what_if.values())):
+        raise UsageError(
+            "several sessions are traced together for the accelerometers only, and without --with, --without"
+            " and --only: give one session"
+        )
     where = sessions[0].name if len(loaded) == 1 else counted(len(loaded), "session")
     result: TraceResult
     with report_progress(f"tracing {dwells} of {where}"):
         if len(loaded) == 1:
-            result = trace(loaded[0], max_effects=max_effects, time_limit=time_limit, part=part)
+            result = trace(loaded[0], max_effects=max_effects, time_limit=time_limit, part=part, **what_if)
         else:
             result = trace_sessions(loaded, max_effects=max_effects, time_limit=time_limit)
     if as_json:
@@ -90,6 +98,10 @@ def print_trace(sessions: Sequence[Session], result: TraceResult) -> None:
     screen = console(most=WIDTH)
     for session in sessions:
         screen.print(f"{summary.title(session)}: {summary.shape(session)}")
+    if result.what_if is not None:
+        _print_heading(screen, summary.asked(result.what_if))
+        _print_table(screen, summary.compared(result.what_if))
+        _print_list(screen, "Asked for (± U, 95 %)", summary.forced(result.what_if))
     screen.print()
     screen.print(summary.headline(result), style="bold")
     screen.print(summary.gains(result))
@@ -164,23 +176,29 @@ def _print_found(screen: Console, result: TraceResult) -> None:
 
 def _print_errors(screen: Console, result: TraceResult) -> None:
     from rich.padding import Padding
-    from rich.table import Table
 
     from adis_gonio.tracing import trace_summary as summary
 
     _print_heading(screen, "Error before and after")
-    head, rows = summary.error_rows(result)
+    _print_table(screen, summary.error_rows(result))
+    if result.heldout_design:
+        screen.print(Padding(_plain(f"left out: {result.heldout_design}", "dim"), (0, 0, 0, 3)))
+
+
+def _print_table(screen: Console, cells: tuple[list[str], list[list[str]]]) -> None:
+    """Print a table of models from its column names and rows; the last row is emphasized."""
+    from rich.table import Table
+
+    head, rows = cells
     table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False)
     table.add_column(f"   {head[0]}")
     for name in head[1:]:
         short = name.replace("error of the angle", "angle")
         table.add_column(short if name.endswith("dof") else short.replace(" / ", "\n"), justify="right")
-    for k, (name, *cells) in enumerate(rows):
+    for k, (name, *others) in enumerate(rows):
         last = 0 < k == len(rows) - 1
-        table.add_row(_plain(f"   {name}"), *cells, style="bold" if last else None)
+        table.add_row(_plain(f"   {name}"), *others, style="bold" if last else None)
     screen.print(table)
-    if result.heldout_design:
-        screen.print(Padding(_plain(f"left out: {result.heldout_design}", "dim"), (0, 0, 0, 3)))
 
 
 def _plain(text: str, style: str = "") -> Text:
@@ -283,11 +301,12 @@ def _confounded_groups(summary: Mapping[str, Any]) -> str:
     return "\n".join([*lines[:_MOST_GROUPS], *more]) or "–"
 
 
-@option.command("report", "--output --time-limit", {"Conformity": "--tolerance --rule --risk"})
+@option.command("report", "--output --time-limit", {"Conformity": "--tolerance --rule --risk", **_WHAT_IF})
 @option.session
 @option.output("Page to write.", required=True)
 @option.time_limit("End the trace after this time with the best model so far.")
 @option.tolerance("State on the certificate if the angle error is within this tolerance.")
+@option.what_if
 @option.overrides
 def report_command(
     *,
@@ -296,6 +315,7 @@ def report_command(
     time_limit: float | None,
     tolerance: Tolerance | None,
     overrides: Overrides,
+    **what_if: Any,
 ) -> None:
     """Write the calibration report: one self-contained HTML page.
 
@@ -307,15 +327,17 @@ def report_command(
     loaded = option.load(session, overrides)
     what = "a free turn" if loaded.free_turn else counted(len(loaded.dwells), "dwell")
     with report_progress(f"report of {what} of {session.name}"):
-        page = _report_page(loaded, time_limit, tolerance)
+        page = _report_page(loaded, time_limit, tolerance, what_if)
     write_page(output, page)
 
 
-def _report_page(session: Session, time_limit: float | None, tolerance: Tolerance | None) -> str:
+def _report_page(
+    session: Session, time_limit: float | None, tolerance: Tolerance | None, what_if: Mapping[str, Any]
+) -> str:
     """Build the HTML report of a session from all fits, the trace and the digital twin.
 
     `time_limit` ends the trace after this time in s, None never; `tolerance` adds a statement of
-    conformity.
+    conformity; `what_if` are the terms and names that the user puts into the model or takes out of it.
     """
     from adis_gonio.base.budget import current, with_progress
     from adis_gonio.fitting import applicable_methods, fit
@@ -334,9 +356,11 @@ def _report_page(session: Session, time_limit: float | None, tolerance: Toleranc
     made = (gyro_section(session), noise_section(session))
     gyros = [section for section in made if section is not None]
     try:
-        traced = trace(session, time_limit=time_limit)
+        traced = trace(session, time_limit=time_limit, **what_if)
         drawn = views(session, traced)
     except AdisGonioError as error:
+        if any(what_if.values()):
+            raise
         return build_page(session, fits, str(error), None, gyros, failures, tolerance)
     tell("its digital twin")
     twin = _twin_sections(session, traced)

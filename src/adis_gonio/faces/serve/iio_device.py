@@ -389,12 +389,9 @@ _IDS = {
 }
 _LABELS = {"SUPPLY_OUT": "supply"}
 
-_SI: dict[register_table.Kind, float] = {
+_SI: dict[register_table.Kind, float] = dict.fromkeys(register_table.Kind, 1000.0) | {
     register_table.Kind.ACCEL: STANDARD_GRAVITY_MPS2 / 1000.0,
     register_table.Kind.GYRO: math.pi / 180.0,
-    register_table.Kind.TEMPERATURE: 1000.0,
-    register_table.Kind.SUPPLY: 1000.0,
-    register_table.Kind.AUX_ADC: 1000.0,
 }
 """Factor from the unit of this program to IIO's unit: mg → m/s², °/s → rad/s, °C → m°C, V → mV."""
 
@@ -549,24 +546,20 @@ class ServedDevice:
         return float(lsb[0]) * _SI[row.kind], float(zero[0] / lsb[0])
 
     def channel_value(self, channel: Channel, name: str, state: SensorState) -> str:
-        """Return the value of a channel's attribute as text, except `raw`; `Refused` if there is none."""
+        """Return the value of a channel's attribute as text; `Refused` if there is none.
+
+        The attribute `raw`, which needs a scan, is not served here.
+        """
         row = channel.register
         if row is None or name not in channel.attributes:
             raise Refused(Errno.ENOENT, f"{channel.id} has no attribute {name}")
         scale, offset = self.scale_and_offset(row, state)
-        match name:
-            case "scale":
-                return _text(scale)
-            case "offset":
-                return _text(offset)
-            case "calibbias":
-                return str(state.offsets[OFFSET_OF[row.name]])
-            case "filter_low_pass_3db_frequency":
-                return _text(_filter_hz(state.configuration.filter_m, state))
-            case "filter_low_pass_3db_frequency_available":
-                return " ".join(_text(_filter_hz(m, state)) for m in FILTERS)
-            case _:
-                raise Refused(Errno.ENOENT, f"{name} is a reading")
+        if name == "calibbias":
+            return str(state.offsets[OFFSET_OF[row.name]])
+        if name.endswith("_available"):
+            return " ".join(_text(_filter_hz(m, state)) for m in FILTERS)
+        frequency_hz = _filter_hz(state.configuration.filter_m, state)
+        return _text({"scale": scale, "offset": offset}.get(name, frequency_hz))
 
     def device_value(self, name: str, state: SensorState) -> str:
         """Return the value of an attribute of the device as text; `Refused` if there is none."""
@@ -684,22 +677,16 @@ class ScanFormat:
 
 
 _DTD = (
-    "<!DOCTYPE context ["
-    "<!ELEMENT context (device | context-attribute)*>"
+    "<!DOCTYPE context [<!ELEMENT context (device | context-attribute)*>"
     "<!ELEMENT context-attribute EMPTY>"
     "<!ELEMENT device (channel | attribute | debug-attribute | buffer-attribute)*>"
-    "<!ELEMENT channel (scan-element?, attribute*)>"
-    "<!ELEMENT attribute EMPTY>"
-    "<!ELEMENT scan-element EMPTY>"
-    "<!ELEMENT debug-attribute EMPTY>"
-    "<!ELEMENT buffer-attribute EMPTY>"
+    "<!ELEMENT channel (scan-element?, attribute*)><!ELEMENT attribute EMPTY>"
+    "<!ELEMENT scan-element EMPTY><!ELEMENT debug-attribute EMPTY><!ELEMENT buffer-attribute EMPTY>"
     "<!ATTLIST context name CDATA #REQUIRED description CDATA #IMPLIED>"
     "<!ATTLIST context-attribute name CDATA #REQUIRED value CDATA #REQUIRED>"
     "<!ATTLIST device id CDATA #REQUIRED name CDATA #IMPLIED label CDATA #IMPLIED>"
     "<!ATTLIST channel id CDATA #REQUIRED type (input|output) #REQUIRED name CDATA #IMPLIED>"
     "<!ATTLIST scan-element index CDATA #REQUIRED format CDATA #REQUIRED scale CDATA #IMPLIED>"
     "<!ATTLIST attribute name CDATA #REQUIRED filename CDATA #IMPLIED>"
-    "<!ATTLIST debug-attribute name CDATA #REQUIRED>"
-    "<!ATTLIST buffer-attribute name CDATA #REQUIRED>"
-    "]>"
+    "<!ATTLIST debug-attribute name CDATA #REQUIRED><!ATTLIST buffer-attribute name CDATA #REQUIRED>]>"
 )

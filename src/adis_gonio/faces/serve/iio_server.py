@@ -63,17 +63,12 @@ class AttributePort:
         """
         if not self.device.knows(target.device):
             raise Refused(Errno.ENODEV, f"no device {target.device}")
-        match target.kind:
-            case "device":
-                return iio_device.DEVICE_ATTRIBUTES
-            case "debug":
-                return iio_device.DEBUG_ATTRIBUTES
-            case "buffer":
-                return ()
-            case "input":
-                return self.device.channel(target.channel).attributes
-            case "output":
-                raise Refused(Errno.ENXIO, "a sensor has no outputs")
+        if target.kind == "output":
+            raise Refused(Errno.ENXIO, "a sensor has no outputs")
+        if target.kind == "input":
+            return self.device.channel(target.channel).attributes
+        kinds = {"device": iio_device.DEVICE_ATTRIBUTES, "debug": iio_device.DEBUG_ATTRIBUTES}
+        return kinds.get(target.kind, ())
 
     async def read(self, target: Target, name: str) -> str:
         """Read an attribute as text; `Refused` if there is none, or the sensor fails.
@@ -263,15 +258,7 @@ class ClientSession:
                 raise Refused(request.errno, request.why)
             case iiod_protocol.ReadAttribute() | iiod_protocol.WriteAttribute():
                 return await self._answer_attribute(request)
-            case (
-                iiod_protocol.Open()
-                | iiod_protocol.Close()
-                | iiod_protocol.ReadBuffer()
-                | iiod_protocol.WriteBuffer()
-                | iiod_protocol.GetTrigger()
-                | iiod_protocol.SetTrigger()
-                | iiod_protocol.SetBuffers()
-            ):
+            case iiod_protocol.BufferRequest():
                 self._require_device(request.device)
                 return await self._answer_buffer(request)
             case _:

@@ -114,23 +114,27 @@ class Timeout(Request):
 
 
 @dataclass(frozen=True)
-class Open(Request):
+class BufferRequest(Request):
+    """Base class of the requests on the buffer or the trigger of a device."""
+
+    device: str
+
+
+@dataclass(frozen=True)
+class Open(BufferRequest):
     """Request to open a buffer of `samples` scans for the channels in `mask`.
 
     The mask is hexadecimal with 8 digits per 32 channels; the last 8 digits are for channels 0 to 31.
     """
 
-    device: str
     samples: int
     mask: str
     cyclic: bool = False
 
 
 @dataclass(frozen=True)
-class Close(Request):
+class Close(BufferRequest):
     """Request to close the buffer of a device."""
-
-    device: str
 
 
 @dataclass(frozen=True)
@@ -151,41 +155,35 @@ class WriteAttribute(Request):
 
 
 @dataclass(frozen=True)
-class ReadBuffer(Request):
+class ReadBuffer(BufferRequest):
     """Request for `size` bytes of scans from the buffer."""
 
-    device: str
     size: int
 
 
 @dataclass(frozen=True)
-class WriteBuffer(Request):
+class WriteBuffer(BufferRequest):
     """Request to put out `size` bytes of scans; the server refuses it, since a sensor has no outputs."""
 
-    device: str
     size: int
 
 
 @dataclass(frozen=True)
-class GetTrigger(Request):
+class GetTrigger(BufferRequest):
     """Request for the name of a device's trigger."""
-
-    device: str
 
 
 @dataclass(frozen=True)
-class SetTrigger(Request):
+class SetTrigger(BufferRequest):
     """Request to set the trigger of a device; a trigger of None removes it."""
 
-    device: str
     trigger: str | None
 
 
 @dataclass(frozen=True)
-class SetBuffers(Request):
+class SetBuffers(BufferRequest):
     """Request to set the number of kernel buffers; it has no effect on this server."""
 
-    device: str
     count: int
 
 

@@ -48,7 +48,7 @@ class _Finishing(ModalScreen[Result]):
     _has_result = False
 
     def finish(self, result: Result | None = None) -> None:
-        """Close the dialog with a result; later calls do nothing."""
+        """Close the dialog with a result, None for none; later calls do nothing."""
         if not self._has_result:
             self._has_result = True
             self.dismiss(result)

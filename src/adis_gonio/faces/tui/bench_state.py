@@ -171,7 +171,7 @@ class BenchState:
 
     @property
     def position(self) -> Position | None:
-        """Position that the operator is asked for, or that is being measured."""
+        """Position that the operator is asked for, or that is being measured; None if there is none."""
         return None if self.plan is None or self.place is None else self.plan.positions[self.place]
 
     @property

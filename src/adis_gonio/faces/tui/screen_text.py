@@ -7,13 +7,7 @@ stillness.
 
 from __future__ import annotations
 
-from adis_gonio.base.numbers import (
-    DASH,
-    counted,
-    format_duration,
-    signed,
-    use_minus,
-)
+from adis_gonio.base.numbers import DASH, counted, format_duration, signed, use_minus
 from adis_gonio.bench import events
 from adis_gonio.bench.guidance import face, to_do
 from adis_gonio.bench.runner import SHARE_OF_RANGE

@@ -145,12 +145,11 @@ def rests_of(session: Session, part: Part) -> Rests:
     samples = sum(len(record) for record in records)
     if lost > _MANY_LOST * samples:
         notes.append(f"{counted(lost, 'sample')} of {samples} are missing: high frequencies are less sure")
-    filter_m = (session.facts.get("configuration") or {}).get("filter_m")
     return Rests(
         part,
         unit,
         period_s,
-        None if filter_m is None else int(filter_m),
+        session.filter_m,
         tuple((record - record[0]) * scale for record in records),
         tuple(positions),
         step,

@@ -647,7 +647,8 @@ class Fit:
     def carried(self, there: Fit) -> Floats:
         """Return a root (rows, k) of the covariance of predictions from this fit's uncertain parameters.
 
-        `there` is this fit on other dwells (`on`), which it predicts; its rows are whitened.
+        `there` has the parameters of this fit and the dwells to predict; the rows are whitened readings of
+        these dwells, and the root times its transpose is the covariance.
         """
         return np.asarray(there.jacobian @ self._half)
 

@@ -278,7 +278,8 @@ class Readings(ComputedOnce):
     def visible(self) -> NDArray[np.bool_]:
         """Mask (p,) of the base parameters that are fitted; the others keep their nominal values.
 
-        It is `fitted`, if given, otherwise the parameters that these dwells determine.
+        These are the parameters that were stated as fitted or, if none were, those that the dwells
+        determine.
         """
         if self.fitted is not None:
             return self.fitted
@@ -294,7 +295,7 @@ class Readings(ComputedOnce):
 
     @cached_property
     def root(self) -> Floats:
-        """Whitening matrix (n, axes, axes) in 1/mg: the inverse Cholesky factor of `covariance`."""
+        """Whitening matrix (n, axes, axes) in 1/mg: inverse Cholesky factor of the readings' covariance."""
         return _inverse_root(self.covariance)
 
     @cached_property

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,7 +36,6 @@ from adis_gonio.model.records import Dwell, Session
 
 _LEAST_RUN = 32
 _CHIP_RUN = 512
-_LIVELY = 0.6
 _MOST_GRAVITY = 1.1
 """Largest length, in units of local gravity, of a dwell mean at which a limit of the range can be the
 reason for constant samples: the true reading is longer than the mean. The tenth above 1 allows for gains
@@ -246,17 +245,31 @@ def converter_of(dwells: Sequence[Dwell]) -> Converter:
 
 
 def _limits(dwells: Sequence[Dwell], steps: Floats) -> tuple[Limit, ...]:
-    found = []
-    scatter = np.median([dwell.accel.std(axis=0) for dwell in dwells], axis=0)
-    for axis in range(dwells[0].accel.shape[1]):
-        if scatter[axis] < _LIVELY * steps[axis]:
-            continue
-        columns = [dwell.accel[:, axis] for dwell in dwells]
+    samples = [dwell.accel for dwell in dwells]
+    found = piles(samples, is_lively(samples, steps))
+    return tuple(_limit(dwells, axis, value, inside) for axis, value, inside in found)
+
+
+def is_lively(dwells: Sequence[Floats], steps: Floats) -> NDArray[np.bool_]:
+    """Return True for each axis (axes,) with enough noise in dwells (n, axes) to show a limit of the range.
+
+    `steps` (axes,) are the steps of the converter.
+    """
+    return np.asarray(np.median([rows.std(axis=0) for rows in dwells], axis=0) >= _LIVELY * steps)
+
+
+def piles(samples: Sequence[Floats], lively: NDArray[np.bool_]) -> Iterator[tuple[int, float, int]]:
+    """Return the extreme values at which samples (n, axes) pile up, as at a limit of the range.
+
+    Each has its axis, the value, and the number of samples at the next value. Only axes that are `lively`
+    (axes,) are examined.
+    """
+    for axis in np.flatnonzero(lively).tolist():
+        columns = [rows[:, axis] for rows in samples]
         for sign in (1.0, -1.0):
             value, count, inside = _pile(columns, sign)
             if count >= max(_PILE, _STEEP * inside) and _many_values(columns):
-                found.append(_limit(dwells, axis, value, inside))
-    return tuple(found)
+                yield axis, value, inside
 
 
 def _pile(columns: Sequence[Floats], sign: float) -> tuple[float, int, int]:

@@ -454,8 +454,8 @@ def _beside_flicker(
 def _cells(groups: list[_Ordinates], band: float) -> tuple[Floats, Floats, Floats, Floats] | None:
     """Return the mean ordinates of all dwells in cells of frequency below `band`.
 
-    The results are x = f/band, weight, mean relative to each dwell's mean, and mean of 1/x of the cells
-    that are not empty. None if the band has too few ordinates.
+    The results are, for each cell that is not empty: the mean of x = f/band, the number of ordinates, their
+    mean relative to each dwell's mean, and the mean of 1/x. None if no cell has an ordinate.
     """
     total, moment, first = np.zeros(_CELLS), np.zeros(_CELLS), np.zeros(_CELLS)
     inverse = np.zeros(_CELLS)

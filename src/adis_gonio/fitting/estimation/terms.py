@@ -61,6 +61,11 @@ class Term(ABC):
         return False
 
     @property
+    def forced(self) -> bool:
+        """True for a term that is in every model of a search; only a `NamedTerm` can be forced."""
+        return False
+
+    @property
     def prior_sd(self) -> float | None:
         """Prior standard deviation of each value of the term, with mean zero; None without a prior."""
         return None
@@ -124,12 +129,15 @@ class NamedTerm(Term):
         Prior standard deviation of each amplitude about zero; None without a prior.
     begins : float
         Rough amplitude about which the linear problem is expanded; 0 if none is known.
+    forced : bool
+        True if the term is in every model of a search.
     """
 
     effect: Effect
     shapes: tuple[tuple[int, float], ...] = ()
     spread: float | None = None
     begins: float = 0.0
+    forced: bool = False
 
     @classmethod
     def offset(cls, axes: Sequence[str], spread: float | None = None) -> NamedTerm:
@@ -142,7 +150,7 @@ class NamedTerm(Term):
 
     @property
     def name(self) -> str | None:
-        """Name of the effect in the catalogue."""
+        """Name of the effect in the catalogue, never None for a named term."""
         return self.effect.name
 
     @property
@@ -152,7 +160,7 @@ class NamedTerm(Term):
 
     @property
     def prior_sd(self) -> float | None:
-        """Prior standard deviation of each amplitude about zero, from `spread`; None without a prior."""
+        """Prior standard deviation of each amplitude about zero, in its unit; None without a prior."""
         return self.spread
 
     @property
@@ -172,7 +180,7 @@ class NamedTerm(Term):
         return [k for k in range(len(self.effect.parameters)) if k not in fixed]
 
     def amplitude_index(self, values: Floats) -> list[int]:
-        """Return the indices of the amplitudes, from the attribute `amplitudes`; `values` has no effect."""
+        """Return the indices of the amplitudes among all parameters of the term; `values` has no effect."""
         return self.amplitudes
 
     def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
@@ -265,7 +273,7 @@ class Basis:
     )
 
     def over(self, conditions: Conditions) -> Floats:
-        """Return values (n, q) of the functions `common` at the conditions; the last result is kept.
+        """Return values (n, q) of the basis functions that all axes share, at the conditions of n rows.
 
         A function that is only rounding error at these conditions is set to zero, such as the sine of the
         fifth harmonic at multiples of 36°. Otherwise a fit could give it an amplitude of 10¹⁴.
@@ -327,7 +335,7 @@ class NamelessTerm(Term):
 
     @property
     def prior_sd(self) -> float | None:
-        """Prior standard deviation of each amplitude, from `shrinkage`; None without a prior."""
+        """Prior standard deviation of each amplitude about zero; None without a prior."""
         return self.shrinkage
 
     @property

@@ -255,7 +255,7 @@ class GyroFit(ParameterTable):
 
     @property
     def held(self) -> str:
-        """Text that counts the dwells and turns used in the fit, such as `14 dwells and 3 turns`."""
+        """Text with the numbers of dwells and turns used in the fit, such as `14 dwells and 3 turns`."""
         dwells = counted(len(self.positions) - self.turns, "dwell")
         return f"{dwells} and {counted(self.turns, 'turn')}" if self.turns else dwells
 

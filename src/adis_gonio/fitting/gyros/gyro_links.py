@@ -4,6 +4,7 @@ The zero rate over a turn is the mean of the two adjacent dwells, and its g-sens
 accelerometers while the part turns. The uncertainty of the rotation has these parts:
 
 * white noise of the samples and of the means of both dwells, and the error of bridges over lost scans;
+* motion that is faster than the samples show (`turn_integration.Aliasing`), such as a knock;
 * 1/f noise: the distance of the zero rate over the turn from that mean, by the covariance of the three
   intervals;
 * the rotation of the earth: its share in the zero rate changes with the attitude;
@@ -177,8 +178,8 @@ class Leg:
         without the noise of the samples.
     zero_dps2 : (3,) float
         Variance of the zero rate that was subtracted.
-    missing_rad2 : float
-        Variance of the angle about each axis because samples were lost.
+    missing_rad2 : (3, 3) float
+        Covariance of the rotation because samples were lost and because they miss fast motion.
     spans_s : (3, 2) float
         Begin and end of the dwell before, the turn and the dwell after.
     shared_dps2 : (3,) float
@@ -191,7 +192,7 @@ class Leg:
     force_g: Floats
     size_dps: Floats
     zero_dps2: Floats
-    missing_rad2: float
+    missing_rad2: Floats
     spans_s: Floats
     shared_dps2: Floats
 
@@ -219,6 +220,17 @@ class GyroLinks:
     noise_dps2: Floats
     allan_dps2: Floats
     refused: tuple[tuple[int, int, str], ...] = ()
+
+    @property
+    def missed_deg(self) -> float:
+        """Standard uncertainty of a turn about each axis, rms over the turns, because samples miss motion.
+
+        Zero if the noise of the samples has more effect.
+        """
+        missed = sum(float(np.trace(leg.missing_rad2)) for leg in self.legs)
+        squares = sum(float((np.diff(leg.time_s) ** 2).sum()) for leg in self.legs)
+        noise = math.radians(1) ** 2 * float(np.trace(self.noise_dps2)) * squares
+        return math.degrees(math.sqrt(missed / 3 / len(self.legs))) if missed > noise else 0.0
 
     @cached_property
     def _wander(self) -> tuple[Floats, Floats]:
@@ -265,7 +277,7 @@ class GyroLinks:
             own[row] = found.by_zero @ zero @ found.by_zero.T + found.noise_rad2
             # The earth turns by a known angle about an unknown axis: a third of its square on each axis.
             earth = (math.radians(EARTH_DPS) * float(leg.time_s[-1] - leg.time_s[0])) ** 2 / 3
-            own[row] += (leg.missing_rad2 + earth) * np.eye(3)
+            own[row] += leg.missing_rad2 + earth * np.eye(3)
             if row + 1 < m and self.legs[used[row + 1]].positions[0] == leg.positions[1]:
                 # Each leg takes half of the common dwell as its zero rate.
                 shared = np.diag(leg.shared_dps2 / 4 + self.allan_dps2 * next_wander[k])
@@ -333,8 +345,9 @@ def _leg(session: Session, turn: Turn, rests: GyroDwells) -> Leg | str:
     time = path.time_s[rows]
     rate = path.rate_dps[rows] - path.zero_dps.mean(axis=0)
     force = path.force_g[rows] - path.rest_g.mean(axis=0)
-    noise = sampling.density_dps2 * (len(time) - 1) * sampling.period_s**2
-    missing = max(float(np.trace(integral.covariance_deg2 - noise)), 0.0)
+    turned = turn_integration.rates_at_end(time, rate)
+    missing = integral.bridged_deg2 * np.eye(3)
+    missing += sampling.aliasing.covariance(time, turned, sampling.period_s)
     return Leg(
         (turn.before, turn.position),
         time,

@@ -28,7 +28,7 @@ from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.numbers import format_ranges
 from adis_gonio.device.sensor.registers import GYRO_LSB_DPS, VARIANTS
 from adis_gonio.fitting.estimation.readings import Readings, Unit, flicker_parts, quantization_variance
-from adis_gonio.fitting.estimation.screening import steps_of
+from adis_gonio.fitting.estimation.screening import is_lively, piles, steps_of
 from adis_gonio.fitting.estimation.spectrum import MeanNoise, noise_of_means, spans
 from adis_gonio.fitting.gyros import turn_integration
 from adis_gonio.model.effects import AXES, Conditions
@@ -193,7 +193,7 @@ class GyroDwells:
 
     @property
     def by_position(self) -> dict[int, int]:
-        """Index of each dwell in `dwells`, by its number in the session."""
+        """Index of each dwell among the dwells with gyro samples, by its number in the session."""
         return {dwell.position: k for k, dwell in enumerate(self.dwells)}
 
     @cached_property
@@ -252,12 +252,24 @@ def gyro_dwells_of(session: Session) -> GyroDwells:
     allan = np.where(noise.flicker > 0, noise.flicker, np.minimum(stated, noise.flicker_limit))
     configuration = session.facts.get("configuration") or {}
     counts = np.array([len(dwell) for dwell in dwells], dtype=float)
+    period = turn_integration.period_of([dwell.time_s for dwell in dwells])
+    turns = [
+        (turn.time_s, scale * turn.gyro) for turn in session.turns if turn.gyro is not None and len(turn)
+    ]
+    range_dps = float(configuration.get("gyro_range_dps") or (300.0 if variant else math.inf))
+    if turns and math.isinf(range_dps):
+        ends = piles([rate for _, rate in turns], is_lively(rows, steps_of(rows)))
+        range_dps = min((abs(value) for _, value, _ in ends), default=math.inf)
+    rests = [(dwell.time_s, scale * row) for dwell, row in zip(dwells, rows, strict=True)]
     sampling = turn_integration.Sampling(
-        period_s=turn_integration.period_of([dwell.time_s for dwell in dwells]),
+        period_s=period,
         filter_m=int(configuration.get("filter_m", 0)),
-        range_dps=float(configuration.get("gyro_range_dps") or (300.0 if variant else math.inf)),
+        range_dps=range_dps,
         density_dps2=(noise.covariance * counts[:, None, None] ** 2).sum(axis=0) / counts.sum(),
         drift_dps=np.sqrt(allan),
+        aliasing=turn_integration.Aliasing.of(
+            rests, [(time, rate) for time, rate in turns if np.abs(rate).max() < range_dps], period
+        ),
     )
     return GyroDwells(dwells, rows, scale, turn_integration.g_per_unit(session), noise, sampling, allan)
 

@@ -10,7 +10,9 @@ A straight line bridges lost scans. The turn itself shows the error of such a br
 laid over every complete stretch of that length near the gap, and the mean square of its error is the
 variance. A longer gap refuses the turn, unless the part was at rest on both sides of the gap and the
 motion came later (or earlier). The interval then begins (or ends) at the gap. Long rests before and after
-the motion are left out if they show no rotation, because they add only the drift of the gyros.
+the motion are left out if they show no rotation, because they add only the drift of the gyros. Motion that
+is faster than the samples show (a part that is set down stops within a millisecond) adds the error of
+`Aliasing`.
 
 The rotation between two poses needs the attitude (`attitude`). A direction u fixed in space moves backwards
 in the part: u̇ = −ω × u. The rate between two samples is taken as their mean, and the rotation by this
@@ -75,6 +77,8 @@ from adis_gonio.model.records import Dwell, Session, Turn
 if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration
 
+Series = tuple[Floats, Floats]
+"""Times (n,) in s, and rates (n, 3) of the gyros in °/s."""
 LONGEST_GAP_S = 0.25
 """Longest gap between samples, in s, that is bridged within a turn; the single movements of a turning hand
 take longer."""
@@ -99,6 +103,66 @@ _LEAST_BRIDGES = 8
 
 
 @dataclass(frozen=True)
+class Aliasing:
+    """Error of an integral of sampled rates by motion that is faster than the samples show.
+
+    The spectrum of a sum of n samples is that of the motion, folded at the sampling frequency F, so the sum
+    times the period T errs by the spectrum at F, 2F, …: with a density K f^−p there, the variance is
+    V = 2 K T^p ζ(p). The sum E(h) over a turn of the squared second differences of samples h apart is
+    another mean of this density, with E(2)/E(1) = 2^(p−1) = r, and V = T² E(1) ζ(1−p)/(r − 4): E(1)/24 for
+    steps of the rate (p = 2), E(1)/480 for kinks (p = 4), E(1)/6 for white noise (p → 1). E is counted
+    above its value by the noise at rest, and r comes from all turns of a session.
+
+    Attributes
+    ----------
+    share : float
+        V/(T² E(1)); 0 without turns.
+    rest_dps2 : float
+        Mean square of the second difference of a gyro's samples at rest.
+    """
+
+    share: float = 0.0
+    rest_dps2: float = 0.0
+
+    @classmethod
+    def of(cls, rests: Sequence[Series], turns: Sequence[Series], period_s: float) -> Aliasing:
+        """Estimate the error from times (n,) in s and rates (n, 3) of dwells and turns.
+
+        `period_s` is the usual time between samples.
+        """
+        from scipy.special import gamma, zeta
+
+        energy, still = [], []
+        for lag in (1, 2):
+            rest, moved = (
+                np.concatenate(
+                    [np.empty((0, 3)), *(_second_differences(*one, lag, period_s) for one in many)]
+                )
+                for many in (rests, turns)
+            )
+            still.append(float((rest**2).sum()) / max(rest.size, 1))
+            energy.append(float((moved**2).sum()) - moved.size * still[-1])
+        if energy[0] <= 0:
+            return cls(0.0, still[0])
+        # The second difference shows exponents between 1 and 5.
+        p = 1 + float(np.clip(math.log2(max(energy[1] / energy[0], 1.0)), 1e-6, 4 - 1e-6))
+        reflected = 2 * (2 * math.pi) ** -p * math.cos(math.pi * p / 2) * gamma(p) * zeta(p)  # ζ(1 − p)
+        return cls(float(reflected / (2 ** (p - 1) - 4)), still[0])
+
+    def covariance(self, time_s: Floats, rate_dps: Floats, period_s: float) -> Floats:
+        """Return the covariance (3, 3) in deg² that it adds to the integral of rates (n, 3)."""
+        ahead = _second_differences(time_s, rate_dps, 1, period_s)
+        size, axes = np.linalg.eigh(ahead.T @ ahead - len(ahead) * self.rest_dps2 * np.eye(3))
+        return np.asarray(self.share * period_s**2 * (axes * np.maximum(size, 0.0)) @ axes.T)
+
+
+def _second_differences(time_s: Floats, rate_dps: Floats, lag: int, period_s: float) -> Floats:
+    """Return f(t + h) − 2 f(t) + f(t − h), (k, 3), for h of `lag` samples without a lost scan."""
+    ahead = rate_dps[2 * lag :] - 2 * rate_dps[lag:-lag] + rate_dps[: -2 * lag]
+    return np.asarray(ahead[time_s[2 * lag :] - time_s[: -2 * lag] < (2 * lag + 0.5) * period_s])
+
+
+@dataclass(frozen=True)
 class Sampling:
     """Properties of the sampling of the gyros: period, filter, range and noise.
 
@@ -115,6 +179,8 @@ class Sampling:
         times this variance.
     drift_dps : (3,) float
         Allan deviation of the 1/f noise of each gyro.
+    aliasing : Aliasing
+        Error by motion that is faster than the samples show.
     """
 
     period_s: float
@@ -122,6 +188,7 @@ class Sampling:
     range_dps: float
     density_dps2: Floats
     drift_dps: Floats
+    aliasing: Aliasing = Aliasing()
 
     @property
     def delay_s(self) -> float:
@@ -172,7 +239,9 @@ class Integral:
     angle_deg : (3,) float
         Integral of the gyros' readings, with the zero rates.
     covariance_deg2 : (3, 3) float
-        Covariance of `angle_deg` from noise and bridged gaps, without changes of the zero rate.
+        Covariance of `angle_deg` from noise, aliasing and bridged gaps, without changes of the zero rate.
+    bridged_deg2 : float
+        Its trace from bridged gaps alone.
     turned_deg : (3,) float
         Integral of the rates minus the mean zero rate of both dwells; it serves to count turns and to find
         the axis.
@@ -188,6 +257,7 @@ class Integral:
     end_s: float
     angle_deg: Floats
     covariance_deg2: Floats
+    bridged_deg2: float
     turned_deg: Floats
     force_g: Floats
     mean_abs_dps: Floats
@@ -336,11 +406,13 @@ def integral_over(path: Path, sampling: Sampling, begin: int, end: int) -> Integ
     missing, bridged = bridges
     zero = path.zero_dps.mean(axis=0)
     angle, share = weight @ rate, weight / length
+    noise = sampling.density_dps2 * (len(time) - 1) * sampling.period_s**2
     return Integral(
         begin_s=float(time[0]) - sampling.delay_s,
         end_s=float(time[-1]) - sampling.delay_s,
         angle_deg=angle,
-        covariance_deg2=sampling.density_dps2 * (len(time) - 1) * sampling.period_s**2 + missing,
+        covariance_deg2=noise + sampling.aliasing.covariance(time, rate, sampling.period_s) + missing,
+        bridged_deg2=float(np.trace(missing)),
         turned_deg=angle - length * zero,
         force_g=share @ force,
         mean_abs_dps=share @ np.abs(smooth_blocks(rate - zero, sampling.window)),
@@ -511,6 +583,12 @@ def attitude(
     by_row = weighted.transpose(1, 0, 2)
     noise = rad**2 * (by_row @ noise_dps2).reshape(3, -1) @ by_row.reshape(3, -1).T
     return Attitude(to_end[0], by_parameter, rad * weighted.sum(axis=0), noise)
+
+
+def rates_at_end(time_s: Floats, rate_dps: Floats) -> Floats:
+    """Return the rates (n, 3) of a turn with components along the axes at its end, by perfect gyros."""
+    mean = np.radians(rate_dps[1:] + rate_dps[:-1]) / 2
+    return np.asarray((_to_end(mean * np.diff(time_s)[:, None]) @ rate_dps[:, :, None])[:, :, 0])
 
 
 def _to_end(steps_rad: Floats) -> Floats:
@@ -824,9 +902,10 @@ class Axes:
         return central_differences(unit, self.values, _STEP, self.factor.T)
 
     def u_rad(self) -> float:
-        """Return the standard uncertainty in rad of a direction, along each axis perpendicular to it.
+        """Return the standard uncertainty in rad of a direction of gravity that the accelerometers show.
 
-        It is the mean over directions along the three axes.
+        It comes from the uncertainty of their parameters, holds for each of the two components across the
+        direction, and is averaged over directions along the three axes.
         """
         # A direction has two components across it, so half of the squared length counts for each.
         sizes = [np.linalg.norm(self.modes(row)) for row in np.eye(3)]

@@ -253,8 +253,9 @@ def weigh(
 ) -> Weighed:
     """Return the log probability of each further fault, given the known faults.
 
-    The probability is the sum of two cases: the gyro works, or the gyro is useless. `patterns` are the
-    possible faults.
+    `rows` are the linearised equations of the session, `grid` the assumptions on its ordinary errors over
+    which the probability is averaged, `patterns` the possible faults. The probability is the sum of two
+    cases: the gyro works, or the gyro is useless.
     """
     table, keys = _weighed(rows, grid, patterns, known)
     logs = np.logaddexp.reduce(table, axis=1)

@@ -85,7 +85,7 @@ class Halts:
     turned_rad: float
 
     def log_odds(self, error_rad: Floats, u_rad: Floats) -> Floats:
-        """Return the log likelihood ratio (g,) of a slip in this turn to none, by the gyro's rests.
+        """Return the log likelihood ratio (g,) of a slip in this turn to none, by where the sensor rested.
 
         Parameters
         ----------
@@ -103,7 +103,7 @@ class Halts:
         return np.asarray(np.log(1 - AFTERWARDS + AFTERWARDS * ratio))
 
     def _ordinary(self) -> Floats:
-        """Return the probability density (m,) of each rest if the move has no slip."""
+        """Return the probability density (m,) per rad of each rest's angle, in a move without a slip."""
         size = max(abs(self.turned_rad), LEAST_RAD)
         left = self.left_rad * np.sign(self.turned_rad) if self.turned_rad else self.left_rad
         sd = math.hypot(NEAR_MARK * size, LEAST_RAD)
@@ -599,7 +599,7 @@ class Pattern:
 
     @property
     def name(self) -> Name:
-        """First name in `names`."""
+        """First of the possible names of the fault."""
         return next(iter(self.names))
 
 

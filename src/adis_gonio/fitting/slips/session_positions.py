@@ -60,6 +60,8 @@ MEANINGS: dict[Name, str] = {
     "gyro_wrong": "the gyro lost this turn",
 }
 
+UNMOVED = "the part was not moved"
+
 SIZED: frozenset[Name] = frozenset({"mistyped", "misset", "slipped"})
 """Names of faults that have one free size: an error of one position, or of a position and all later
 ones."""
@@ -114,6 +116,8 @@ class PositionFinding:
     names : tuple of Named
         The smallest set of names with 95 % of that probability, the most probable first. An error of the
         first or the last position has the same effect as a slip next to it.
+    unmoved : bool
+        True if the reading equals the one at the position before, which has another declared angle.
     """
 
     position: int
@@ -127,6 +131,7 @@ class PositionFinding:
     others: tuple[int, ...]
     probability: float
     names: tuple[Named, ...]
+    unmoved: bool = False
 
     @property
     def correction(self) -> str | None:
@@ -185,6 +190,8 @@ class PositionFinding:
     @property
     def _named(self) -> str:
         """Text with the most probable cause, then the other possible causes at this or another position."""
+        if self.unmoved:
+            return f"{UNMOVED}: its reading equals the one at the position before"
         # If one angle differs from all others, all others differ from it by the opposite.
         by = f"by {_signed((-self.error_deg[0], self.error_deg[1]))}"
         own, elsewhere = [_meaning(self.finding, self.position)], dict[int, list[str]]()
@@ -487,7 +494,19 @@ class _Account:
             tuple(others),
             probability,
             names,
+            name in SIZED and not others and self._unmoved(k),
         )
+
+    def _unmoved(self, k: int) -> bool:
+        """Return True if positions k and k − 1 have equal readings and different declared angles."""
+        rows = self.rows
+        if not k:
+            return False
+        here = slice(k - 1, k + 1)
+        u = math.sqrt(float(np.diag(rows.noise)[here].sum()) + 2 * self.scatter.reading**2)
+        turned = wrap_radians(np.diff(rows.seen_rad[here] - rows.declared_rad[here]))
+        declared = wrap_radians(np.diff(rows.declared_rad[here]))
+        return abs(float(turned[0])) <= 3 * u < abs(float(declared[0]))
 
     def _intended(self, k: int, name: Name, declared: float, actual: Angle) -> float | None:
         """Return the angle in degrees that the operator probably meant to enter; None if unknown.
@@ -518,7 +537,8 @@ class _Account:
     def _stated(self, e: float, row: int, variance: float) -> Angle:
         """Convert an error `e` in rad to an `Angle` in degrees with its standard uncertainty.
 
-        The u combines `variance` with the uncertainty of the calibration at one row of the linear model.
+        The u combines `variance` (rad²) with the uncertainty of the calibration at row `row` of the linear
+        model.
         """
         columns = self.rows.design[row]
         p = len(columns)
@@ -526,7 +546,7 @@ class _Account:
         return math.degrees(float(wrap_radians(np.array(e)))), math.degrees(u)
 
     def _model(self, row: int) -> float:
-        """Return the value that the calibration, at its posterior mean, predicts for one row."""
+        """Return the value that the most probable calibration predicts for one row of the linear model."""
         columns = self.rows.design[row]
         return float(columns @ self.posterior[0][: len(columns)])
 

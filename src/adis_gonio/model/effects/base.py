@@ -389,7 +389,7 @@ class Effect(ABC):
         """Parameters in a fixed order; a parameter of one axis ends in the axis letter (`bias_x`)."""
 
     def attitude_rad(self, values: Floats, conditions: Conditions) -> Floats:
-        """Return the angle (n,) in rad added to the true angle; zero unless `enters` is ATTITUDE."""
+        """Return the angle (n,) in rad that the effect adds to the true angle; 0 if it acts on readings."""
         return np.zeros(len(conditions))
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
@@ -412,7 +412,9 @@ class Effect(ABC):
     def samples_mg(
         self, values: Floats, samples_mg: Floats, conditions: Conditions, rng: np.random.Generator
     ) -> Floats:
-        """Return the samples (n, axes) in mg, changed by the effect only if `enters` is SAMPLES.
+        """Return the samples (n, axes) in mg as the effect changes them.
+
+        They are unchanged unless the effect acts on samples (`enters` is SAMPLES).
 
         `rng` is the source of random numbers.
         """
@@ -445,7 +447,7 @@ class Effect(ABC):
     def defaults(
         self, given: Mapping[str, float] | None = None, others: Literal["typical", "zero"] = "typical"
     ) -> Floats:
-        """Return the parameter values in order: `given` by name, else typical.
+        """Return the parameter values in order: as `given` by name (None: none), else typical.
 
         With others="zero", amplitudes that are not given are zero instead.
 

@@ -53,8 +53,8 @@ class GyroBiasTemperature(BiasTemperature):
     cause = "The zero rate of a gyro moves with the temperature of its die."
     formula = "ω_i += gyro_bias_temperature_i · ΔT + …2_i · ΔT² + …3_i · ΔT³ to `degree`, ΔT = T_i − 25 °C"
     separated_by = (
-        "If the temperature only rises it is `gyro_drift` or `gyro_warm_up`: let it fall again, or repeat "
-        "poses at two temperatures in changed order; `gyro_scale_temperature` shows in turns alone."
+        "If the temperature only rises it looks like `gyro_drift` or `gyro_warm_up`: let it fall again. "
+        "`gyro_scale_temperature` shows in turns alone."
     )
     remedy = CYCLE
     correctable = True
@@ -88,8 +88,8 @@ class GSensitivity(LinearAxisEffect):
     cause = "Acceleration bends the vibrating structure of a gyro, which reads it as a rate of turn."
     formula = "ω_i += g_sensitivity_ix · f_x + g_sensitivity_iy · f_y + g_sensitivity_iz · f_z"
     separated_by = (
-        "With poses in one order force is time: repeat the first poses last, or shuffle them; `gyro_drift` "
-        "continues if a pose is repeated. `g2_sensitivity` does not change its sign with the force."
+        "With poses in one order force is time: repeat the first poses last. `g2_sensitivity` does not "
+        "change its sign with the force."
     )
     remedy = _OTHER_ORDER
     correctable = True
@@ -142,8 +142,8 @@ class G2Sensitivity(LinearAxisEffect):
     )
     formula = "ω_i += g2_sensitivity_ij · f_j², j the axis `force`"
     separated_by = (
-        "At rest f_x² + f_y² + f_z² = 1, so that the square of one component is minus the squares "
-        "of the two others: poses between the axes tell one from two, vibration tells all."
+        "At rest the three squares add up to 1, so one looks like minus the two others: use poses between "
+        "the axes, or vibration."
     )
     remedy = "point two axes at once along gravity (±0.7 g), and repeat the first poses last"
     correctable = True
@@ -177,8 +177,8 @@ class GyroScale(LinearAxisEffect):
     cause = "The sensitivity of a gyro differs from its nominal one."
     formula = "ω_i += gyro_scale_error_i · Ω_i, Ω the true rate"
     separated_by = (
-        "Only turns show it: a whole turn about each axis to either side. `gyro_asymmetry` needs both "
-        "senses, `gyro_scale_temperature` turns at two temperatures."
+        "Only turns show it: a whole turn about each axis in both senses. `gyro_scale_temperature` needs "
+        "turns at two temperatures."
     )
     remedy = WHOLE_TURNS
     correctable = True
@@ -198,7 +198,8 @@ class GyroScaleTemperature(LinearAxisEffect):
     cause = "The sensitivity of a gyro changes with the temperature of its die."
     formula = "ω_i += gyro_scale_temperature_i · 10⁻⁶ · (T_i − 25 °C) · Ω_i"
     separated_by = (
-        "`gyro_bias_temperature` shows at rest too, this in turns alone: the same turn at two temperatures."
+        "It shows in turns alone, `gyro_bias_temperature` also at rest: make the same turn at two "
+        "temperatures."
     )
     remedy = "turn the part by whole turns at two temperatures, 10 °C apart"
     correctable = True
@@ -224,7 +225,7 @@ class GyroMisalignment(AxisEffect):
     cause = "The axis of a gyro is misaligned towards another axis of the accelerometers by a small angle."
     formula = "ω_i += Σ_p sin(gyro_misalignment_ip) · Ω_p − (1 − √(1 − Σ_p sin²)) · Ω_i"
     separated_by = (
-        "Only a turn about the axis towards which it is misaligned shows it: one whole turn about each of "
+        "Only a turn about the axis towards which the gyro leans shows it: one whole turn about each of "
         "the three axes."
     )
     remedy = WHOLE_TURNS
@@ -288,9 +289,8 @@ class GyroDrift(LinearAxisEffect):
     cause = "The zero rate of a gyro moves evenly with time, or from one handling of the part to the next."
     formula = "ω_i += gyro_drift_i · t/60, or gyro_step_i · number of the dwell (`steps` 1)"
     separated_by = (
-        "With poses in one order time is force: repeat poses in another order, and the first ones last. "
-        "`gyro_bias_temperature` needs the temperature to fall; pauses of different length between dwells "
-        "tell time from the number of the dwell."
+        "With poses in one order time is force: repeat the first poses last. For `gyro_bias_temperature` "
+        "let the temperature fall."
     )
     remedy = _OTHER_ORDER
     not_corrected = "follows the clock of the session; the zero rate applies to its start"
@@ -325,8 +325,8 @@ class GyroWarmUp(WarmUp):
     cause = "The zero rate of a gyro settles while the part heats itself after power-on."
     formula = "ω_i += gyro_warm_up_i · exp(−t/τ), t from the session's start"
     separated_by = (
-        "Shorter than τ it is `gyro_drift`; with the temperature recorded it competes with "
-        "`gyro_bias_temperature`: switch off and on within the session."
+        "In less than τ it looks like `gyro_drift`, with a thermometer like `gyro_bias_temperature`: "
+        "switch off and on within the session."
     )
     remedy = "switch the sensor off, let it cool, and repeat a few poses after switching on"
     not_corrected = "follows the clock of the session; the zero rate applies to the warm part"
@@ -342,7 +342,7 @@ class GyroSupply(SupplyBias):
     cause = "The zero rate of a gyro moves with the supply voltage."
     formula = "ω_i += gyro_supply_i · (V − 5 V)"
     separated_by = (
-        "A supply that sinks while the part warms imitates `gyro_bias_temperature` and `gyro_drift`: "
+        "A supply that sinks while the part warms looks like `gyro_bias_temperature` or `gyro_drift`: "
         "change the supply by hand in one pose."
     )
     remedy = "change the supply by hand in one pose, such as from 4.8 to 5.2 V"
@@ -358,10 +358,7 @@ class GyroAsymmetry(LinearAxisEffect):
     name = "gyro_asymmetry"
     cause = "The gain of a gyro differs between the two senses of turning."
     formula = "ω_i += gyro_asymmetry_i · |Ω_i|"
-    separated_by = (
-        "Turns to one side alone have it in `gyro_scale`: turn to both. Of slow and brisk turns a "
-        "curvature grows with the square."
-    )
+    separated_by = "Turns in one sense alone show it as a gain (`gyro_scale`): turn in both senses."
     remedy = "turn the part by as many whole turns to the one side as to the other"
     not_corrected = "differs between the two senses of turning, which no gain corrects"
     needs = ("rate_dps",)

@@ -44,8 +44,8 @@ class Bias(LinearAxisEffect):
     cause = "An axis does not read zero without acceleration along it."
     formula = "a_i += bias_i"
     separated_by = (
-        "Two positions cannot see it, opposite ones (0/180°) can; in one plane at 1 g the mean of an even "
-        "nonlinearity joins it: positions out of the plane, or several temperatures and times, part them."
+        "Two positions cannot show it, opposite positions (0/180°) can. An even nonlinearity adds to it "
+        "in one plane: use positions out of the plane."
     )
     remedy = "repeat a few positions on another day or at another temperature"
     in_base = True
@@ -67,8 +67,8 @@ class Scale(LinearAxisEffect):
     cause = "The sensitivity of an axis differs from its nominal one."
     formula = "a_i += scale_i · a_i"
     separated_by = (
-        "It is a base parameter (the gain) in every model; `gravity` changes all gains alike and needs "
-        "another place or a known g to be separated, `cubic` needs the third harmonic."
+        "It is the gain of every model. `gravity` changes all gains alike; `cubic` also has a third "
+        "harmonic."
     )
     remedy = "enter the local gravity, as from --latitude and --height"
     correctable = True
@@ -94,9 +94,8 @@ class Misalignment(CrossEffect):
     cause = "The sensitive direction of an axis is misaligned towards another axis by a small angle."
     formula = "a_i += misalignment_ip · a_p (angle in radians)"
     separated_by = (
-        "In the plane it is the base model's α and Δφ, in space its skews and an unseen rotation; only the "
-        "misalignment towards z of a part turned in the xy plane is left, and a turn in another plane "
-        "shows it."
+        "The base model has it as α, Δφ or skews, except the misalignment towards z in the xy plane: turn "
+        "in another plane."
     )
     remedy = "repeat the session in another plane"
     correctable = True
@@ -121,8 +120,8 @@ class CrossAxis(CrossEffect):
     cause = "Acceleration across an axis deflects its proof mass and so changes its sensitivity (K_ip)."
     formula = "a_i += kip_ip · (a_i/1000)(a_p/1000)"
     separated_by = (
-        "Second harmonic sin 2t of an axis, as `stage_eccentricity` gives on both axes in a fixed "
-        "proportion: remount the part by 180°, the stage's term changes its sign and the sensor's stays."
+        "`stage_eccentricity` has the same harmonic sin 2t on both axes: remount the part by 180°, and "
+        "only the stage's term changes its sign."
     )
     remedy = ONE_TURN
     correctable = True
@@ -142,9 +141,8 @@ class Quadratic(LinearAxisEffect):
     cause = "The response of an axis is curved: the same change for +1 g and for −1 g (K2)."
     formula = "a_i += k2_i · (a_i/1000)²"
     separated_by = (
-        "In one plane at 1 g, a_i² = 1 − a_p²: with a bias in the model it equals `cross_quadratic` of "
-        "opposite sign until positions leave the plane; it resembles `asymmetry` (which has a fourth "
-        "harmonic: at least 9 positions) and `stage_eccentricity` (remount by 180°)."
+        "In one plane it equals `cross_quadratic` of opposite sign plus a bias: leave the plane. "
+        "`asymmetry` has a fourth harmonic (9 positions); for `stage_eccentricity` remount by 180°."
     )
     remedy = _OUT_OF_PLANE
     remedy_in_space = _OBLIQUE
@@ -165,8 +163,8 @@ class Cubic(LinearAxisEffect):
     cause = "The sensitivity of an axis changes alike towards both ends of its range (K3)."
     formula = "a_i += k3_i · (a_i/1000)³"
     separated_by = (
-        "Third harmonic cos 3t of an axis (at least 7 positions); `stage_ellipticity` has it too, on both "
-        "axes together, and changes its sign when the part is remounted by 90°."
+        "It has a third harmonic (7 positions). `stage_ellipticity` has it on both axes: remount by 90°, "
+        "and only the stage's term changes its sign."
     )
     remedy = "remount the part turned by 90° and repeat some angles"
     remedy_in_space = _OBLIQUE
@@ -185,10 +183,7 @@ class Asymmetry(LinearAxisEffect):
     covariates = ("reading",)
     cause = "The gain of an axis differs between positive and negative acceleration."
     formula = "a_i += asymmetry_i · |a_i|/1000"
-    separated_by = (
-        "All even harmonics, 2/π and 4/(3π) cos 2t first, so that few positions take it for `quadratic`; "
-        "readings near zero, where |a| has its kink and a² is flat, tell them apart."
-    )
+    separated_by = "Few positions take it for `quadratic`: add readings near zero, where |a| has its kink."
     remedy = "add angles with readings of an axis near zero, five degrees apart"
     remedy_in_space = _OBLIQUE
     correctable = True
@@ -207,8 +202,7 @@ class CrossQuadratic(CrossEffect):
     cause = "Acceleration across an axis shifts its bias by its square (K_pp)."
     formula = "a_i += kpp_ip · (a_p/1000)²"
     separated_by = (
-        "In one plane at 1 g, a_p² = 1 − a_i²: with a bias in the model it equals `quadratic` of opposite "
-        "sign; positions out of the plane, where a_i and a_p vary apart, separate them."
+        "In one plane it equals `quadratic` of opposite sign plus a bias: use positions out of the plane."
     )
     remedy = _OUT_OF_PLANE
     remedy_in_space = _OBLIQUE
@@ -228,8 +222,8 @@ class VibrationRectification(LinearAxisEffect):
     cause = "An even nonlinearity turns vibration into a shift of the mean."
     formula = "a_i += vre_i · var_i/1000²"
     separated_by = (
-        "Only dwells of different vibration show it (mean against variance within the dwells); with equal "
-        "variance everywhere it is a `bias`: repeat a position with a source of vibration on and off."
+        "With equal vibration in all dwells it is a `bias`: repeat a position with a source of vibration "
+        "on and off."
     )
     remedy = "repeat one position with a source of vibration on, and off"
     not_corrected = "follows the variance of many samples, which a single reading does not show"
@@ -263,8 +257,8 @@ class BiasTemperature(LinearAxisEffect):
     cause = "The bias of an axis changes with the temperature of the die."
     formula = "a_i += tempco_i · ΔT + tempco2_i · ΔT² + tempco3_i · ΔT³ up to `degree`, ΔT = T − 25 °C"
     separated_by = (
-        "If the temperature only rises it is `bias_drift` or `warm_up`: let it fall again, or repeat "
-        "positions at two temperatures in changed order; `scale_temperature` grows with the reading."
+        "If the temperature only rises it looks like `bias_drift` or `warm_up`: let it fall again. "
+        "`scale_temperature` grows with the reading."
     )
     remedy = CYCLE
     correctable = True
@@ -301,8 +295,8 @@ class ScaleTemperature(LinearAxisEffect):
     cause = "The sensitivity of an axis changes with the temperature of the die."
     formula = "a_i += scale_tempco_i · 10⁻⁶ · (T − 25 °C) · a_i"
     separated_by = (
-        "`bias_temperature` does not change its sign with the reading: the same temperatures at +1 g and "
-        "at −1 g; `scale_drift` needs the temperature to go both ways."
+        "`bias_temperature` does not change its sign with the reading: measure +1 g and −1 g at the same "
+        "temperatures. For `scale_drift` let the temperature rise and fall."
     )
     remedy = CYCLE
     correctable = True
@@ -326,9 +320,8 @@ class MisalignmentTemperature(CrossEffect):
     cause = "The misalignment of an axis changes with the temperature of the die."
     formula = "a_i += misalignment_tempco_ip · (T − 25 °C) · a_p (angle in radians)"
     separated_by = (
-        "`scale_temperature` shows if the axis is along gravity, this effect if it is across: several "
-        "angles at two temperatures. A mount that turns with the temperature moves both axes by the same "
-        "angle; a misalignment that goes on in time needs the temperature to go both ways."
+        "`scale_temperature` shows if the axis is along gravity, this effect if it is across: measure "
+        "several angles at two temperatures."
     )
     remedy = CYCLE
     correctable = True
@@ -353,8 +346,8 @@ class ThermalLag(CourseEffect):
     cause = "The element that shifts the bias warms later than the die with the thermometer."
     formula = "a_i += lag_i · (T_lag − T), τ dT_lag/dt = T − T_lag"
     separated_by = (
-        "`bias_temperature` is the same on the way up and on the way down: heat and cool at different "
-        "rates through the same temperature; at one constant rate it is a `bias`."
+        "`bias_temperature` is equal on the way up and down: heat and cool at different rates through the "
+        "same temperature."
     )
     remedy = "heat and let cool at different speeds, with a dwell every few minutes"
     not_corrected = MEMORY
@@ -376,8 +369,8 @@ class SupplyBias(LinearAxisEffect):
     cause = "The bias of an axis changes with the supply voltage."
     formula = "a_i += supply_i · (V − 5 V)"
     separated_by = (
-        "A supply that sinks while the part warms imitates `bias_temperature`, `bias_drift`: change the "
-        "supply by hand at one position."
+        "A supply that sinks while the part warms looks like `bias_temperature` or `bias_drift`: change "
+        "the supply by hand at one position."
     )
     remedy = "change the supply by hand at one position, such as from 4.8 to 5.2 V"
     correctable = True
@@ -396,9 +389,8 @@ class SupplyScale(LinearAxisEffect):
     cause = "The sensitivity of an axis changes with the supply voltage."
     formula = "a_i += supply_scale_i · 10⁻⁶ · (V − 5 V) · a_i"
     separated_by = (
-        "`supply_bias` does not change its sign with the reading: the same voltages at +1 g and at −1 g. A "
-        "supply that sinks while the part warms imitates `scale_temperature`, one that sinks evenly "
-        "`scale_drift`: change it by hand."
+        "`supply_bias` does not change its sign with the reading: measure +1 g and −1 g at the same "
+        "voltages, changed by hand."
     )
     remedy = "change the supply by hand at +1 g and at −1 g, such as from 4.8 to 5.2 V"
     correctable = True
@@ -417,8 +409,8 @@ class BiasDrift(LinearAxisEffect):
     cause = "The bias of an axis changes evenly with time (ageing, relaxing stress, creep of the mount)."
     formula = "a_i += drift_i · t/60, t from the session's start"
     separated_by = (
-        "With positions in one order, time is angle: repeat positions in another order (forth and back, or "
-        "shuffled); `bias_temperature` needs the temperature to fall, `warm_up` a longer session."
+        "With positions in one order, time is angle: repeat positions in another order. For "
+        "`bias_temperature` let the temperature fall; for `warm_up` measure longer."
     )
     remedy = "repeat some positions in another order, and once more after a break"
     covariates = ("time",)
@@ -436,9 +428,8 @@ class ScaleDrift(LinearAxisEffect):
     cause = "The sensitivity of an axis moves evenly with time (ageing, a reference that drifts)."
     formula = "a_i += scale_drift_i · 10⁻⁶ · t/60 · a_i, t from the session's start"
     separated_by = (
-        "`bias_drift` does not change its sign with the reading: +1 g and −1 g early and late. If "
-        "temperature or supply only rise or sink it is `scale_temperature` or `supply_scale`: let them go "
-        "both ways. A gain that moves after the load has changed is `creep`."
+        "`bias_drift` does not change its sign with the reading: measure +1 g and −1 g early and late. "
+        "For `scale_temperature` let the temperature rise and fall."
     )
     remedy = "repeat +1 g and −1 g of an axis early and late, and once more after a break"
     not_corrected = "follows the clock of the session; the gain applies to its start"
@@ -457,8 +448,8 @@ class WarmUp(CourseEffect):
     cause = "The bias of an axis settles while the part heats itself after power-on."
     formula = "a_i += warm_up_i · exp(−t/τ), t from the session's start"
     separated_by = (
-        "Shorter than τ it is `bias_drift`, much longer it is a `bias` of the first dwells; with the "
-        "temperature recorded it competes with `bias_temperature`: switch off and on within the session."
+        "In less than τ it looks like `bias_drift`, with a thermometer like `bias_temperature`: switch "
+        "off and on within the session."
     )
     remedy = "switch the sensor off, let it cool, and repeat a few positions after switching on"
     not_corrected = "follows the clock of the session; the bias applies to the warm part"
@@ -483,8 +474,8 @@ class Gravity(Effect):
     cause = "Local gravity differs from the declared gravity of the session."
     formula = "a_i += gravity · a_i on every axis"
     separated_by = (
-        "Equal to a common error of all gains; ΔK and Δφ do not depend on it. A measured g, or a second "
-        "place of known difference in g, separates it from `scale`."
+        "It equals a common error of all gains; ΔK and Δφ do not depend on it. A measured g separates it "
+        "from `scale`."
     )
     remedy = "enter the local gravity, as from --latitude and --height"
     not_corrected = "belongs to the place: state its gravity; no angle depends on it"

@@ -74,8 +74,8 @@ class StageEccentricity(StageEffect):
     cause = "The divided circle of the stage is not centred on its axis: one cycle a turn."
     formula = "ψ += ecc_sin · sin θ + ecc_cos · cos θ"
     separated_by = (
-        "Gives mean and second harmonics on both axes together, like `quadratic`, `cross_axis` and "
-        "`bias`: remount the part by 180°, the stage's term changes its sign and the sensor's stay."
+        "It looks like `quadratic` and `cross_axis` on both axes together: remount the part by 180°, and "
+        "only the stage's term changes its sign."
     )
     remedy = ONE_TURN
     not_corrected = _STAGE
@@ -98,8 +98,8 @@ class StageEllipticity(StageEffect):
     cause = "The divided circle of the stage is oval, or its bearing is: two cycles a turn."
     formula = "ψ += ell_sin · sin 2θ + ell_cos · cos 2θ"
     separated_by = (
-        "Gives first and third harmonics on both axes together, like `scale`, Δφ and `cubic`: remount "
-        "the part by 90° (180° does not help: two cycles), or compare the stage with a polygon."
+        "It looks like `scale`, Δφ and `cubic` on both axes together: remount the part by 90°, or compare "
+        "the stage with a polygon."
     )
     remedy = "remount the part turned by 90° and repeat some angles"
     not_corrected = _STAGE
@@ -136,9 +136,8 @@ class StagePeriodic(StageEffect):
     cause = "A worm, a gear or the division of the stage repeats its error a whole number of times a turn."
     formula = "ψ += per_sin · sin cycles·θ + per_cos · cos cycles·θ"
     separated_by = (
-        "Gives harmonics cycles ± 1 on both axes together: `cubic` shares cos 3t with two and four cycles; "
-        "remount the part by half a cycle, the stage's term changes its sign. Numbers of cycles that fold "
-        "together at equally spaced angles: measure at angles between them."
+        "Remount the part by half a cycle, and only the stage's term changes its sign. Unequal angles "
+        "distinguish numbers of cycles."
     )
     remedy = BETWEEN
     not_corrected = _STAGE
@@ -175,8 +174,8 @@ class Backlash(StageEffect):
     cause = "Play in the drive of the stage: the angle depends on the direction of approach."
     formula = "ψ += backlash · approach/2"
     separated_by = (
-        "`hysteresis` shifts an axis alike at every angle, backlash only if its reading changes with "
-        "the angle: approach several positions from both sides."
+        "`hysteresis` shifts an axis alike at every angle, backlash only if the reading changes with the "
+        "angle: approach several positions from both sides."
     )
     remedy = "approach several positions from both sides"
     not_corrected = _STAGE
@@ -204,8 +203,7 @@ class PositionSlip(StageEffect):
     cause = "One position differs from its declared angle: the part or the stage slipped, or was misread."
     formula = "ψ += slip in dwell `dwell`"
     separated_by = (
-        "Readings of all axes move along the circle; `outlier_dwell` moves them in any direction, so that "
-        "the modulus changes: repeat the position."
+        "Readings move along the circle; `outlier_dwell` also changes their length: repeat the position."
     )
     remedy = "repeat the position"
     not_corrected = OF_DWELL
@@ -228,8 +226,8 @@ class Hysteresis(LinearAxisEffect):
     cause = "Stress of the last move stays in the sensor or its mount and shifts the bias of an axis."
     formula = "a_i += hysteresis_i · approach/2"
     separated_by = (
-        "`backlash` turns the part and so moves a reading only if it changes with the angle: approach "
-        "several positions from both sides; with one direction throughout it is a `bias`."
+        "`backlash` moves a reading only if it changes with the angle: approach several positions from "
+        "both sides."
     )
     remedy = "approach several positions from both sides"
     not_corrected = MEMORY
@@ -256,9 +254,8 @@ class Creep(CourseEffect):
     cause = "The spring or the mount of an axis continues to yield after a change of its load."
     formula = "a_i += creep_i · (a_late,i − a_i)/1000, τ da_late,i/dt = a_i − a_late,i"
     separated_by = (
-        "It follows the loads of all dwells before, in proportion: turn by 180°, repeat the position for "
-        "several τ, and turn back. `settling` begins again with every dwell, `bias_drift` and `warm_up` do "
-        "not depend on earlier loads, `hysteresis` does not decay."
+        "It follows the loads of all earlier dwells: turn by 180°, repeat the position for several τ, and "
+        "turn back. `settling` begins again with every dwell."
     )
     remedy = "turn by 180°, dwell there for several time constants, and turn back"
     not_corrected = MEMORY
@@ -268,7 +265,10 @@ class Creep(CourseEffect):
     shape = Parameter("tau", "s", 1.0, 36000.0, 120.0, shape=True)
 
     def courses(self, shape: float, ideal: Floats, conditions: Conditions) -> list[tuple[Floats, Floats]]:
-        """Return for each axis the lagged minus the present load in g, (n,), and its derivative by τ."""
+        """Return for each axis the lagged minus the present load in g, (n,), and its derivative by `shape`.
+
+        `shape` is the time constant of the lag in s.
+        """
         late = [
             (column, *conditions.late("load_history", column, shape)) for column in self.columns_of(ideal)
         ]
@@ -294,8 +294,8 @@ class AxisTilt(Effect):
     cause = "The axis of rotation is not horizontal, so that gravity leaves the plane of rotation."
     formula = "a_x, a_y += (cos ε − 1) a_x, a_y; a_z += ρ sin ε (for a_z = 0), ρ² = a_x² + a_y²"
     separated_by = (
-        "In x and y it is a common gain (`gravity`, `scale`), in z a `bias`: level the axis by a spirit "
-        "level, or remount the part with z reversed; the term in z changes its sign, a bias does not."
+        "In x and y it is a common gain, in z a `bias`: level the axis, or remount the part with z "
+        "reversed."
     )
     remedy = "level the stage's axis with a spirit level"
     not_corrected = _STAGE
@@ -370,10 +370,7 @@ class Saturation(SampleEffect):
     covariates = ("reading",)
     cause = "The output stops at the end of the range."
     formula = "sample_i = clip(sample_i, −limit, limit)"
-    separated_by = (
-        "Samples pile up at one extreme value; a `quantization` piles them up on every step, a smooth "
-        "nonlinearity nowhere. At rest it needs vibration or bias of 0.7 g: see the samples, not the mean."
-    )
+    separated_by = "Samples pile up at one extreme value; `quantization` piles them up on every step."
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -398,8 +395,8 @@ class Quantization(SampleEffect):
     cause = "The converter gives whole steps; if noise is below a step the mean follows a staircase."
     formula = "sample_i = lsb · round(sample_i/lsb)"
     separated_by = (
-        "The distances of the samples are multiples of one step; with noise of a step or more the mean is "
-        "free of it: turn the filter down, or tilt by a fraction of a step (0.027° at the horizontal)."
+        "The samples are multiples of one step; with noise of a step or more the mean is free of it: "
+        "lower the filter setting, or tilt by a fraction of a step."
     )
 
     @property
@@ -423,9 +420,8 @@ class Tone(SampleEffect):
     cause = "A machine or the mains shakes the table: a spectral line within the dwells."
     formula = "sample_i += tone_i · sin(2π f t + phase)"
     separated_by = (
-        "A line in the spectrum that white or flicker noise has not; samples at a rate f_s show "
-        "k f_s ± f at the same place, and a line that moves with the rate is such an alias: record at two "
-        "rates. `vibration_rectification` may follow its strength."
+        "It is a line in the spectrum. A line that moves with the sample rate is an alias: record at two "
+        "rates."
     )
 
     @property
@@ -455,8 +451,8 @@ class NoiseChange(SampleEffect):
     cause = "From a moment on the samples scatter more: a loose contact, a machine, a supply."
     formula = "sample_i += extra_i · N(0, 1) for t ≥ start"
     separated_by = (
-        "The variance within dwells changes and the mean does not; `tone` puts it into one line of the "
-        "spectrum, `outlier_dwell` moves a mean, `vibration_rectification` moves the mean with it."
+        "The variance within dwells changes and the mean does not; `vibration_rectification` moves the "
+        "mean with it."
     )
     not_corrected = OF_DWELL
 
@@ -489,8 +485,8 @@ class Settling(CourseEffect):
     cause = "After each move the sensor, its mount or the stage settles exponentially."
     formula = "a_i += settling_i · exp(−t/τ), t from the end of the move"
     separated_by = (
-        "It begins again with every dwell, which `bias_drift` and `warm_up` do not; in the readings it is "
-        "a `bias`: look at the samples, or wait longer in some dwells."
+        "It begins again with every dwell, unlike `bias_drift` and `warm_up`; in the means it is a "
+        "`bias`: wait longer in some dwells."
     )
     remedy = "wait longer before some of the dwells"
     needs = ("time_in_dwell_s",)
@@ -519,8 +515,8 @@ class OutlierDwell(LinearAxisEffect):
     cause = "One dwell was disturbed: a touch, a shock, a failure of the supply."
     formula = "a_i += offset_i in dwell `dwell`"
     separated_by = (
-        "`position_slip` keeps the modulus of the reading, an outlier need not; a jump of the bias stays "
-        "for all later dwells: repeat the position."
+        "`position_slip` keeps the length of the reading; a jump of the bias stays in all later dwells: "
+        "repeat the position."
     )
     remedy = "repeat the position"
     not_corrected = OF_DWELL

@@ -2,7 +2,7 @@
 
 They also include a bus that expects given frames. pytest finds the fixtures `simulated_sensor` and
 `simulated_board` by the plugin; only `BusContract` needs pytest. Names are imported when they are first
-used. See docs/testing.md.
+used. See docs/simulator.md.
 """
 
 from __future__ import annotations

@@ -112,7 +112,7 @@ def grid(samples: Samples, usable: Usable) -> list[float | None]:
 
 
 def _course(elapsed_s: Floats, tau: float | None) -> Floats:
-    """Return the course (n,): the elapsed time in s, or an exponential decay if `tau` (s) is given."""
+    """Return the course (n,): an exponential decay by `tau` in s; if `tau` is None the elapsed time."""
     return elapsed_s if tau is None else np.exp(-elapsed_s / tau)
 
 
@@ -330,8 +330,8 @@ def _view(
 ) -> View:
     """Return the figure of a course: the mean over the dwells, in at most `_POINTS` points, and the fit.
 
-    `slope` is the fitted amplitude, `weight` (d,) the factor to which each dwell's amplitude is
-    proportional.
+    `tau` is the time constant in s (None for a line), `slope` the fitted amplitude, `weight` (d,) the
+    factor to which each dwell's amplitude is proportional.
     """
     length = min(len(samples.values[k]) for k in dwells)
     norm = float((weight[dwells] ** 2).sum())

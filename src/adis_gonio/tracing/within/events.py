@@ -241,8 +241,9 @@ def _independent(nominal: Floats, squares: Floats) -> Floats:
 
     It is limited by the scatter of the dwells' mean squared differences (d,).
 
-    A filter longer than the stretches correlates neighbouring places. The median absolute deviation of the
-    mean squares is used, so that a few unusual dwells do not matter.
+    The differences are of the means of two neighbouring stretches of samples; the sensor's filter
+    correlates them if it is longer than a stretch. The median absolute deviation of the mean squares is
+    used, so that a few unusual dwells do not matter.
     """
     use = np.isfinite(squares) & (nominal > 0)
     if use.sum() < _LEAST_DWELLS:

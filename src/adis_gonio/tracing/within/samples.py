@@ -280,7 +280,8 @@ class WithinFinding(JsonRecord):
 def corrected(p_value: float, tests: float) -> float:
     """Return a p-value corrected for multiple tests (Bonferroni), at most 1.
 
-    It is multiplied by `tests`, the number of tests of its search, and by the number of searches.
+    `p_value` is multiplied by `tests`, the number of tests in the search that gave it, and by the number of
+    kinds of searches within the dwells.
     """
     return min(1.0, float(p_value) * max(tests, 1.0) * SEARCHES)
 

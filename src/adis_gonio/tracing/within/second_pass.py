@@ -272,7 +272,8 @@ def sensitivity(samples: Samples, density: Density | None) -> dict[str, Detectab
 def _tone(samples: Samples, density: Density | None) -> Detectable:
     """Return the smallest amplitude of a sine in all dwells that the search would have found.
 
-    The limit comes from the F-test of the spectrum pooled over the dwells.
+    The limit comes from the F-test of the spectrum pooled over the dwells. `density` is the noise density
+    of the dwells; with None (dwells too short) the result gives this reason.
 
     An amplitude A adds c A² n/4S to an ordinate of n samples, with density S and loss c by the taper, so
     that the sum of d ordinates is half a noncentral χ² variable with 2d degrees of freedom.

@@ -365,7 +365,10 @@ class Density:
 
     @property
     def relative(self) -> Floats:
-        """Power of each dwell at each searched frequency and axis, in units of `bound` there."""
+        """Power of each dwell at each searched frequency, in units of the density that a line must exceed.
+
+        The shape is (d, searched, axes).
+        """
         return self.power[:, self.searched] / self.level[:, None, :] / self.bound[None, self.searched]
 
     @cached_property
@@ -373,8 +376,8 @@ class Density:
         """Effective number (axes,) of independent dwells in the mean spectrum of all dwells.
 
         The average over this many independent spectra would scatter about the density as much as the mean
-        spectrum does; it is at most the number of dwells. `bound` is not used for this, since it scatters
-        too.
+        spectrum does; it is at most the number of dwells. The density of the noise itself is the reference,
+        since the limit for a line scatters too.
         """
         part = self.searched
         pooled = (self.power[:, part] / self.level[:, None, :]).mean(axis=0) / self.base[part]
@@ -471,13 +474,14 @@ def _beside(pooled: Floats, searched: slice, each: float) -> Callable[[Floats, i
 
 
 def _gain(own: Floats, with_peak: Floats, without: Floats, peak: NDArray[np.bool_]) -> float:
-    """Return the log likelihood for a peak as part of the noise's shape, minus that for a spectral line.
+    """Return the log likelihood ratio of a peak in the spectrum: part of the noise's shape, or a line.
 
-    The difference is per dwell and independent point of the spectrum. `own` is the density, `peak` its
-    mask.
+    It is positive if a noise shape that was fitted with the peak (`with_peak`) describes the density `own`
+    better than a shape fitted without it (`without`) plus a spectral line at the peak. `peak` is the mask
+    of the peak's frequencies. The ratio is per dwell and independent point of the spectrum, by Whittle's
+    likelihood with a fitted scale.
 
-    Whittle likelihood with fitted scale: a shape fitted with the peak, against a shape fitted without it
-    plus a line at the peak. `with_peak` and `without` are the shapes fitted with and without the peak.
+    All arrays are (k,).
     """
 
     def loss(shape: Floats, part: NDArray[np.bool_]) -> float:

@@ -1,0 +1,363 @@
+"""What-if: a trace with terms that the user puts into every model, and without names that he excludes.
+
+A request changes the list of candidates, so that search and folds need no rules of their own: a forced
+candidate (`NamedTerm.forced`) is in every model, an excluded name is not in the list, and a closed set has
+forced candidates only. The result compares the base model, the best model of a free trace and the asked
+model. The log evidence of a model is its restricted likelihood after a refit, minus the prices of its
+terms, which contain the prior probability of the model. All models are judged by the noise of the best
+model, except for scatter that the asked model itself needs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.budget import current
+from adis_gonio.base.errors import UsageError
+from adis_gonio.base.jsonable import HIDDEN, INLINE, JsonRecord, key
+from adis_gonio.base.uncertainty import Value
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.terms import NamedTerm, Term
+from adis_gonio.model.effects import AXES, catalogue, effect
+from adis_gonio.model.effects.formula import FormulaEffect, formula_effect
+from adis_gonio.tracing.findings import differs_from_zero, finding_of
+from adis_gonio.tracing.linear_problem import linearise, span
+from adis_gonio.tracing.model_search import price
+from adis_gonio.tracing.named_candidates import named_terms
+from adis_gonio.tracing.scatter import log_evidence, price_of_scatter
+from adis_gonio.tracing.thresholds import limits
+from adis_gonio.tracing.trace_result import ErrorFigures
+from adis_gonio.tracing.validation import (
+    drop_unpredicted,
+    folds,
+    heldout_errors,
+    leaves_too_few,
+    predicted_dwells,
+    select_counted,
+)
+
+if TYPE_CHECKING:
+    from adis_gonio.tracing.trace import TraceRun
+
+_ALIKE = 1e-9
+"""Range of a column, as a share of its largest value, below which it is a constant."""
+
+
+class AskedTerm(JsonRecord):
+    """A term that the user put into the model, with its fitted values; one entry of `forced` in the JSON.
+
+    Attributes
+    ----------
+    effect, axes
+        Name of the effect or formula, and the letters of its axes.
+    parameters : mapping of str to Value
+        Fitted parameters by name.
+    differs_from_zero : bool
+        True if one of the parameters differs from zero by two standard uncertainties.
+    """
+
+    effect: str
+    axes: tuple[str, ...]
+    parameters: dict[str, Value]
+    differs_from_zero: bool
+
+
+class ComparedModel(JsonRecord):
+    """One of the compared models.
+
+    Attributes
+    ----------
+    terms : tuple of str
+        Terms in addition to the base model.
+    error : ErrorFigures
+        Errors of the model.
+    log_evidence : float
+        Log evidence relative to the base model, in nats. It contains the model's prior.
+    prior : float
+        Prior probability of the model relative to the base model: the product of its terms' shares.
+    """
+
+    terms: tuple[str, ...]
+    error: ErrorFigures = field(metadata=INLINE)
+    log_evidence: float
+    prior: float
+
+
+class WhatIf(JsonRecord):
+    """Comparison of the model that a user asked for with the base model and the best model.
+
+    The JSON document is the value of `what_if`.
+
+    Attributes
+    ----------
+    include, exclude : tuple of str
+        Terms that are in every model, and excluded names, as the user wrote them.
+    only : bool
+        True if no other term was searched.
+    odds : float
+        Ratio of the probabilities of the asked model and the best model; `log_odds` is its logarithm.
+    prior_odds : float
+        Ratio of the priors of these models, which `odds` contains.
+    before, best, asked : ComparedModel
+        The base model, the best model of a trace without the request, and the asked model.
+    forced : tuple of AskedTerm
+        The terms in `include` with their values.
+    fits : tuple of 2 Fit
+        Fits of the best and of the asked model.
+    """
+
+    include: tuple[str, ...] = field(metadata=key("with"))
+    exclude: tuple[str, ...] = field(metadata=key("without"))
+    only: bool
+    odds: float
+    log_odds: float
+    prior_odds: float
+    before: ComparedModel
+    best: ComparedModel
+    asked: ComparedModel
+    forced: tuple[AskedTerm, ...]
+    fits: tuple[Fit, Fit] = field(metadata=HIDDEN, repr=False, compare=False)
+
+
+@dataclass(frozen=True)
+class Request:
+    """Terms that a user puts into every model, names that he excludes, and a closed set of candidates.
+
+    Attributes
+    ----------
+    include : tuple of str
+        An effect with axes and choices (`quadratic:x`, `bias_temperature:xyz,degree=2`; without axes all
+        axes), or a formula (`mine_x = (T - 25)**2 * gx`).
+    exclude : tuple of str
+        Names of effects.
+    only : bool
+        True if the model has the included terms and no other.
+    """
+
+    include: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
+    only: bool = False
+
+    def __bool__(self) -> bool:
+        return bool(self.include or self.exclude or self.only)
+
+    @classmethod
+    def of(cls, include: str | Sequence[str], exclude: str | Sequence[str], only: bool) -> Request:
+        """Make a request; raise `UsageError` if an excluded name is unknown or in every model."""
+        terms, names = ((one,) if isinstance(one, str) else tuple(one) for one in (include, exclude))
+        if only and names:
+            raise UsageError("--only leaves out everything that --with does not name: omit --without")
+        for name in names:
+            kind = type(effect(name))
+            if kind.in_base and kind.prior != "constant":
+                raise UsageError(f"--without {name}: it is a base parameter of every model")
+            if kind.within_dwell:
+                raise UsageError(f"--without {name}: it is looked for within the dwells, not in the model")
+        return cls(terms, names, only)
+
+    def candidates(self, data: Readings, terms: Sequence[Term], max_effects: int) -> tuple[list[Term], int]:
+        """Return the candidates that this request makes of `terms`, and the largest number of terms.
+
+        Raises
+        ------
+        UsageError
+            A term is unknown, needs a covariate that the session lacks, or cannot be distinguished from the
+            base model or another included term.
+        """
+        forced = forced_terms(data, self.include)
+        both = [term.name for term in forced if term.name in self.exclude]
+        if both:
+            raise UsageError(f"--with and --without name the same effect: {both[0]}")
+        labels = {term.label for term in forced}
+        free = [] if self.only else terms
+        kept = [term for term in free if term.name not in self.exclude and term.label not in labels]
+        return [*forced, *kept], len(forced) + (0 if self.only else max_effects)
+
+
+FREE = Request()
+"""The request of a trace that the user does not restrict."""
+
+
+def forced_terms(data: Readings, texts: Sequence[str]) -> list[NamedTerm]:
+    """Return the terms that texts such as `quadratic:x` name, each marked as forced.
+
+    Of the variants that a text leaves open (degree, dwell, time constant) the most probable is chosen,
+    given the terms before it and a bias.
+    """
+    named, missing = named_terms(data)
+    about = Fit.begin(data).refit()
+    chosen: list[NamedTerm] = []
+    for text in texts:
+        formula = "=" in text.partition(":")[0]
+        variants = [_formula(data, about, text)] if formula else _variants(data, text, named, missing)
+        chosen.append(replace(_likeliest(about, text, variants, chosen, named), forced=True))
+    return chosen
+
+
+def _formula(data: Readings, about: Fit, text: str) -> NamedTerm:
+    """Return the term of a formula; `UsageError` if the session cannot give its column."""
+    made = formula_effect(text, data.model.unit)
+    if made.name in catalogue():
+        raise UsageError(f"formula '{text}': {made.name} is an effect of the catalogue; take another name")
+    try:
+        columns = made.derivative(np.zeros(len(made.axes)), about.ideal, data.conditions)
+        reason = _flaw(about, made, columns[:, AXES.index(made.axes[0]), 0])
+    except UsageError as error:
+        reason = str(error)
+    if reason:
+        raise UsageError(f"formula '{text}': {reason}")
+    label = f"{made.name}[{''.join(made.axes)}]"
+    return NamedTerm(label, made.covariates, -math.log(limits.effect_share), made)
+
+
+def _flaw(about: Fit, made: FormulaEffect, column: Floats) -> str:
+    """Return the reason why the column (n,) of a formula cannot be fitted; empty if there is none."""
+    data = about.data
+    wrong = np.flatnonzero(~np.isfinite(column))
+    if wrong.size:
+        return f"it has no finite value at position {data.position[wrong[0]]}"
+    if np.ptp(column) <= _ALIKE * np.abs(column).max():
+        where = "zero" if not column.any() else f"constant, as is bias:{''.join(made.axes)},"
+        return f"it is {where} at every position"
+    for axis, letter in ((AXES.index(letter), letter) for letter in made.axes):
+        # The cosine between the formula and each base column, on an axis on which both act.
+        base = about.base_columns[:, axis]
+        size = np.linalg.norm(base, axis=0) * np.linalg.norm(column)
+        cosine = np.abs(column @ base) / np.where(size > 0, size, np.inf)
+        elsewhere = np.delete(about.base_columns, axis, axis=1).any(axis=(0, 1))
+        alike = np.flatnonzero((cosine > 1 - _ALIKE) & ~elsewhere)
+        if alike.size:
+            parameter = data.model.parameters[alike[0]].name
+            return f"it is a multiple of the base parameter {parameter} on {letter}"
+    return ""
+
+
+def _variants(
+    data: Readings, text: str, named: Sequence[NamedTerm], missing: dict[str, str]
+) -> list[NamedTerm]:
+    """Return the candidates of the catalogue that a text such as `bias_temperature:xy,degree=2` allows."""
+    name, _, listed = (part.strip() for part in text.partition(":"))
+    kind = type(effect(name))
+    if name in missing:
+        raise UsageError(f"--with {text}: {missing[name].replace('_', ' ')}")
+    mine = [term for term in named if term.name == name]
+    axes, choices = "", {}
+    for item in filter(None, (item.strip() for item in listed.split(","))):
+        word, equals, value = (part.strip() for part in item.partition("="))
+        if equals:
+            choices[word] = value
+        else:
+            axes = item
+    widest = max((len(term.effect.axes) for term in mine), default=0)
+    found = [
+        term
+        for term in mine
+        if (set(term.effect.axes) == set(axes) if axes else len(term.effect.axes) == widest)
+        and all(
+            word in kind.choices() and str(getattr(term.effect, word)) == choices[word] for word in choices
+        )
+    ]
+    if not found:
+        possible = dict.fromkeys("".join(term.effect.axes) for term in mine if term.effect.axes)
+        chosen = {f"{word}={getattr(term.effect, word)}": None for word in kind.choices() for term in mine}
+        listed = ", ".join([*possible, *list(chosen)[:12]]) or "none"
+        raise UsageError(f"--with {text}: this session has no such candidate of {name}; it has {listed}")
+    return found
+
+
+def _likeliest(
+    about: Fit,
+    text: str,
+    variants: Sequence[NamedTerm],
+    chosen: Sequence[NamedTerm],
+    named: Sequence[NamedTerm],
+) -> NamedTerm:
+    """Return the variant with the highest evidence in addition to the terms chosen before and a bias."""
+    biases = sorted((term for term in named if term.constant), key=lambda term: len(term.effect.axes))
+    problem = linearise(about, [*chosen, *variants, *biases[-1:]])
+    number = {term.label: k for k, term in enumerate(problem.terms)}
+    before = [number[term.label] for term in chosen]
+    basis = span(problem, before)[0]
+    apart = []
+    for k in (number[term.label] for term in variants if term.label in number):
+        outside = problem.block(k) - basis @ (basis.T @ problem.block(k))
+        full = problem.width[k] == len(problem.back[k])
+        if full and np.linalg.svd(outside, compute_uv=False)[-1] ** 2 > limits.independent:
+            apart.append(k)
+    if not apart:
+        others = " or ".join(["the base model", *(term.label for term in chosen)])
+        raise UsageError(f"--with {text}: this session cannot distinguish it from {others}")
+    beside = [*before, *(number[bias.label] for bias in biases[-1:] if bias.label in number)]
+    gained = 0.5 * problem.gains(*span(problem, beside)) - price(problem)
+    best = max(apart, key=lambda k: float(gained[k]))
+    return next(term for term in variants if term.label == problem.terms[best].label)
+
+
+def compare(free: TraceRun, asked: TraceRun, request: Request) -> WhatIf:
+    """Compare the asked model with the base model and the best model of the free trace."""
+    best = free.selection
+    price_here = 0.0 if free.scatter is None else price_of_scatter(best.data)
+
+    def evidence(run: TraceRun, fit: Fit, prices: float) -> float:
+        if run.scatter is not None and run is not free:
+            return log_evidence(fit, prices + price_of_scatter(fit.data), run.selection.inflation)
+        here = fit if fit.data is best.data else replace(fit, data=best.data).refit()
+        return log_evidence(here, prices + price_here, best.inflation)
+
+    base = evidence(free, best.base, 0.0)
+    errors = _errors(free, asked)
+    models = [ComparedModel((), errors[0], 0.0, 1.0)]
+    for run, error in zip((free, asked), errors[1:], strict=True):
+        selection = run.selection
+        model = list(selection.verdict.best)
+        prior = math.exp(-float(selection.problem.cost[model].sum()))
+        labels = tuple(term.label for term in selection.terms)
+        height = evidence(run, selection.fit, selection.price) - base
+        models.append(ComparedModel(labels, error, height, prior))
+    log_odds = models[2].log_evidence - models[1].log_evidence
+    found = [finding_of(asked.final, name, asked.averaged) for name in dict.fromkeys(asked.forced)]
+    return WhatIf(
+        include=request.include,
+        exclude=request.exclude,
+        only=request.only,
+        odds=math.exp(min(log_odds, 700.0)),
+        log_odds=log_odds,
+        prior_odds=models[2].prior / models[1].prior,
+        before=models[0],
+        best=models[1],
+        asked=models[2],
+        forced=tuple(AskedTerm(f.effect, f.axes, f.parameters, differs_from_zero(f)) for f in found),
+        fits=(free.final.fit, asked.final.fit),
+    )
+
+
+def _errors(free: TraceRun, asked: TraceRun) -> list[ErrorFigures]:
+    """Return the errors of the base model, the best and the asked model, on the same held-out dwells.
+
+    Terms that were searched are chosen again in each fold, unless the model was shortened.
+    """
+    figures = [free.figures[0], free.figures[-1], asked.figures[-1]]
+    few = any(leaves_too_few(run.selection.fit) for run in (free, asked))
+    if free.checking is not None or few or current().left_out:
+        return figures
+    data = free.selection.data
+    designs = folds(data)
+    runs = [
+        (free, free.fits[0]),
+        *((run, run.fits[-1] if run.shortened else None) for run in (free, asked)),
+    ]
+    lefts = [run.fold.left_out(run.selection.data, designs, fit) for run, fit in runs]
+    counts = predicted_dwells(data, designs, free.selection.terms)
+    for left in lefts[1:]:
+        counts = drop_unpredicted(counts, left)
+    return [
+        replace(figure, heldout_kept=None, **heldout_errors(data, select_counted(left, counts)))
+        for figure, left in zip(figures, lefts, strict=True)
+    ]
