@@ -74,7 +74,7 @@ def trace_command(
     dwells = counted(sum(len(one.dwells) for one in loaded), "dwell")
     if len(loaded) > 1 and (part != "accelerometer" or any(what_if.values())):
         raise UsageError(
-            "several sessions are traced together for the accelerometers only, and without --with, --without"
+            "several sessions are traced together for the accelerometers only, without --with, --without"
             " and --only: give one session"
         )
     where = sessions[0].name if len(loaded) == 1 else counted(len(loaded), "session")
