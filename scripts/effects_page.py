@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import inspect
 import sys
 from pathlib import Path
 
@@ -24,7 +25,7 @@ declared angle of the stage, ψ = α − θ the true angle of the part, t the ti
 reading of gyro i in °/s, Ω the true rate about the accelerometers' axes, f the reading of the
 accelerometers in g. The parameters of an axis have its letter (`bias_x`), the parameters of a
 pair have both (`kpp_xy`: axis x, acceleration along y). Each parameter is given with its typical size
-and its bounds. The last lines of an effect say how to tell it from similar effects.
+and its bounds.
 
 On a command line an effect is `name` (all parameters typical) or `name:parameter=value,…` (other
 amplitudes are zero; time constants, frequencies and limits keep their typical values). Your own
@@ -44,6 +45,13 @@ def bounds(parameter: Parameter) -> str:
     return f"±{high:g}" if low == -high else f"{low:g}…{high:g}"
 
 
+def paragraph(kind: type[Effect], name: str) -> str:
+    """Text of a paragraph of an effect's docstring, which begins with its name."""
+    paragraphs = inspect.cleandoc(kind.__doc__ or "").split("\n\n")
+    (text,) = (one for one in paragraphs if one.startswith(f"{name}: "))
+    return " ".join(text.removeprefix(f"{name}: ").split())
+
+
 def section(kind: type[Effect]) -> list[str]:
     """Section of one effect."""
     choice = {"degree": 3} if "degree" in kind.choices() else {}
@@ -58,11 +66,11 @@ def section(kind: type[Effect]) -> list[str]:
         "",
         kind.cause,
         "",
-        f"    {kind.formula}",
+        f"    {paragraph(kind, 'Formula')}",
         "",
         "; ".join(facts) + ".",
         "",
-        kind.separated_by,
+        paragraph(kind, "Separated by"),
         "",
     ]
 

@@ -5,8 +5,8 @@
 Each hand turns a part of its own by 90 to 400° in some seconds, between two rests; gyro and accelerometers
 have the faults of `part_of`. The accelerometers are corrected by a calibration that is as it should be (the
 truth, but for drift since), the gyros by none, or by one with the errors that it states. The angle is told
-by gravity alone (means of 0.1 s, as `angle` shows them), by the filter (lag 0), by the smoother at several
-lags, and by an offline smoother that has all samples, which bounds them.
+by gravity alone (means of 0.1 s, as `angle` shows them), by the filter (lag 0), and by the smoother at
+several lags.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ import turned_parts
 from adis_gonio.base.arrays import Floats
 from adis_gonio.device.sensor.registers import GYRO_LSB_DPS
 from adis_gonio.live.motion_model import GyroKnowledge, Sensing
-from adis_gonio.live.smoothed_meter import AngleSmoother, smooth
+from adis_gonio.live.smoothed_meter import AngleSmoother
 from adis_gonio.sim import World, WorldSettings
 from turned_parts import FILTER_M, words
 
@@ -193,12 +193,6 @@ def one(seed: int, *, calibrated: bool, lags_s: Sequence[float] = LAGS_S) -> Row
     row: Row = {"seed": seed, "gravity": _judged(recording, by_gravity(recording))}
     for lag_s in lags_s:
         row[f"{lag_s:g}"] = _judged(recording, told(recording, lag_s, knowledge))
-    whole = smooth(
-        sensing_of(recording), recording.time_s, recording.accel_mg, recording.gyro_dps, knowledge,
-        corrected=recording.corrected, bend=BEND,
-    )  # fmt: skip
-    every = slice(None, None, 5)
-    row["offline"] = _judged(recording, np.array([whole.time_s, whole.angle_deg, whole.u_deg])[:, every])
     return row
 
 

@@ -268,7 +268,7 @@ def slips(found: Document) -> str:
 
 def smoother(found: Document) -> str:
     """Error of the angle in motion."""
-    names = {"gravity": "gravity alone", "0": "lag 0", "offline": "offline"}
+    names = {"gravity": "gravity alone", "0": "lag 0"}
     rows = []
     for way, one in found["plain"].items():
         if not isinstance(one, dict):

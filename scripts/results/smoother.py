@@ -10,7 +10,7 @@ from results.section import Effort, Section
 
 HANDS, RESTS = 50, 1000
 LAGS_S = (0.0, 0.25, 0.5, 1.0)
-WAYS = ("gravity", *(f"{lag:g}" for lag in LAGS_S), "offline")
+WAYS = ("gravity", *(f"{lag:g}" for lag in LAGS_S))
 
 
 def run(effort: Effort) -> Section:
@@ -30,7 +30,7 @@ def section_of(
     """The section without and with a calibration of the gyros, and of parts at rest."""
     without, with_one = hands.summary(plain), hands.summary(known)
     ways = [way for way in WAYS if way in without]
-    figure = _figure(without, with_one, [way for way in ways if way not in ("gravity", "offline")])
+    figure = _figure(without, with_one, [way for way in ways if way not in ("gravity")])
     return Section(
         {"plain": without, "calibrated": with_one, "rests": rests},
         {"lag": figure},

@@ -17,7 +17,7 @@ from adis_gonio.fitting import fit
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import Plan
-from adis_gonio.record.samples_writer import export_csv
+from adis_gonio.record.samples_writer import write_samples_csv
 from adis_gonio.record.source import Settings
 
 URL = "sim:?seed=4&lever_x_mm=30&gyro_scale_z=1.01&hand_turn_s=30"
@@ -146,7 +146,7 @@ def test_trace_and_report_of_it_say_what_they_can(recorded, tmp_path):
 
 def test_a_csv_of_it_without_positions_is_fitted_alike(recorded, tmp_path):
     session = load_session(recorded[0])
-    export_csv(session, tmp_path / "turn.csv")
+    write_samples_csv(session, tmp_path / "turn.csv")
     back = load_session(tmp_path / "turn.csv")
     assert (
         "position" not in (tmp_path / "turn.csv").read_text("utf-8").split("time_s", 1)[1].splitlines()[0]

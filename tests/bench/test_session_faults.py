@@ -31,7 +31,7 @@ from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.blocks import find_alarms
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
-from adis_gonio.record.samples_writer import export_csv, session_dict
+from adis_gonio.record.samples_writer import session_dict, write_samples_csv
 from adis_gonio.record.session_reader import read_session
 from adis_gonio.record.source import Settings
 from adis_gonio.sim import World
@@ -134,7 +134,7 @@ def test_the_fault_is_in_the_session_s_notes_facts_report_text_and_exports(senso
     assert note.startswith("dwell 1 (90°")
     assert f"{after['scans']} scans" in note
     assert session_dict(session)["facts"]["dwells"][1]["alarms"] == after
-    export_csv(session, tmp_path / "a.csv")
+    write_samples_csv(session, tmp_path / "a.csv")
     assert load_session(tmp_path / "a.csv").notes == (note,)
 
 

@@ -15,7 +15,7 @@ from adis_gonio.handover.calibration_report import build_page
 from adis_gonio.model.records import ON_EARTH_MPS2, checked_gravity_mps2, normal_gravity_mps2
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
-from adis_gonio.record.samples_writer import export_csv, export_json
+from adis_gonio.record.samples_writer import session_dict, write_samples_csv
 from adis_gonio.record.source import Settings
 
 WRITTEN = {"operator": "A. Müller", "serial": "SN 0815", "stage": "dividing head, 40:1"}
@@ -35,11 +35,10 @@ def path(tmp_path_factory):
 def test_operator_serial_and_stage_survive_archive_csv_and_json(path, tmp_path):
     session = load_session(path)
     assert {name: getattr(session, name) for name in WRITTEN} == WRITTEN
-    export_csv(session, tmp_path / "a.csv")
+    write_samples_csv(session, tmp_path / "a.csv")
     back = load_session(tmp_path / "a.csv")
     assert {name: getattr(back, name) for name in WRITTEN} == WRITTEN
-    export_json(session, tmp_path / "a.json")
-    document = json.loads((tmp_path / "a.json").read_text("utf-8"))
+    document = json.loads(json.dumps(session_dict(session)))
     assert {name: document[name] for name in WRITTEN} == WRITTEN
 
 

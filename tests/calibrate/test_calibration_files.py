@@ -16,7 +16,7 @@ from adis_gonio import Calibration
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.faces.cli import main
 from adis_gonio.record.loading import load_session
-from adis_gonio.record.samples_writer import export_csv
+from adis_gonio.record.samples_writer import write_samples_csv
 from calibrate.sessions import planar_session, spatial_session
 
 SCHEMA = json.loads(
@@ -63,7 +63,7 @@ def test_save_and_load_is_bit_exact(calibration, tmp_path):
 
 def test_a_session_is_fitted_when_it_is_loaded(tmp_path):
     session = planar_session(np.random.default_rng(8))
-    export_csv(session, tmp_path / "s.csv")
+    write_samples_csv(session, tmp_path / "s.csv")
     loaded = Calibration.load(tmp_path / "s.csv")
     fitted = adis_gonio.fit(load_session(tmp_path / "s.csv")).calibration()
     assert loaded == fitted
@@ -72,7 +72,7 @@ def test_a_session_is_fitted_when_it_is_loaded(tmp_path):
 
 def test_the_hash_is_that_of_the_data_whatever_file_they_are_in(tmp_path):
     session = planar_session(np.random.default_rng(8))
-    export_csv(session, tmp_path / "s.csv")
+    write_samples_csv(session, tmp_path / "s.csv")
     ours = adis_gonio.fit(session).calibration().provenance
     theirs = Calibration.load(tmp_path / "s.csv").provenance
     assert ours.sha256 == theirs.sha256

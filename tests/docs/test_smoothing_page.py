@@ -16,7 +16,7 @@ TABLES = (DOCS / "files.md").read_text("utf-8").partition("## JSON of angle")[2]
 
 def test_the_example_gives_the_angle_that_it_says():
     blocks = re.findall(r"```python\n(.*?)```", (DOCS / "python.md").read_text("utf-8"), re.S)
-    (block,) = (text for text in blocks if "smooth(" in text)
+    (block,) = (text for text in blocks if "AngleSmoother(" in text)
     shown = io.StringIO()
     with contextlib.redirect_stdout(shown):
         exec(compile(block, "python.md", "exec"), {})

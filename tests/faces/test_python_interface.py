@@ -11,7 +11,7 @@ import pytest
 
 import adis_gonio
 from adis_gonio.base.errors import DataError, FitError, NotInstalledError, UsageError
-from adis_gonio.record.samples_writer import export_csv
+from adis_gonio.record.samples_writer import write_samples_csv
 from calibrate.sessions import planar_session
 
 
@@ -27,7 +27,7 @@ def result(session):
 
 def test_fit_takes_a_session_or_a_path_of_either_kind(session, tmp_path):
     path = tmp_path / "s.csv"
-    export_csv(session, path)
+    write_samples_csv(session, path)
     ours = adis_gonio.fit(session).as_dict()["parameters"]
     assert adis_gonio.fit(path).as_dict()["parameters"] == ours
     assert adis_gonio.fit(str(path), method="ml").method == "ml"

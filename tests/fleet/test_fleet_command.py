@@ -18,7 +18,7 @@ from adis_gonio.fleet.fleet_run import files_of, session_files
 from adis_gonio.fleet.session_record import Options, work
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.provenance import digest_of_file
-from adis_gonio.record.samples_writer import export_csv
+from adis_gonio.record.samples_writer import write_samples_csv
 from fleet.sessions import kept_in, write_fleet
 from programs import running
 
@@ -165,9 +165,9 @@ def test_names_in_capitals_are_sessions_too(tmp_path, capsys):
     (path,) = write_fleet(tmp_path / "fleet", 1, seed=9)
     shouted = tmp_path / "FLEET" / "A.CSV"
     shouted.parent.mkdir()
-    export_csv(load_session(path), shouted)
+    write_samples_csv(load_session(path), shouted)
     packed = tmp_path / "FLEET" / "B.CSV.GZ"
-    export_csv(load_session(path), packed)
+    write_samples_csv(load_session(path), packed)
     assert packed.read_bytes().startswith(b"\x1f\x8b")  # gzip
     assert len(files_of([tmp_path / "FLEET"])) == 2
     assert [x.name for x in session_files([tmp_path / "FLEET"])] == ["A.CSV", "B.CSV.GZ"]

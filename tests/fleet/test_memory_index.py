@@ -15,7 +15,7 @@ from adis_gonio.fleet.fleet_summary import summarise
 from adis_gonio.fleet.session_record import record_of
 from adis_gonio.fleet.store import NAME, Store
 from adis_gonio.record.loading import load_session
-from adis_gonio.record.samples_writer import export_csv
+from adis_gonio.record.samples_writer import write_samples_csv
 from fleet.made_up import made_up
 from fleet.recorded import recorded
 
@@ -54,7 +54,7 @@ def test_only_new_and_changed_files_are_computed(folder, originals):
 
 def test_a_file_that_was_changed_replaces_what_it_held(folder):
     csv = folder / "x.csv"
-    export_csv(load_session(folder / "0.session"), csv)
+    write_samples_csv(load_session(folder / "0.session"), csv)
     listed(folder)
     text = csv.read_text("utf-8").replace("serial: A7", "serial: A8")
     csv.write_text(text, "utf-8")
@@ -75,7 +75,7 @@ def test_a_file_that_is_gone_is_remembered_and_one_that_moved_is_the_same(folder
 
 
 def test_an_archive_and_the_csv_exported_from_it_are_one_session_of_a_history(folder):
-    export_csv(load_session(folder / "0.session"), folder / "a.csv")
+    write_samples_csv(load_session(folder / "0.session"), folder / "a.csv")
     with Store.of([folder]) as index:
         scan(index, [folder])
         records = index.records("A7")

@@ -12,7 +12,7 @@ from adis_gonio.fitting.answer import Answer
 from adis_gonio.fleet.session_record import SessionRecord, record_of
 from adis_gonio.fleet.session_table import COLUMNS
 from adis_gonio.record.loading import load_session
-from adis_gonio.record.samples_writer import export_csv
+from adis_gonio.record.samples_writer import write_samples_csv
 from adis_gonio.tracing.traced_answer import answer_with_trace
 from fleet.recorded import recorded
 
@@ -48,7 +48,7 @@ def test_numbers_are_those_that_fit_shows(archive):
 
 def test_what_a_csv_lacks_is_none_and_its_data_are_the_archives(archive, tmp_path):
     csv = tmp_path / "one.csv"
-    export_csv(load_session(archive), csv)
+    write_samples_csv(load_session(archive), csv)
     record = record_of(csv)
     assert (record.when, record.plan, record.simulated) == (None, None, None)
     assert record.data_sha256 == record_of(archive).data_sha256

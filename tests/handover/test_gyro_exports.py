@@ -23,7 +23,7 @@ from adis_gonio.handover.fixed_point import (
     FLOAT_DPS,
     PARTS,
     STEP_DPS,
-    FixedRates,
+    FixedPoint,
     rate_polynomial_of,
 )
 from adis_gonio.handover.register_offsets import gyro_offset_words, registers_text
@@ -96,7 +96,7 @@ def test_the_compiled_rates_are_bit_equal_to_their_reference_on_every_machine(tm
         pytest.skip(reason)
     own = KINDS[kind]()
     polynomial = rate_polynomial_of(own, own.gyro)
-    words = polynomial.accelerometers.words
+    words = polynomial.words
     span = SPAN.get(kind, 256 * 5400)
     (tmp_path / "own.h").write_text(c_header(own), encoding="ascii")
     options = [
@@ -111,7 +111,7 @@ def test_the_compiled_rates_are_bit_equal_to_their_reference_on_every_machine(tm
     table = np.array([[int(word, 16) for word in line.split()] for line in lines[1:]], dtype=np.uint32)
     assert table.shape == (n, 6)
     given = drawn(n, span, words=words)
-    assert np.array_equal(table[:, :3].astype(np.int32), FixedRates(polynomial).rates_udps(*given))
+    assert np.array_equal(table[:, :3].astype(np.int32), FixedPoint.of(polynomial).rates_udps(*given))
     every = np.arange(n) % 3 > 0 if words else np.full(n, True)  # words may be beyond the header's range
     exact, rows = exact_rates(own, *(one[every] for one in given))
     assert np.abs(table[every, 3:].copy().view(np.float32)[rows] - exact).max() < FLOAT_DPS
@@ -124,7 +124,7 @@ def test_the_fixed_point_gives_the_calibration_s_rates_within_the_bound_of_the_h
     exact, rows = exact_rates(own, *given)
     assert rows.sum() > 1000
     assert np.abs(exact).max() > 250
-    fixed = FixedRates(rate_polynomial_of(own, own.gyro)).rates_udps(*(one[rows] for one in given))
+    fixed = FixedPoint.of(rate_polynomial_of(own, own.gyro)).rates_udps(*(one[rows] for one in given))
     assert np.abs(fixed - 1e6 * exact).max() < FIXED_UDPS
 
 
@@ -133,10 +133,10 @@ def test_the_self_check_notices_a_changed_zero_rate(tmp_path):
     if reason := machine.missing():
         pytest.skip(reason)
     own = KINDS["plane"]()
-    bias = FixedRates(rate_polynomial_of(own, own.gyro)).bias[0]
+    bias = FixedPoint.of(rate_polynomial_of(own, own.gyro)).bias[0]
     text = c_header(own)
-    assert f"({bias}L +" in text
-    (tmp_path / "own.h").write_text(text.replace(f"({bias}L +", f"({bias + 100}L +"))
+    assert f" - {bias}L, " in text
+    (tmp_path / "own.h").write_text(text.replace(f" - {bias}L, ", f" - {bias + 100}L, "))
     source = tmp_path / "check.c"
     source.write_text(
         '#include "own.h"\nint main(void) { return adis_gonio_self_check() == 201 ? 0 : 1; }\n'

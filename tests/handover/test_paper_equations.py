@@ -11,7 +11,6 @@ from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.handover import paper_study as through_chip
 from adis_gonio.handover.paper_study import (
     TABLE,
-    MethodValues,
     Part,
     Results,
     crossing_deg,
@@ -20,14 +19,14 @@ from adis_gonio.handover.paper_study import (
     propagated_errors,
     quantities,
     spread_of,
-    truth_of,
+    true_values,
 )
 from handover import by_hand
 
 
 @pytest.fixture(scope="module")
 def part():
-    return Part(41, truth_of("x"))
+    return Part(41, "x")
 
 
 MMPM_DEG = tuple(40.0 * k for k in range(9))
@@ -52,7 +51,7 @@ def test_table_1_is_what_the_theory_prints():
 
 @pytest.mark.parametrize(("column", "phi"), [("x", 0.0612), ("y", 0.0673)])
 def test_the_hidden_parameters_of_the_chips_world_are_the_measured_column(column, phi):
-    with open_sensor(Part(3, truth_of(column)).url) as sensor:
+    with open_sensor(Part(3, column).url) as sensor:
         hidden = sensor.bus.world.truth()
     assert hidden["scale_x"] == pytest.approx(1.0214)
     assert hidden["scale_y"] == pytest.approx(1.021)
@@ -65,17 +64,17 @@ def test_a_session_through_the_chip_gives_the_numbers_of_the_equations_by_hand(p
     (x1, y1), (x2, y2) = natural(four)[:2]
     delta_k, phi = by_hand.paper(x1, y1, x2, y2)
     ours = quantities(fit(four, "paper"))
-    assert ours.values["delta_k"] == pytest.approx(delta_k, abs=1e-12)
-    assert ours.values["non_orthogonality"] == pytest.approx(phi, abs=1e-9)
-    assert ours.values["scale_error_x"] == pytest.approx(math.hypot(x1, x2) - 1, abs=1e-12)
-    assert ours.values["scale_error_y"] == pytest.approx(math.hypot(x1, x2) / (1 + delta_k) - 1, abs=1e-12)
-    assert ours.values["offset_x"] is None
+    assert ours["delta_k"][0] == pytest.approx(delta_k, abs=1e-12)
+    assert ours["non_orthogonality"][0] == pytest.approx(phi, abs=1e-9)
+    assert ours["scale_error_x"][0] == pytest.approx(math.hypot(x1, x2) - 1, abs=1e-12)
+    assert ours["scale_error_y"][0] == pytest.approx(math.hypot(x1, x2) / (1 + delta_k) - 1, abs=1e-12)
+    assert ours["offset_x"][0] is None
 
     delta_k, phi, b_x, b_y = by_hand.mmpm(MMPM_DEG, natural(nine).tolist())
     ours = quantities(fit(nine, "mmpm"))
-    assert ours.values["delta_k"] == pytest.approx(delta_k, abs=1e-12)
-    assert ours.values["non_orthogonality"] == pytest.approx(phi, abs=1e-9)
-    assert (ours.values["offset_x"], ours.values["offset_y"]) == pytest.approx((b_x, b_y), abs=1e-12)
+    assert ours["delta_k"][0] == pytest.approx(delta_k, abs=1e-12)
+    assert ours["non_orthogonality"][0] == pytest.approx(phi, abs=1e-9)
+    assert (ours["offset_x"][0], ours["offset_y"][0]) == pytest.approx((b_x, b_y), abs=1e-12)
 
 
 @pytest.mark.parametrize(("fixture_deg", "bias_mg", "noise_mg"), [(0.5, 0.0, 0.16), (0.02, 10.0, 0.5)])
@@ -110,13 +109,13 @@ def test_at_the_crossing_both_methods_have_one_error_of_delta_k():
 
 
 def handmade(paper_deg, ours_deg, seed=1):
-    true = truth_of("x").delta_phi_deg
+    true = true_values("x")["non_orthogonality"]
     found = {
-        method: MethodValues({"non_orthogonality": true + error}, {"non_orthogonality": 0.1})
+        method: {"non_orthogonality": (true + error, 0.1)}
         for method, error in (("paper", paper_deg), ("ml", ours_deg))
         if error is not None
     }
-    return Results(Part(seed, truth_of("x")), found)
+    return Results(Part(seed, "x"), found)
 
 
 def test_the_spread_is_of_the_sessions_that_a_method_answered():
@@ -140,6 +139,6 @@ def test_a_methods_refusal_is_kept_with_its_reason(monkeypatch):
 
     monkeypatch.setattr(through_chip, "fit", refusing)
     monkeypatch.setattr(through_chip, "measured", lambda part, name: None)
-    results = through_chip.results_of(Part(1, truth_of("x")))
+    results = through_chip.results_of(Part(1, "x"))
     assert not results.found
     assert results.refused["paper"] == "method paper is singular here"

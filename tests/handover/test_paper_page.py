@@ -64,7 +64,7 @@ def test_the_command_beside_a_session_records_it_again(small, tmp_path, capsys):
     capsys.readouterr()
     assert main(["fit", str(tmp_path / "one.session"), "--method", "mmpm", "--json"]) == 0
     again = json.loads(capsys.readouterr().out)["parameters"]["delta_phi"]["value"]
-    assert again == part.found["mmpm"].values["non_orthogonality"]
+    assert again == part.found["mmpm"]["non_orthogonality"][0]
 
 
 def test_the_command_writes_page_and_document(small, page, monkeypatch, tmp_path, capsys):

@@ -8,7 +8,7 @@ import pytest
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.live.motion_model import GyroKnowledge, Sensing
-from adis_gonio.live.smoothed_meter import AngleSmoother, smooth
+from adis_gonio.live.smoothed_meter import AngleSmoother
 from live.smoothing_hands import Turning, during, errors, sensing, told
 
 SHAKEN = Turning(shake_mg=30.0, zero_dps=1.5, scale=1.005)
@@ -224,18 +224,6 @@ def test_readings_without_gravity_leave_the_angle_to_the_gyro():
     angles = told(AngleSmoother(sensing(turning), lag_s=0.0), (time_s, accel, gyro))
     assert np.abs(z_of(turning, angles)[during(angles, 3, 7)]).max() < 5
     assert np.isfinite([angle.angle_deg for angle in angles]).all()
-
-
-def test_a_whole_recording_is_known_better_than_any_lag_knows_it():
-    live, whole = [], []
-    for seed in range(3):
-        samples = SHAKEN.drawn(20 + seed)
-        angles = told(AngleSmoother(sensing(SHAKEN), lag_s=0.5), samples)
-        live.append(rms(errors(SHAKEN, angles)[during(angles, 4, 6)]))
-        every = smooth(sensing(SHAKEN), *samples)
-        moving = (every.time_s > 4) & (every.time_s < 6)
-        whole.append(rms((every.angle_deg - SHAKEN.angle(every.time_s))[moving]))
-    assert rms(np.array(whole)) < rms(np.array(live))
 
 
 @pytest.mark.parametrize("lag_s", [-0.1, 11.0, float("nan")])

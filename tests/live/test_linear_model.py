@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from adis_gonio.live.motion_model import Passed, StateEstimate, TimeStep, advance, backward, smooth_lagged
+from adis_gonio.live.motion_model import Passed, StateEstimate, TimeStep, advance, smooth_lagged
 
 SIZE, COUNT = 4, 30
 
@@ -14,6 +14,11 @@ def forward(state: StateEstimate, steps: list[TimeStep]) -> list[Passed]:
     for step in steps:
         passed.append(advance(passed[-1].filtered if passed else state, step))
     return passed
+
+
+def smoothed_states(passed: list[Passed]) -> list[StateEstimate]:
+    """The state of every step, given the observations of all steps."""
+    return [smooth_lagged(one.filtered, passed[k + 1 :]) for k, one in enumerate(passed)]
 
 
 def model(
@@ -83,7 +88,7 @@ def batch(prior: StateEstimate, steps: list[TimeStep]) -> tuple[np.ndarray, np.n
 @pytest.mark.parametrize("singular", [False, True])
 def test_all_states_are_those_of_one_least_squares(seed, singular):
     prior, steps = model(seed, singular=singular, gaps=(4, 5, 6))
-    smoothed = backward(forward(prior, steps))
+    smoothed = smoothed_states(forward(prior, steps))
     mean, covariance = batch(prior, steps)
     assert np.array([s.mean for s in smoothed]) == pytest.approx(mean, abs=1e-9)
     assert np.array([s.covariance for s in smoothed]) == pytest.approx(covariance, abs=1e-9)
@@ -132,7 +137,7 @@ def test_statsmodels_gives_the_same():
     known.initialize_known(first.transition @ prior.mean + first.shift, start)
     theirs = known.smooth()
     passed = forward(prior, steps)
-    ours = backward(passed)
+    ours = smoothed_states(passed)
     filtered, smoothed = [p.filtered.mean for p in passed], [s.mean for s in ours]
     assert pytest.approx(np.array(filtered), abs=1e-8) == theirs.filtered_state.T
     assert pytest.approx(np.array(smoothed), abs=1e-8) == theirs.smoothed_state.T

@@ -136,7 +136,11 @@ def test_every_name_of_the_formats_is_there_and_nothing_else():
 def test_effect_describes_itself(name):
     one = made(name)
     assert one.name == name
-    for text in (one.cause, one.formula, one.separated_by):
+    for text in (
+        one.cause,
+        effects_page.paragraph(type(one), "Formula"),
+        effects_page.paragraph(type(one), "Separated by"),
+    ):
         assert text
         assert "\n" not in text
     assert one.cause.endswith(".")

@@ -18,8 +18,6 @@ class ThirdHarmonic(StageEffect):
     """Three cycles a turn."""
     name = "third_harmonic"
     cause = "The bearing has three lobes."
-    formula = "angle += third sin 3 theta"
-    separated_by = "Remount by 60 degrees."
     needs = ("angle_rad",)
     coefficients: ClassVar = (Parameter("third", "degree", -1.0, 1.0, 0.02),)
 
@@ -40,7 +38,7 @@ class Moody(ThirdHarmonic):
 
 class Silent(Effect):
     name = "silent"
-    cause = formula = separated_by = "The part ages."
+    cause = "The part ages."
     enters = Enters.ATTITUDE
     by_axis = False
 
@@ -183,7 +181,7 @@ def test_choice_stands_in_the_list_and_leaves_the_parameters_typical():
         ("quadratic:k2_x=1,k2_x=2", "k2_x is given twice"),
         ("quadratic:k2_x=1,", "write quadratic:parameter=value"),
         ("position_slip:dwell=1.5", "dwell is a whole number"),
-        ("position_slip:dwell=-1", "must not be negative"),
+        ("position_slip:dwell=-1", "it can be 0 or more"),
         ("position_slip:dwell=1,dwell=2", "dwell is given twice"),
         ("bias_temperature:degree=4", "it can be 1, 2 or 3"),
         ("", "no effect is called ''"),

@@ -178,8 +178,6 @@ class Square(Effect):
 
     name: ClassVar[str] = "square"
     cause: ClassVar[str] = "test"
-    formula: ClassVar[str] = "k a_i^2"
-    separated_by: ClassVar[str] = "test"
 
     @property
     def parameters(self):
@@ -198,8 +196,6 @@ class Wobble(Effect):
 
     name: ClassVar[str] = "wobble"
     cause: ClassVar[str] = "test"
-    formula: ClassVar[str] = "a sin theta + b order"
-    separated_by: ClassVar[str] = "test"
     enters: ClassVar[Enters] = Enters.ATTITUDE
     by_axis: ClassVar[bool] = False
 
@@ -217,8 +213,6 @@ class Clip(Effect):
 
     name: ClassVar[str] = "clip"
     cause: ClassVar[str] = "test"
-    formula: ClassVar[str] = "min(a_i, limit)"
-    separated_by: ClassVar[str] = "test"
     enters: ClassVar[Enters] = Enters.SAMPLES
 
     @property
@@ -235,8 +229,6 @@ class Everything(Effect):
 
     name: ClassVar[str] = "everything"
     cause: ClassVar[str] = "test"
-    formula: ClassVar[str] = "0"
-    separated_by: ClassVar[str] = "test"
     by_axis: ClassVar[bool] = False
     seen: ClassVar[list] = []
 

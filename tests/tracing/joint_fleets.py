@@ -8,7 +8,7 @@ import numpy as np
 
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.model.effects import Conditions, Effect, Enters
-from adis_gonio.model.measurement import Origin, PlanarTurn
+from adis_gonio.model.measurement import PlanarTurn, SessionOrigin
 
 Present = Sequence[tuple[Effect, Sequence[float]]]
 U_MG, FIXTURE_DEG, DWELLS = 0.2, 0.02, 24
@@ -50,14 +50,14 @@ def draw_session(
     return from_means(mean, covariance, conditions, fixture_rad=sigma)
 
 
-def origins(count: int, parts: int = 1, stages: int = 1) -> list[Origin]:
+def origins(count: int, parts: int = 1, stages: int = 1) -> list[SessionOrigin]:
     """Names of sessions that take parts and stages in turn."""
-    return [Origin(f"s{k}", f"part{k % parts}", f"stage{k % stages}") for k in range(count)]
+    return [SessionOrigin(f"s{k}", f"part{k % parts}", f"stage{k % stages}") for k in range(count)]
 
 
 def draw_fleet(
     rng: np.random.Generator, count: int, parts: int = 1, present: Present = ()
-) -> tuple[list[Readings], list[Origin]]:
+) -> tuple[list[Readings], list[SessionOrigin]]:
     """Sessions of parts on one stage, all with the same effects."""
     every = [draw_part(rng) for _ in range(parts)]
     return [draw_session(rng, every[k % parts], present) for k in range(count)], origins(count, parts)

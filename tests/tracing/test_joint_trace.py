@@ -15,7 +15,7 @@ from adis_gonio.faces.cli import main
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.model.effects import effect
 from adis_gonio.model.effects.base import lagged
-from adis_gonio.model.measurement import FreeAttitude, JointMeasurement, Origin, PlanarTurn
+from adis_gonio.model.measurement import FreeAttitude, JointMeasurement, PlanarTurn, SessionOrigin
 from adis_gonio.tracing.joint_trace import JointResult, trace_sessions, trace_stacked
 from adis_gonio.tracing.sharing import sharings, split_effect
 from adis_gonio.tracing.stacking import stack
@@ -31,7 +31,7 @@ def test_joint_measurement_is_that_of_each_session(model, parts) -> None:
     session = np.repeat([0, 1, 2], [4, 5, 6])
     joint = JointMeasurement(
         [model(1000.0), model(1000.0), model(1001.0)],
-        [Origin(f"s{k}", p) for k, p in enumerate(parts)],
+        [SessionOrigin(f"s{k}", p) for k, p in enumerate(parts)],
         session,
     )
     base = joint.nominal + 0.02 * rng.normal(size=len(joint.nominal))

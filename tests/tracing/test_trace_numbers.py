@@ -23,7 +23,7 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import Basis
 from adis_gonio.model.effects import Conditions
-from adis_gonio.model.measurement import MeanRate, Origin
+from adis_gonio.model.measurement import MeanRate, SessionOrigin
 from adis_gonio.tracing.averaging import AveragedTerm, average
 from adis_gonio.tracing.credible_sets import Names, judge, set_of, undecided
 from adis_gonio.tracing.findings import differs_from_zero
@@ -123,7 +123,9 @@ class TestPrior:
 
     @pytest.mark.number("own_weight")
     def test_a_curvature_of_each_session_is_a_tenth_as_likely_as_that_of_the_part(self) -> None:
-        terms, _ = named_terms(stack([self.data, self.data], [Origin("one", "A7"), Origin("two", "A7")]))
+        terms, _ = named_terms(
+            stack([self.data, self.data], [SessionOrigin("one", "A7"), SessionOrigin("two", "A7")])
+        )
         each, part = (
             prior(t for t in terms if t.label == f"quadratic[x]{end}") for end in ("@session", "")
         )

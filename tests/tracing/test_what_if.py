@@ -22,7 +22,7 @@ from adis_gonio.model.effects.formula import COVARIATES_OF_FORMULAS, formula_eff
 from adis_gonio.tracing.findings import finding_of
 from adis_gonio.tracing.trace import TraceRun, trace_readings
 from adis_gonio.tracing.trace_result import TraceResult
-from adis_gonio.tracing.what_if import Request, compare, forced_terms
+from adis_gonio.tracing.what_if import AskedModel, compare, forced_terms
 from tracing.small_problems import U, ideal_mg, labelled, read, surroundings
 
 FORMULA = "mine_x = (T - 25)**2 * gx"
@@ -40,13 +40,13 @@ def turned(seed: int, formula: float = 0.0, quadratic: float = 0.0, bias=(5.0, -
 
 def closed(data: Readings, *include: str) -> TraceResult:
     """The trace with these terms and no other, without the comparison with the best model."""
-    return TraceRun(data, 6, None, Request(include, only=True)).traced()
+    return TraceRun(data, 6, None, AskedModel(include, only=True)).traced()
 
 
 def test_the_amplitude_of_a_planted_formula_lies_within_its_uncertainty_in_95_percent() -> None:
     seeds, truth, inside = range(150), 0.01, 0
     for seed in seeds:
-        run = TraceRun(turned(seed, formula=truth), 6, None, Request((FORMULA, "bias"), only=True))
+        run = TraceRun(turned(seed, formula=truth), 6, None, AskedModel((FORMULA, "bias"), only=True))
         run.search()
         value = finding_of(run.selection, "mine").parameters["mine_x"]
         inside += abs(value.value - truth) <= value.U
@@ -55,7 +55,7 @@ def test_the_amplitude_of_a_planted_formula_lies_within_its_uncertainty_in_95_pe
 
 
 def test_a_formula_that_is_the_cause_is_better_than_the_best_model_and_its_amplitude_is_the_truth() -> None:
-    result = trace_readings(turned(3, formula=0.02), request=Request((FORMULA,)))
+    result = trace_readings(turned(3, formula=0.02), request=AskedModel((FORMULA,)))
     what_if = result.what_if
     (term,) = what_if.forced
     assert what_if.odds > 20
@@ -71,7 +71,7 @@ def test_a_formula_that_is_the_cause_is_better_than_the_best_model_and_its_ampli
 
 
 def test_a_formula_that_is_no_cause_costs_odds_and_does_not_differ_from_zero() -> None:
-    what_if = trace_readings(turned(4), request=Request((FORMULA,))).what_if
+    what_if = trace_readings(turned(4), request=AskedModel((FORMULA,))).what_if
     assert what_if.odds < 0.1
     assert not what_if.forced[0].differs_from_zero
     assert what_if.prior_odds == pytest.approx(0.0175)
@@ -80,7 +80,7 @@ def test_a_formula_that_is_no_cause_costs_odds_and_does_not_differ_from_zero() -
 def test_the_true_effect_put_in_has_the_amplitude_that_the_free_trace_found() -> None:
     data = turned(5, quadratic=1.5)
     free = next(one for one in trace_readings(data).found if one.effect == "quadratic")
-    what_if = trace_readings(data, request=Request(("quadratic:x",))).what_if
+    what_if = trace_readings(data, request=AskedModel(("quadratic:x",))).what_if
     assert what_if.odds == pytest.approx(1, rel=1e-6)
     (term,) = what_if.forced
     assert term.parameters["k2_x"].value == pytest.approx(free.parameters["k2_x"].value, rel=1e-6)
@@ -91,7 +91,7 @@ def test_without_the_true_effect_its_rival_is_in_the_sets() -> None:
     data = turned(6, quadratic=1.5)
     free = trace_readings(data)
     assert "quadratic" in {name for one in free.sets for name in one.names}
-    result = trace_readings(data, request=Request(exclude=("quadratic",)))
+    result = trace_readings(data, request=AskedModel(exclude=("quadratic",)))
     names = {name for one in result.sets for name in one.names}
     assert "quadratic" not in names
     assert "cross_quadratic" in names
@@ -102,7 +102,7 @@ def test_without_the_true_effect_its_rival_is_in_the_sets() -> None:
 
 def test_only_without_a_term_is_the_base_model() -> None:
     data = turned(7, quadratic=1.5)
-    result = trace_readings(data, request=Request(only=True))
+    result = trace_readings(data, request=AskedModel(only=True))
     base = Fit.begin(data).refit()
     assert not result.steps
     assert not result.found
@@ -141,7 +141,7 @@ def test_odds_are_those_of_all_models_of_a_small_set_of_candidates(include: tupl
             chosen = frozenset(term.label for term in model)
             heights[chosen] = by_hand(data, list(model), [math.exp(-term.cost) for term in model])
     asked = {term.label for term in forced_terms(data, include)}
-    runs = [TraceRun(data, 5, None), TraceRun(data, 5, None, Request(include))]
+    runs = [TraceRun(data, 5, None), TraceRun(data, 5, None, AskedModel(include))]
     for run in runs:
         forced = [term for term in run.terms if term.forced]
         run.terms = [*forced, *(term for term in terms if term.label not in asked or not forced)]
@@ -151,7 +151,7 @@ def test_odds_are_those_of_all_models_of_a_small_set_of_candidates(include: tupl
     chosen = max((model for model in heights if asked <= model), key=heights.__getitem__)
     assert {term.label for term in free.selection.terms} == best
     assert {term.label for term in with_terms.selection.terms} == chosen
-    what_if = compare(free, with_terms, Request(include))
+    what_if = compare(free, with_terms, AskedModel(include))
     assert what_if.log_odds == pytest.approx(heights[chosen] - heights[best], abs=0.05)
 
 
@@ -361,3 +361,22 @@ def test_the_document_has_the_comparison_only_if_asked(
     }
     k2 = found["forced"][0]["parameters"]["k2_x"]
     assert abs(k2["value"] - 3) < 3 * k2["u"]
+
+
+def test_the_report_compares_the_models_and_shows_what_one_more_term_buys(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = tmp_path / "page.html"
+    assert (
+        main(["report", str(session), "--with", "cubic:x", "--without", "quadratic", "-o", str(page)]) == 0
+    )
+    text = page.read_text(encoding="utf-8")
+    for heading in ("What if: with cubic:x, without quadratic", "What each further term buys"):
+        assert f"<h2>{heading}</h2>" in text
+        assert "<svg" in text.split(f"<h2>{heading}</h2>")[1].split("</section>")[0]
+    assert ": one more " in text
+    capsys.readouterr()
+    wrong = ["report", str(session), "--with", "mine_x = gx", "-o", str(tmp_path / "no.html")]
+    assert main(wrong) == 2
+    assert "multiple of the base parameter" in capsys.readouterr().err
+    assert not (tmp_path / "no.html").exists()

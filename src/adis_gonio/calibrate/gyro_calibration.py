@@ -53,6 +53,7 @@ _KINDS: dict[str, tuple[str, str]] = {
     "gyro_supply": (_ONE, "dps/V"),
 }
 """Axes that the name of a gyro parameter ends with, and its unit, by the first part of the name."""
+PAIRS = tuple(i + j for i in AXES for j in AXES)
 _NAME = re.compile(r"(?P<kind>[a-z0-9_]+)_(?P<axes>[xyz]{1,2})")
 LEAST_DETERMINANT = 0.1
 """Smallest determinant of the matrix of gains times directions that is accepted; three working gyros have
@@ -70,20 +71,8 @@ class Rates:
     u_dps: Floats
 
 
-@dataclass(frozen=True)
-class _Values:
-    """Coefficients of the module's equation that gives gyro readings from rates; a row for each gyro.
-
-    They are the zero rate b, K D, G, G₂, (β, β₂, β₃), κ and s, in this order.
-    """
-
-    bias: Floats
-    sensitivity: Floats
-    per_g: Floats
-    per_g2: Floats
-    per_c: tuple[Floats, Floats, Floats]
-    scale_per_c: Floats
-    per_v: Floats
+_Values = Mapping[str, Floats]
+"""Parameters by kind, as a vector (3,) by gyro or a matrix (3, 3) with a row for each gyro."""
 
 
 class GyroCalibration(Coefficients, eq=False, kw_only=True):
@@ -159,7 +148,7 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
             kind = kind_of(one.name)
             if kind is None or one.unit != _KINDS[kind][1]:
                 raise FitError(f"{one.name} in {one.unit} is no parameter of a gyro")
-        misalignment = self._matrix("gyro_misalignment", self._stated())
+        misalignment = self._values(self.values)["gyro_misalignment"]
         if (np.abs(misalignment) >= 45).any() or abs(np.linalg.det(self.sensitivity)) < LEAST_DETERMINANT:
             raise FitError(
                 "gains and directions are impossible for three gyros: one hardly responds to a turn"
@@ -174,7 +163,7 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
     @property
     def bias_dps(self) -> Floats:
         """Readings (3,) of the gyros at rest in °/s (zero rates), without force, at 25 °C and 5 V."""
-        return self._values(self.values).bias
+        return self._values(self.values)["gyro_bias"]
 
     @property
     def sensitivity(self) -> Floats:
@@ -182,12 +171,12 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
 
         Perfect gyros have the identity.
         """
-        return self._values(self.values).sensitivity
+        return _sensitivity(self._values(self.values))
 
     @property
     def g_sensitivity_dps_per_g(self) -> Floats:
         """g-sensitivity (3, 3) in °/s/g: one row for each gyro, one column for each axis of force."""
-        return self._values(self.values).per_g
+        return self._values(self.values)["g_sensitivity"]
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -311,11 +300,7 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
     def force_part(self, force_g: ArrayLike) -> tuple[Floats, Floats]:
         """Return the zero rate (3,) in °/s that a force (3,) in g causes in each gyro, and its u (3,)."""
         force = _spread("force_g", force_g, 1)
-        value, u = self._with_u(
-            lambda values: np.asarray(
-                force @ self._values(values).per_g.T + force**2 @ self._values(values).per_g2.T
-            )
-        )
+        value, u = self._with_u(lambda values: _by_force(self._values(values), force))
         return value[0], u[0]
 
     def with_offsets(self, offsets_lsb: Sequence[int]) -> GyroCalibration:
@@ -350,34 +335,15 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
 
     # -- computation ------------------------------------------------------------------------------
 
-    def _stated(self) -> dict[str, float]:
-        return {one.name: one.value for one in self.parameters}
-
-    def _vector(self, kind: str, held: Mapping[str, float], nominal: float = 0.0) -> Floats:
-        return np.array([held.get(f"{kind}_{axis}", nominal) for axis in AXES])
-
-    def _matrix(self, kind: str, held: Mapping[str, float]) -> Floats:
-        return np.array([[held.get(f"{kind}_{i}{j}", 0.0) for j in AXES] for i in AXES])
-
     def _values(self, values: Floats) -> _Values:
-        held = {one.name: float(v) for one, v in zip(self.parameters, values, strict=True)}
-        misalignment = np.sin(np.radians(self._matrix("gyro_misalignment", held)))
-        # Component along the own axis, so that each direction is a unit vector.
-        own = np.sqrt(np.maximum(1 - (misalignment**2).sum(axis=1), 0.0))
-        gains = self._vector("gyro_scale", held, 1.0)
-        return _Values(
-            bias=self._vector("gyro_bias", held),
-            sensitivity=gains[:, None] * (misalignment + np.diag(own)),
-            per_g=self._matrix("g_sensitivity", held),
-            per_g2=self._matrix("g2_sensitivity", held),
-            per_c=(
-                self._vector("gyro_bias_temperature", held),
-                self._vector("gyro_bias_temperature2", held),
-                self._vector("gyro_bias_temperature3", held),
-            ),
-            scale_per_c=1e-6 * self._vector("gyro_scale_temperature", held),
-            per_v=self._vector("gyro_supply", held),
-        )
+        held = dict(zip(self.names, values.tolist(), strict=True))
+        made = {}
+        for kind, (axes, _) in _KINDS.items():
+            nominal = 1.0 if kind == "gyro_scale" else 0.0
+            named = AXES if axes is _ONE else PAIRS
+            rows = np.array([held.get(f"{kind}_{suffix}", nominal) for suffix in named])
+            made[kind] = rows if axes is _ONE else rows.reshape(3, 3)
+        return made
 
     def _conditions(
         self, n: int, force_g: ArrayLike | None, temperature_c: ArrayLike | None, supply_v: ArrayLike | None
@@ -432,10 +398,9 @@ def _order(name: str) -> tuple[int, str]:
 
 
 def _assumed(known: Sequence[str]) -> tuple[str, ...]:
-    pairs = [i + j for i in AXES for j in AXES]
     wanted = [f"gyro_scale_{axis}" for axis in AXES]
-    wanted += [f"gyro_misalignment_{pair}" for pair in pairs if pair[0] != pair[1]]
-    wanted += [f"g_sensitivity_{pair}" for pair in pairs]
+    wanted += [f"gyro_misalignment_{pair}" for pair in PAIRS if pair[0] != pair[1]]
+    wanted += [f"g_sensitivity_{pair}" for pair in PAIRS]
     return tuple(name for name in wanted if name not in known)
 
 
@@ -467,14 +432,29 @@ def _taken(
     return taken
 
 
+def _sensitivity(v: _Values) -> Floats:
+    sines = np.sin(np.radians(v["gyro_misalignment"]))
+    # Component along the own axis, so that each direction is a unit vector.
+    own = np.sqrt(np.maximum(1 - (sines**2).sum(axis=1), 0.0))
+    return np.asarray(v["gyro_scale"][:, None] * (sines + np.diag(own)))
+
+
 def _corrected(v: _Values, rate: Floats, force: Floats, warm: Floats, volts: Floats) -> Floats:
     # Solve the equation of the module docstring for the true rate.
-    free = (rate - _zero(v, force, warm, volts)) / (1 + v.scale_per_c * warm)
-    return np.asarray(free @ np.linalg.inv(v.sensitivity).T)
+    free = (rate - _zero(v, force, warm, volts)) / _warm_gain(v, warm)
+    return np.asarray(free @ np.linalg.inv(_sensitivity(v)).T)
 
 
 def _read(v: _Values, rate: Floats, force: Floats, warm: Floats, volts: Floats) -> Floats:
-    return np.asarray((1 + v.scale_per_c * warm) * (rate @ v.sensitivity.T) + _zero(v, force, warm, volts))
+    return np.asarray(_warm_gain(v, warm) * (rate @ _sensitivity(v).T) + _zero(v, force, warm, volts))
+
+
+def _warm_gain(v: _Values, warm: Floats) -> Floats:
+    return np.asarray(1 + 1e-6 * v["gyro_scale_temperature"] * warm)
+
+
+def _by_force(v: _Values, force: Floats) -> Floats:
+    return np.asarray(force @ v["g_sensitivity"].T + force**2 @ v["g2_sensitivity"].T)
 
 
 def _zero(v: _Values, force: Floats, warm: Floats, volts: Floats) -> Floats:
@@ -482,8 +462,9 @@ def _zero(v: _Values, force: Floats, warm: Floats, volts: Floats) -> Floats:
 
     `warm` are temperatures minus 25 °C, `volts` supply voltages minus 5 V.
     """
-    by_warmth = sum((c * warm ** (k + 1) for k, c in enumerate(v.per_c)), np.zeros(warm.shape))
-    return np.asarray(v.bias + force @ v.per_g.T + force**2 @ v.per_g2.T + by_warmth + v.per_v * volts)
+    powers = (v[f"gyro_bias_temperature{power}"] * warm ** int(power or 1) for power in ("", "2", "3"))
+    by_warmth = sum(powers, np.zeros(warm.shape))
+    return np.asarray(v["gyro_bias"] + _by_force(v, force) + by_warmth + v["gyro_supply"] * volts)
 
 
 def _rows(name: str, given: ArrayLike) -> tuple[Floats, bool]:

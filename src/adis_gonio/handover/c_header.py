@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 import zlib
-from collections.abc import Iterable, Sequence
-from typing import Any
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.calibrate.calibration import Calibration, Coefficient, NotCorrected, json_text
 from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, GyroCalibration
@@ -20,7 +20,6 @@ DEFAULT_NAME = "adis_gonio"
 FIXED_UDEG = 12
 """Bound in µ° of the error of a fixed-point angle at 0.5 g: CORDIC, rounded coefficients and readings."""
 CHECKS = 8
-RATE_CHECKS = 4
 _FIELDS = {"t": "temperature", "v": "supply"}
 """Field of the C struct of a scan for each condition of the polynomials (`t`, `v`)."""
 _ASCII = str.maketrans({"²": "2", "³": "3", "°": "deg", "Δ": "d", "φ": "phi", "µ": "u"})
@@ -65,14 +64,14 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
     polynomial = fixed_point.polynomial_of(calibration)
     fixed = fixed_point.FixedPoint.of(polynomial)
     planes = _planes(calibration)
-    needs = polynomial.needs
-    where = calibration.provenance
+    where, gyro = calibration.provenance, calibration.gyro
     u_udeg = None
     if calibration.covariance is not None:
         u_udeg = int(np.ceil(calibration.error_curves(stage=False)[1].u_deg.max() * 1e6))
-    gyro = calibration.gyro
     return {
         "c": _whole,
+        "single": _single,
+        "numbers": fixed_point,
         "name": name,
         "NAME": name.upper(),
         "sensor": where.sensor,
@@ -83,13 +82,10 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
         "origin": _origin(calibration),
         "coefficients": _coefficient_lines(calibration),
         "remarks": _remarks(calibration),
-        "rates": None if gyro is None else _rates_content(calibration, gyro, name),
-        "needs": needs,
+        "rates": None if gyro is None else _rates_content(polynomial, calibration, gyro, name),
+        "needs": polynomial.needs,
         "range_g": f"{fixed_point.RANGE_G:g}",
         "fixed_udeg": FIXED_UDEG,
-        "cordic_udeg": fixed_point.CORDIC_UDEG,
-        "float_deg": f"{fixed_point.FLOAT_DEG:g}",
-        "float_udeg": round(fixed_point.FLOAT_DEG * 1e6),
         "angle_u": "The u of an angle by the calibration is not known."
         if u_udeg is None
         else f"The u of an angle by the calibration is at most {u_udeg} udeg.",
@@ -98,85 +94,31 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
         "id": f"0x{zlib.crc32(json_text(calibration.as_dict()).encode()):08X}UL",
         "axes": polynomial.axes,
         "letters": AXES[: polynomial.axes],
-        "limit": f"{fixed_point.LIMIT}L",
-        "limitf": _single(fixed_point.RANGE_G),
-        "passes": fixed.passes,
-        "fixed_inputs": _fixed_inputs(fixed, needs),
-        "fixed_axes": [_fixed_axis(fixed, k, name) for k in range(polynomial.axes)],
-        "table": [f"{step}L" for step in fixed_point.cordic_table()],
+        "fixed": _Fixed(name, fixed).body("scan"),
+        "float": _Float(name, fixed).body("scan"),
         "planes": planes,
-        "float_inputs": _float_inputs(polynomial, needs),
-        "float_axes": [_float_axis(polynomial, k) for k in range(polynomial.axes)],
-        "tan_eighth": _single(fixed_point.TAN_EIGHTH),
-        "atan": [_single(value) for value in fixed_point.ATAN],
-        "degrees": _single(fixed_point.DEGREES),
-        "checks": _checks(polynomial, fixed, planes[0]),
+        "checks": _checks(fixed, planes[0]),
     }
 
 
-def _rates_content(calibration: Calibration, gyro: GyroCalibration, name: str) -> dict[str, Any]:
+def _rates_content(
+    accelerometers: fixed_point.Polynomial, calibration: Calibration, gyro: GyroCalibration, name: str
+) -> dict[str, Any]:
     """Return the values that the template `rates.h.jinja` needs for a calibration of gyros.
 
     It raises `FitError` if the calibration has no form for a firmware. `name` is the prefix of all names
     in the header.
     """
     polynomial = fixed_point.rate_polynomial_of(calibration, gyro)
-    fixed = fixed_point.FixedRates(polynomial)
-    letters = [factor[1] for factor in polynomial.needs if factor.startswith("f")]
-    step, force = fixed.step, fixed.force_step
-    fixed_axes, float_axes = [], []
-    names = [f"free_{axis}" for axis in AXES]
-    for k, letter in enumerate(AXES):
-        terms = [term for term in fixed.terms if term.monomial.axis == k]
-        fixed_axes.append(
-            {
-                "letter": letter,
-                "bias": _whole(fixed.bias[k]),
-                "terms": _fixed_sum(terms, name),
-                "warm": _whole(fixed.warm[k]) if fixed.warm[k] else "",
-                "row": _fixed_row(fixed.matrix[k], names, name),
-            }
-        )
-        float_axes.append(
-            {
-                "letter": letter,
-                "bias": _single(polynomial.bias[k]),
-                "terms": _float_sum([term.monomial for term in terms]),
-                "warm": _single(polynomial.warm[k]) if polynomial.warm[k] else "",
-                "row": _float_row(polynomial.matrix[k], names),
-            }
-        )
+    fixed = fixed_point.FixedPoint.of(polynomial)
+    forces = [AXES.index(need[1]) for need in polynomial.needs if need.startswith("f")]
     return {
         "needs": polynomial.needs,
-        "uses_scan": bool(polynomial.needs),
         "lsb": f"{GYRO_OFFSET_DPS:g}",
-        "force_mask": sum(1 << AXES.index(letter) for letter in letters),
-        "step": _whole(step.number),
-        "shift": step.shift - fixed_point.RATE_Q,
-        "limit": f"{fixed_point.RATE_LIMIT}L",
-        "most": f"{2 * fixed_point.RATE_LIMIT - 1}L",
-        "fixed_forces": [
-            {
-                "name": f"f{x}",
-                "letter": x,
-                "step": _whole(force.number),
-                "shift": force.shift - fixed_point.Q,
-            }
-            for x in letters
-        ],
-        "fixed_inputs": _fixed_inputs(fixed.accelerometers, polynomial.needs),
-        "fixed_axes": fixed_axes,
-        "stepf": _single(fixed_point.STEP_DPS),
-        "limitf": _single(fixed_point.LIMIT_DPS),
-        "float_forces": [
-            {"name": f"f{x}", "letter": x, "step": _single(polynomial.accelerometers.step_g[0])}
-            for x in letters
-        ],
-        "float_inputs": _float_inputs(polynomial.accelerometers, polynomial.needs),
-        "float_axes": float_axes,
-        "fixed_udps": fixed_point.FIXED_UDPS,
-        "float_udps": round(fixed_point.FLOAT_DPS * 1e6),
-        "checks": _rate_checks(fixed, polynomial.accelerometers),
+        "force_mask": sum(1 << k for k in forces),
+        "fixed": _Fixed(name, fixed).body("turn"),
+        "float": _Float(name, fixed).body("turn"),
+        "checks": _rate_checks(fixed, accelerometers),
     }
 
 
@@ -212,93 +154,117 @@ def _factor(factor: str) -> str:
     return f"({letter} < 0 ? -{letter} : {letter})" if factor.startswith("|") else factor
 
 
-# -- fixed point -------------------------------------------------------------------------------------
+# -- expressions of C --------------------------------------------------------------------------------
 
 
-def _fixed_inputs(fixed: fixed_point.FixedPoint, needs: Iterable[str]) -> list[dict[str, Any]]:
-    found = []
-    for condition in needs:
-        if condition in _FIELDS:
-            zero, step = getattr(fixed, _FIELDS[condition])
-            scaled = {
-                "zero": _whole(zero),
-                "step": _whole(step.number),
-                "shift": step.shift - fixed_point.Q,
-            }
-            found.append({"name": condition, "field": _FIELDS[condition], **scaled})
-    return found
+@dataclass(frozen=True)
+class _Fixed:
+    """Expressions of C that compute a polynomial in fixed point; `name` is the prefix of all names."""
 
+    name: str
+    fixed: fixed_point.FixedPoint
+    type: ClassVar[str] = "int32_t"
 
-def _fixed_axis(fixed: fixed_point.FixedPoint, k: int, name: str) -> dict[str, Any]:
-    own = [term for term in fixed.terms if term.monomial.axis == k]
-    return {
-        "letter": AXES[k],
-        "step": _whole(fixed.step[k].number),
-        "shift": fixed.step[k].shift - fixed_point.Q,
-        "bias": _whole(fixed.bias[k]),
-        "steady": _fixed_sum([term for term in own if not term.monomial.of_reading], name),
-        "moving": _fixed_sum([term for term in own if term.monomial.of_reading], name),
-        "row": _fixed_row(fixed.matrix[k][: k + 1], AXES, name),
-    }
+    def body(self, source: str) -> dict[str, Any]:
+        """Return the values that the macro `corrected` needs; the readings are in the variable `source`."""
+        own = self.fixed.polynomial
+        axes = []
+        for k, letter in enumerate(AXES[: own.axes]):
+            steady, moving = (
+                " + ".join(
+                    self.term(term)
+                    for term in self.fixed.terms
+                    if term.monomial.axis == k and term.monomial.of_reading == of_reading
+                )
+                for of_reading in (False, True)
+            )
+            axes.append(
+                {
+                    "letter": letter,
+                    "raw": self.raw(k, f"{source}->{letter}"),
+                    "free": self.less(f"raw_{letter}", steady),
+                    "next": self.less(f"free_{letter}", moving),
+                    "warm": self.warm(k, letter) if own.warm[k] else "",
+                    "row": self.row(k),
+                }
+            )
+        inputs = [
+            {"name": need, "value": self.input(need, f"scan->{_FIELDS.get(need, need[-1])}")}
+            for need in own.needs
+        ]
+        return {"type": self.type, "inputs": inputs, "axes": axes, "passes": own.passes}
 
+    def _clamped(self, value: str, limit: int) -> str:
+        return f"{self.name}_clamped_({value}, {limit}L)"
 
-def _fixed_sum(terms: Sequence[fixed_point.FixedTerm], name: str) -> str:
-    texts = []
-    for term in terms:
-        first, *rest = (_factor(factor) for factor in term.monomial.factors)
-        product = f"(int64_t){first}"
+    def _shifted(self, value: str, scaled: fixed_point.Scaled, q: int = 0) -> str:
+        return f"{self.name}_shifted_((int64_t){value} * {_whole(scaled.number)}, {scaled.shift - q})"
+
+    def input(self, need: str, source: str) -> str:
+        """Return an input of the polynomial from a number of the scan."""
+        own, step = self.fixed.polynomial.inputs[need], self.fixed.inputs[need]
+        value = f"({source} - {_whole(own.zero)})" if own.zero else source
+        return self._clamped(self._shifted(value, step, fixed_point.Q), int(own.limit * fixed_point.ONE))
+
+    def raw(self, k: int, source: str) -> str:
+        """Return the reading of axis k without its bias."""
+        scaled = self._shifted(source, self.fixed.step[k], self.fixed.polynomial.q)
+        return self._clamped(f"{scaled} - {_whole(self.fixed.bias[k])}", self.fixed.limit)
+
+    def term(self, term: fixed_point.FixedTerm) -> str:
+        """Return a term of the polynomial."""
+        product, *rest = map(_factor, term.monomial.factors)
         for factor in rest:
-            product = f"{name}_shifted_({product} * {factor}, {fixed_point.Q})"
-        own = term.coefficient
-        texts.append(f"{name}_shifted_({product} * {_whole(own.number)}, {own.shift})")
-    return " + ".join(texts)
+            product = f"{self.name}_shifted_((int64_t){product} * {factor}, {fixed_point.Q})"
+        return self._shifted(product, term.coefficient)
+
+    def less(self, value: str, terms: str) -> str:
+        """Return a value minus a sum of terms, which may be empty."""
+        return self._clamped(f"(int64_t){value} - ({terms})", self.fixed.limit) if terms else value
+
+    def warm(self, k: int, value: str) -> str:
+        """Return a value divided by the gain of axis k at the temperature."""
+        gain = self._shifted("t", fixed_point.Scaled(self.fixed.warm[k], fixed_point.Q))
+        one = f"{fixed_point.ONE}L"
+        return self._clamped(f"(int64_t){value} * {one} / ({one} + {gain})", self.fixed.limit)
+
+    def row(self, k: int) -> str:
+        """Return row k of the matrix times the free readings."""
+        pairs = zip(AXES, self.fixed.matrix[k], strict=False)
+        return " + ".join(self._shifted(letter, entry) for letter, entry in pairs if entry.number)
 
 
-def _fixed_row(entries: Sequence[fixed_point.Scaled], variables: Sequence[str], name: str) -> str:
-    return " + ".join(
-        f"{name}_shifted_((int64_t){variable} * {_whole(entry.number)}, {entry.shift})"
-        for variable, entry in zip(variables, entries, strict=False)
-        if entry.number
-    )
+class _Float(_Fixed):
+    """The expressions in single precision."""
 
+    type = "float"
 
-# -- float -------------------------------------------------------------------------------------------
+    def _scaled(self, source: str, zero: float, step: float, limit: float) -> str:
+        value = f"((float){source} - {_single(zero)}) * {_single(step)}"
+        return f"{self.name}_clampedf_({value}, {_single(limit)})"
 
+    def input(self, need: str, source: str) -> str:
+        own = self.fixed.polynomial.inputs[need]
+        return self._scaled(source, own.zero, own.step, own.limit)
 
-def _float_inputs(polynomial: fixed_point.Polynomial, needs: Iterable[str]) -> list[dict[str, Any]]:
-    found = []
-    for condition in needs:
-        if condition in _FIELDS:
-            own = getattr(polynomial, _FIELDS[condition])
-            scaled = {"zero": _single(own.zero), "step": _single(own.step)}
-            found.append({"name": condition, "field": _FIELDS[condition], **scaled})
-    return found
+    def raw(self, k: int, source: str) -> str:
+        own = self.fixed.polynomial
+        return self._scaled(source, own.bias[k], own.step[k], own.limit)
 
+    def term(self, term: fixed_point.FixedTerm) -> str:
+        own = term.monomial
+        return " * ".join([_single(own.coefficient), *map(_factor, own.factors)])
 
-def _float_axis(polynomial: fixed_point.Polynomial, k: int) -> dict[str, Any]:
-    own = [one for one in polynomial.monomials if one.axis == k]
-    return {
-        "letter": AXES[k],
-        "step": _single(polynomial.step_g[k]),
-        "bias": _single(polynomial.bias[k]),
-        "steady": _float_sum([one for one in own if not one.of_reading]),
-        "moving": _float_sum([one for one in own if one.of_reading]),
-        "row": _float_row(polynomial.matrix[k, : k + 1], AXES),
-    }
+    def less(self, value: str, terms: str) -> str:
+        limit = _single(self.fixed.polynomial.limit)
+        return f"{self.name}_clampedf_({value} - ({terms}), {limit})" if terms else value
 
+    def warm(self, k: int, value: str) -> str:
+        return f"{value} / (1.0f + t * {_single(self.fixed.polynomial.warm[k])})"
 
-def _float_sum(monomials: Sequence[fixed_point.Monomial]) -> str:
-    return " + ".join(
-        " * ".join([_single(one.coefficient), *map(_factor, one.factors)]) for one in monomials
-    )
-
-
-def _float_row(entries: Floats, variables: Sequence[str]) -> str:
-    return " + ".join(
-        f"{_single(float(entry))} * {variable}"
-        for variable, entry in zip(variables, entries, strict=False)
-        if entry != 0.0
-    )
+    def row(self, k: int) -> str:
+        pairs = zip(AXES, self.fixed.polynomial.matrix[k].tolist(), strict=False)
+        return " + ".join(f"{_single(entry)} * {letter}" for letter, entry in pairs if entry != 0.0)
 
 
 # -- comments and the self-check ---------------------------------------------------------------------
@@ -372,23 +338,17 @@ def _missing(assumed: Iterable[str], not_corrected: Iterable[NotCorrected]) -> l
     ]
 
 
-def _checks(
-    polynomial: fixed_point.Polynomial, fixed: fixed_point.FixedPoint, plane: dict[str, Any]
-) -> list[dict[str, Any]]:
+def _checks(fixed: fixed_point.FixedPoint, plane: dict[str, Any]) -> list[dict[str, Any]]:
     """Return test vectors of the header: scans at 1 g around a turn, with the angles to compute.
 
-    The angles avoid the multiples of 45°; `plane` are the two axes. `polynomial` and `fixed` are the
-    calibration in floating and fixed point.
+    The angles avoid the multiples of 45°; `plane` are the two axes.
     """
+    polynomial = fixed.polynomial
     psi = (np.arange(CHECKS) + 0.37) * 2 * np.pi / CHECKS
     g = np.zeros((CHECKS, polynomial.axes))
     g[:, 0], g[:, 1] = np.cos(psi), np.sin(psi)
-    scans: fixed_point.Whole = np.rint(g / np.array(polynomial.step_g) + np.array(polynomial.bias)).astype(
-        np.int64
-    )
-    rise = np.arange(CHECKS) - CHECKS // 2
-    warm = polynomial.temperature.zero + 11 * fixed_point.PARTS * rise
-    volts = polynomial.supply.zero + 9 * fixed_point.PARTS * rise
+    scans: fixed_point.Whole = np.rint(g / polynomial.step + np.array(polynomial.bias)).astype(np.int64)
+    warm, volts = _surroundings(polynomial, CHECKS, 11, 9)
     angles = fixed.angle_udeg(scans, warm, volts, (plane["first"], plane["second"]))
     rows = []
     for k in range(CHECKS):
@@ -397,21 +357,19 @@ def _checks(
     return rows
 
 
-def _rate_checks(fixed: fixed_point.FixedRates, of: fixed_point.Polynomial) -> list[dict[str, str]]:
+def _rate_checks(
+    fixed: fixed_point.FixedPoint, accelerometers: fixed_point.Polynomial
+) -> list[dict[str, str]]:
     """Return test vectors of the header: gyro readings with a scan, and the corrected rates to compute.
 
     The turns are about every axis in both senses, at forces of 1 g and at other than nominal conditions.
-    `of` is the polynomial of the accelerometers. `fixed` are the constants of the gyros in fixed point.
+    `fixed` are the constants of the gyros in fixed point.
     """
     dps = np.array([[250.0, -31.0, 7.0], [-250.0, 90.0, -60.0], [3.0, -4.0, 270.0], [0.0, 0.0, 0.0]])
     g = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.6, -0.8], [0.5, 0.5, 0.7]])
     turns: fixed_point.Whole = np.rint(dps / fixed_point.STEP_DPS).astype(np.int64)
-    scans: fixed_point.Whole = np.rint(g / of.step_g[0]).astype(np.int64)
-    rise = np.arange(RATE_CHECKS) - RATE_CHECKS // 2
-    warm, volts = (
-        of.temperature.zero + 23 * fixed_point.PARTS * rise,
-        of.supply.zero + 17 * fixed_point.PARTS * rise,
-    )
+    scans: fixed_point.Whole = np.rint(g / accelerometers.step[0]).astype(np.int64)
+    warm, volts = _surroundings(accelerometers, len(dps), 23, 17)
     udps = fixed.rates_udps(turns, scans, warm, volts)
     return [
         {
@@ -419,5 +377,14 @@ def _rate_checks(fixed: fixed_point.FixedRates, of: fixed_point.Polynomial) -> l
             "scan": _listed([*scans[k].tolist(), int(warm[k]), int(volts[k])]),
             "udps": _listed(udps[k].tolist()),
         }
-        for k in range(RATE_CHECKS)
+        for k in range(len(dps))
     ]
+
+
+def _surroundings(
+    polynomial: fixed_point.Polynomial, count: int, degrees: int, volts: int
+) -> tuple[fixed_point.Whole, fixed_point.Whole]:
+    """Return numbers (count,) of the thermometer and the voltmeter that rise through the nominal ones."""
+    rise = fixed_point.PARTS * (np.arange(count) - count // 2)
+    zeros = [polynomial.inputs[name].zero for name in ("t", "v")]
+    return zeros[0] + degrees * rise, zeros[1] + volts * rise

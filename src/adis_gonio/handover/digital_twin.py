@@ -1,20 +1,19 @@
 """The digital twin: a simulated session with the model of a measured one, and their comparison.
 
-Residuals, Allan deviations and spectra of the measured data are compared with those of the twin.
+Residuals and Allan deviations of the measured data are compared with those of the twin.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, solvable
 from adis_gonio.base.errors import AdisGonioError, DataError
-from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.calibrate.gyro_calibration import GyroCalibration
+from adis_gonio.calibrate.gyro_calibration import PAIRS, GyroCalibration
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, VARIANTS
 from adis_gonio.device.sensor.settings import filter_weights, sample_period_s, smpl_prd_for
@@ -25,7 +24,7 @@ from adis_gonio.fitting.estimation.spectrum import noise_of_means
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, Parameter
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
-from adis_gonio.page.document import Figure, Role, Section, Series, Table, plot
+from adis_gonio.page.document import Figure, Role, Section, Series, Style, Table, plot
 from adis_gonio.sim.bus import SimBus
 from adis_gonio.sim.noise import Flicker, White
 from adis_gonio.sim.settings import WorldSettings
@@ -114,29 +113,19 @@ class TermEffect(Effect):
     ----------
     term : Term
         Term of the traced model.
-    columns : int
-        Number of axes of the model; other axes stay unchanged.
-    history : tuple or None
-        Measured history of the temperature, used instead of the simulated temperature; None without one.
-    loads : tuple or None
-        Measured history of the readings, used instead of the simulated readings; None without one.
+    data : Readings
+        Readings of the session, whose measured history of temperature and loads, and variance of each
+        dwell, are used instead of the simulated ones.
     offset_s : float
         Time of the simulation at which the session begins.
-    variance_mg2 : (d, axes) float or None
-        Measured variance of each dwell, used instead of the simulated variance; None to use the latter.
     """
 
     term: Term = field(kw_only=True)
-    columns: int = field(kw_only=True)
-    history: tuple[Floats, Floats] | None = field(kw_only=True)
-    loads: tuple[Floats, Floats] | None = field(kw_only=True)
+    data: Readings = field(kw_only=True)
     offset_s: float = field(kw_only=True)
-    variance_mg2: Floats | None = field(kw_only=True, default=None)
 
     name = "traced"
     cause = "a term that a trace found"
-    formula = "as fitted"
-    separated_by = ""
     by_axis = False
 
     @classmethod
@@ -161,27 +150,27 @@ class TermEffect(Effect):
 
     def attitude_rad(self, values: Floats, conditions: Conditions) -> Floats:
         """Return the angle in rad (n,) by which the term turns the sensor."""
-        zeros = np.zeros((len(conditions), self.columns))
+        zeros = np.zeros((len(conditions), self.data.axes))
         return np.asarray(self.term.added(values, zeros, self._seen(conditions)), np.float64)
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Return the contribution of the term to the readings, in mg (n, axes)."""
         added = np.zeros_like(ideal)
-        known = ideal[:, : self.columns]
-        added[:, : self.columns] = self.term.added(values, known, self._seen(conditions))
+        known = ideal[:, : self.data.axes]
+        added[:, : self.data.axes] = self.term.added(values, known, self._seen(conditions))
         return added
 
     def _seen(self, conditions: Conditions) -> Conditions:
-        variance = None
-        if self.variance_mg2 is not None and conditions.order is not None:
-            row = np.minimum(conditions.order.astype(np.intp), len(self.variance_mg2) - 1)
-            variance = self.variance_mg2[row]
+        measured = self.data.conditions
+        variance = measured.variance_mg2
+        if variance is not None and conditions.order is not None:
+            variance = variance[np.minimum(conditions.order.astype(np.intp), len(variance) - 1)]
         return replace(
             conditions,
             time_s=conditions.time_s - self.offset_s,
-            temperature_history=self.history,
-            load_history=self.loads,
-            variance_mg2=variance,
+            temperature_history=measured.temperature_history,
+            load_history=measured.load_history,
+            variance_mg2=None if conditions.order is None else variance,
         )
 
 
@@ -223,19 +212,13 @@ class LikeWorld(World):
     ) -> None:
         data = self._data = fit.data
         self._offset_s = offset_s
-        history = data.conditions.temperature_history
-        effects = []
-        for term, values in zip(fit.terms, fit.values.terms, strict=True):
-            kind = AngleTerm if term.enters_angle else TermEffect
-            settings = kind(
-                term=term,
-                columns=data.axes,
-                history=history,
-                loads=data.conditions.load_history,
-                offset_s=offset_s,
-                variance_mg2=data.conditions.variance_mg2,
+        effects = [
+            (
+                (AngleTerm if term.enters_angle else TermEffect)(term=term, data=data, offset_s=offset_s),
+                values,
             )
-            effects.append((settings, values))
+            for term, values in zip(fit.terms, fit.values.terms, strict=True)
+        ]
         part = sensor if sensor in VARIANTS else "adis16354"
         super().__init__(_settings(fit, gyro), part=part, seed=seed, effects=effects)
         # Axes without samples get the mean noise.
@@ -269,30 +252,32 @@ class LikeWorld(World):
         return np.interp(time_s - self._offset_s, conditions.time_s, conditions.supply_v)
 
 
+_OTHERS = tuple(pair for pair in PAIRS if pair[0] != pair[1])
+_GYRO_SETTINGS = (
+    ("gyro_bias_{}_dps", "gyro_bias_{}", AXES, 0.0),
+    ("gyro_bias_tempco_{}_dps_per_c", "gyro_bias_temperature_{}", AXES, 0.0),
+    ("gyro_scale_{}", "gyro_scale_{}", AXES, 1.0),
+    ("gyro_scale_tempco_{}_ppm_per_c", "gyro_scale_temperature_{}", AXES, 0.0),
+    ("gyro_supply_{}_dps_per_v", "gyro_supply_{}", AXES, 0.0),
+    ("gyro_g_sensitivity_{}_dps_per_g", "g_sensitivity_{}", PAIRS, 0.0),
+    ("gyro_g2_sensitivity_{}_dps_per_g2", "g2_sensitivity_{}", PAIRS, 0.0),
+    ("gyro_misalignment_{}_deg", "gyro_misalignment_{}", _OTHERS, 0.0),
+)
+"""Setting of a simulation and parameter of a calibration, their axes, and the nominal value."""
+
+
 def gyro_settings(gyro: GyroCalibration, accel_bias_mg: Floats) -> dict[str, float]:
     """Return settings of a simulation for the gyro errors of a calibration; unknown errors are nominal.
 
     The gyros of the simulation respond to ideal readings of acceleration, the gyros of a calibration to the
     part's readings. The zero rates therefore include the effect of the accelerometers' bias (3,).
     """
-    moved = gyro.with_force_moved(-accel_bias_mg / 1000)
-    known = {one.name: one.value for one in moved.parameters}
-    pairs = [i + j for i in AXES for j in AXES]
-    settings: dict[str, float] = {}
-    for axis in AXES:
-        settings |= {
-            f"gyro_bias_{axis}_dps": known[f"gyro_bias_{axis}"],
-            f"gyro_bias_tempco_{axis}_dps_per_c": known.get(f"gyro_bias_temperature_{axis}", 0.0),
-            f"gyro_scale_{axis}": known.get(f"gyro_scale_{axis}", 1.0),
-            f"gyro_scale_tempco_{axis}_ppm_per_c": known.get(f"gyro_scale_temperature_{axis}", 0.0),
-            f"gyro_supply_{axis}_dps_per_v": known.get(f"gyro_supply_{axis}", 0.0),
-        }
-    for pair in pairs:
-        settings[f"gyro_g_sensitivity_{pair}_dps_per_g"] = known.get(f"g_sensitivity_{pair}", 0.0)
-        settings[f"gyro_g2_sensitivity_{pair}_dps_per_g2"] = known.get(f"g2_sensitivity_{pair}", 0.0)
-        if pair[0] != pair[1]:
-            settings[f"gyro_misalignment_{pair}_deg"] = known.get(f"gyro_misalignment_{pair}", 0.0)
-    return settings
+    known = {one.name: one.value for one in gyro.with_force_moved(-accel_bias_mg / 1000).parameters}
+    return {
+        setting.format(axes): known.get(parameter.format(axes), nominal)
+        for setting, parameter, places, nominal in _GYRO_SETTINGS
+        for axes in places
+    }
 
 
 def _accel_bias_mg(fit: Fit) -> Floats:
@@ -307,23 +292,14 @@ def _accel_bias_mg(fit: Fit) -> Floats:
 
 def _settings(fit: Fit, gyro: GyroCalibration | None = None) -> WorldSettings:
     data = fit.data
-    common = {
+    by_axis = ("bias_{}_mg", "bias_tempco_{}_mg_per_c", "scale_tempco_{}_ppm_per_c")
+    absent = ("vibration_mg", "axis_tilt_deg", "backlash_deg", "alpha_deg", "skew_xz_deg", "skew_yz_deg")
+    common = dict.fromkeys((*absent, *(name.format(axis) for name in by_axis for axis in AXES)), 0.0)
+    common |= {
         "gravity_mps2": data.gravity_mg * STANDARD_GRAVITY_MPS2 / 1000,
         "fixture_sigma_deg": math.degrees(data.fixture_rad) if math.isfinite(data.fixture_rad) else 0.0,
-        "vibration_mg": 0.0,
-        "axis_tilt_deg": 0.0,
-        "backlash_deg": 0.0,
-        "alpha_deg": 0.0,
-        "skew_xz_deg": 0.0,
-        "skew_yz_deg": 0.0,
         "scale_z": 1.0,
     }
-    for axis in "xyz":
-        common |= {
-            f"bias_{axis}_mg": 0.0,
-            f"bias_tempco_{axis}_mg_per_c": 0.0,
-            f"scale_tempco_{axis}_ppm_per_c": 0.0,
-        }
     own = {
         (f"{p.name}_deg" if p.unit == "deg" else p.name): p.stated(float(value))
         for p, value in zip(data.model.parameters, fit.values.base, strict=True)
@@ -428,12 +404,13 @@ def _attitude(fit: Fit, k: int) -> list[float]:
     return [float(value) for value in fit.values.attitude[k]]
 
 
-class TwinComparison(JsonRecord):
-    """Comparison of a measured session with its digital twin: residuals, Allan deviation, spectrum.
+@dataclass(frozen=True)
+class TwinComparison:
+    """Comparison of a measured session with its digital twin; each pair is of the session and the twin.
 
     Attributes
     ----------
-    residual_measured, residual_twin : (r,) float
+    residual : pair of (r,) float
         Whitened residuals of the readings under one model, in their standard uncertainty.
     p_residual : float
         p-value of the Kolmogorov-Smirnov test that the residuals of both have equal distributions.
@@ -441,92 +418,57 @@ class TwinComparison(JsonRecord):
         p-value of the two-sided F test that χ² per degree of freedom is equal for both.
     tau_s : (t,) float
         Averaging times of the Allan deviations.
-    allan_measured_mg, allan_twin_mg : (t, axes) float
+    allan_mg : pair of (t, axes) float
         Allan deviations of the samples within the dwells.
-    frequency_hz : (f,) float
-        Frequencies of the densities.
-    density_measured, density_twin : (f, axes) float
-        One-sided amplitude densities of the samples within the dwells, in mg/√Hz.
     """
 
-    document_keys = (
-        *("agrees", "residual_sd_measured", "residual_sd_twin", "p_residual", "p_variance"),
-        *("allan_ratio", "density_ratio"),
-    )
-
-    residual_measured: Floats
-    residual_twin: Floats
+    residual: tuple[Floats, Floats]
     p_residual: float
     p_variance: float
     tau_s: Floats
-    allan_measured_mg: Floats
-    allan_twin_mg: Floats
-    frequency_hz: Floats
-    density_measured: Floats
-    density_twin: Floats
+    allan_mg: tuple[Floats, Floats]
 
     @property
     def agrees(self) -> bool:
         """True if the twin's residuals and noise agree with the measured ones.
 
-        The residuals are tested at a level of 1 %; Allan deviations and densities may differ by a factor of
-        1.5.
+        The residuals are tested at a level of 1 %; Allan deviations may differ by a factor of 1.5.
         """
-        return min(self.p_residual, self.p_variance) >= 0.01 and all(
-            abs(np.log(ratio)) < np.log(1.5) for ratio in (self.allan_ratio, self.density_ratio)
-        )
+        alike = abs(math.log(self.allan_ratio)) < math.log(1.5)
+        return alike and min(self.p_residual, self.p_variance) >= 0.01
 
     @property
     def allan_ratio(self) -> float:
         """Measured Allan deviation divided by the twin's: geometric mean over averaging times and axes."""
-        return _ratio(self.allan_measured_mg, self.allan_twin_mg)
-
-    @property
-    def density_ratio(self) -> float:
-        """Measured noise density divided by the twin's: geometric mean over frequencies and axes."""
-        return _ratio(self.density_measured, self.density_twin)
-
-    @property
-    def residual_sd_measured(self) -> float:
-        """Standard deviation of the measured session's whitened residuals, in standard uncertainties."""
-        return float(np.std(self.residual_measured))
-
-    @property
-    def residual_sd_twin(self) -> float:
-        """Standard deviation of the twin's whitened residuals, in standard uncertainties."""
-        return float(np.std(self.residual_twin))
+        measured, twin = self.allan_mg
+        both = (measured > 0) & (twin > 0)
+        return float(np.exp(np.mean(np.log(measured[both] / twin[both])))) if both.any() else 1.0
 
 
 @solvable
 def compare(measured: Session, twin: Session, traced: Fit) -> TwinComparison:
     """Fit the traced model to a session and to its twin, and compare their residuals and noise."""
-    ours, theirs = readings_of(measured), readings_of(twin)
-    fits = [
-        Fit.begin(data).with_terms(traced.terms, traced.values.terms).refit() for data in (ours, theirs)
-    ]
-    residual = [_residual(fitted) for fitted in fits]
+    sessions = (measured, twin)
+    data = [readings_of(session) for session in sessions]
+    ours, theirs = (Fit.begin(one).with_terms(traced.terms, traced.values.terms).refit() for one in data)
+    residual = (_residual(ours), _residual(theirs))
     if not all(part.size for part in residual):
         raise DataError(
             "there are no more readings than parameters, so that there is no residual to compare"
         )
-    samples = [_samples(session, data) for session, data in ((measured, ours), (twin, theirs))]
-    periods = [period_of(session.dwells) for session in (measured, twin)]
-    # Both curves at the averaging times and frequencies of the measured one.
-    tau_s, allan = _common([_allan(part, period) for part, period in zip(samples, periods, strict=True)])
-    frequency_hz, density = _common(
-        [_density(part, period) for part, period in zip(samples, periods, strict=True)]
-    )
+    # Both curves at the averaging times of the measured one that the twin has too.
+    (tau_s, allan), (other_s, other) = map(_allan, sessions, data)
+    inside = (tau_s >= other_s[0] * 0.999) & (tau_s <= other_s[-1] * 1.001)
+    least = 1e-9 * max(float(other.max(initial=0.0)), 1e-99)  # averaging times without any noise
+    logs = [
+        np.interp(np.log(tau_s[inside]), np.log(other_s), np.log(np.maximum(one, least))) for one in other.T
+    ]
     return TwinComparison(
-        residual_measured=residual[0],
-        residual_twin=residual[1],
-        p_residual=_p_same(*residual),
-        p_variance=_p_variance(*fits),
-        tau_s=tau_s,
-        allan_measured_mg=allan[0],
-        allan_twin_mg=allan[1],
-        frequency_hz=frequency_hz,
-        density_measured=density[0],
-        density_twin=density[1],
+        residual,
+        _p_same(*residual),
+        _p_variance(ours, theirs),
+        tau_s[inside],
+        (allan[inside], np.exp(np.stack(logs, axis=1))),
     )
 
 
@@ -567,70 +509,10 @@ def _p_variance(ours: Fit, theirs: Fit) -> float:
     return 2 * min(below, 1 - below)
 
 
-def _samples(session: Session, data: Readings) -> list[Floats]:
-    """Return the samples (n, axes) of each dwell minus their mean, in mg."""
-    parts = [data.unit.mg(dwell.accel) for dwell in session.dwells if len(dwell)]
-    return [part - part.mean(axis=0) for part in parts]
-
-
-def _allan(samples: Sequence[Floats], period_s: float) -> tuple[Floats, Floats]:
-    """Return averaging times in s, one per octave, and the overlapping Allan deviations of all dwells.
-
-    `samples` (n, axes) are the samples of each dwell. `period_s` is the sample period.
-    """
-    times, deviation = overlapping(samples)
-    return period_s * np.array(times, dtype=float), deviation
-
-
-def _density(samples: Sequence[Floats], period_s: float) -> tuple[Floats, Floats]:
-    """Return frequencies in Hz and amplitude densities by Welch's method, averaged over all dwells.
-
-    The densities are averaged over bands of a third of an octave. `period_s` is the sample period;
-    `samples` (n, axes) are the samples of each dwell.
-    """
-    length = int(min(1024, np.median([len(part) for part in samples])))
-    parts = [part for part in samples if len(part) >= length]
-    taper = np.hanning(length + 1)[:-1, None]
-    frequency = np.fft.rfftfreq(length, period_s)[1:]
-    power = np.zeros((len(frequency), parts[0].shape[1]))
-    for part in parts:
-        # Segments that overlap by half, each without its mean.
-        starts = range(0, len(part) - length + 1, length - length // 2)
-        cut = np.stack([part[start : start + length] for start in starts])
-        lines = np.fft.rfft((cut - cut.mean(axis=1, keepdims=True)) * taper, axis=1)[:, 1:]
-        power += (np.abs(lines) ** 2).mean(axis=0) / len(parts)
-    power *= 2 * period_s / float((taper**2).sum())
-    power[-1] /= 1 if length % 2 else 2  # the highest frequency of an even length occurs once
-    # Mean power in bands of a third of an octave.
-    edges = frequency[0] * 2.0 ** (np.arange(0, 40) / 3)
-    band = np.searchsorted(edges, frequency, side="right")
-    kept = np.unique(band)
-    return (
-        np.array([frequency[band == b].mean() for b in kept]),
-        np.sqrt(np.array([power[band == b].mean(axis=0) for b in kept])),
-    )
-
-
-def _common(curves: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, list[Floats]]:
-    """Interpolate the second of two curves at the abscissas of the first, over their common range.
-
-    The interpolation is logarithmic in both axes. Returns the abscissas and both curves.
-    """
-    (place, ours), (other, theirs) = curves
-    inside = (place >= other[0] * 0.999) & (place <= other[-1] * 1.001)
-    at = np.log(place[inside])
-    least = 1e-9 * max(float(theirs.max(initial=0.0)), 1e-99)  # bands without any noise
-    logs = [np.interp(at, np.log(other), np.log(np.maximum(column, least))) for column in theirs.T]
-    moved = np.stack([np.exp(column) for column in logs], axis=1)
-    return place[inside], [ours[inside], moved]
-
-
-def _ratio(measured: Floats, twin: Floats) -> float:
-    both = (measured > 0) & (twin > 0)  # a spectrum of quantization alone has empty bands
-    return float(np.exp(np.mean(np.log(measured[both] / twin[both])))) if both.any() else 1.0
-
-
-_AXES = "xyz"
+def _allan(session: Session, data: Readings) -> tuple[Floats, Floats]:
+    """Return averaging times in s, one per octave, and the overlapping Allan deviations of all dwells."""
+    times, deviation = overlapping([data.unit.mg(dwell.accel) for dwell in session.dwells if len(dwell)])
+    return period_of(session.dwells) * np.array(times, dtype=float), deviation
 
 
 def twin_section(session: Session, traced: TraceResult, *, seed: int = 0) -> Section | None:
@@ -665,43 +547,35 @@ def twin_section(session: Session, traced: TraceResult, *, seed: int = 0) -> Sec
 
 
 def _figures(found: TwinComparison) -> list[Figure]:
-    allan = found.allan_measured_mg, found.allan_twin_mg
-    density = found.density_measured, found.density_twin
-    pairs = (
-        (found.tau_s, *allan, "averaging time / s", "Allan deviation / mg"),
-        (found.frequency_hz, *density, "frequency / Hz", "spectral density / mg/√Hz"),
+    roles: tuple[tuple[str, Role, Style], ...] = (
+        ("measured", "before", "points"),
+        ("twin", "after", "line"),
     )
     figures = []
-    for x, ours, theirs, x_label, y_label in pairs:
-        for k in range(ours.shape[1]):
-            series = [
-                Series(x, ours[:, k], "measured", role="before"),
-                Series(x, theirs[:, k], "twin", role="after", style="line"),
-            ]
-            title = f"{y_label.split(' /')[0].capitalize()} of {_AXES[k]}"
-            svg = plot(series, x_label, y_label, title=title, x_log=True, y_log=True)
-            figures.append(Figure(svg, f"{title}, within the dwells."))
+    for k in range(found.allan_mg[0].shape[1]):
+        series = [
+            Series(found.tau_s, allan[:, k], label, role=role, style=style)
+            for allan, (label, role, style) in zip(found.allan_mg, roles, strict=True)
+        ]
+        title = f"Allan deviation of {AXES[k]}"
+        labels = ("averaging time / s", "Allan deviation / mg")
+        svg = plot(series, *labels, title=title, x_log=True, y_log=True)
+        figures.append(Figure(svg, f"{title}, within the dwells."))
     series = [
-        _share_below(found.residual_measured, "measured", "before"),
-        _share_below(found.residual_twin, "twin", "after"),
+        Series(np.sort(one), (np.arange(len(one)) + 0.5) / len(one), label, role=role, style="steps")
+        for one, (label, role, _) in zip(found.residual, roles, strict=True)
     ]
     title = "Distribution of the residuals"
     svg = plot(series, "residual / its standard uncertainty", "share below", title=title)
     return [*figures, Figure(svg, f"{title} of the readings.")]
 
 
-def _share_below(values: Floats, label: str, role: Role) -> Series:
-    share = (np.arange(len(values)) + 0.5) / len(values)
-    return Series(np.sort(values), share, label, role=role, style="steps")
-
-
 def _table(found: TwinComparison) -> Table:
     rows = (
-        ("residuals, standard deviation: measured", f"{found.residual_sd_measured:.2f}"),
-        ("residuals, standard deviation: twin", f"{found.residual_sd_twin:.2f}"),
+        ("residuals, standard deviation: measured", f"{np.std(found.residual[0]):.2f}"),
+        ("residuals, standard deviation: twin", f"{np.std(found.residual[1]):.2f}"),
         ("same distribution (Kolmogorov-Smirnov), p", f"{found.p_residual:.3f}"),
         ("same variance (F), p", f"{found.p_variance:.3f}"),
         ("Allan deviation, measured over twin", f"{found.allan_ratio:.2f}"),
-        ("spectral density, measured over twin", f"{found.density_ratio:.2f}"),
     )
     return Table(("figure", "value"), rows, numeric=(1,))

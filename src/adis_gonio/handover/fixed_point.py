@@ -39,7 +39,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,60 +89,71 @@ class Monomial:
 
     @property
     def of_reading(self) -> bool:
-        """True if the term depends on readings, and not on temperature and supply alone."""
-        return any(factor not in ("t", "v") for factor in self.factors)
+        """True if the term depends on readings of its own sensors, and not on inputs alone."""
+        return any(factor.strip("|") in AXES for factor in self.factors)
 
 
 @dataclass(frozen=True)
 class Input:
-    """Conversion of temperature or supply for the polynomial: t or v = (number − zero) · step.
+    """Conversion of a number of a scan to a factor of the polynomial: (number − zero) · step.
 
-    The number is the reading of thermometer or voltmeter in 1/256 of its step.
+    The number is a reading in 1/256 of its step; the factor is kept within ± `limit`.
     """
 
     zero: int
     step: float
+    limit: float = 1.0
 
 
 @dataclass(frozen=True)
 class Polynomial:
-    """The calibration as a polynomial that a firmware can compute.
+    """A calibration of accelerometers or gyros as a polynomial that a firmware can compute.
 
     Attributes
     ----------
     words : bool
         True if a step of the readings is an LSB of the sensor.
-    step_g, bias : tuple of float
-        Acceleration in g per 1/256 step, and bias in 1/256 steps, of each axis.
+    q : int
+        Binary digits behind the point of a reading in fixed point.
+    limit : float
+        Largest magnitude of a reading in g or °/s.
+    step, bias : tuple of float
+        Reading in g or °/s per integer, and bias (zero rate) in integers, of each axis.
     monomials : tuple of Monomial
-        Terms of all effects.
+        Terms of all effects, with coefficients in g or °/s.
     matrix : (axes, axes) float
-        Conversion from g to units of local gravity, lower triangular.
+        Conversion of free readings to units of local gravity (lower triangular) or to rates of turn.
+    inputs : mapping of str to Input
+        Conversions of temperature `t`, supply `v`, and for gyros of the forces `fx`, `fy`, `fz` in g.
     passes : int
         Number of passes after which the iterative solution has settled for all readings within range; 0 if
         no monomial depends on a reading.
-    temperature, supply : Input
-        Conversions of temperature and supply.
+    warm : tuple of float
+        Relative change κ of each axis's scale factor per unit of t.
     """
 
     words: bool
-    step_g: tuple[float, ...]
+    q: int
+    limit: float
+    step: tuple[float, ...]
     bias: tuple[float, ...]
     monomials: tuple[Monomial, ...]
     matrix: Floats
-    passes: int
-    temperature: Input
-    supply: Input
+    inputs: Mapping[str, Input]
+    passes: int = 0
+    warm: tuple[float, ...] = (0.0, 0.0, 0.0)
 
     @property
     def axes(self) -> int:
         """Number of axes of a reading."""
-        return len(self.step_g)
+        return len(self.step)
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Conditions that the polynomial depends on: `t` (temperature), `v` (supply)."""
-        return tuple(c for c in ("t", "v") if any(c in one.factors for one in self.monomials))
+        """Names of the inputs that the polynomial depends on."""
+        used = {factor for one in self.monomials for factor in one.factors}
+        used |= {"t"} if any(self.warm) else set()
+        return tuple(name for name in self.inputs if name in used)
 
 
 def polynomial_of(calibration: Calibration) -> Polynomial:
@@ -172,13 +183,14 @@ def polynomial_of(calibration: Calibration) -> Polynomial:
         supply = Input(round((REFERENCE_V - zero_v) / lsb_v * PARTS), lsb_v / PARTS / SPAN_V)
     made = Polynomial(
         words=part is not None,
-        step_g=tuple((step_mg / MG_PER_G / PARTS).tolist()),
+        q=Q,
+        limit=RANGE_G,
+        step=tuple((step_mg / MG_PER_G / PARTS).tolist()),
         bias=tuple((bias_mg / step_mg * PARTS).tolist()),
         monomials=monomials,
         matrix=matrix,
+        inputs={"t": temperature, "v": supply},
         passes=_passes(monomials),
-        temperature=temperature,
-        supply=supply,
     )
     if (np.abs(matrix).sum(axis=1) * RANGE_G >= 4.0).any():
         raise FitError(
@@ -260,7 +272,6 @@ Whole = NDArray[np.int64]
 
 Q = 29
 ONE = 1 << Q
-LIMIT = int(RANGE_G * ONE)
 CORDIC_STEPS = 28
 TURN_BITS = 32
 """Bits of an internal angle, which is an integer with 2³² per turn."""
@@ -285,14 +296,14 @@ FLOAT_DEG = 4e-5
 RATE_Q = 20
 LIMIT_DPS = 1000.0
 """Limit of rates in °/s: the largest word of the sensor is 600 °/s."""
-RATE_LIMIT = int(LIMIT_DPS * (1 << RATE_Q))
+MOST_RATE = 2 * int(LIMIT_DPS * (1 << RATE_Q)) - 1
+"""Largest corrected rate in 2⁻²⁰ °/s."""
 STEP_DPS = GYRO_OFFSET_DPS / PARTS
 """Step in °/s of an integer rate in the header's struct."""
 FIXED_UDPS = 30
 """Bound in 1e-6 °/s of the error of a fixed-point rate up to 300 °/s."""
 FLOAT_DPS = 3e-4
 """Bound in °/s of the error of a rate in `float` up to 300 °/s (last place there: 3e-5)."""
-MOST_SHIFT = 62 - (Q - RATE_Q)
 LEAST_GAIN, MOST_GAIN = 0.5, 2.0
 
 
@@ -348,89 +359,115 @@ class FixedPoint:
 
     Attributes
     ----------
+    polynomial : Polynomial
+        The calibration in floating point.
     step : tuple of Scaled
-        Acceleration in g per 1/256 step of each axis.
+        Reading per integer of each axis.
     bias : tuple of int
-        Bias of each axis in 2⁻²⁹ g (Q29); more than 32 bits if the zero of a sensor with counts is far
-        away.
+        Bias of each axis in fixed point; more than 32 bits if the zero of a sensor with counts is far away.
     terms : tuple of FixedTerm
-        Terms of all effects.
+        Terms of all effects, with coefficients such that their sum is in fixed point.
     matrix : tuple of tuple of Scaled
-        Rows of the conversion from g to units of local gravity.
-    temperature, supply : (int, Scaled)
-        Zero and step of their conversion to t and v (`Input`).
-    passes : int
-        Number of passes of the iterative solution.
+        Rows of the conversion of free readings.
+    inputs : mapping of str to Scaled
+        Steps of the inputs of the polynomial.
+    warm : tuple of int
+        Relative change of each axis's scale factor per unit of t, in 2⁻²⁹.
     """
 
+    polynomial: Polynomial
     step: tuple[Scaled, ...]
     bias: tuple[int, ...]
     terms: tuple[FixedTerm, ...]
     matrix: tuple[tuple[Scaled, ...], ...]
-    temperature: tuple[int, Scaled]
-    supply: tuple[int, Scaled]
-    passes: int
+    inputs: Mapping[str, Scaled]
+    warm: tuple[int, ...]
 
     @classmethod
     def of(cls, polynomial: Polynomial) -> FixedPoint:
         """Convert a polynomial to fixed point."""
-        p = polynomial
+        p, down = polynomial, Q - polynomial.q
+        # A product in Q29 shifted by more bits has the digits of a reading.
+        scaled = [Scaled.of(one.coefficient, 62 - down) for one in p.monomials]
         return cls(
-            step=tuple(Scaled.of(step) for step in p.step_g),
-            bias=tuple(round(math.ldexp(b * s, Q)) for b, s in zip(p.bias, p.step_g, strict=True)),
-            terms=tuple(FixedTerm(one, Scaled.of(one.coefficient)) for one in p.monomials),
+            polynomial=p,
+            step=tuple(Scaled.of(step) for step in p.step),
+            bias=tuple(round(math.ldexp(b * s, p.q)) for b, s in zip(p.bias, p.step, strict=True)),
+            terms=tuple(
+                FixedTerm(term, Scaled(own.number, own.shift + down))
+                for term, own in zip(p.monomials, scaled, strict=True)
+            ),
             matrix=tuple(tuple(Scaled.of(float(entry)) for entry in row) for row in p.matrix),
-            temperature=(p.temperature.zero, Scaled.of(p.temperature.step)),
-            supply=(p.supply.zero, Scaled.of(p.supply.step)),
-            passes=p.passes,
+            inputs={name: Scaled.of(one.step) for name, one in p.inputs.items()},
+            warm=tuple(round(math.ldexp(change, Q)) for change in p.warm),
         )
 
-    def correct(self, scan: Whole, temperature: Whole | None = None, supply: Whole | None = None) -> Whole:
-        """Return the corrected gravity vector (n, axes) in 2⁻²⁹ of local gravity.
+    @property
+    def limit(self) -> int:
+        """Largest magnitude of a reading."""
+        return int(self.polynomial.limit * (1 << self.polynomial.q))
+
+    def correct(
+        self,
+        scan: ArrayLike,
+        temperature: Whole | None = None,
+        supply: Whole | None = None,
+        force: ArrayLike | None = None,
+    ) -> Whole:
+        """Return the corrected gravity in 2⁻²⁹ of local gravity, or rates in 2⁻²⁰ °/s, (n, axes).
 
         Parameters
         ----------
         scan : (n, axes) int
-            Readings in 1/256 step.
+            Readings of accelerometers in 1/256 step, or of gyros in 1/256 of 0.018315 °/s.
         temperature, supply : (n,) int, optional
             Readings of thermometer and voltmeter in 1/256 step; by default 25 °C and 5 V.
+        force : (n, 3) int, optional
+            Readings of the accelerometers in 1/256 step; required for gyros.
         """
-        axes = len(self.step)
-        scan = np.asarray(scan, dtype=np.int64)[:, :axes]
-        free = np.stack(
-            [
-                _clamped(
-                    _shifted(scan[:, i] * self.step[i].number, self.step[i].shift - Q) - self.bias[i], LIMIT
-                )
-                for i in range(axes)
-            ],
-            axis=1,
-        )
-        factors = {
-            "t": _condition(self.temperature, temperature, len(scan)),
-            "v": _condition(self.supply, supply, len(scan)),
-        }
-        # Terms of temperature and supply are subtracted once, terms of the readings in every pass.
-        steady = np.zeros(free.shape, dtype=np.int64)
-        for term in self.terms:
-            if not term.monomial.of_reading:
-                steady[:, term.monomial.axis] += term.value(factors)
-        free = _clamped(free - steady, LIMIT)
+        numbers = np.asarray(scan, dtype=np.int64)[:, : self.polynomial.axes]
+        given = {"t": temperature, "v": supply}
+        if force is not None:
+            given |= {f"f{axis}": np.asarray(force)[:, k] for k, axis in enumerate(AXES)}
+        factors = {name: self._factor(name, given.get(name), len(numbers)) for name in self.inputs}
+        scaled = [
+            _shifted(numbers[:, k] * step.number, step.shift - self.polynomial.q)
+            for k, step in enumerate(self.step)
+        ]
+        free = _clamped(np.stack(scaled, axis=1) - np.array(self.bias, dtype=np.int64), self.limit)
+        # Terms of the inputs are subtracted once, terms of the readings in every pass.
+        free = _clamped(free - self._sum(factors, free, of_reading=False), self.limit)
         ideal = free
-        for _ in range(self.passes):
-            for k, letter in enumerate("xyz"[:axes]):
+        for _ in range(self.polynomial.passes):
+            for k, letter in enumerate(AXES[: self.polynomial.axes]):
                 factors[letter] = ideal[:, k]
                 factors[f"|{letter}|"] = np.abs(ideal[:, k])
-            moving = np.zeros(free.shape, dtype=np.int64)
-            for term in self.terms:
-                if term.monomial.of_reading:
-                    moving[:, term.monomial.axis] += term.value(factors)
-            ideal = _clamped(free - moving, LIMIT)
-        return np.stack([_row(self.matrix[k][: k + 1], list(ideal.T)) for k in range(axes)], axis=1)
+            ideal = _clamped(free - self._sum(factors, free, of_reading=True), self.limit)
+        for k, change in enumerate(self.warm[: self.polynomial.axes]):
+            if change:
+                over, under = ideal[:, k] << Q, ONE + _shifted(factors["t"] * change, Q)
+                # C99 divides towards zero.
+                ideal[:, k] = _clamped(np.sign(over) * (np.abs(over) // under), self.limit)
+        return np.stack([_row(row, list(ideal.T)) for row in self.matrix], axis=1)
+
+    def _factor(self, name: str, given: Whole | None, n: int) -> Whole:
+        """Return an input (n,) of the polynomial in 2⁻²⁹ of its unit; without a number its zero."""
+        own, step = self.polynomial.inputs[name], self.inputs[name]
+        numbers = np.full(n, own.zero) if given is None else np.asarray(given, dtype=np.int64)
+        scaled = _shifted((numbers - own.zero) * step.number, step.shift - Q)
+        return _clamped(scaled, int(own.limit * ONE))
+
+    def _sum(self, factors: dict[str, Whole], like: Whole, *, of_reading: bool) -> Whole:
+        """Return the sum (n, axes) of the terms that depend on readings, or of the other terms."""
+        total = np.zeros_like(like)
+        for term in self.terms:
+            if term.monomial.of_reading == of_reading:
+                total[:, term.monomial.axis] += term.value(factors)
+        return total
 
     def angle_udeg(
         self,
-        scan: Whole,
+        scan: ArrayLike,
         temperature: Whole | None = None,
         supply: Whole | None = None,
         plane: tuple[int, int] = (0, 1),
@@ -442,6 +479,18 @@ class FixedPoint:
         """
         gravity = self.correct(scan, temperature, supply)
         return atan2_udeg(gravity[:, plane[1]], gravity[:, plane[0]])
+
+    def rates_udps(
+        self,
+        rates: ArrayLike,
+        scan: ArrayLike,
+        temperature: Whole | None = None,
+        supply: Whole | None = None,
+    ) -> Whole:
+        """Return the corrected rates (n, 3) of gyros in 1e-6 °/s; the arguments are those of `correct`."""
+        turned = _clamped(self.correct(rates, temperature, supply, scan), MOST_RATE)
+        # 15625 / 2¹⁴ = 1e6 / 2²⁰
+        return _shifted(turned * 15625, RATE_Q - 6)
 
 
 def cordic_table() -> list[int]:
@@ -481,12 +530,6 @@ def _clamped(values: Whole, limit: int) -> Whole:
     return np.clip(values, -limit, limit)
 
 
-def _condition(constants: tuple[int, Scaled], given: Whole | None, n: int) -> Whole:
-    zero, step = constants
-    numbers = np.full(n, zero, dtype=np.int64) if given is None else np.asarray(given, dtype=np.int64)
-    return _clamped(_shifted((numbers - zero) * step.number, step.shift - Q), ONE)
-
-
 def _row(entries: Sequence[Scaled], columns: Sequence[Whole]) -> Whole:
     """Return a matrix row times vectors: the sum of entry · column (n,), in fixed point."""
     total = np.zeros(len(columns[0]), dtype=np.int64)
@@ -499,40 +542,6 @@ def _row(entries: Sequence[Scaled], columns: Sequence[Whole]) -> Whole:
 # -- gyros -------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class RatePolynomial:
-    """The gyros' calibration as a polynomial that a firmware can compute.
-
-    Attributes
-    ----------
-    bias : tuple of float
-        Zero rate of each gyro in °/s without force, at 25 °C and 5 V.
-    terms : tuple of Monomial
-        Terms of the zero rates, with coefficients in °/s and factors `fx`, `fy`, `fz` (g), `t`, `v`.
-    warm : tuple of float
-        Relative change κ of each gyro's scale factor per unit of t; zero if it does not depend on
-        temperature.
-    matrix : (3, 3) float
-        Matrix M that converts free rates to rates of turn (see the module).
-    accelerometers : Polynomial
-        Polynomial whose scaling of temperature, supply and force (g per 1/256 step) is used, without its
-        terms.
-    """
-
-    bias: tuple[float, ...]
-    terms: tuple[Monomial, ...]
-    warm: tuple[float, ...]
-    matrix: Floats
-    accelerometers: Polynomial
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """Factors that the rates depend on: forces `fx`, `fy`, `fz`, temperature `t`, supply `v`."""
-        used = {factor for term in self.terms for factor in term.factors}
-        used |= {"t"} if any(self.warm) else set()
-        return tuple(name for name in (*(f"f{axis}" for axis in AXES), "t", "v") if name in used)
-
-
 _FORMS: dict[str, tuple[float, tuple[str, ...]]] = {
     "gyro_bias_temperature": (SPAN_C, ("t",)),
     "gyro_bias_temperature2": (SPAN_C**2, ("t", "t")),
@@ -541,7 +550,7 @@ _FORMS: dict[str, tuple[float, tuple[str, ...]]] = {
 }
 
 
-def rate_polynomial_of(calibration: Calibration, gyro: GyroCalibration) -> RatePolynomial:
+def rate_polynomial_of(calibration: Calibration, gyro: GyroCalibration) -> Polynomial:
     """Convert the calibration of the gyros to a polynomial that a firmware can compute.
 
     Raises
@@ -571,84 +580,15 @@ def rate_polynomial_of(calibration: Calibration, gyro: GyroCalibration) -> RateP
             warm[own] = 1e-6 * one.value * SPAN_C
     if max(map(abs, warm)) > 0.5:
         raise FitError("a gyro's gain follows the temperature too much: check the session")
-    return RatePolynomial(
-        tuple(gyro.bias_dps.tolist()),
-        tuple(terms),
-        tuple(warm),
-        np.asarray(np.linalg.inv(gyro.sensitivity), np.float64),
-        polynomial,
+    return Polynomial(
+        words=polynomial.words,
+        q=RATE_Q,
+        limit=LIMIT_DPS,
+        step=(STEP_DPS,) * 3,
+        bias=tuple((gyro.bias_dps / STEP_DPS).tolist()),
+        monomials=tuple(terms),
+        matrix=np.asarray(np.linalg.inv(gyro.sensitivity), np.float64),
+        inputs={f"f{axis}": Input(0, polynomial.step[0], RANGE_G) for axis in AXES}
+        | dict(polynomial.inputs),
+        warm=tuple(warm),
     )
-
-
-class FixedRates:
-    """The gyros' constants of the C header in fixed point, and the header's computation with them.
-
-    Attributes
-    ----------
-    step, force_step : Scaled
-        Rate in °/s per integer of a gyro, and force in g per integer of an accelerometer.
-    bias : tuple of int
-        Zero rate of each gyro in 2⁻²⁰ °/s (Q20).
-    terms : tuple of FixedTerm
-        Terms with coefficients such that their sum is in 2⁻²⁰ °/s.
-    warm : tuple of int
-        Relative change κ of each gyro's scale factor per unit of t, in 2⁻²⁹.
-    matrix : tuple of tuple of Scaled
-        Matrix M that converts free rates to rates of turn (see the module).
-    """
-
-    def __init__(self, polynomial: RatePolynomial) -> None:
-        self.accelerometers = FixedPoint.of(polynomial.accelerometers)
-        self.step = Scaled.of(STEP_DPS)
-        self.force_step = self.accelerometers.step[0]
-        self.bias = tuple(round(math.ldexp(b, RATE_Q)) for b in polynomial.bias)
-        # A product in Q29 shifted by 9 more bits gives Q20.
-        scaled = [Scaled.of(term.coefficient, MOST_SHIFT) for term in polynomial.terms]
-        self.terms = tuple(
-            FixedTerm(term, Scaled(own.number, own.shift + Q - RATE_Q))
-            for term, own in zip(polynomial.terms, scaled, strict=True)
-        )
-        self.warm = tuple(round(math.ldexp(k, Q)) for k in polynomial.warm)
-        self.matrix = tuple(tuple(Scaled.of(float(entry)) for entry in row) for row in polynomial.matrix)
-
-    def rates_udps(
-        self,
-        rates: ArrayLike,
-        scan: ArrayLike,
-        temperature: Whole | None = None,
-        supply: Whole | None = None,
-    ) -> Whole:
-        """Return the corrected rates (n, 3) in 1e-6 °/s.
-
-        Parameters
-        ----------
-        rates, scan : (n, 3) int
-            Readings of the gyros in 1/256 of 0.018315 °/s, and of the accelerometers in 1/256 step.
-        temperature, supply : (n,) int, optional
-            Readings of thermometer and voltmeter in 1/256 step; by default 25 °C and 5 V.
-        """
-        given, force = np.asarray(rates, dtype=np.int64), np.asarray(scan, dtype=np.int64)
-        factors = {
-            f"f{axis}": _clamped(
-                _shifted(force[:, k] * self.force_step.number, self.force_step.shift - Q), LIMIT
-            )
-            for k, axis in enumerate(AXES)
-        }
-        factors["t"] = _condition(self.accelerometers.temperature, temperature, len(force))
-        factors["v"] = _condition(self.accelerometers.supply, supply, len(force))
-        step, free = self.step, []
-        for i in range(3):
-            raw = _clamped(_shifted(given[:, i] * step.number, step.shift - RATE_Q), RATE_LIMIT)
-            still = np.full(len(given), self.bias[i], dtype=np.int64)
-            for term in self.terms:
-                if term.monomial.axis == i:
-                    still = still + term.value(factors)
-            own = _clamped(raw - still, RATE_LIMIT)
-            if self.warm[i]:
-                over, under = own << Q, ONE + _shifted(factors["t"] * self.warm[i], Q)
-                # C99 divides towards zero.
-                own = _clamped(np.sign(over) * (np.abs(over) // under), RATE_LIMIT)
-            free.append(own)
-        turned = [_clamped(_row(row, free), 2 * RATE_LIMIT - 1) for row in self.matrix]
-        # 15625 / 2¹⁴ = 1e6 / 2²⁰
-        return np.stack([_shifted(rate * 15625, RATE_Q - 6) for rate in turned], axis=1)

@@ -37,7 +37,7 @@ from adis_gonio.base import __version__
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import with_progress
 from adis_gonio.base.errors import FitError, UsageError
-from adis_gonio.base.jsonable import JsonRecord, json_object, key
+from adis_gonio.base.jsonable import finite
 from adis_gonio.base.numbers import NO_BREAK, counted, format_fixed, format_number, label_quantity
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
@@ -90,6 +90,11 @@ class TableRow:
         """Name with the unit, such as `N, X / °`."""
         return label_quantity(self.name, self.unit)
 
+    @property
+    def quantity(self) -> str:
+        """Name of the row's quantity in `true_values`; one angle between X and Y belongs to both axes."""
+        return self.key if self.key == "non_orthogonality" else f"{self.key}_{self.axis}"
+
 
 TABLE: tuple[TableRow, ...] = (
     TableRow("scale_error", "SF", "1", "x", 0.0214, 0.0116, 0.0128, 0.0),
@@ -104,73 +109,29 @@ TABLE: tuple[TableRow, ...] = (
 RMSD = {"SF": 0.0033, "Δφ": 0.001}
 """Root mean square deviations that the paper prints with the specifications, by printed name."""
 
+_FROM_FIT = {
+    "scale_error_x": ("scale_x", 1.0, 1.0),
+    "scale_error_y": ("scale_y", 1.0, 1.0),
+    "offset_x": ("bias_x", 1e-3, 0.0),
+    "offset_y": ("bias_y", 1e-3, 0.0),
+    "non_orthogonality": ("delta_phi", 1.0, 0.0),
+    "delta_k": ("delta_k", 1.0, 0.0),
+}
+"""Parameter of `fit`, factor and zero for each quantity of the paper: (value − zero) · factor."""
 
-def row_of(key: str, axis: Axis) -> TableRow:
-    """Return the row of the paper's table for a parameter and an axis.
 
-    `key` is the name of the parameter in this package.
+def true_values(column: Axis) -> dict[str, float]:
+    """Return the true values of the paper's quantities in the sessions of one column of the table.
+
+    They are the relative scale errors, the offsets in g, the non-orthogonality in degrees, and ΔK. `column`
+    decides the value of the non-orthogonality.
     """
-    return next(row for row in TABLE if (row.key, row.axis) == (key, axis))
-
-
-class Truth(JsonRecord):
-    """True parameters of the sensor in simulated sessions.
-
-    Attributes
-    ----------
-    scale_x, scale_y : float
-        Gains, 1 is perfect.
-    delta_phi_deg : float
-        Misalignment of Y in the plane.
-    bias_x_mg, bias_y_mg : float
-        Biases of the axes.
-    """
-
-    document_keys = ("scale_x", "scale_y", "delta_k", "delta_phi_deg", "bias_x_mg", "bias_y_mg")
-
-    scale_x: float
-    scale_y: float
-    delta_phi_deg: float
-    bias_x_mg: float
-    bias_y_mg: float
-
-    @property
-    def delta_k(self) -> float:
-        """True gain ratio ΔK = K_x/K_y − 1."""
-        return self.scale_x / self.scale_y - 1
-
-    @property
-    def values(self) -> dict[str, float]:
-        """True values of the paper's quantities, by name.
-
-        They are relative scale errors, offsets in g, the non-orthogonality in degrees, and ΔK.
-        """
-        return {
-            "scale_error_x": self.scale_x - 1,
-            "scale_error_y": self.scale_y - 1,
-            "offset_x": self.bias_x_mg / 1000,
-            "offset_y": self.bias_y_mg / 1000,
-            "non_orthogonality": self.delta_phi_deg,
-            "delta_k": self.delta_k,
-        }
-
-
-def truth_of(column: Axis) -> Truth:
-    """Return the true parameters for the sessions of one column of the table.
-
-    They are the table's measured values; `column` decides the value of Δφ.
-    """
-    return Truth(
-        1 + row_of("scale_error", "x").measured,
-        1 + row_of("scale_error", "y").measured,
-        row_of("non_orthogonality", column).measured,
-        1000 * row_of("offset", "x").measured,
-        1000 * row_of("offset", "y").measured,
-    )
+    rows = (row for row in TABLE if row.key != "non_orthogonality" or row.axis == column)
+    true = {row.quantity: row.measured for row in rows}
+    return true | {"delta_k": (1 + true["scale_error_x"]) / (1 + true["scale_error_y"]) - 1}
 
 
 DWELL_S = 1.0
-PLANS = ("four-position", "mmpm")
 USES = {
     "paper": "four-position",
     "two-position": "four-position",
@@ -191,35 +152,29 @@ class Part:
     ----------
     seed : int
         Seed of the simulator: start angle within ±5°, noise and the stage's errors.
-    truth : Truth
-        True parameters of the sensor.
-    settings : mapping of str to float
-        Further settings of the simulation by name.
-    effects : str
-        Effects of the catalogue in the notation of a simulator's URL; empty for none.
+    column : {"x", "y"}
+        Column of the table that has the true parameters of the sensor.
     """
 
     seed: int
-    truth: Truth
-    settings: Mapping[str, float] = field(default_factory=dict)
-    effects: str = ""
+    column: Axis
 
-    def _pairs(self) -> dict[str, float]:
-        truth = self.truth
+    @property
+    def settings(self) -> dict[str, float]:
+        """True parameters of the sensor, as settings of the simulator."""
+        true = true_values(self.column)
         return {
-            "scale_y": truth.scale_y,
-            "delta_k": truth.delta_k,
-            "delta_phi_deg": truth.delta_phi_deg,
-            "bias_x_mg": truth.bias_x_mg,
-            "bias_y_mg": truth.bias_y_mg,
-            **self.settings,
+            "scale_y": 1 + true["scale_error_y"],
+            "delta_k": true["delta_k"],
+            "delta_phi_deg": true["non_orthogonality"],
+            "bias_x_mg": 1000 * true["offset_x"],
+            "bias_y_mg": 1000 * true["offset_y"],
         }
 
     @property
     def url(self) -> str:
         """URL by which `open_sensor` opens the simulated sensor."""
-        settings = "".join(f"&{name}={float(value)!r}" for name, value in self._pairs().items())
-        return f"sim:?seed={self.seed}{settings}" + (f"&effects={self.effects}" if self.effects else "")
+        return f"sim:?seed={self.seed}" + "".join(f"&{name}={v!r}" for name, v in self.settings.items())
 
     def command(self, plan_name: str, output: str = "one.session") -> str:
         """Return the command line of `adis-gonio simulate` that records a session of this sensor.
@@ -228,10 +183,8 @@ class Part:
         """
         words = ["adis-gonio", "simulate", "--plan", plan_name, "--dwell", f"{DWELL_S:g}"]
         words += ["--seed", str(self.seed)]
-        for name, value in self._pairs().items():
-            words += ["--set", f"{name}={float(value)!r}"]
-        if self.effects:
-            words += ["--effect", self.effects]
+        for name, value in self.settings.items():
+            words += ["--set", f"{name}={value!r}"]
         return shlex.join([*words, "-o", output])
 
 
@@ -254,38 +207,17 @@ def measured(part: Part, plan_name: str) -> Session:
         return load_session(path)
 
 
-@dataclass(frozen=True)
-class MethodValues:
-    """Results of one method for one simulated sensor.
-
-    Attributes
-    ----------
-    values, u : mapping of str to float or None
-        Values and standard uncertainties by `scale_error_x`, `scale_error_y`, `offset_x`, `offset_y` (g),
-        `non_orthogonality` (degree) and `delta_k`; None for values that the method does not determine.
-    """
-
-    values: Mapping[str, float | None]
-    u: Mapping[str, float | None] = field(default_factory=dict)
+Quantities = Mapping[str, tuple[float | None, float | None]]
+"""Value and standard uncertainty of each quantity of `true_values`; None if a method does not give it."""
 
 
-_FROM_FIT = {
-    "scale_error_x": ("scale_x", 1.0, 1.0),
-    "scale_error_y": ("scale_y", 1.0, 1.0),
-    "offset_x": ("bias_x", 1e-3, 0.0),
-    "offset_y": ("bias_y", 1e-3, 0.0),
-    "non_orthogonality": ("delta_phi", 1.0, 0.0),
-    "delta_k": ("delta_k", 1.0, 0.0),
-}
-"""Parameter of `fit`, factor and zero for each quantity of the paper: (value − zero) · factor."""
-
-
-def quantities(result: FitResult | TraceResult) -> MethodValues:
+def quantities(result: FitResult | TraceResult) -> Quantities:
     """Return the result of a fit or a trace in the quantities of the paper.
 
     The paper's method gives ΔK and Δφ only. Its scales follow from them: the scale of X from equation 6
     (the length of (U_x1, U_x2)), the scale of Y from the scale of X and ΔK.
     """
+    found: dict[str, tuple[float | None, float | None]]
     if isinstance(result, TraceResult):
         stated = dict(result.base)
         for finding in result.found:
@@ -296,13 +228,14 @@ def quantities(result: FitResult | TraceResult) -> MethodValues:
         if result.method == "paper" and result.origin is not None:
             k_x, k_y = (float(k) for k in result.origin.fit.values.base[1:3])
             found |= {"scale_x": (k_x, None), "scale_y": (k_y, None)}
-    values: dict[str, float | None] = {}
-    u: dict[str, float | None] = {}
+    taken = {}
     for quantity, (name, factor, zero) in _FROM_FIT.items():
-        value, spread = found.get(name, (None, None))
-        values[quantity] = None if value is None else (value - zero) * factor
-        u[quantity] = None if spread is None else spread * factor
-    return MethodValues(values, u)
+        value, u = found.get(name, (None, None))
+        taken[quantity] = (
+            None if value is None else (value - zero) * factor,
+            None if u is None else u * factor,
+        )
+    return taken
 
 
 @dataclass(frozen=True)
@@ -313,21 +246,35 @@ class Results:
     ----------
     part : Part
         The simulated sensor.
-    found : mapping of str to MethodValues
-        Values by method.
+    found : mapping of str to Quantities
+        Values and uncertainties by method.
     refused : mapping of str to str
         Reason for each method that gave no result.
     """
 
     part: Part
-    found: Mapping[str, MethodValues]
+    found: Mapping[str, Quantities]
     refused: Mapping[str, str] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the JSON object of the results, with the command that records the session."""
+        numbers = [
+            {method: {name: pair[k] for name, pair in of.items()} for method, of in self.found.items()}
+            for k in (0, 1)
+        ]
+        return {
+            "seed": self.part.seed,
+            "values": numbers[0],
+            "u": numbers[1],
+            "refused": dict(self.refused),
+            "command": self.part.command("mmpm"),
+        }
 
 
 def results_of(part: Part, traced: bool = False) -> Results:
     """Record the sessions of one simulated sensor and apply every method; `traced` adds the trace."""
-    sessions = {name: measured(part, name) for name in PLANS}
-    found: dict[str, MethodValues] = {}
+    sessions = {name: measured(part, name) for name in set(USES.values())}
+    found: dict[str, Quantities] = {}
     refused: dict[str, str] = {}
     for method, used in USES.items():
         try:
@@ -352,16 +299,6 @@ def all_results(parts: Sequence[tuple[Part, bool]], jobs: int = 1) -> list[Resul
     ) as pool:
         done = pool.map(results_of, *zip(*parts, strict=True))
         return [one for one, _ in zip(done, with_progress(parts), strict=True)]
-
-
-def facts_of(results: Results) -> dict[str, Any]:
-    """Return the JSON object of the results of one simulated sensor."""
-    return {
-        "seed": results.part.seed,
-        "values": {method: dict(found.values) for method, found in results.found.items()},
-        "u": {method: dict(found.u) for method, found in results.found.items()},
-        "refused": dict(results.refused),
-    }
 
 
 COLUMNS = ("paper", "mmpm")
@@ -391,84 +328,30 @@ class MethodSpread:
     sessions: int = 0
 
 
-@dataclass(frozen=True)
-class Cell:
-    """A row of the paper's table 1, with statistics of the simulated sessions for each method.
-
-    Attributes
-    ----------
-    row : TableRow
-        Row of the table as printed.
-    ours : mapping of str to MethodSpread
-        Statistics of the simulated sessions by method.
-    """
-
-    row: TableRow
-    ours: Mapping[str, MethodSpread]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the JSON object of the row."""
-        return json_object(name=self.row.name, **asdict(self.row), sessions=self.ours)
-
-
-class Comparison(JsonRecord):
-    """The paper's table 1 with the statistics of simulated sessions.
-
-    Attributes
-    ----------
-    cells : tuple of Cell
-        Rows of the table, in its order.
-    gain : mapping of str to MethodSpread
-        ΔK by method for column X, which the printed table lacks although the paper's method determines it.
-    """
-
-    cells: tuple[Cell, ...] = field(metadata=key("rows"))
-    gain: Mapping[str, MethodSpread] = field(metadata=key("delta_k"))
-
-
-def table_of(results: Mapping[Axis, Sequence[Results]]) -> Comparison:
-    """Return table 1 of the paper computed from the results of simulated sessions.
-
-    `results` has, for each column of the table (axis X or Y), one entry per simulated sensor: the results
-    of all methods for the sessions of that sensor.
-    """
-    cells = []
-    for row in TABLE:
-        key = row.key if row.key == "non_orthogonality" else f"{row.key}_{row.axis}"
-        cells.append(Cell(row, {m: spread_of(results[row.axis], m, key) for m in METHODS}))
-    gain = {method: spread_of(results["x"], method, "delta_k") for method in METHODS}
-    return Comparison(tuple(cells), gain)
-
-
-def spread_of(results: Sequence[Results], method: str, key: str) -> MethodSpread:
-    """Return the statistics of the quantity `key` by one method, over the sessions.
+def spread_of(results: Sequence[Results], method: str, quantity: str) -> MethodSpread:
+    """Return the statistics of a quantity by one method, over the sessions.
 
     All fields but `sessions` are None if the method does not determine the quantity.
     """
-    values, uncertainties = [], []
-    for one in results:
-        found = one.found.get(method)
-        value = None if found is None else found.values[key]
-        if found is not None and value is not None:
-            values.append((value, value - one.part.truth.values[key]))
-            uncertainties.append(found.u[key])
-    if not values:
+    rows = [(one.found[method][quantity], one.part.column) for one in results if method in one.found]
+    known = [(value, u, true_values(column)[quantity]) for (value, u), column in rows if value is not None]
+    if not known:
         return MethodSpread()
-    data = np.array(values, dtype=float)
-    stated = [u for u in uncertainties if u is not None]
+    values, true = np.array([value for value, *_ in known]), np.array([true for *_, true in known])
+    stated = [u for _, u, _ in known if u is not None]
     return MethodSpread(
-        float(data[:, 0].mean()),
-        float(data[:, 0].std(ddof=1)) if len(data) > 1 else None,
+        float(values.mean()),
+        float(values.std(ddof=1)) if len(values) > 1 else None,
         rms(np.array(stated)) if stated else None,
-        rms(data[:, 1]),
-        len(data),
+        rms(values - true),
+        len(values),
     )
 
 
 def rms(values: Floats) -> float:
     """Return the root mean square of the finite values; NaN if no value is finite."""
-    finite = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(finite**2))) if finite.size else math.nan
+    finite_values = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite_values**2))) if finite_values.size else math.nan
 
 
 def printed_verdicts() -> dict[str, dict[str, Any]]:
@@ -479,14 +362,10 @@ def printed_verdicts() -> dict[str, dict[str, Any]]:
     """
     verdicts = {}
     for row in TABLE:
-        paper, mmpm = abs(row.paper - row.measured), abs(row.mmpm - row.measured)
-        sizes = (abs(abs(row.paper) - abs(row.measured)), abs(abs(row.mmpm) - abs(row.measured)))
-        verdicts[row.name] = {
-            "paper": paper,
-            "mmpm": mmpm,
-            "nearer": "paper" if paper < mmpm else "mmpm",
-            "nearer_without_sign": "paper" if sizes[0] < sizes[1] else "mmpm",
-        }
+        off = {name: abs(getattr(row, name) - row.measured) for name in COLUMNS}
+        sizes = {name: abs(abs(getattr(row, name)) - abs(row.measured)) for name in COLUMNS}
+        nearer, without_sign = (min(reversed(COLUMNS), key=errors.__getitem__) for errors in (off, sizes))
+        verdicts[row.name] = {**off, "nearer": nearer, "nearer_without_sign": without_sign}
     return verdicts
 
 
@@ -507,7 +386,8 @@ def propagated_errors(
     the bias of an axis (`bias_mg`) and of a reading (`noise_mg`). The error of a declared angle enters ΔK
     of two positions by √2 tan α, and Δφ by √2; it enters both by √(2/9) in MMPM.
     """
-    gain = (truth_of("x").scale_x + truth_of("x").scale_y) / 2
+    true = true_values("x")
+    gain = 1 + (true["scale_error_x"] + true["scale_error_y"]) / 2
     noise, bias = 1e-3 * noise_mg / gain, 1e-3 * bias_mg / gain
     fixture = math.radians(fixture_deg)
     two, nine = 2 * (noise**2 + bias**2), 4 / 9 * noise**2 + 2 / 9 * fixture**2
@@ -542,15 +422,12 @@ class Study:
     ----------
     seed, sessions : int
         Seed of all random numbers, and number of simulated sensors for each column of the table.
-    table : Comparison
-        The paper's table with the statistics of the simulated sessions.
     results : mapping of str to sequence of Results
         Results of the simulated sensors of the table's columns `x` and `y`.
     """
 
     seed: int
     sessions: int
-    table: Comparison
     results: Mapping[Axis, Sequence[Results]]
 
     @property
@@ -558,28 +435,38 @@ class Study:
         """Command line that repeats this study with its seed."""
         return f"adis-gonio paper --seed {self.seed} --sessions {self.sessions}"
 
+    def ours(self, axis: Axis, quantity: str) -> dict[str, MethodSpread]:
+        """Return the statistics of a quantity by each method, over the sensors of the column `axis`."""
+        return {method: spread_of(self.results[axis], method, quantity) for method in METHODS}
+
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON document that `adis-gonio paper --json` prints."""
-        truths = {f"column_{column}": truth_of(column).as_dict() for column in AXES}
-        return {
+        rows = [
+            {"name": row.name, **asdict(row), "sessions": self.ours(row.axis, row.quantity)}
+            for row in TABLE
+        ]
+        document = {
             "command": f"{self.command} --json",
             "software": f"adis-gonio {__version__}",
             "seed": self.seed,
             "sessions": self.sessions,
             "dwell_s": DWELL_S,
-            "truth": truths,
-            "table_1": {**self.table.as_dict(), "rmsd_of_the_specification": RMSD},
+            "truth": {f"column_{column}": Part(0, column).settings for column in AXES},
+            "table_1": {
+                "rows": rows,
+                "delta_k": self.ours("x", "delta_k"),
+                "rmsd_of_the_specification": RMSD,
+            },
             "as_printed": printed_verdicts(),
             "crossing_of_delta_k": [
                 {"bias_mg": bias, "noise_mg": noise, "fixture_deg": crossing_deg(bias, noise)}
                 for noise in NOISES_MG
                 for bias in BIASES_MG
             ],
-            "parts": {
-                kind: [facts_of(one) | {"command": one.part.command("mmpm")} for one in done]
-                for kind, done in self.results.items()
-            },
+            "parts": self.results,
         }
+        found: dict[str, Any] = finite(document)
+        return found
 
 
 def reproduce(seed: int = 0, sessions: int = SESSIONS, jobs: int | None = None) -> Study:
@@ -607,25 +494,25 @@ def reproduce(seed: int = 0, sessions: int = SESSIONS, jobs: int | None = None) 
     rng = np.random.default_rng(stream)
     traced = max(1, sessions // TRACED_SHARE)
     work = [
-        (Part(int(part_seed), truth_of(column)), k < traced)
+        (Part(int(part_seed), column), k < traced)
         for column in AXES
         for k, part_seed in enumerate(rng.integers(2**31, size=sessions))
     ]
     done = all_results(work, jobs or min(os.cpu_count() or 1, _MOST_JOBS))
-    results = {column: done[k * sessions : (k + 1) * sessions] for k, column in enumerate(AXES)}
-    return Study(seed, sessions, table_of(results), results)
+    return Study(seed, sessions, {"x": done[:sessions], "y": done[sessions:]})
 
 
-NAMES = {
-    "paper": "paper's method",
-    "two-position": "two-position",
-    "four-position": "four-position",
-    "mmpm": "MMPM",
-    "ml": "ml",
-    TRACED: "traced model",
+# -- the page -----------------------------------------------------------------------------------------
+
+_HEADINGS = {
+    "paper": ("paper's method", 2),
+    "two-position": ("two-position", 2),
+    "four-position": ("four-position", 4),
+    "mmpm": ("MMPM", 9),
+    "ml": ("ml", 9),
+    TRACED: ("traced model", 9),
 }
-POSITIONS = {"paper": 2, "two-position": 2, "four-position": 4, "mmpm": 9, "ml": 9, TRACED: 9}
-_GRAPHS = {"scale_error": ("SF", "1"), "offset": ("Δφ", "g"), "non_orthogonality": ("N", "°")}
+"""Heading of each method on the page, and the number of positions that it uses."""
 
 
 def build_page(done: Study) -> str:
@@ -642,14 +529,8 @@ def build_page(done: Study) -> str:
 
 def sections(done: Study) -> tuple[Section, ...]:
     """Return the sections of the HTML page of the study."""
-    return (
-        _summary(done),
-        _table(done),
-        _figure_3(done),
-        _others(done),
-        _map(done),
-        _again(done),
-    )
+    results = Section("Results", words=verdicts(done), notes=(f"Command: {done.command} -o PAGE.html",))
+    return results, _table(done), _figure_3(done), _others(done), _map(done), _again(done)
 
 
 def verdicts(done: Study) -> tuple[str, ...]:
@@ -657,41 +538,34 @@ def verdicts(done: Study) -> tuple[str, ...]:
     printed = printed_verdicts().values()
     signed = sum(verdict["nearer"] == "paper" for verdict in printed)
     unsigned = sum(verdict["nearer_without_sign"] == "paper" for verdict in printed)
-    angle = next(cell for cell in done.table.cells if cell.row.key == "non_orthogonality")
-    theirs, nine = (_error(angle.ours[method]) for method in COLUMNS)
+    angle = next(row for row in TABLE if row.key == "non_orthogonality")
+    theirs, nine = (_error(spread_of(done.results["x"], method, angle.quantity)) for method in COLUMNS)
     return (
         f"For ΔK the paper's method overtakes MMPM from a fixture error of {crossing_deg(0, 0.16):.2g}°"
         f" without bias, and of {crossing_deg(10, 0.16):.2g}° with biases of 10 mg.",
-        f"For {angle.row.name} the paper's method is off by {theirs}° (rms), MMPM by {nine}°.",
+        f"For {angle.name} the paper's method is off by {theirs}° (rms), MMPM by {nine}°.",
         f"The printed table has the paper's method nearer to its own measured column in {signed} of"
         f" {len(TABLE)} rows, the rows of N, in which MMPM's values have the other sign. By sizes alone it"
         f" is nearer in {unsigned or 'none'}.",
     )
 
 
-def _summary(done: Study) -> Section:
-    return Section("Results", words=verdicts(done), notes=(f"Command: {done.command} -o PAGE.html",))
-
-
-def _cell(spread: MethodSpread) -> str:
-    if spread.mean is None:
-        return "not determined"
-    return f"{format_fixed(spread.mean, 4)}{NO_BREAK}({format_fixed(spread.spread or 0.0, 4)})"
-
-
 def _table(done: Study) -> Section:
-    head = (
-        "row",
-        "measured",
-        "paper's method, printed",
-        "ours",
-        "u",
-        "MMPM, printed",
-        "ours",
-        "u",
-        "specification",
-    )
-    rows = [_row(cell) for cell in done.table.cells]
+    head = ["row", "measured"]
+    for title in ("paper's method", "MMPM"):
+        head += [f"{title}, printed", "ours", "u"]
+    rows = []
+    for row in TABLE:
+        texts = [row.label, format_fixed(row.measured, 4)]
+        for method in COLUMNS:
+            one = spread_of(done.results[row.axis], method, row.quantity)
+            spread = f"{NO_BREAK}({format_fixed(one.spread or 0.0, 4)})"
+            texts += [
+                format_fixed(getattr(row, method), 4),
+                "not determined" if one.mean is None else format_fixed(one.mean, 4) + spread,
+                "–" if one.u is None else format_fixed(one.u, 4),
+            ]
+        rows.append([*texts, format_fixed(row.specification, 4)])
     return Section(
         "Table 1",
         words=(
@@ -703,7 +577,7 @@ def _table(done: Study) -> Section:
             " follow from its equations. The u of its N is large because it includes a bias of 10 mg, which"
             " a part may have but these sessions do not.",
         ),
-        tables=(Table(head, rows, numeric=tuple(range(1, len(head)))),),
+        tables=(Table((*head, "specification"), rows, numeric=tuple(range(1, len(head) + 1))),),
         notes=(
             f"Specifications are averages; RMSDs are printed for SF, {RMSD['SF']}, and Δφ, {RMSD['Δφ']}.",
             f"Command: {done.command} --json (table_1)",
@@ -711,20 +585,41 @@ def _table(done: Study) -> Section:
     )
 
 
-def _row(cell: Cell) -> list[str]:
-    row = cell.row
-    texts = [row.label, format_fixed(row.measured, 4)]
-    for method in COLUMNS:
-        spread = cell.ours[method]
-        texts += [
-            format_fixed(getattr(row, method), 4),
-            _cell(spread),
-            "–" if spread.u is None else format_fixed(spread.u, 4),
-        ]
-    return [*texts, format_fixed(row.specification, 4)]
-
-
 def _figure_3(done: Study) -> Section:
+    figures = []
+    for name, printed, unit in dict.fromkeys((row.key, row.printed, row.unit) for row in TABLE):
+        rows = [row for row in TABLE if row.key == name]
+        at = [
+            (2.5 * k + place, row, method, spread_of(done.results[row.axis], method, row.quantity))
+            for k, row in enumerate(rows)
+            for place, method in enumerate(COLUMNS)
+        ]
+        series = [
+            Series(
+                [x - 0.12 for x, *_ in at],
+                [getattr(row, method) - row.measured for _, row, method, _ in at],
+                "printed",
+                role="before",
+            ),
+            Series(
+                [x + 0.12 for x, *_ in at],
+                [(ours.mean or 0.0) - row.measured for _, row, _, ours in at],
+                "our sessions",
+                error=[ours.spread or 0.0 for *_, ours in at],
+                role="after",
+            ),
+        ]
+        svg = plot(
+            series,
+            "",
+            label_quantity(f"difference of {printed}", unit),
+            title=f"Differences of {printed}",
+            description=f"Printed and simulated differences of {printed} for X and Y by both methods.",
+            x_ticks={0.0: "X, paper", 1.0: "X, MMPM", 2.5: "Y, paper", 3.5: "Y, MMPM"},
+            x_range=(-0.6, 4.1),
+            zero=True,
+        )
+        figures.append(Figure(svg, f"{printed}: by the paper's method and by MMPM."))
     return Section(
         "Figure 3: differences to the measured value",
         words=(
@@ -732,60 +627,18 @@ def _figure_3(done: Study) -> Section:
             " the standard deviation. Two positions do not determine the offset; it is taken as zero, and"
             " its whole size is drawn as the paper's difference.",
         ),
-        figures=[Figure(svg, caption) for svg, caption in figures_3(done).values()],
+        figures=figures,
         notes=(f"Command: {done.command} --json (table_1: sessions)",),
     )
 
 
-def figures_3(done: Study) -> dict[str, tuple[str, str]]:
-    """Return the three graphs of the paper's figure 3 as SVG with captions, by parameter."""
-    made = {}
-    for name, (printed, unit) in _GRAPHS.items():
-        cells = [cell for cell in done.table.cells if cell.row.key == name]
-        label = f"difference of {printed}" + (f" / {unit}" if unit != "1" else "")
-        at = [
-            (2.5 * k + place, cell.row.measured, getattr(cell.row, method), cell.ours[method])
-            for k, cell in enumerate(cells)
-            for place, method in enumerate(COLUMNS)
-        ]
-        series = [
-            Series(
-                [x - 0.12 for x, *_ in at],
-                [value - measured for _, measured, value, _ in at],
-                "printed",
-                role="before",
-            ),
-            Series(
-                [x + 0.12 for x, *_ in at],
-                [(ours.mean or 0.0) - measured for _, measured, _, ours in at],
-                "our sessions",
-                error=[ours.spread or 0.0 for *_, ours in at],
-                role="after",
-            ),
-        ]
-        ticks = {0.0: "X, paper", 1.0: "X, MMPM", 2.5: "Y, paper", 3.5: "Y, MMPM"}
-        svg = plot(
-            series,
-            "",
-            label,
-            title=f"Differences of {printed}",
-            description=f"Printed and simulated differences of {printed} for X and Y by both methods.",
-            x_ticks=ticks,
-            x_range=(-0.6, 4.1),
-            zero=True,
-        )
-        made[name] = (svg, f"{printed}: by the paper's method and by MMPM.")
-    return made
-
-
 def _others(done: Study) -> Section:
-    head = ["row", *(NAMES[method] for method in METHODS)]
-    rows = []
-    for cell in done.table.cells:
-        rows.append([cell.row.label, *(_error(cell.ours[method]) for method in METHODS)])
-    rows.append(["ΔK, column X", *(_error(done.table.gain[method]) for method in METHODS)])
-    rows.append(["positions", *(str(POSITIONS[method]) for method in METHODS)])
-    traced = max(cell.ours[TRACED].sessions for cell in done.table.cells)
+    rows = [(row.label, done.ours(row.axis, row.quantity)) for row in TABLE]
+    rows.append(("ΔK, column X", done.ours("x", "delta_k")))
+    cells = [[label, *map(_error, ours.values())] for label, ours in rows]
+    cells.append(["positions", *(str(positions) for _, positions in _HEADINGS.values())])
+    traced = max(ours[TRACED].sessions for _, ours in rows)
+    head = ["row", *(title for title, _ in _HEADINGS.values())]
     return Section(
         "The other methods on the same sessions",
         words=(
@@ -794,7 +647,7 @@ def _others(done: Study) -> Section:
             f" ml and the traced model also use. The traced model is of {counted(traced, 'part')} of each"
             " column: it has to find the bias before it corrects it.",
         ),
-        tables=(Table(head, rows, numeric=tuple(range(1, len(head)))),),
+        tables=(Table(head, cells, numeric=tuple(range(1, len(head)))),),
         notes=(f"Command: {done.command} --json (table_1: sessions, error)",),
     )
 
@@ -804,20 +657,6 @@ def _error(spread: MethodSpread) -> str:
 
 
 def _map(done: Study) -> Section:
-    return Section(
-        "Where the paper's method overtakes MMPM",
-        words=(
-            "Errors by linear propagation, for a start angle within ±5°. MMPM uses the declared angles:"
-            " their errors enter its gains by √(2/9), but the gains of two positions at a small start angle"
-            " only by √2 tan α. In Δφ it is the reverse: √(2/9) for MMPM, √2 for two positions. The bias,"
-            " which two positions cannot determine, moves the crossing up.",
-        ),
-        figures=[_crossing_figure(), _ratio_figure()],
-        notes=(f"Command: {done.command} --json (crossing_of_delta_k)",),
-    )
-
-
-def _crossing_figure() -> Figure:
     biases = [bias for bias in BIASES_MG if bias]
     lines = [
         Series(
@@ -827,20 +666,17 @@ def _crossing_figure() -> Figure:
     ]
     title = "Crossing of the paper's method and MMPM in ΔK"
     svg = plot(lines, "bias of an axis / mg", "fixture error / °", title=title, x_log=True, y_log=True)
-    return Figure(svg, "ΔK: above its line the paper's method is better, below it MMPM.")
-
-
-def _ratio_figure() -> Figure:
-    fixtures = np.geomspace(0.005, 2.0, 40)
-    curves = [Series([0.005, 2.0], [1.0, 1.0], role="model", style="line")]
-    for name, label in (("delta_k", "ΔK"), ("delta_phi", "Δφ")):
-        for bias in (0.0, 3.0):
-            pairs = [propagated_errors(float(f), bias, NOISES_MG[1])[name] for f in fixtures]
-            ratio = [two / nine for two, nine in pairs]
-            curves.append(Series(fixtures, ratio, f"{label}, {bias:g} mg of bias", style="line"))
-    title = "Error of the paper's method over the error of MMPM"
-    svg = plot(curves, "fixture error / °", "error over MMPM's error", title=title, x_log=True, y_log=True)
-    return Figure(svg, f"Below one the paper's method is better, {NOISES_MG[1]:g} mg of noise.")
+    return Section(
+        "Where the paper's method overtakes MMPM",
+        words=(
+            "Errors by linear propagation, for a start angle within ±5°. MMPM uses the declared angles:"
+            " their errors enter its gains by √(2/9), but the gains of two positions at a small start angle"
+            " only by √2 tan α. In Δφ it is the reverse: √(2/9) for MMPM, √2 for two positions. The bias,"
+            " which two positions cannot determine, moves the crossing up.",
+        ),
+        figures=[Figure(svg, "ΔK: above its line the paper's method is better, below it MMPM.")],
+        notes=(f"Command: {done.command} --json (crossing_of_delta_k)",),
+    )
 
 
 def _again(done: Study) -> Section:

@@ -32,10 +32,10 @@ few per cent. Slower octaves are constant over a few seconds and are added to u.
 
     x(k) = F x(k−1) + s + w,  w ~ N(0, Q);    y(k) = h·x(k) + v,  v ~ N(0, r)
 
-The backward pass follows Rauch, Tung and Striebel in the form of Bierman ("Fixed interval smoothing with
-discrete measurements", 1973). It carries the information of later observations as an adjoint vector and
-matrix, and needs no inverse, so constant parts of the state, or parts without variance, are no special
-case.
+The pass back over the lag follows Rauch, Tung and Striebel in the form of Bierman ("Fixed interval
+smoothing with discrete measurements", 1973). It carries the information of later observations as an adjoint
+vector and matrix, and needs no inverse, so constant parts of the state, or parts without variance, are no
+special case.
 """
 
 from __future__ import annotations
@@ -547,51 +547,26 @@ def advance(state: StateEstimate, step: TimeStep) -> Passed:
     return Passed(predicted, filtered, innovation, variance, gain, step)
 
 
-def backward(passed: Sequence[Passed]) -> list[StateEstimate]:
-    """Return the smoothed state of every step in `passed`, given the observations of all these steps."""
-    smoothed: list[StateEstimate] = []
-    adjoint = _Adjoint(len(passed[0].gain) if passed else 0)
-    for one in reversed(passed):
-        smoothed.append(adjoint.applied(one.filtered))
-        adjoint.pass_back(one)
-    return smoothed[::-1]
-
-
 def smooth_lagged(state: StateEstimate, later: Sequence[Passed]) -> StateEstimate:
     """Return a filtered state corrected by the observations of the later steps (fixed-lag smoother)."""
-    adjoint = _Adjoint(len(state.mean))
+    # Adjoint vector λ and matrix Λ, which carry the later observations back to the state.
+    vector, matrix = np.zeros(len(state.mean)), np.zeros((len(state.mean), len(state.mean)))
     for one in reversed(later):
-        adjoint.pass_back(one)
-    return adjoint.applied(state)
-
-
-class _Adjoint:
-    """Vector and matrix by which the smoother carries information of later observations back in time."""
-
-    def __init__(self, size: int) -> None:
-        self._vector, self._matrix = np.zeros(size), np.zeros((size, size))
-
-    def applied(self, state: StateEstimate) -> StateEstimate:
-        p = state.covariance
-        covariance = p - p @ self._matrix @ p
-        return StateEstimate(state.mean - p @ self._vector, 0.5 * (covariance + covariance.T))
-
-    def pass_back(self, one: Passed) -> None:
-        """Carry the information back over one time step, and add the observation of this step."""
         h, f = one.step.design, one.step.transition
         if np.isfinite(one.innovation_variance):
             # Cᵀ λ − h innovation/variance and Cᵀ Λ C + h hᵀ/variance, C = I − gain hᵀ, written out.
-            by_gain = self._matrix @ one.gain
-            pull = float(one.gain @ self._vector) + one.innovation / one.innovation_variance
-            self._vector = self._vector - h * pull
-            self._matrix = (
-                self._matrix
+            by_gain = matrix @ one.gain
+            vector = vector - h * (float(one.gain @ vector) + one.innovation / one.innovation_variance)
+            matrix = (
+                matrix
                 - np.outer(h, by_gain)
                 - np.outer(by_gain, h)
                 + np.outer(h, h) * (float(one.gain @ by_gain) + 1 / one.innovation_variance)
             )
-        self._vector = f.T @ self._vector
-        self._matrix = f.T @ self._matrix @ f
+        vector, matrix = f.T @ vector, f.T @ matrix @ f
+    p = state.covariance
+    covariance = p - p @ matrix @ p
+    return StateEstimate(state.mean - p @ vector, 0.5 * (covariance + covariance.T))
 
 
 ANGLE, ZERO, SCALE, G_X, G_Y, LEVER_X, LEVER_Y, NOW, BEFORE = range(9)

@@ -2,8 +2,7 @@
 
 A Kalman filter runs over time steps of about 20 ms. The reported angle lags behind the newest sample and
 uses all samples up to it. For this the model of every step within the lag is computed again from the
-present estimate of the disturbance around it. `smooth` computes the angle of a whole recording with this
-model, which docs/theory.md explains.
+present estimate of the disturbance around it. docs/theory.md explains the model.
 
 The uncertainty of the displayed angle includes the calibration. Impossible values are reported and increase
 the uncertainty. They are a length of gravity at rest that contradicts the calibration, and a zero rate that
@@ -49,7 +48,6 @@ from adis_gonio.live.motion_model import (
     TimeStep,
     Turned,
     advance,
-    backward,
     coloured,
     disturbance_of,
     slow_drift_mg,
@@ -61,7 +59,7 @@ from adis_gonio.record.source import Measuring
 if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration
 
-__all__ = ["LAG_S", "AngleSmoother", "GyroKnowledge", "Sensing", "SmoothedAngle", "SmoothedTurn", "smooth"]
+__all__ = ["LAG_S", "AngleSmoother", "GyroKnowledge", "Sensing", "SmoothedAngle"]
 
 SPAN_S = 1.0
 REST_DPS = 1.0
@@ -178,18 +176,6 @@ class SmoothedAngle:
 
 
 @dataclass(frozen=True)
-class Kept:
-    """A filtered time step (`passed`) that the live angle no longer needs, stored for `smooth`.
-
-    `drift_deg` is the standard deviation of its angle by slow 1/f noise, `time_s` its time.
-    """
-
-    time_s: float
-    drift_deg: float
-    passed: Passed
-
-
-@dataclass(frozen=True)
 class _Seen:
     """A time step of the recording, with the direction of gravity reduced to a fixed attitude.
 
@@ -220,8 +206,6 @@ class AngleSmoother:
     bend : float
         Standard deviation of the relative error in the slope of the angle by gravity against the true
         angle; the default `motion_model.BEND` is for uncalibrated accelerometers.
-    keeps : bool
-        True to keep every filtered time step, so that `finish` returns them.
 
     Raises
     ------
@@ -237,7 +221,6 @@ class AngleSmoother:
         lag_s: float = LAG_S,
         corrected: Corrected | None = None,
         bend: float = BEND,
-        keeps: bool = False,
     ) -> None:
         if not 0 <= lag_s <= LONGEST_LAG_S:
             raise UsageError(f"the lag is {lag_s:g} s: take 0 to {LONGEST_LAG_S:g}")
@@ -258,7 +241,6 @@ class AngleSmoother:
         """Number of steps in `_seen` that are older than the lag."""
         self._phase_rad, self._segment = 0.0, 0
         self._restarted = self._doubted = False
-        self._kept: list[Kept] | None = [] if keeps else None
 
     # -- taking samples ------------------------------------------------------------------------------
 
@@ -312,9 +294,6 @@ class AngleSmoother:
         """Advance the Kalman filter by the oldest waiting time step, from `state`."""
         passed = advance(state, self._step_of(self._done, state))
         self._state = self._doubt_calibration(passed.filtered)
-        if self._kept is not None:
-            at = self._seen[self._done].turned
-            self._kept.append(Kept(self._time_s(at), self._drift_deg(at), passed))
         self._done += 1
 
     def _doubt_calibration(self, state: StateEstimate) -> StateEstimate:
@@ -334,16 +313,6 @@ class AngleSmoother:
         # Add the variances of an uncalibrated gyro.
         covariance[places, places] += u * u
         return StateEstimate(state.mean, covariance)
-
-    def finish(self) -> list[Kept]:
-        """Filter all remaining time steps after the last sample; return all filtered steps.
-
-        The list is empty unless the smoother was made with `keeps=True`; `smooth` needs it for a whole
-        recording.
-        """
-        while self._state is not None and self._done < len(self._seen):
-            self._pass(self._state)
-        return self._kept or []
 
     def _turned(self, present: Increment, before: Increment | None, after: Increment) -> Turned:
         lost = self._restarted or present.unseen_deg2 > (OPEN_DEG / 2) ** 2
@@ -438,51 +407,6 @@ class AngleSmoother:
     def _drift_deg(self, at: Turned) -> float:
         """Return the standard deviation of an angle, in degrees, by slow 1/f noise outside the state."""
         return math.degrees(slow_drift_mg(self._sensing.drift_mg) / max(abs(at.gravity), 1.0))
-
-
-@dataclass(frozen=True)
-class SmoothedTurn:
-    """Smoothed angles of a whole recording.
-
-    Attributes
-    ----------
-    time_s, angle_deg, u_deg : (m,) float
-        Time, unwrapped angle and its standard uncertainty in each time step.
-    """
-
-    time_s: Floats
-    angle_deg: Floats
-    u_deg: Floats
-
-
-def smooth(
-    sensing: Sensing,
-    time_s: Floats,
-    accel_mg: Floats,
-    gyro_dps: Floats,
-    gyros: GyroKnowledge | None = None,
-    *,
-    corrected: Corrected | None = None,
-    bend: float = BEND,
-) -> SmoothedTurn:
-    """Return the smoothed angles of a whole recording of n times, readings (mg) and rates (°/s).
-
-    The shapes are (n,), (n, 3) and (n, 3); `gyros` has the uncertainties of the gyros (by default
-    uncalibrated), `corrected` corrects readings of the accelerometers, and `bend` is the standard deviation
-    of the relative slope error of the angle by gravity. The disturbance of a step is estimated over the
-    second before it and the half second after it.
-    """
-    smoother = AngleSmoother(sensing, gyros, lag_s=0.5, corrected=corrected, bend=bend, keeps=True)
-    smoother.feed(time_s, accel_mg, gyro_dps)
-    kept = smoother.finish()
-    states = backward([one.passed for one in kept])
-    variance = np.array([state.covariance[ANGLE, ANGLE] for state in states])
-    drift = np.array([one.drift_deg for one in kept])
-    return SmoothedTurn(
-        np.array([one.time_s for one in kept]),
-        np.array([state.mean[ANGLE] for state in states]),
-        np.sqrt(np.maximum(variance, 0.0) + drift**2),
-    )
 
 
 GENERIC_WALK_DEG = 0.021

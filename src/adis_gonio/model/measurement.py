@@ -246,7 +246,7 @@ class Measurement(ABC):
         return 0.0
 
     @property
-    def origins(self) -> tuple[Origin, ...]:
+    def origins(self) -> tuple[SessionOrigin, ...]:
         """Part and stage of each session, if the dwells are of several sessions; else empty."""
         return ()
 
@@ -534,7 +534,7 @@ def _cross(a: Floats, b: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class Origin:
+class SessionOrigin:
     """Names by which a session shares parameters and causes with other sessions.
 
     Attributes
@@ -561,7 +561,7 @@ class JointMeasurement(Measurement):
     ----------
     models : tuple of Measurement
         Measurement of each of S sessions, all of one kind.
-    origins : tuple of Origin
+    origins : tuple of SessionOrigin
         Part and stage of each session.
     session : (n,) int
         Number of the session of each dwell.
@@ -570,7 +570,7 @@ class JointMeasurement(Measurement):
     """
 
     def __init__(
-        self, models: Sequence[Measurement], origins: Sequence[Origin], session: NDArray[np.intp]
+        self, models: Sequence[Measurement], origins: Sequence[SessionOrigin], session: NDArray[np.intp]
     ) -> None:
         self.models, self._origins, self.session = tuple(models), tuple(origins), session
         several = len({origin.part for origin in origins}) > 1
@@ -593,7 +593,7 @@ class JointMeasurement(Measurement):
         self.driven_by, self.named_forms = first.driven_by, first.named_forms  # type: ignore[misc]
 
     @property
-    def origins(self) -> tuple[Origin, ...]:
+    def origins(self) -> tuple[SessionOrigin, ...]:
         """Part and stage of each session."""
         return self._origins
 

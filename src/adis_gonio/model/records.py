@@ -140,8 +140,27 @@ class Sweeps:
         return int((self.travelled_deg + NEARLY_DEG) // 360.0)
 
 
+SERIES = {
+    "time_s": ("time_s",),
+    "accel": ("ax", "ay", "az"),
+    "gyro": ("gx", "gy", "gz"),
+    "temperature_c": ("temp_c",),
+    "supply_v": ("supply_v",),
+}
+"""Columns of the samples CSV by the field of a `Dwell` or `Turn` that has their samples."""
+
+
+class SampleSeries:
+    """Base class of records with a field for each of `SERIES`, and the temperatures of the gyros' dies."""
+
+    def series(self, rows: slice | NDArray[np.bool_] = slice(None)) -> dict[str, Any]:
+        """Return some rows of the samples by field, for another record; None for a missing series."""
+        every = {name: getattr(self, name) for name in (*SERIES, "temperatures_c")}
+        return {name: None if values is None else values[rows] for name, values in every.items()}
+
+
 @dataclass(frozen=True)
-class Turn:
+class Turn(SampleSeries):
     """Samples between two successive dwells.
 
     Attributes
@@ -184,25 +203,9 @@ def turns_of_recording(recording: Dwell, dwells: Sequence[Dwell]) -> tuple[Turn,
     for before, after in pairwise(dwells):
         low = int(recording.time_s.searchsorted(before.time_s[-1], side="right"))
         high = int(recording.time_s.searchsorted(after.time_s[0], side="left"))
-        rows = slice(low, max(low, high))
-        made.append(
-            Turn(
-                before.position,
-                after.position,
-                recording.time_s[rows],
-                recording.accel[rows],
-                _rows(recording.gyro, rows),
-                _rows(recording.temperature_c, rows),
-                _rows(recording.supply_v, rows),
-                turned_deg=after.turned_deg,
-                temperatures_c=_rows(recording.temperatures_c, rows),
-            )
-        )
+        series = recording.series(slice(low, max(low, high)))
+        made.append(Turn(before.position, after.position, turned_deg=after.turned_deg, **series))
     return tuple(made)
-
-
-def _rows(series: Floats | None, rows: slice) -> Floats | None:
-    return None if series is None else series[rows]
 
 
 Plane = Literal["xy", "none"]
@@ -302,7 +305,7 @@ UNSTATED: dict[str, Any] = {"angle_deg": math.nan, "turned_deg": math.nan, "appr
 
 
 @dataclass(frozen=True)
-class Dwell:
+class Dwell(SampleSeries):
     """Samples recorded in one position, with the conditions of the dwell.
 
     Attributes
@@ -357,13 +360,10 @@ class Dwell:
         facts = {name: getattr(self, name) for name in ("position", *UNSTATED)}
         made: dict[str, NDArray[Any]] = {"time_s": self.time_s}
         made |= {k: np.full(n, v) for k, v in facts.items() if v not in (None, UNSTATED.get(k))}
-        for letter, series in (("a", self.accel), ("g", self.gyro)):
-            if series is not None:
-                made |= {f"{letter}{axis}": series[:, k] for k, axis in enumerate("xyz"[: series.shape[1]])}
-        if self.temperature_c is not None:
-            made["temp_c"] = self.temperature_c
-        if self.supply_v is not None:
-            made["supply_v"] = self.supply_v
+        for name, members in SERIES.items():
+            values = getattr(self, name)
+            if values is not None:
+                made |= dict(zip(members, np.atleast_2d(values.T), strict=False))
         return made
 
 

@@ -389,20 +389,9 @@ def _refuse_hidden(term: NamedTerm, base: Floats, columns: Floats) -> None:
         )
 
 
-@dataclass(frozen=True)
-class SearchResult:
-    """The best plan that a search found, with its score.
-
-    `choice` has for each dwell the index of its position among the candidates.
-    """
-
-    choice: Choice
-    score: float
-
-
 def search(
     ground: Candidates, criterion: Criterion, starts: Sequence[Choice], rng: np.random.Generator
-) -> SearchResult:
+) -> SearchedPlan:
     """Return the best plan reached from several starts, in ascending or descending order if as good.
 
     Parameters
@@ -412,73 +401,75 @@ def search(
     rng : numpy.random.Generator
         Generator for the order of the exchanges.
     """
-    climb = _Climb(ground, criterion, rng)
-    highest = sorted(starts, key=lambda start: -climb.score(start))
-    ascents = max(_WORK // ground.dwells, 1)
-    best = max((climb.from_(start) for start in highest[:ascents]), key=lambda found: found.score)
+    highest = sorted((SearchedPlan(ground, criterion, one) for one in starts), key=lambda one: -one.score)
+    for one in highest[: max(_WORK // ground.dwells, 1)]:
+        one.improve(rng)
+    best = max(highest, key=lambda one: one.score)
     # These positions in the order of their angles, forwards or backwards.
     order = np.lexsort((ground.approach[best.choice], ground.angle_deg[best.choice]))
     simple = best.choice[order]
-    for one in (simple, simple[::-1]):
-        score = climb.score(one)
-        if score >= best.score - SIMPLER and not climb.repeats(one):
-            return SearchResult(one, score)
+    for choice in (simple, simple[::-1]):
+        one = SearchedPlan(ground, criterion, choice)
+        if one.score >= best.score - SIMPLER and not one.repeats(choice):
+            return one
     return best
 
 
-@dataclass
-class _Climb:
-    ground: Candidates
-    criterion: Criterion
-    rng: np.random.Generator
+class SearchedPlan:
+    """A plan that a search improves.
 
-    def score(self, choice: Choice) -> float:
-        return float(self.criterion(self.ground.information(choice)[None])[0])
+    Attributes
+    ----------
+    choice : (n,) int
+        Index of each dwell's candidate position.
+    score : float
+        Score of the plan by the criterion of the search.
+    """
+
+    def __init__(self, ground: Candidates, criterion: Criterion, choice: Choice) -> None:
+        self._ground, self._criterion = ground, criterion
+        self.choice, self.score = choice.copy(), self._score(choice)
+
+    def _score(self, choice: Choice) -> float:
+        return float(self._criterion(self._ground.information(choice)[None])[0])
 
     def repeats(self, choice: Choice) -> bool:
-        """Return True if two consecutive dwells of the plan are at an equal angle."""
-        return bool((np.diff(self.ground.angle_deg[choice]) == 0).any())
+        """Return True if two consecutive dwells of a plan are at an equal angle."""
+        return bool((np.diff(self._ground.angle_deg[choice]) == 0).any())
 
-    def from_(self, start: Choice) -> SearchResult:
-        """Return an improved plan: positions are exchanged and dwells swapped until the score stays."""
-        found = SearchResult(start.copy(), self.score(start))
+    def improve(self, rng: np.random.Generator) -> None:
+        """Exchange positions and swap dwells until the score stays."""
         for _ in range(_MOST_SWEEPS):
-            before = found.score
-            found = self._swap(self._exchange(found))
-            if found.score < before + _LEAST_GAIN:
+            before = self.score
+            self._exchange(rng)
+            self._swap(rng)
+            if self.score < before + _LEAST_GAIN:
                 break
-        return found
 
-    def _exchange(self, found: SearchResult) -> SearchResult:
-        """Return a plan in which each dwell in turn moved to the position with the highest score."""
-        choice, score = found.choice.copy(), found.score
-        for dwell in self.rng.permutation(len(choice)).tolist():
+    def _exchange(self, rng: np.random.Generator) -> None:
+        """Move each dwell in turn to the position with the highest score."""
+        angle = self._ground.angle_deg
+        for dwell in rng.permutation(len(self.choice)).tolist():
             check()
-            scores = self.criterion(self.ground.exchanged(choice, dwell))
+            scores = self._criterion(self._ground.exchanged(self.choice, dwell))
             # Positions at the angle of the dwell before or after are not allowed.
-            angle = self.ground.angle_deg
             for near in (dwell - 1, dwell + 1):
-                if 0 <= near < len(choice):
-                    scores[angle == angle[choice[near]]] = -np.inf
+                if 0 <= near < len(self.choice):
+                    scores[angle == angle[self.choice[near]]] = -np.inf
             best = int(scores.argmax())
-            if scores[best] > score + _LEAST_GAIN:
-                choice[dwell], score = best, float(scores[best])
-        return SearchResult(choice, score)
+            if scores[best] > self.score + _LEAST_GAIN:
+                self.choice[dwell], self.score = best, float(scores[best])
 
-    def _swap(self, found: SearchResult) -> SearchResult:
-        """Return a plan in which pairs of dwells were swapped if this raised the score."""
-        choice, score = found.choice.copy(), found.score
-        pairs = np.array(list(itertools.combinations(range(len(choice)), 2)))
-        for one, two in self.rng.permutation(pairs)[:_PAIRS].tolist():
+    def _swap(self, rng: np.random.Generator) -> None:
+        """Swap pairs of dwells if this raises the score."""
+        pairs = np.array(list(itertools.combinations(range(len(self.choice)), 2)))
+        for one, two in rng.permutation(pairs)[:_PAIRS].tolist():
             check()
-            trial = choice.copy()
+            trial = self.choice.copy()
             trial[[one, two]] = trial[[two, one]]
-            if self.repeats(trial):
-                continue
-            reached = self.score(trial)
-            if reached > score + _LEAST_GAIN:
-                choice, score = trial, reached
-        return SearchResult(choice, score)
+            score = -math.inf if self.repeats(trial) else self._score(trial)
+            if score > self.score + _LEAST_GAIN:
+                self.choice, self.score = trial, score
 
 
 LEAST, MOST = 4, 100
@@ -833,7 +824,7 @@ def prediction_lines(
     yield ""
     yield "Positions, in this order"
     positions = [f"{k:>3}  {position}" for k, position in enumerate(prediction.plan.positions, 1)]
-    yield from _columns(positions, least=24)
+    yield from two_columns(positions, least=24)
     for note in prediction.reach.notes:
         yield from fold_text(note, WIDTH)
 
@@ -893,7 +884,7 @@ def _sight_lines(sight: Sight) -> Iterator[str]:
             cells.append(f"{name} {with_unit(format_number(one.amplitude, 2), one.unit)}")
     if cells:
         yield "Sees from this size on (found in 90 of 100 sessions)"
-        yield from _columns(cells)
+        yield from two_columns(cells)
     yield "Cannot see"
     for reason, names in blind.items():
         yield from fold_text(f"{', '.join(names)}: {reason}", WIDTH, 2)
@@ -907,7 +898,7 @@ def _sight_lines(sight: Sight) -> Iterator[str]:
         yield "  nothing of what it sees"
 
 
-def _columns(cells: Sequence[str], least: int = 38) -> Iterator[str]:
+def two_columns(cells: Sequence[str], least: int = 38) -> Iterator[str]:
     """Yield lines in which text cells are arranged in as many columns as the width allows.
 
     A column has at least `least` characters; the cells run down each column.

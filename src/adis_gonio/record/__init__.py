@@ -13,7 +13,7 @@ _HOMES = {
     "archive": "Archive",
     "loading": "Overrides load_session",
     "plans": "Plan Position plan",
-    "samples_writer": "export_csv export_json",
+    "samples_writer": "write_samples_csv",
     "session_reader": "read_session",
     "source": "Settings",
 }
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from adis_gonio.record.archive import Archive as Archive
     from adis_gonio.record.loading import Overrides as Overrides, load_session as load_session
     from adis_gonio.record.plans import Plan as Plan, Position as Position, plan as plan
-    from adis_gonio.record.samples_writer import export_csv as export_csv, export_json as export_json
+    from adis_gonio.record.samples_writer import write_samples_csv as write_samples_csv
     from adis_gonio.record.session_reader import read_session as read_session
     from adis_gonio.record.source import Settings as Settings
 

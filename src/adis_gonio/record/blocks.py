@@ -24,6 +24,7 @@ from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import counted
 from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, TEMP_OUT
 from adis_gonio.device.sensor.settings import ScanBlock, join as join_scans
+from adis_gonio.model.records import SERIES
 
 GENERIC = "generic"
 """Name of the variant of a sensor of another make, of which only the samples are known."""
@@ -167,10 +168,7 @@ def from_bytes(
     return ScanBlock(registers, words, time_s, lost, variant, gyro_range_dps)
 
 
-_OF_REGISTER = {
-    **{name: f"a{axis}" for name, axis in zip(ACCEL_OUT, "xyz", strict=True)},
-    **{name: f"g{axis}" for name, axis in zip(GYRO_OUT, "xyz", strict=True)},
-}
+_OF_REGISTER = dict(zip((*ACCEL_OUT, *GYRO_OUT), (*SERIES["accel"], *SERIES["gyro"]), strict=True))
 
 
 def die_temperatures(block: Block) -> Floats | None:
@@ -213,13 +211,13 @@ def session_series(columns: dict[str, Floats]) -> dict[str, Any]:
     These are accel (n, 3), gyro (n, 3), temperature_c (n,) and supply_v (n,); a quantity without columns is
     None.
     """
-    with_gyro = all(f"g{axis}" in columns for axis in "xyz")
-    return {
-        "accel": np.column_stack([columns[f"a{axis}"] for axis in "xyz"]),
-        "gyro": np.column_stack([columns[f"g{axis}"] for axis in "xyz"]) if with_gyro else None,
-        "temperature_c": columns.get("temp_c"),
-        "supply_v": columns.get("supply_v"),
-    }
+    made: dict[str, Any] = {}
+    for name, members in SERIES.items():
+        present = [columns[member] for member in members if member in columns]
+        if name != "time_s":
+            whole = len(present) == len(members)
+            made[name] = (np.column_stack(present) if len(members) > 1 else present[0]) if whole else None
+    return made
 
 
 SUPPLY_LIMITS_V = (4.75, 5.25)

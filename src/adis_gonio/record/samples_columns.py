@@ -15,10 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.model.records import ACCEL_UNITS, GYRO_UNITS, METADATA, PLANES, SENSORS, StageCurve
+from adis_gonio.model.records import ACCEL_UNITS, GYRO_UNITS, METADATA, PLANES, SENSORS, SERIES, StageCurve
 
-AXES = ("ax", "ay", "az")
-GYROS = ("gx", "gy", "gz")
+AXES, GYROS = SERIES["accel"], SERIES["gyro"]
 
 Scale = tuple[float, float, float]
 """Conversion of a number x to x · factor / divisor + summand; a divisor of 1000 for ms rounds only once."""

@@ -18,10 +18,10 @@ import difflib
 import gzip
 import re
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Any, NamedTuple, cast
 
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, checked_gravity_mps2
@@ -74,8 +74,7 @@ def _as_windows_1252(error: UnicodeError) -> tuple[str, int]:
 codecs.register_error("adis_gonio.windows-1252", _as_windows_1252)
 
 
-@dataclass(frozen=True)
-class Chunk:
+class Chunk(NamedTuple):
     """Consecutive lines of a file.
 
     Attributes
@@ -86,21 +85,18 @@ class Chunk:
         Lines without line ends.
     share : float
         Share of the file that has been read, 0 to 1.
-    last : bool
-        True for the last chunk of the file.
     cut : bool
-        True in the last chunk if its last line has no line end.
+        True if the last line is the last one of the file and has no line end.
     """
 
     first: int
     lines: list[str]
     share: float
-    last: bool = False
-    cut: bool = False
+    cut: bool
 
 
-def read_chunks(path: Path) -> Iterator[Chunk]:
-    """Read the lines of a file and yield them chunk by chunk.
+def read_chunks(path: Path, after: int = 0) -> Iterator[Chunk]:
+    """Read the lines of a file and yield them chunk by chunk, without the first `after` lines.
 
     Raises
     ------
@@ -108,78 +104,73 @@ def read_chunks(path: Path) -> Iterator[Chunk]:
         The file is not readable, empty, binary or of another kind, or its gzip data is damaged.
     """
     first, carry = 1, ""
-    for text, share in _texts(path):
-        # A carriage return at the end may be the first half of a line end.
+    for text, share, last in _texts(path):
         text = carry + text
-        held = len(text) - len(text.rstrip("\r"))
-        *lines, carry = _plain_ends(text[: len(text) - held]).split("\n")
-        carry += "\r" * held
-        _refuse_long(path, first, [*lines, carry])
-        if lines:
-            yield Chunk(first, lines, share)
-            first += len(lines)
-    *lines, rest = _plain_ends(carry).split("\n")
-    _refuse_long(path, first, [*lines, rest])
-    yield Chunk(first, [*lines, rest] if rest else lines, 1.0, last=True, cut=bool(rest))
+        # A carriage return at the end may be the first half of a line end.
+        held = "" if last else "\r" * (len(text) - len(text.rstrip("\r")))
+        # A program that translates line ends twice writes two carriage returns.
+        plain = text[: len(text) - len(held)].replace("\r\r\n", "\n").replace("\r\n", "\n")
+        *lines, carry = plain.replace("\r", "\n").split("\n")
+        lengths = [len(line) for line in (*lines, carry)]
+        if max(lengths) > LONGEST_LINE:
+            row = first + next(k for k, length in enumerate(lengths) if length > LONGEST_LINE)
+            raise DataError(
+                f"{path.name}, row {row}: has more than {LONGEST_LINE} characters; not a samples CSV"
+            )
+        cut = last and carry != ""
+        lines += [carry] if cut else []
+        carry += held
+        skip = max(after + 1 - first, 0)
+        if lines[skip:]:
+            yield Chunk(first + skip, lines[skip:], share, cut)
+        first += len(lines)
 
 
-def _refuse_long(path: Path, first: int, lines: list[str]) -> None:
-    if max(map(len, lines)) > LONGEST_LINE:
-        row = first + next(k for k, line in enumerate(lines) if len(line) > LONGEST_LINE)
-        raise DataError(
-            f"{path.name}, row {row}: has more than {LONGEST_LINE} characters; not a samples CSV"
-        )
-
-
-def _plain_ends(text: str) -> str:
-    if "\r" not in text:
-        return text
-    # A program that translates line ends twice writes two carriage returns.
-    return text.replace("\r\r\n", "\n").replace("\r\n", "\n").replace("\r", "\n")
-
-
-def _texts(path: Path) -> Iterator[tuple[str, float]]:
+def _texts(path: Path) -> Iterator[tuple[str, float, bool]]:
+    """Yield the text of a file in parts, each with the share read so far, and True for the last part."""
+    blank, unpacked = True, 0
     try:
         with path.open("rb") as raw:
             size = max(path.stat().st_size, 1)
             zipped = raw.read(2) == b"\x1f\x8b"
             raw.seek(0)
-            yield from _decoded(
-                path, cast("IO[bytes]", gzip.GzipFile(fileobj=raw)) if zipped else raw, raw, size
-            )
+            file = cast("IO[bytes]", gzip.GzipFile(fileobj=raw)) if zipped else raw
+            data = file.read(CHUNK)
+            kinds = [kind for magic, kind in _FOREIGN.items() if data.startswith(magic)]
+            if _HTML.match(data):
+                kinds = ["an HTML page; download the file itself, not the page that shows it"]
+            if kinds:
+                raise _no_samples(path, f"it is {kinds[0]}")
+            decoder = codecs.getincrementaldecoder(_encoding(data))("adis_gonio.windows-1252")
+            while data:
+                unpacked += len(data)
+                if unpacked > MOST_GROWTH * raw.tell() + SMALL:
+                    raise _no_samples(
+                        path,
+                        f"it unpacks to more than {MOST_GROWTH} times its size, as equal rows do; unpack "
+                        "it first if these are samples",
+                    )
+                text = decoder.decode(data)
+                if "\x00" in text or _REPLACEMENT in text:
+                    raise _no_samples(
+                        path,
+                        "it has binary data; give a .csv, a .csv.gz or a file written by calibrate or "
+                        "simulate",
+                    )
+                blank = blank and not text.strip()
+                yield text, min(raw.tell() / size, 1.0), False
+                data = file.read(CHUNK)
+            yield decoder.decode(b"", final=True), 1.0, True
     except (EOFError, gzip.BadGzipFile, zlib.error) as error:
         raise DataError(f"{path.name}: damaged or truncated gzip file ({error}); copy it again") from error
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from error
-
-
-def _decoded(path: Path, file: IO[bytes], raw: IO[bytes], size: int) -> Iterator[tuple[str, float]]:
-    data = file.read(CHUNK)
-    for magic, kind in _FOREIGN.items():
-        if data.startswith(magic):
-            raise DataError(f"{path.name}: not a samples CSV: it is {kind}")
-    if _HTML.match(data):
-        raise DataError(
-            f"{path.name}: not a samples CSV: it is an HTML page; download the file itself, not the page "
-            "that shows it"
-        )
-    decoder = codecs.getincrementaldecoder(_encoding(data))("adis_gonio.windows-1252")
-    blank, unpacked = True, 0
-    while data:
-        unpacked += len(data)
-        if unpacked > MOST_GROWTH * raw.tell() + SMALL:
-            raise DataError(
-                f"{path.name}: not a samples CSV: it unpacks to more than {MOST_GROWTH} times its size, as "
-                "equal rows do; unpack it first if these are samples"
-            )
-        text = decoder.decode(data)
-        _refuse_binary(path, text)
-        blank = blank and not text.strip()
-        yield text, min(raw.tell() / size, 1.0)
-        data = file.read(CHUNK)
-    yield decoder.decode(b"", final=True), 1.0
     if blank:
         raise DataError(f"{path.name}: the file is empty")
+
+
+def _no_samples(path: Path, why: str) -> DataError:
+    return DataError(f"{path.name}: not a samples CSV: {why}")
 
 
 def _encoding(head: bytes) -> str:
@@ -192,20 +183,12 @@ def _encoding(head: bytes) -> str:
     return "utf-8-sig"
 
 
-def _refuse_binary(path: Path, text: str) -> None:
-    if "\x00" in text or _REPLACEMENT in text:
-        raise DataError(
-            f"{path.name}: not a samples CSV: it has binary data; give a .csv, a .csv.gz or a file "
-            "written by calibrate or simulate"
-        )
-
-
 # -- cells and numbers ----------------------------------------------------------------------------
 
 SPACE = " "
 """Delimiter that means any run of white space."""
-DELIMITERS = ("\t", ";", ",", SPACE)
-_IN_WORDS = {"\t": "tab", ";": "semicolon", ",": "comma", SPACE: "space"}
+DELIMITERS = {"\t": "tab", ";": "semicolon", ",": "comma", SPACE: "space"}
+"""Delimiters that are recognised, with their names for messages."""
 
 # Possessive quantifiers (++) prevent backtracking, which takes hours in a cell of thousands of digits.
 _NUMBER = r"[+-]?(?:\d++{0}?\d*+|{0}\d+)(?:[eE][+-]?\d+)?"
@@ -228,14 +211,14 @@ class Dialect:
     Attributes
     ----------
     delimiter : str
-        One of `DELIMITERS`.
+        One of `DELIMITERS`, or a delimiter that the file states.
     decimal : str
         Decimal mark, `.` or `,`.
     grouped : bool
         True if the decimal mark is proved, so that the other mark may separate thousands.
     """
 
-    delimiter: str = ","
+    delimiter: str
     decimal: str = "."
     grouped: bool = False
 
@@ -272,15 +255,6 @@ class Dialect:
             raise ValueError(text)
         return float(text.replace(",", "."))
 
-    @property
-    def delimiter_in_words(self) -> str:
-        """Name of the delimiter for messages, such as `comma`."""
-        return _IN_WORDS.get(self.delimiter, f"'{self.delimiter}'")
-
-    def with_decimal(self, mark: str, *, proved: bool) -> Dialect:
-        """Return a copy with another decimal mark; `proved` is True if a number or key proves it."""
-        return replace(self, decimal=mark, grouped=proved)
-
 
 def header_cells(line: str, delimiter: str) -> list[str]:
     """Split a header line into cells; if spaces separate cells, a unit in brackets stays with its name."""
@@ -295,19 +269,16 @@ def header_cells(line: str, delimiter: str) -> list[str]:
     return cells
 
 
-def find_decimal_mark(cells: Iterable[str]) -> str:
-    """Return the decimal mark (`.` or `,`) that some cell proves; empty if every cell is ambiguous."""
-    for cell in cells:
-        text = cell.strip()
-        if ("." not in text and "," not in text) or _UNDECIDED.fullmatch(text):
-            continue
-        for mark, other in ((".", ","), (",", ".")):
-            plain, grouped = _FORMS[mark]
-            if mark in text and plain.fullmatch(text):
-                return mark
-            # Two equal marks can only separate thousands.
-            if (mark in text or text.count(other) > 1) and grouped.fullmatch(text):
-                return mark
+def find_decimal_mark(text: str) -> str:
+    """Return the decimal mark (`.` or `,`) that a cell without blanks proves; empty if it is ambiguous."""
+    if ("." not in text and "," not in text) or _UNDECIDED.fullmatch(text):
+        return ""
+    for mark, other in ((".", ","), (",", ".")):
+        plain, grouped = _FORMS[mark]
+        # Two equal marks can only separate thousands.
+        joined = (mark in text or text.count(other) > 1) and grouped.fullmatch(text)
+        if joined or (mark in text and plain.fullmatch(text)):
+            return mark
     return ""
 
 
@@ -320,6 +291,9 @@ MOST_HEAD_CHARACTERS = 10_000_000
 MOST_COLUMNS = 1000
 _PREAMBLE_LINES = 200
 """Number of lines in which a header is searched; a logger may print other text when it starts."""
+
+Lines = list[tuple[int, str]]
+"""Lines with their numbers in the file."""
 
 
 @dataclass(frozen=True)
@@ -381,6 +355,10 @@ class Head:
 def read_head(path: Path, wanted: Mapping[str, str]) -> Head:
     """Read the part of a samples file above its rows.
 
+    The header is the first line without `#` that names a time and two accelerations, or a column that the
+    user assigned. It is searched only in the first lines: a logger prints text when it starts, and a log
+    may begin in the middle of a row. If there is none, the first line is taken, so that the error shows it.
+
     Parameters
     ----------
     path : Path
@@ -395,103 +373,72 @@ def read_head(path: Path, wanted: Mapping[str, str]) -> Head:
     UsageError
         `wanted` names a column that does not exist.
     """
-    top = _leading(path, wanted)
-    delimiter, cells = _split(top.text, top.separator, wanted)
-    if not any(map(recognise_column, cells)) and not wanted and top.comments:
-        # A header behind a comment sign, as numpy.savetxt writes it.
-        line, under = top.comments[-1]
-        other, names_there = _split(under.lstrip("# "), top.separator, wanted)
-        if sum(recognise_column(cell) is not None for cell in names_there) > 1:
-            delimiter, cells, top.line = other, names_there, line
-            del top.comments[-1]
-    line, skipped = top.line, top.skipped
-    if not line or not cells:
+    row, delimiter, cells, comments, skipped = _find_header(path, wanted)
+    if not row or not cells:
         raise DataError(f"{path.name}: no header row; expected one like '{_EXPECTED}'")
     if len(cells) > MOST_COLUMNS:
-        raise DataError(f"{path.name}, row {line}: a header of {len(cells)} columns; not a samples CSV")
-    columns, notes = _Assignment(path, line, cells).columns(wanted)
+        raise DataError(f"{path.name}, row {row}: a header of {len(cells)} columns; not a samples CSV")
+    columns, notes = _Assignment(path, row, cells).columns(wanted)
     if skipped:
         shown = ", ".join(f"'{other[:40].strip()}'" for _, other in skipped[:3])
         more = ", …" if len(skipped) > 3 else ""
-        notes.append(f"rows before the header in row {line} were skipped: {shown}{more}")
+        notes.append(f"rows before the header in row {row} were skipped: {shown}{more}")
     dialect = Dialect(delimiter)
-    keys, remarks = _read_keys(path.name, top.comments, dialect, len(cells))
-    return Head(path, line, len(cells), dialect, columns, keys, (*remarks, *notes))
+    keys, remarks = _read_keys(path.name, comments, dialect, len(cells))
+    return Head(path, row, len(cells), dialect, columns, keys, (*remarks, *notes))
 
 
-@dataclass
-class _Top:
-    """Lines of a file down to its header, which is still to be parsed.
+def _find_header(path: Path, wanted: Mapping[str, str]) -> tuple[int, str, list[str], Lines, Lines]:
+    """Return line number, delimiter and cells of the header, and the lines above it: comments, others.
 
-    Attributes
-    ----------
-    comments, skipped : list of (int, str)
-        Lines that begin with `#`, and other lines above the header, each with its line number.
-    line, text : int, str
-        Number and text of the header line; 0 and empty if the file has no line.
-    separator : str or None
-        Delimiter stated by a line `sep=`; None without such a line.
+    The number is 0 and there are no cells if the file has no line.
     """
-
-    comments: list[tuple[int, str]] = field(default_factory=list)
-    skipped: list[tuple[int, str]] = field(default_factory=list)
-    line: int = 0
-    text: str = ""
     separator: str | None = None
+    comments: Lines = []
+    others: Lines = []
+    for number, line in _first_lines(path):
+        bare = line.strip()
+        if bare.lower().startswith("sep="):
+            separator = line[4:5] if line[4:5] in _SEPARATORS else None
+        elif bare.startswith(("#", '"#')):
+            comments.append((number, bare))
+        elif bare.strip(';,\t" '):
+            delimiter, cells = _split(line, separator, wanted)
+            if _names_samples(cells, wanted):
+                return number, delimiter, cells, comments, others
+            others.append((number, line))
+        if others and number >= others[0][0] + _PREAMBLE_LINES:
+            break
+    row, line = others[0] if others else (0, "")
+    comments = [comment for comment in comments if not row or comment[0] < row]
+    delimiter, cells = _split(line, separator, wanted)
+    if comments and not wanted and not any(map(recognise_column, cells)):
+        # A header behind a comment sign, as numpy.savetxt writes it.
+        found = _split(comments[-1][1].lstrip("# "), separator, wanted)
+        if sum(recognise_column(cell) is not None for cell in found[1]) > 1:
+            return comments[-1][0], *found, comments[:-1], []
+    return row, delimiter, cells, comments, []
 
-    def without_header(self) -> _Top:
-        """Return this object with the first line that is no comment as its header; none was recognised."""
-        if self.skipped:
-            self.line, self.text = self.skipped[0]
-            self.comments = [comment for comment in self.comments if comment[0] < self.line]
-        self.skipped = []
-        return self
 
-
-def _leading(path: Path, wanted: Mapping[str, str]) -> _Top:
-    """Read the lines of a file down to its header.
-
-    The header is the first line without `#` that names a time and two accelerations, or a column that the
-    user assigned (`wanted`: column of the format → column of the header). It is searched only in the first
-    lines: a logger prints text when it starts, and a log may begin in the middle of a row. If there is
-    none, the first line is taken, so that the error shows it.
-    """
-    top, characters = _Top(), 0
+def _first_lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield the lines of a file with their numbers, as many as a head may have."""
+    characters = 0
     for chunk in read_chunks(path):
         for number, line in enumerate(chunk.lines, chunk.first):
-            bare = line.strip()
-            characters += len(bare)
+            characters += len(line.strip())
             if number > MOST_HEAD_LINES or characters > MOST_HEAD_CHARACTERS:
                 raise DataError(
                     f"{path.name}: no header within {MOST_HEAD_LINES} lines and {MOST_HEAD_CHARACTERS} "
                     f"characters; expected one like '{_EXPECTED}'"
                 )
-            if bare.lower().startswith("sep="):
-                top.separator = line[4:5] if line[4:5] in _SEPARATORS else None
-            elif bare.startswith(("#", '"#')):
-                top.comments.append((number, bare))
-            elif bare.strip(';,\t" '):
-                if _names_samples(line, top.separator, wanted):
-                    top.line, top.text = number, line
-                    return top
-                top.skipped.append((number, line))
-            if top.skipped and number >= top.skipped[0][0] + _PREAMBLE_LINES:
-                return top.without_header()
-    return top.without_header()
+            yield number, line
 
 
-def _names_samples(line: str, separator: str | None, wanted: Mapping[str, str]) -> bool:
-    """Return True if a line looks like a header: it names a time and two accelerations, or a wanted column.
-
-    `separator` is the delimiter that the file states, or None; `wanted` maps a column of the format to a
-    column of the header, as the user assigned them.
-    """
-    _, cells = _split(line, separator, wanted)
+def _names_samples(cells: list[str], wanted: Mapping[str, str]) -> bool:
+    """Return True if a header names a time and two accelerations, or a wanted column."""
     if any(_same_name(cell, text.strip()) for cell in cells for text in wanted.values()):
         return True
-    return {"time_s", "ax", "ay"} <= {
-        found[0] for found in map(recognise_column, cells) if found is not None
-    }
+    return {"time_s", "ax", "ay"} <= {found[0] for found in map(recognise_column, cells) if found}
 
 
 def _split(line: str, separator: str | None, wanted: Mapping[str, str]) -> tuple[str, list[str]]:
@@ -512,9 +459,7 @@ def _split(line: str, separator: str | None, wanted: Mapping[str, str]) -> tuple
     return max(((delimiter, header_cells(line, delimiter)) for delimiter in DELIMITERS), key=quality)
 
 
-def _read_keys(
-    file: str, lines: Sequence[tuple[int, str]], dialect: Dialect, columns: int
-) -> tuple[dict[str, Any], list[str]]:
+def _read_keys(file: str, lines: Lines, dialect: Dialect, columns: int) -> tuple[dict[str, Any], list[str]]:
     """Return the values of the lines `# key: value`, and remarks on them.
 
     A spreadsheet writes these lines like rows, in the file's dialect and with as many columns as the header
@@ -596,6 +541,10 @@ class _Assignment:
         return DataError(f"{self.path.name}, row {self.line}: {message}")
 
     def columns(self, wanted: Mapping[str, str]) -> tuple[dict[str, CsvColumn], list[str]]:
+        """Return the columns by the format's names, and remarks.
+
+        `wanted` maps a column of the format to a column of the header, as the user assigned them.
+        """
         told = dict(self._named_column(mine, theirs) for mine, theirs in wanted.items())
         found = told | self._by_name(told)
         if not found:
@@ -609,7 +558,9 @@ class _Assignment:
                 raise self._fail(f"column '{missing}' is missing, but there is '{gyros[0]}'")
             notes.append(f"rates about {', '.join(gyros)} alone were ignored: '{missing}' is missing")
             chosen = {name: column for name, column in chosen.items() if name not in GYROS}
-        return chosen, [*self._ignored(found), *_renamed(chosen), *notes]
+        renamed = [f"{c.name} from '{c.text}'" for c in chosen.values() if c.text.strip().lower() != c.name]
+        read_as = [f"columns were read as: {', '.join(renamed)}"] if renamed else []
+        return chosen, [*self._ignored(found), *read_as, *notes]
 
     def _named_column(self, mine: str, theirs: str) -> tuple[str, CsvColumn]:
         """Return column `mine` of the format, read from column `theirs` of the file, as the user asked."""
@@ -623,10 +574,9 @@ class _Assignment:
             what = "no column is called" if not there else "several columns are called"
             shown = ", ".join(f"'{cell}'" for cell in self.cells)
             raise UsageError(f"columns: {what} '{theirs}' in {self.path.name}; there are {shown}")
-        unit = known[1] or split_unit(self.cells[there[0]])[1]
-        return known[0], CsvColumn(
-            known[0], there[0], self.cells[there[0]], unit, plain=mine.endswith("_s")
-        )
+        cell = self.cells[there[0]]
+        unit = known[1] or split_unit(cell)[1]
+        return known[0], CsvColumn(known[0], there[0], cell, unit, plain=mine.endswith("_s"))
 
     def _by_name(self, told: Mapping[str, CsvColumn]) -> dict[str, CsvColumn]:
         taken = {column.place for column in told.values()}
@@ -658,21 +608,21 @@ class _Assignment:
         notes = []
         for name, column in found.items():
             known_unit = COLUMNS[name].unit(column.unit)
+            known = ", ".join(COLUMNS[name].units)
             if known_unit is not None:
                 chosen[name] = replace(column, unit=known_unit[0], scale=known_unit[1])
-                continue
-            known = ", ".join(COLUMNS[name].units)
-            if name in ("time_s", *AXES):
+            elif name in ("time_s", *AXES):
                 raise self._fail(
                     f"unit '{column.unit}' of column '{column.text}' is not known; known are {known}: "
                     "convert, or name the column without it"
                 )
-            why = f"its unit is not one of {known}" if known else f"{name} has no unit"
-            notes.append(f"column '{column.text}' was ignored: {why}")
+            else:
+                why = f"its unit is not one of {known}" if known else f"{name} has no unit"
+                notes.append(f"column '{column.text}' was ignored: {why}")
         for axes in (AXES, GYROS):
-            units = {column.unit for name, column in chosen.items() if name in axes}
-            if len(units) > 1:
-                listed = ", ".join(f"'{c.text}'" for name, c in chosen.items() if name in axes)
+            alike = [column for name, column in chosen.items() if name in axes]
+            if len({column.unit for column in alike}) > 1:
+                listed = ", ".join(f"'{column.text}'" for column in alike)
                 raise self._fail(f"columns {listed} do not have one unit; convert them to the same one")
         return chosen, notes
 
@@ -689,18 +639,17 @@ class _Assignment:
         hint = ""
         if spare:
             likely = ",".join(f"{name}={_likely_column(name, spare)}" for name in missing)
-            shown = ", ".join(f"'{cell[:40]}'" for cell in spare[:12])
-            hint = f"; not known are {shown}: say which it is, such as --columns '{likely}'"
+            hint = f"; not known are {_shown(spare)}: say which it is, such as --columns '{likely}'"
         raise self._fail(f"column '{missing[0]}' is missing{hint}")
 
     def _unknown(self) -> DataError:
         cells = [cell for cell in self.cells if cell]
-        if cells and all(_numeric(cell) for cell in cells):
+        if cells and all(map(_numeric, cells)):
             return self._fail(
                 f"no header row: the first row has numbers; put a row such as '{_EXPECTED}' above it"
             )
-        shown = ", ".join(f"'{cell[:40]}'" for cell in cells[:12])
-        told = f"not a samples CSV: no known column in the header ({shown}); expected time_s, ax, ay, …"
+        told = f"not a samples CSV: no known column in the header ({_shown(cells)})"
+        told += "; expected time_s, ax, ay, …"
         names = [cell for cell in cells if len(cell) <= _LONGEST_NAME]
         if len(names) < 3:  # prose: time, ax and ay need three names
             return self._fail(told)
@@ -710,13 +659,15 @@ class _Assignment:
     def _ignored(self, found: Mapping[str, CsvColumn]) -> list[str]:
         taken = {column.place for column in found.values()}
         left = [cell or f"column {k + 1}" for k, cell in enumerate(self.cells) if k not in taken]
-        if not left:
-            return []
-        notes = [f"columns that were ignored: {', '.join(left)}"]
+        notes = [f"columns that were ignored: {', '.join(left)}"] if left else []
         for cell in left:
             near = difflib.get_close_matches(cell.lower(), set(COLUMNS) - set(found), n=1, cutoff=0.8)
             notes += [f"is the ignored column '{cell}' meant to be {near[0]}?"] if near else []
         return notes
+
+
+def _shown(cells: Sequence[str]) -> str:
+    return ", ".join(f"'{cell[:40]}'" for cell in cells[:12])
 
 
 def _likely_column(name: str, spare: Sequence[str]) -> str:
@@ -738,12 +689,3 @@ def _numeric(cell: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _renamed(chosen: Mapping[str, CsvColumn]) -> list[str]:
-    """Return a list with a remark on columns renamed from the file's names; empty if there are none."""
-    own = [column for column in chosen.values() if column.text.strip().lower() != column.name]
-    if not own:
-        return []
-    listed = ", ".join(f"{column.name} from '{column.text}'" for column in own)
-    return [f"columns were read as: {listed}"]

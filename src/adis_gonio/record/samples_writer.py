@@ -1,4 +1,4 @@
-"""Sessions as samples CSV and JSON, templates to fill in, and a recording written while it is measured.
+"""Sessions as samples CSV and JSON objects, templates to fill in, and a recording that grows as measured.
 
 Numbers are written with the fewest digits that give the same float again, so that a file is read back
 unchanged.
@@ -7,11 +7,10 @@ unchanged.
 from __future__ import annotations
 
 import gzip
-import json
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any, Self
@@ -19,9 +18,17 @@ from typing import IO, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.errors import DataError, OutputError, SessionError, UsageError
+from adis_gonio.base.errors import OutputError, UsageError
 from adis_gonio.base.output import ends_in, exists_error, replacing, write_utf8
-from adis_gonio.model.records import METADATA, STANDARD_GRAVITY_MPS2, AccelUnit, Dwell, Session, Turn
+from adis_gonio.model.records import (
+    METADATA,
+    SERIES,
+    STANDARD_GRAVITY_MPS2,
+    AccelUnit,
+    Dwell,
+    Session,
+    Turn,
+)
 from adis_gonio.record.blocks import GENERIC, Block, session_columns
 from adis_gonio.record.plans import Plan
 from adis_gonio.record.samples_columns import COLUMNS, KEYS, without_formulas
@@ -107,9 +114,7 @@ def _rows(names: list[str], columns: Mapping[str, NDArray[Any]]) -> Iterator[tup
 def _between(before: Dwell, turn: Turn, after: Dwell) -> Dwell:
     """Return the samples of a turn between two dwells in time, as a dwell without a declared angle."""
     inside = (turn.time_s > before.time_s[-1]) & (turn.time_s < after.time_s[0])
-    series = {n: getattr(turn, n) for n in ("time_s", "accel", "gyro", "temperature_c", "supply_v")}
-    cut: dict[str, Any] = {n: None if rows is None else rows[inside] for n, rows in series.items()}
-    return Dwell(0, **cut)
+    return Dwell(0, **turn.series(inside))
 
 
 # No line of help has a colon: it would be a key.
@@ -187,45 +192,6 @@ def write_template(path: Path, text: str) -> None:
         write_utf8(temporary, text)
 
 
-def export_csv(session: Session, path: str | Path) -> None:
-    """Write a session to a new samples CSV (gzipped if the name ends in `.gz`).
-
-    Registers, configuration and truth are left out, since the format has no keys for them; `export_json`
-    writes them.
-
-    Raises
-    ------
-    UsageError
-        The file exists.
-    SessionError
-        The file cannot be written.
-    DataError
-        Dwells differ in their columns (only some have gyros), or the session has no dwell.
-    """
-    with _new_file(path) as temporary:
-        write_samples_csv(session, temporary)
-
-
-def export_json(session: Session, path: str | Path) -> None:
-    """Write all data of a session, including its samples, to a new file as one JSON document.
-
-    Raises
-    ------
-    UsageError
-        The file exists.
-    SessionError
-        The file cannot be written.
-    DataError
-        A value has no JSON form.
-    """
-    with _new_file(path) as temporary:
-        try:
-            text = json.dumps(session_dict(session), ensure_ascii=False, allow_nan=False)
-        except (TypeError, ValueError) as error:
-            raise DataError(f"{session.source or 'session'}: has no JSON form: {error}") from None
-        write_utf8(temporary, text + "\n")
-
-
 def session_dict(session: Session) -> dict[str, Any]:
     """Return a session in JSON form, in the units of `Session`; a `fixture_sigma_deg` of inf is "free"."""
     stated = {name: getattr(session, name) for name in KEYS if hasattr(session, name)}
@@ -244,29 +210,8 @@ def session_dict(session: Session) -> dict[str, Any]:
 
 def _dwell_dict(dwell: Dwell) -> dict[str, Any]:
     declared = {name: getattr(dwell, name) for name in ("position", "angle_deg", "approach", "use")}
-    series = {n: getattr(dwell, n) for n in ("time_s", "accel", "gyro", "temperature_c", "supply_v")}
+    series = {name: getattr(dwell, name) for name in SERIES}
     return declared | {name: None if values is None else values.tolist() for name, values in series.items()}
-
-
-@contextmanager
-def _new_file(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary path; at the end of the block, the file there gets the name `path`.
-
-    Raises
-    ------
-    UsageError
-        `path` exists.
-    SessionError
-        The file cannot be written.
-    """
-    path = Path(path)
-    if path.exists():
-        raise exists_error(path)
-    try:
-        with replacing(path) as temporary:
-            yield temporary
-    except OutputError as error:
-        raise SessionError(str(error)) from None
 
 
 class SamplesRecorder:

@@ -30,7 +30,7 @@ from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.fitting.noise_estimation import state_noise
 from adis_gonio.fitting.slips.session_positions import failure_message, positions_of
-from adis_gonio.model.measurement import Origin
+from adis_gonio.model.measurement import SessionOrigin
 from adis_gonio.model.records import Session
 from adis_gonio.tracing.credible_sets import cause_name, owners_of
 from adis_gonio.tracing.linear_problem import linearise, span
@@ -145,18 +145,18 @@ def reduced(session: Session) -> Readings:
         raise FitError(failure_message(session, error)) from error
 
 
-def origins_of(sessions: Sequence[Session]) -> list[Origin]:
+def origins_of(sessions: Sequence[Session]) -> list[SessionOrigin]:
     """Return part and stage of each session, with a unique name of the session."""
     names = [PurePath(one.source).name.split(".")[0] or one.title or "session" for one in sessions]
     many = Counter(names)
     return [
-        Origin(name if many[name] == 1 else f"{name}-{k}", one.serial, one.stage)
+        SessionOrigin(name if many[name] == 1 else f"{name}-{k}", one.serial, one.stage)
         for k, (name, one) in enumerate(zip(names, sessions, strict=True), 1)
     ]
 
 
 def trace_stacked(
-    readings: Sequence[Readings], origins: Sequence[Origin], max_effects: int = 6
+    readings: Sequence[Readings], origins: Sequence[SessionOrigin], max_effects: int = 6
 ) -> JointResult:
     """Trace readings of several sessions as one model.
 
@@ -164,7 +164,7 @@ def trace_stacked(
     ----------
     readings : sequence of Readings
         Readings of each session.
-    origins : sequence of Origin
+    origins : sequence of SessionOrigin
         Part and stage of each session.
     max_effects : int
         Largest number of terms added to the base model.
@@ -256,7 +256,7 @@ def _session(data: Readings) -> NDArray[np.intp]:
     return np.zeros(len(data), dtype=np.intp) if session is None else session.astype(np.intp)
 
 
-def _sharing_note(origins: Sequence[Origin]) -> str:
+def _sharing_note(origins: Sequence[SessionOrigin]) -> str:
     """Return a sentence on the sessions that share a part or a stage, and the rule for it."""
     parts, stages = ({getattr(one, name) for one in origins} for name in ("part", "stage"))
     unstated = " (sessions that do not state one share it)" if "" in parts | stages else ""

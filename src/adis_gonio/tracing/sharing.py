@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.model.effects import Conditions, Effect, Enters, Parameter
-from adis_gonio.model.measurement import Origin
+from adis_gonio.model.measurement import SessionOrigin
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Sharing:
     group: tuple[int, ...]
 
 
-def sharings(origins: Sequence[Origin]) -> list[Sharing]:
+def sharings(origins: Sequence[SessionOrigin]) -> list[Sharing]:
     """List the groupings of sessions that differ from each other and from all sessions in one group."""
     found: list[Sharing] = []
     for by, names in (

@@ -12,10 +12,10 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.model.effects import Conditions
-from adis_gonio.model.measurement import JointMeasurement, Origin
+from adis_gonio.model.measurement import JointMeasurement, SessionOrigin
 
 
-def stack(each: Sequence[Readings], origins: Sequence[Origin]) -> Readings:
+def stack(each: Sequence[Readings], origins: Sequence[SessionOrigin]) -> Readings:
     """Join the readings of sessions; base parameters are shared by the sessions of one part.
 
     The rows keep the number of their session (`Conditions.session`). Noise that dwells share is
@@ -83,7 +83,7 @@ def _conditions(each: Sequence[Conditions]) -> Conditions:
     return Conditions(**made)
 
 
-def _modes(each: Sequence[Readings], origins: Sequence[Origin]) -> Floats | None:
+def _modes(each: Sequence[Readings], origins: Sequence[SessionOrigin]) -> Floats | None:
     """Join the shared noise of sessions: modes (n, axes, k) of each session, then those of the stages.
 
     Sessions on one stage with equally many modes of its certificate share these modes.

@@ -81,7 +81,7 @@ from adis_gonio.tracing.validation import (
     reject_unchecked,
     without_folds,
 )
-from adis_gonio.tracing.what_if import FREE, Request, compare
+from adis_gonio.tracing.what_if import FREE, AskedModel, compare
 
 UNCHECKED = "the time limit ended the trace before this was checked"
 """Reason that the result gives for each term of a model that was not validated."""
@@ -133,7 +133,7 @@ def trace(
         unknown or that the session cannot show.
     """
     known_part(part)
-    request = Request.of(include, exclude, only)
+    request = AskedModel.of(include, exclude, only)
     if session.free_turn and not session.dwells:
         raise FitError(
             f"{session.source or 'session'}: a free turn has no positions whose residuals a trace could"
@@ -150,7 +150,7 @@ def trace(
     return replace(result, provenance=provenance_of(session), overrides=overrides)
 
 
-def _trace(session: Session, max_effects: int, part: str, request: Request) -> TraceResult:
+def _trace(session: Session, max_effects: int, part: str, request: AskedModel) -> TraceResult:
     own = part == ACCELEROMETER  # only accelerometer samples are searched inside the dwells
     if own and len([dwell for dwell in session.dwells if len(dwell)]) == 1:
         from adis_gonio.tracing.one_pose import trace_series
@@ -191,7 +191,7 @@ def trace_readings(
     data: Readings,
     max_effects: int = 6,
     positions: Diagnosis | None = None,
-    request: Request = FREE,
+    request: AskedModel = FREE,
 ) -> TraceResult:
     """Trace readings to the causes of their residual.
 
@@ -203,7 +203,7 @@ def trace_readings(
         Largest number of terms added to the base model.
     positions : Diagnosis, optional
         Earlier diagnosis of the positions: effects of single dwells to exclude, sizes of large slips.
-    request : Request
+    request : AskedModel
         Terms and names that the user puts into the model or takes out of it.
     """
     if not request:
@@ -248,7 +248,7 @@ class TraceRun:
         data: Readings,
         max_effects: int,
         positions: Diagnosis | None,
-        request: Request = FREE,
+        request: AskedModel = FREE,
     ) -> None:
         self.data, self.measured, self.max_effects = data, data.training, max_effects
         refuse_too_few(self.measured)

@@ -127,7 +127,7 @@ class WhatIf(JsonRecord):
 
 
 @dataclass(frozen=True)
-class Request:
+class AskedModel:
     """Terms that a user puts into every model, names that he excludes, and a closed set of candidates.
 
     Attributes
@@ -149,7 +149,7 @@ class Request:
         return bool(self.include or self.exclude or self.only)
 
     @classmethod
-    def of(cls, include: str | Sequence[str], exclude: str | Sequence[str], only: bool) -> Request:
+    def of(cls, include: str | Sequence[str], exclude: str | Sequence[str], only: bool) -> AskedModel:
         """Make a request; raise `UsageError` if an excluded name is unknown or in every model."""
         terms, names = ((one,) if isinstance(one, str) else tuple(one) for one in (include, exclude))
         if only and names:
@@ -181,7 +181,7 @@ class Request:
         return [*forced, *kept], len(forced) + (0 if self.only else max_effects)
 
 
-FREE = Request()
+FREE = AskedModel()
 """The request of a trace that the user does not restrict."""
 
 
@@ -300,7 +300,7 @@ def _likeliest(
     return next(term for term in variants if term.label == problem.terms[best].label)
 
 
-def compare(free: TraceRun, asked: TraceRun, request: Request) -> WhatIf:
+def compare(free: TraceRun, asked: TraceRun, request: AskedModel) -> WhatIf:
     """Compare the asked model with the base model and the best model of the free trace."""
     best = free.selection
     price_here = 0.0 if free.scatter is None else price_of_scatter(best.data)

@@ -212,6 +212,12 @@ def test_writes_that_would_harm_are_refused_before_anything_is_sent():
     assert bus.writes == []
 
 
+def test_the_range_of_the_gyros_changes_alone(sensor):
+    sensor.configure(filter_m=4)
+    now = sensor.configure(gyro_range_dps=75)
+    assert (now.gyro_range_dps, now.filter_m) == (75, 4)
+
+
 def test_changing_a_field_leaves_the_others(sensor):
     sensor.configure(linear_g=True, origin=True)
     sensor.configure(data_ready=True)

@@ -7,6 +7,7 @@ import pytest
 from adis_gonio import fit, load_session
 from adis_gonio.faces.cli import main
 from adis_gonio.plan import Bench, predict, read_plan
+from adis_gonio.plan.optimal_plan import two_columns
 from adis_gonio.record.archive import ArchiveView
 
 
@@ -37,6 +38,10 @@ def test_effects_that_a_plan_confounds_stand_side_by_side(capsys):
     told = text[text.index("Cannot tell apart") : text.index("Positions, in this order")]
     assert "  quadratic from cubic, cross_quadratic" in told
     assert "nothing of what it sees" not in told
+
+
+def test_two_columns_of_39_letters_fill_a_line():
+    assert [len(line) for line in two_columns(["x" * 39] * 4)] == [80, 80]
 
 
 def test_a_given_plan_is_evaluated_and_nothing_searched(capsys):

@@ -86,7 +86,7 @@ def test_keys_are_prefilled_and_those_left_empty_are_not_stated(tmp_path):
 
 
 def test_operator_serial_and_stage_come_back_and_are_written_again(tmp_path):
-    from adis_gonio.record.samples_writer import export_csv
+    from adis_gonio.record.samples_writer import write_samples_csv
 
     path = made(tmp_path)
     keys, frame = parted(path)
@@ -94,7 +94,7 @@ def test_operator_serial_and_stage_come_back_and_are_written_again(tmp_path):
         keys = keys.replace(f"# {name}:", f"# {name}: {text}")
     path.write_text(keys + fill(frame).to_csv(index=False), encoding="utf-8")
     again = tmp_path / "again.csv"
-    export_csv(load_session(path), again)
+    write_samples_csv(load_session(path), again)
     for session in (load_session(path), load_session(again)):
         assert (session.operator, session.serial, session.stage) == ("A. Nobody", "0042", "rotary table 3")
 

@@ -118,3 +118,4 @@ def test_small_numbers_have_one_form_and_zero_has_no_sign():
     assert signed(0.05, digits=2) == "+0.05"
     assert format_fixed(1.2e-11, 12) == "1.2·10⁻¹¹"
     assert format_uncertain(-2.7e-7, 1.1e-4) == "0.00000\u00a0±\u00a00.00011"
+    assert format_uncertain(1.2345678, 0.0, "mg").replace("\u00a0", " ") == "1.235 mg"

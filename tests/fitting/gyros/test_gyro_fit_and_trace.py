@@ -320,8 +320,6 @@ def test_the_engine_traces_a_third_kind_of_reading_without_a_change_in_it(monkey
 
         name = "lamp"
         cause = "The lamp follows the supply."
-        formula = "l_i += lamp_i · (V − 5 V)"
-        separated_by = "Another lamp."
         needs = ("supply_v",)
         parts = ("light",)
         coefficients: ClassVar[tuple[Parameter, ...]] = (Parameter("lamp", "lux/V", -1e4, 1e4, 100.0),)

@@ -145,6 +145,16 @@ def test_what_a_turn_does_not_determine_is_no_result() -> None:
     assert result["gyro_scale_y"].u < 0.01
 
 
+@pytest.mark.parametrize("number", [4, 6, 7, 8, 9])
+def test_sessions_of_one_gyro_agree_about_its_g_sensitivity(number: int) -> None:
+    result = fit(recording(f"mimu4444_exp{number}_imu1"), part="gyro")
+    found = result["g_sensitivity_xy"]
+    # Without a drift: 0.012, 0.073, 0.040, 0.011 and 0.014 °/s/g with u of 0.002 to 0.006.
+    assert abs(found.value) < 0.01
+    assert abs(found.value) < 2 * (found.u or 0.0)
+    assert any("predicts left-out dwells best" in line for line in result.warnings)
+
+
 def test_a_gap_soon_after_a_short_motion_gives_a_result_without_a_warning() -> None:
     period_s, many = 1 / 204.8, 40
     # A motion of 0.4° shows in the windows of filter setting 6, which are longer than the samples there.

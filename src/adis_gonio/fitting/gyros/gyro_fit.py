@@ -1,9 +1,12 @@
 """Method `gyro`: weighted least squares for zero rates, g-sensitivity, scale factors and directions.
 
 The model is the gyros' base model (`MeanRate`) with the effects of a physical calibration:
-`g_sensitivity` if poses show it, `gyro_scale` and `gyro_misalignment` if turns show them. A parameter that
-the intervals do not determine is fixed at the value of a perfect gyro, and the result reports it. A result
-states gains and misalignments as K and D of rate = K D ω, however large they are.
+`g_sensitivity` if poses show it, `gyro_scale` and `gyro_misalignment` if turns show them. If poses come in
+order, a drift of the zero rate imitates a g-sensitivity: the model without a drift and the models with one
+of `DRIFTS` predict left-out dwells, the best one is stated, and u includes the difference to the others by
+their odds. A parameter that the intervals do not determine is fixed at the value of a perfect gyro, and the
+result reports it. A result states gains and misalignments as K and D of rate = K D ω, however large they
+are.
 
 The directions D of the gyros (rows, in the accelerometers' frame) are a rotation of the whole triad and the
 misalignment of the three axes with one another: D = S R with a symmetric S (polar decomposition). The
@@ -25,7 +28,7 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats, central_differences, solvable
 from adis_gonio.base.errors import AdisGonioError, FitError, SessionError
 from adis_gonio.base.jsonable import json_object
-from adis_gonio.base.numbers import counted, signed
+from adis_gonio.base.numbers import counted
 from adis_gonio.base.tables import Entries, ParameterTable
 from adis_gonio.base.uncertainty import INADEQUATE, Value
 from adis_gonio.calibrate.calibration import NotCorrected
@@ -54,11 +57,8 @@ DRIFTS = {
     "warm-up": effect("gyro_warm_up", AXES),
 }
 """Drifts of the zero rate that may imitate a g-sensitivity, by the words for a message."""
-SCORED = ("drift with time", "drift from dwell to dwell")
-"""Drifts that are tested by their prediction of left-out dwells. A warm-up is not linear; only a trace
-tests it."""
 BEGIN_TAU = 1 / 3
-"""Starting value of the time constant of a warm-up, as a share of the session's length."""
+"""Time constant of a warm-up, as a share of the session's length."""
 LIMIT = 0.1
 """Largest standard uncertainty with which a parameter counts as determined: 0.1 dps/g of a g-sensitivity,
 0.1 of a gain (1 is perfect), 0.1 rad of a misalignment."""
@@ -161,6 +161,14 @@ class GyroScore:
 
     rms_dps: dict[str, float]
     max_dps: dict[str, float]
+
+    @classmethod
+    def of(cls, errors_dps: Floats) -> GyroScore:
+        """Make the score from the errors (n, 3) of the dwells."""
+        rms, most = np.sqrt((errors_dps**2).mean(axis=0)), np.abs(errors_dps).max(axis=0)
+        return cls(
+            *({axis: float(v) for axis, v in zip(AXES, values, strict=True)} for values in (rms, most))
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """Return one entry of the JSON key `scores`: rms over all axes, largest error, and rms by axis."""
@@ -345,33 +353,37 @@ def _fit_session(session: Session, readings: Readings | None = None) -> GyroFit:
 
 
 def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
-    """Fit the gyro model to readings; `scored=False` omits the scores and the fits with a drift.
+    """Fit the gyro model to readings; `scored=False` omits the models with a drift and the scores.
 
-    The scores are the errors with which the model predicts dwells left out of the fit one at a time. Scores
-    and drifts take most of the time.
+    The scores are the errors with which a model predicts dwells left out of the fit one at a time. They
+    take most of the time.
     """
     if len(data) < 1:
         raise FitError("no dwell holds samples of the gyros")
-    model = _Model.of(data, _EFFECTS)
-    inflation = _inflation(model)
-    # A large residual may leave parameters undetermined that the noise alone would determine.
-    while (narrower := model.narrowed({axis: own for axis, (own, _) in inflation.items()})) is not model:
-        model, inflation = narrower, _inflation(narrower)
-    fit = model.fit
-    factor = np.sqrt([inflation[_gyro_of(name)][0] for name in model.names])
-    names, values, covariance = stated_parameters(
-        model.names, fit.values.parameters, model.covariance * np.outer(factor, factor), model.free
-    )
-    # All gains share the error of the time base.
-    gains = np.where([name.startswith("gyro_scale_") for name in names], TIME_BASE_U * values, 0.0)
-    covariance = covariance + np.outer(gains, gains)
+    models = {METHOD: _Model.of(data, _EFFECTS)}
+    if scored:
+        drifts = {word: _Model.of(data, (*_EFFECTS, drift)) for word, drift in DRIFTS.items()}
+        models |= {_with(word): one for word, one in drifts.items() if one.fit.dof > 0}
+    errors = _left_out_errors(data, models) if scored else {}
+    candidates = {name: _Candidate.of(model) for name, model in models.items()}
+    odds = _odds({name: errors[name] for name in models if name in errors})
+    best = candidates[METHOD]
+    # The best model that determines all that the model without a drift determines.
+    for name in sorted(odds, key=lambda name: -odds[name]):
+        if set(best.names) <= set(candidates[name].names):
+            best = candidates[name]
+            break
+    names, values, covariance = best.names, best.values, best.covariance.copy()
+    for name, share in odds.items():
+        other = candidates[name].all_values
+        apart = np.array([other[key] for key in names]) - values
+        covariance += share / sum(odds.values()) * np.outer(apart, apart)
+    fit, inflation = best.model.fit, best.inflation
     parameters = {
         name: Value(value, math.sqrt(max(covariance[k, k], 0.0)), _unit(name), inflation[_gyro_of(name)][1])
         for k, (name, value) in enumerate(zip(names, values.tolist(), strict=True))
     }
     turned = data.conditions.rate_dps
-    turns = 0 if turned is None else int(turned.any(axis=1).sum())
-    scores = _scores(data, model) if scored else {}
     temperature = data.conditions.temperature_c
     return GyroFit(
         parameters=parameters,
@@ -380,18 +392,70 @@ def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
         dof=int(fit.dof),
         residual_dps=fit.misfit,
         positions=tuple(data.position.tolist()),
-        turns=turns,
+        turns=0 if turned is None else int(turned.any(axis=1).sum()),
         warnings=(
             *data.notes,
-            *_warnings(data, model, inflation),
-            *(_drifting(data, model, parameters) if scored else ()),
+            *_warnings(data, best.model, inflation),
+            *_drifting(candidates, best, covariance, errors),
         ),
-        undetermined=tuple(model.lost),
+        undetermined=tuple(best.model.lost),
         inflation={axis: own for axis, (own, _) in inflation.items()},
         reference_temperature_c=None if temperature is None else float(temperature.mean()),
-        scores=scores,
+        scores={name: GyroScore.of(one) for name, one in errors.items()},
         fit=fit,
     )
+
+
+def _with(word: str) -> str:
+    return f"{METHOD} with a {word}"
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A fitted model, and the parameters that it states.
+
+    Attributes
+    ----------
+    model : _Model
+        The model.
+    inflation : mapping
+        As `_inflation` returns it.
+    names, values, covariance : sequence of str, (p,) float, (p, p) float
+        Determined parameters of a calibration, with u by the residual. Zero rates are means over dwells.
+    all_values : mapping of str to float
+        Values by name, also of parameters fixed at perfect gyros.
+    """
+
+    model: _Model
+    inflation: dict[str, tuple[float, float]]
+    names: list[str]
+    values: Floats
+    covariance: Floats
+    all_values: dict[str, float]
+
+    @classmethod
+    def of(cls, model: _Model) -> _Candidate:
+        inflation = _inflation(model)
+        # A large residual may leave parameters undetermined that the noise alone would determine.
+        while (
+            narrower := model.narrowed({axis: own for axis, (own, _) in inflation.items()})
+        ) is not model:
+            model, inflation = narrower, _inflation(narrower)
+        factor = np.sqrt([inflation.get(_gyro_of(name), (1.0, 0.0))[0] for name in model.names])
+        drifts = np.flatnonzero(~model.stated)
+        # A zero rate is stated with the mean of its drift over the dwells.
+        mean = np.eye(len(model.names))
+        mean[:3, drifts] = model.fit.columns[model.rests].mean(axis=0)[:, drifts]
+        values = mean @ model.fit.values.parameters
+        covariance = mean @ (model.covariance * np.outer(factor, factor)) @ mean.T
+        everything = stated_parameters(model.names, values, covariance, model.stated)
+        names, found, covariance = stated_parameters(
+            model.names, values, covariance, model.free & model.stated
+        )
+        # All gains share the error of the time base.
+        gains = np.where([name.startswith("gyro_scale_") for name in names], TIME_BASE_U * found, 0.0)
+        known = dict(zip(everything[0], everything[1].tolist(), strict=True))
+        return cls(model, inflation, names, found, covariance + np.outer(gains, gains), known)
 
 
 # -- determined parameters --------------------------------------------------------------------------------
@@ -451,10 +515,24 @@ class _Model:
         """Covariance (p, p) of all parameters; rows and columns of fixed parameters are zero."""
         return _covariance(self.fit, self.free)
 
+    @cached_property
+    def stated(self) -> NDArray[np.bool_]:
+        """Mask (p,) of the parameters that a result states: all but those of a drift."""
+        drifts = {
+            p.name for term in self.terms if term.label not in CALIBRATED for p in term.effect.parameters
+        }
+        return np.array([name not in drifts for name in self.names])
+
+    @property
+    def rests(self) -> NDArray[np.intp]:
+        """Rows of the dwells at rest."""
+        rate = self.data.conditions.rate_dps
+        return np.flatnonzero(np.ones(len(self.data), dtype=bool) if rate is None else ~rate.any(axis=1))
+
     @property
     def lost(self) -> list[str]:
         """Names of the parameters that the readings do not determine, as a result reports them."""
-        return [_stated_name(name) for name, free in zip(self.names, self.free, strict=True) if not free]
+        return [_stated_name(self.names[k]) for k in np.flatnonzero(self.stated & ~self.free)]
 
     def _determined(self, inflation: Mapping[str, float]) -> NDArray[np.bool_]:
         """Return a mask (p,) of the parameters that the readings determine.
@@ -593,40 +671,50 @@ def gains_and_directions(names: Sequence[str], values: Floats) -> Floats:
 # -- scores and warnings ----------------------------------------------------------------------------------
 
 
-def _scores(data: Readings, model: _Model) -> dict[str, GyroScore]:
-    """Return the errors with which models predict left-out dwells, by name of the model.
+def _left_out_errors(data: Readings, models: Mapping[str, _Model]) -> dict[str, Floats]:
+    """Return the errors (n, 3) with which models predict left-out dwells, by name of the model.
 
-    The models are the zero rate alone, the full gyro model, and this model with each drift. Each dwell at
-    rest is left out once and predicted by a fit to all others. Empty with fewer than three intervals.
+    The zero rate alone is also a model. Each dwell at rest is left out once and predicted by a fit to all
+    others. Empty with fewer than three intervals; a model is missing if such a fit does not determine it.
     """
     if len(data) < 3:
         return {}
-    models = {"zero rate": _Model.of(data, ()), METHOD: model}
-    models |= {f"{METHOD} with a {word}": _Model.of(data, (*_EFFECTS, DRIFTS[word])) for word in SCORED}
-    rate = data.conditions.rate_dps
-    rest = np.flatnonzero(np.ones(len(data), dtype=bool) if rate is None else ~rate.any(axis=1))
-    found = {name: _left_out(one, rest) for name, one in models.items()}
-    return {name: score for name, score in found.items() if score is not None}
+    models = {"zero rate": _Model.of(data, ()), **models}
+    found = {name: _left_out(one) for name, one in models.items()}
+    return {name: errors for name, errors in found.items() if errors is not None}
 
 
-def _left_out(model: _Model, rows: NDArray[np.intp]) -> GyroScore | None:
-    """Return the score of a model on rows of the readings, each predicted by a fit to all others.
-
-    None if a fit without one of the rows does not determine the model's free parameters.
-    """
+def _left_out(model: _Model) -> Floats | None:
     data, residuals = model.data, []
-    for row in rows.tolist():
+    for row in model.rests.tolist():
         kept = np.arange(len(data)) != row
         rest = replace(model, data=data.rows(kept))
         if rest.narrowed({}) is not rest:
             return None
         held = data.rows(~kept)
         residuals.append(replace(rest.fit, data=held, values=rest.fit.on(held).values).misfit[0])
-    size = np.abs(np.array(residuals))
-    rms, most = np.sqrt((size**2).mean(axis=0)), size.max(axis=0)
-    return GyroScore(
-        *({axis: float(v) for axis, v in zip(AXES, values, strict=True)} for values in (rms, most))
-    )
+    return np.array(residuals)
+
+
+def _odds(errors: Mapping[str, Floats]) -> dict[str, float]:
+    """Return the odds of each model against the model that predicts best, from their errors (n, 3).
+
+    The predictive density of a dwell is normal with the root mean square of the model's errors. The sum of
+    its logarithm over the dwells and its standard error from their scatter (Vehtari et al. 2017, Statistics
+    and Computing 27, 1413) give the probability that the other model predicts better.
+    """
+    from scipy.special import ndtr
+
+    scale = {name: np.sqrt((one**2).mean(axis=0)) + 1e-300 for name, one in errors.items()}
+    density = {k: -(np.log(scale[k]) + (one / scale[k]) ** 2 / 2).sum(axis=1) for k, one in errors.items()}
+    best = max(density.values(), key=np.sum, default=None)
+    odds = {}
+    for name, own in density.items():
+        behind = best - own
+        spread = math.sqrt(len(own)) * float(behind.std(ddof=1))
+        p = float(ndtr(-behind.sum() / spread)) if spread > 0 else 0.5
+        odds[name] = p / (1 - p)
+    return odds
 
 
 def _warnings(data: Readings, model: _Model, inflation: dict[str, tuple[float, float]]) -> list[str]:
@@ -664,36 +752,39 @@ def _remedy(data: Readings, model: _Model) -> str:
     return "; ".join(steps)
 
 
-def _drifting(data: Readings, model: _Model, parameters: dict[str, Value]) -> list[str]:
-    """Return a warning if a drift in the model would change a g-sensitivity by more than its u.
+def _drifting(
+    candidates: Mapping[str, _Candidate], best: _Candidate, covariance: Floats, errors: Mapping[str, Floats]
+) -> list[str]:
+    """Return warnings of a drift in the best model, and of g-sensitivities that a drift may imitate.
 
-    The text also warns of a g-sensitivity that cannot be determined in addition to the drift. `parameters`
-    are the fitted ones without a drift.
+    `covariance` (p, p) has the uncertainty of the choice of the model, `errors` are the held-out ones.
     """
     warnings = []
+    order = "in this order of poses force cannot be fully separated from a"
     for word in DRIFTS:
-        with_drift = _Model.of(data, (*_EFFECTS, DRIFTS[word]))
-        if with_drift.fit.dof <= 0:
+        one = candidates.get(_with(word))
+        if one is None:
             continue
-        moved, open_ = [], []
-        rows = zip(with_drift.names, with_drift.fit.values.parameters, with_drift.free, strict=True)
-        for name, value, free in rows:
-            known = parameters.get(name)
-            if known is None or not name.startswith("g_") or known.u is None:
-                continue
-            if not free:
-                open_.append(name)
-            elif abs(float(value) - known.value) > known.u:
-                moved.append(f"{name} {signed(known.value, 3)} to {signed(float(value), 3)}")
-        changes = [f"with one in the model {', '.join(moved)} °/s/g"] if moved else []
-        changes += (
-            [f"with one in the model {', '.join(_kinds(open_))} cannot be determined"] if open_ else []
-        )
-        if changes:
+        open_ = [name for name in best.names if name.startswith("g_") and name not in one.names]
+        if open_:
             warnings.append(
-                f"in this order of poses force cannot be fully separated from a {word}:"
-                f" {'; '.join(changes)}; repeat poses in another order"
+                f"{order} {word}: with one in the model {', '.join(_kinds(open_))} cannot be determined;"
+                " repeat poses in another order"
             )
+        if one is best:
+            u = [float(np.sqrt((errors[name] ** 2).mean())) for name in (_with(word), METHOD)]
+            warnings.append(
+                f"a {word} of the zero rates is in the model, because it predicts left-out dwells best:"
+                f" {u[0]:.2g} °/s, without it {u[1]:.2g} °/s; gyro_bias is the mean over the dwells"
+            )
+    # More than half of the variance is the choice.
+    unsure = np.diagonal(covariance) > 2 * np.diagonal(best.covariance)
+    moved = [name for name, one in zip(best.names, unsure, strict=True) if one and name.startswith("g_")]
+    if moved:
+        warnings.append(
+            f"{order} drift of the zero rate: u of {', '.join(_kinds(moved))} includes the difference;"
+            " repeat poses in another order"
+        )
     return warnings
 
 

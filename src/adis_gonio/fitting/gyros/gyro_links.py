@@ -49,6 +49,8 @@ SHEET_ASYMMETRY = 0.002
 UNKNOWN_GAIN, UNKNOWN_MISALIGNMENT_DEG, UNKNOWN_G_DPS = 0.05, 2.0, 0.1
 """Standard uncertainties of gain, misalignment and g-sensitivity (°/s/g) of gyros without a data sheet:
 estimates (D)."""
+_LEAST_DRIFTING = 7
+"""Fewest dwells for a drift: zero rate, drift and three g-sensitivities leave two degrees of freedom."""
 _STEP = 1e-6
 _NAMES = (
     *(f"gyro_scale_{i}" if i == j else f"gyro_misalignment_{i}{j}" for i in AXES for j in AXES),
@@ -362,14 +364,27 @@ def _leg(session: Session, turn: Turn, rests: GyroDwells) -> Leg | str:
 
 
 def _by_dwells(prior: GyroPrior, rests: GyroDwells) -> GyroPrior:
-    """Return the prior with the g-sensitivity updated by the zero rates measured in the dwells."""
-    if len(rests.dwells) < 2 or not np.isfinite(rests.force_g).all():
+    """Return the prior with the g-sensitivity updated by the zero rates measured in the dwells.
+
+    A drift of the zero rates with time is removed if the dwells are then predicted better.
+    """
+    n = len(rests.dwells)
+    if n < 2 or not np.isfinite(rests.force_g).all():
         return prior
-    # Least squares of zero rates on forces, both minus their means.
-    away = rests.force_g - rests.force_g.mean(axis=0)
-    left = rests.mean_dps - rests.mean_dps.mean(axis=0)
-    least = np.linalg.lstsq(away, left, rcond=1e-6)[0]
-    scatter = ((left - away @ least) ** 2).sum(axis=0) / max(len(away) - 4, 1)
+    time = rests.spans_s.mean(axis=1)
+    courses = [np.ones((n, 1)), np.column_stack([np.ones(n), time - time.mean()])]
+    found = []
+    for course in courses[: 1 if n < _LEAST_DRIFTING else 2]:
+        # Least squares of zero rates on forces, both without the course in time.
+        span = np.linalg.qr(course)[0]
+        away, left = (one - span @ (span.T @ one) for one in (rests.force_g, rests.mean_dps))
+        residual = left - away @ np.linalg.lstsq(away, left, rcond=1e-6)[0]
+        leverage = (span**2).sum(axis=1) + np.einsum("ni,in->n", away, np.linalg.pinv(away, rcond=1e-6))
+        # Sum over gyros of the logarithm of the error of left-out dwells.
+        ahead = residual / np.maximum(1 - leverage, 1e-6)[:, None]
+        found.append((float(np.log((ahead**2).mean(axis=0) + 1e-300).sum()), away, left, residual, course))
+    _, away, left, residual, course = min(found, key=lambda one: one[0])
+    scatter = (residual**2).sum(axis=0) / max(n - 3 - course.shape[1], 1)
     # The zero rate wanders from dwell to dwell; a few dwells show too little of that.
     variance = np.maximum(scatter, rests.variance_dps2.mean(axis=0) + 2 * rests.allan_dps2)
     return prior.with_g_sensitivity(away.T @ away, away.T @ left, variance)

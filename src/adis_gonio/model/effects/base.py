@@ -1,9 +1,11 @@
 """Effects: named physical terms that the base model lacks.
 
 An effect states its name, its parameters with units and bounds, the term that it adds to a reading and its
-derivative, the covariates that it needs, its cause in one sentence, and the measurement that separates it
-from other effects. Simulation and fit use one object of the effect, both with rows of arrays: the
-simulation calls it for single samples, the fit for whole readings.
+derivative, the covariates that it needs, and its cause in one sentence. Its docstring has a paragraph
+`Formula:` with the term, in which i is an axis, p another axis and a_i the reading of axis i in mg, and a
+paragraph `Separated by:` with the effects that change the readings alike and the measurement that separates
+them; `scripts/effects_page.py` prints both. Simulation and fit use one object of the effect, both with rows
+of arrays: the simulation calls it for single samples, the fit for whole readings.
 
 Place of an effect in the model
     `Enters.ATTITUDE`: the effect turns the sensor against the stage (an angle in the plane, added to the
@@ -319,10 +321,6 @@ class Effect(ABC):
     name: ClassVar[str]
     cause: ClassVar[str]
     """Physical cause of the effect, in one sentence."""
-    formula: ClassVar[str]
-    """Term that the effect adds: i is an axis, p another axis, and a_i the reading of axis i in mg."""
-    separated_by: ClassVar[str]
-    """Other effects that change the readings alike, and the measurement that separates them."""
     covariates: ClassVar[tuple[str, ...]]
     """Covariates of the effect in words of `COVARIATES`, the most important first; empty for a constant.
     The default follows from `needs`; `catalogue` refuses an effect that declares neither."""
@@ -370,8 +368,10 @@ class Effect(ABC):
         if not self.by_axis and self.axes:
             raise UsageError(f"{self.name} is no effect of single axes: create it without axes")
         for choice in self.choices():
-            if getattr(self, choice) < 0:
-                raise UsageError(f"{self.name}: {choice} must not be negative")
+            value = getattr(self, choice)
+            if value < 0 or value not in self.options.get(choice, (value,)):
+                allowed = ", ".join(map(str, self.options.get(choice, ("0 or more",))))
+                raise UsageError(f"{self.name}: {choice} is {value}, it can be {allowed}")
 
     @classmethod
     def choices(cls) -> tuple[str, ...]:

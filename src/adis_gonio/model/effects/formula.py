@@ -29,7 +29,7 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.model.effects.base import AXES, Conditions, LinearAxisEffect, Parameter, did_you_mean
 from adis_gonio.model.records import MG_PER_G
 
-Value = Callable[[Floats, Conditions], Floats]
+Column = Callable[[Floats, Conditions], Floats]
 """Function of ideal readings (n, axes) and conditions of n rows; its value is (n,) or a constant."""
 
 
@@ -45,7 +45,7 @@ COVARIATES_OF_FORMULAS: dict[str, tuple[str, str, float]] = {
 the formula (degrees, minutes, °C, V). gx, gy and gz are the components of g."""
 
 
-def _covariate(name: str) -> Value:
+def _covariate(name: str) -> Column:
     """Return the function that gives a covariate of a formula by its name.
 
     It raises `UsageError` if the session did not record the covariate. A component of g is the ideal
@@ -89,8 +89,8 @@ EXAMPLE = "write NAME_AXIS = FORMULA, such as 'mine_x = (T - 25)**2 * gx'"
 class FormulaEffect(LinearAxisEffect):
     """Base class of the effects that formulas define: amplitude times formula, for each axis."""
 
-    value: ClassVar[Value]
-    separated_by = "A formula of the user; the other effects of its covariates may look alike."
+    formula: ClassVar[str]
+    value: ClassVar[Column]
 
     def __reduce__(self) -> tuple[Any, ...]:
         return formula_effect, (self.formula, self.coefficients[0].unit)
@@ -174,7 +174,7 @@ class _Source:
             place = len(before.decode(errors="ignore"))
         return UsageError(f"formula '{self.text}': {why} (character {self.begin + place + 1})")
 
-    def translated(self, node: ast.expr) -> Value:
+    def translated(self, node: ast.expr) -> Column:
         """Return the function that computes a node of the tree."""
         match node:
             case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
@@ -195,7 +195,7 @@ class _Source:
         allowed = f"use numbers, + - * / ** and {', '.join(_KNOWN)}"
         raise self.error(f"'{ast.unparse(node)}' is not allowed: {allowed}", node)
 
-    def constant(self, node: ast.expr, number: float) -> Value:
+    def constant(self, node: ast.expr, number: float) -> Column:
         """Return the function of a constant number."""
         try:
             value = np.float64(number)
@@ -203,7 +203,7 @@ class _Source:
             raise self.error("this number is too large", node) from None
         return lambda ideal, conditions: np.asarray(value)
 
-    def called(self, node: ast.expr, name: str, arguments: list[ast.expr]) -> Value:
+    def called(self, node: ast.expr, name: str, arguments: list[ast.expr]) -> Column:
         """Return the function of a call, such as `sin(t)` or `max(gx, 0)`."""
         if name in _FUNCTIONS and len(arguments) == 1:
             return self.applied(_FUNCTIONS[name], arguments[0])
@@ -215,7 +215,7 @@ class _Source:
             raise self.error(f"{name} takes {many}, not {len(arguments)}", node)
         raise self.error(f"no function is called '{name}'{_known(name)}", node)
 
-    def applied(self, function: Callable[..., Any], *nodes: ast.expr) -> Value:
+    def applied(self, function: Callable[..., Any], *nodes: ast.expr) -> Column:
         """Return a function of the values of other nodes."""
         parts = [self.translated(node) for node in nodes]
         return lambda ideal, conditions: function(*(part(ideal, conditions) for part in parts))

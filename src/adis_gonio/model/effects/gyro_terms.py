@@ -13,7 +13,6 @@ from typing import ClassVar
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.errors import UsageError
 from adis_gonio.model.effects.base import (
     AXES,
     CYCLE,
@@ -43,6 +42,11 @@ class GyroBiasTemperature(BiasTemperature):
 
     T is the temperature of the gyro's own die if all three dies were recorded, else the mean temperature.
 
+    Formula: ω_i += gyro_bias_temperature_i · ΔT + …2_i · ΔT² + …3_i · ΔT³ to `degree`, ΔT = T_i − 25 °C
+
+    Separated by: If the temperature only rises it looks like `gyro_drift` or `gyro_warm_up`: let it fall
+    again. `gyro_scale_temperature` shows in turns alone.
+
     Attributes
     ----------
     degree : int
@@ -51,11 +55,6 @@ class GyroBiasTemperature(BiasTemperature):
 
     name = "gyro_bias_temperature"
     cause = "The zero rate of a gyro moves with the temperature of its die."
-    formula = "ω_i += gyro_bias_temperature_i · ΔT + …2_i · ΔT² + …3_i · ΔT³ to `degree`, ΔT = T_i − 25 °C"
-    separated_by = (
-        "If the temperature only rises it looks like `gyro_drift` or `gyro_warm_up`: let it fall again. "
-        "`gyro_scale_temperature` shows in turns alone."
-    )
     remedy = CYCLE
     correctable = True
     parts = GYRO
@@ -74,6 +73,11 @@ class GyroBiasTemperature(BiasTemperature):
 class GSensitivity(LinearAxisEffect):
     """Force along each of the three axes shifts the zero rate: nine coefficients of three gyros.
 
+    Formula: ω_i += g_sensitivity_ix · f_x + g_sensitivity_iy · f_y + g_sensitivity_iz · f_z
+
+    Separated by: With poses in one order force is time: repeat the first poses last. `g2_sensitivity` does
+    not change its sign with the force.
+
     Attributes
     ----------
     force : int
@@ -86,11 +90,6 @@ class GSensitivity(LinearAxisEffect):
 
     name = "g_sensitivity"
     cause = "Acceleration bends the vibrating structure of a gyro, which reads it as a rate of turn."
-    formula = "ω_i += g_sensitivity_ix · f_x + g_sensitivity_iy · f_y + g_sensitivity_iz · f_z"
-    separated_by = (
-        "With poses in one order force is time: repeat the first poses last. `g2_sensitivity` does not "
-        "change its sign with the force."
-    )
     remedy = _OTHER_ORDER
     correctable = True
     prior = "force"
@@ -98,11 +97,6 @@ class GSensitivity(LinearAxisEffect):
     parts = GYRO
     options: ClassVar[dict[str, tuple[int, ...]]] = {"force": (0, 1, 2, 3)}
     coefficients = (Parameter("g_sensitivity", "dps/g", -2.0, 2.0, 0.05),)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.force > len(AXES):
-            raise UsageError(f"{self.name}: force is {self.force}, it can be 0 (all) or 1 to 3 (x, y, z)")
 
     @property
     def _along(self) -> list[int]:
@@ -128,6 +122,11 @@ class G2Sensitivity(LinearAxisEffect):
 
     At rest the three squares add up to 1 g², so each axis of the force is a choice of its own.
 
+    Formula: ω_i += g2_sensitivity_ij · f_j², j the axis `force`
+
+    Separated by: At rest the three squares add up to 1, so one looks like minus the two others: use poses
+    between the axes, or vibration.
+
     Attributes
     ----------
     force : int
@@ -140,22 +139,12 @@ class G2Sensitivity(LinearAxisEffect):
     cause = (
         "The zero rate of a gyro moves with the square of a force, alike for both signs (rectification)."
     )
-    formula = "ω_i += g2_sensitivity_ij · f_j², j the axis `force`"
-    separated_by = (
-        "At rest the three squares add up to 1, so one looks like minus the two others: use poses between "
-        "the axes, or vibration."
-    )
     remedy = "point two axes at once along gravity (±0.7 g), and repeat the first poses last"
     correctable = True
     needs = ("force_g",)
     parts = GYRO
     options: ClassVar[dict[str, tuple[int, ...]]] = {"force": (0, 1, 2)}
     coefficients = (Parameter("g2_sensitivity", "dps/g²", -2.0, 2.0, 0.02),)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.force >= len(AXES):
-            raise UsageError(f"{self.name}: force is {self.force}, it can be 0, 1 or 2 (x, y, z)")
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -171,15 +160,15 @@ class GyroScale(LinearAxisEffect):
     """The scale factor of a gyro has a relative error.
 
     A fit states `gyro_scale_i` = 1 + gyro_scale_error_i.
+
+    Formula: ω_i += gyro_scale_error_i · Ω_i, Ω the true rate
+
+    Separated by: Only turns show it: a whole turn about each axis in both senses. `gyro_scale_temperature`
+    needs turns at two temperatures.
     """
 
     name = "gyro_scale"
     cause = "The sensitivity of a gyro differs from its nominal one."
-    formula = "ω_i += gyro_scale_error_i · Ω_i, Ω the true rate"
-    separated_by = (
-        "Only turns show it: a whole turn about each axis in both senses. `gyro_scale_temperature` needs "
-        "turns at two temperatures."
-    )
     remedy = WHOLE_TURNS
     correctable = True
     needs = ("rate_dps",)
@@ -192,15 +181,16 @@ class GyroScale(LinearAxisEffect):
 
 
 class GyroScaleTemperature(LinearAxisEffect):
-    """The gain of a gyro changes in proportion to the temperature of its die."""
+    """The gain of a gyro changes in proportion to the temperature of its die.
+
+    Formula: ω_i += gyro_scale_temperature_i · 10⁻⁶ · (T_i − 25 °C) · Ω_i
+
+    Separated by: It shows in turns alone, `gyro_bias_temperature` also at rest: make the same turn at two
+    temperatures.
+    """
 
     name = "gyro_scale_temperature"
     cause = "The sensitivity of a gyro changes with the temperature of its die."
-    formula = "ω_i += gyro_scale_temperature_i · 10⁻⁶ · (T_i − 25 °C) · Ω_i"
-    separated_by = (
-        "It shows in turns alone, `gyro_bias_temperature` also at rest: make the same turn at two "
-        "temperatures."
-    )
     remedy = "turn the part by whole turns at two temperatures, 10 °C apart"
     correctable = True
     needs = ("rate_dps", "temperature_c")
@@ -219,15 +209,15 @@ class GyroMisalignment(AxisEffect):
 
     With s_p the sine of the misalignment towards axis p the direction is (√(1 − Σ s_p²), s_p, …):
     1° reduces the gain by 1.5·10⁻⁴, which ten turns show.
+
+    Formula: ω_i += Σ_p sin(gyro_misalignment_ip) · Ω_p − (1 − √(1 − Σ_p sin²)) · Ω_i
+
+    Separated by: Only a turn about the axis towards which the gyro leans shows it: one whole turn about
+    each of the three axes.
     """
 
     name = "gyro_misalignment"
     cause = "The axis of a gyro is misaligned towards another axis of the accelerometers by a small angle."
-    formula = "ω_i += Σ_p sin(gyro_misalignment_ip) · Ω_p − (1 − √(1 − Σ_p sin²)) · Ω_i"
-    separated_by = (
-        "Only a turn about the axis towards which the gyro leans shows it: one whole turn about each of "
-        "the three axes."
-    )
     remedy = WHOLE_TURNS
     correctable = True
     needs = ("rate_dps",)
@@ -276,6 +266,11 @@ class GyroMisalignment(AxisEffect):
 class GyroDrift(LinearAxisEffect):
     """The zero rate changes evenly, with time or from dwell to dwell.
 
+    Formula: ω_i += gyro_drift_i · t/60, or gyro_step_i · number of the dwell (`steps` 1)
+
+    Separated by: With poses in one order time is force: repeat the first poses last. For
+    `gyro_bias_temperature` let the temperature fall.
+
     Attributes
     ----------
     steps : int
@@ -287,11 +282,6 @@ class GyroDrift(LinearAxisEffect):
 
     name = "gyro_drift"
     cause = "The zero rate of a gyro moves evenly with time, or from one handling of the part to the next."
-    formula = "ω_i += gyro_drift_i · t/60, or gyro_step_i · number of the dwell (`steps` 1)"
-    separated_by = (
-        "With poses in one order time is force: repeat the first poses last. For `gyro_bias_temperature` "
-        "let the temperature fall."
-    )
     remedy = _OTHER_ORDER
     not_corrected = "follows the clock of the session; the zero rate applies to its start"
     covariates = ("time",)
@@ -301,13 +291,6 @@ class GyroDrift(LinearAxisEffect):
         Parameter("gyro_drift", "dps/min", -5.0, 5.0, 0.005),
         Parameter("gyro_step", "dps/dwell", -2.0, 2.0, 0.01),
     )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.steps not in (0, 1):
-            raise UsageError(
-                f"{self.name}: steps is {self.steps}, it can be 0 (with time) or 1 (by dwells)"
-            )
 
     def active(self) -> tuple[Parameter, ...]:
         """Return the coefficient in use: drift per minute, or per dwell if `steps` is 1."""
@@ -319,15 +302,16 @@ class GyroDrift(LinearAxisEffect):
 
 
 class GyroWarmUp(WarmUp):
-    """The zero rate settles exponentially after power-on."""
+    """The zero rate settles exponentially after power-on.
+
+    Formula: ω_i += gyro_warm_up_i · exp(−t/τ), t from the session's start
+
+    Separated by: In less than τ it looks like `gyro_drift`, with a thermometer like
+    `gyro_bias_temperature`: switch off and on within the session.
+    """
 
     name = "gyro_warm_up"
     cause = "The zero rate of a gyro settles while the part heats itself after power-on."
-    formula = "ω_i += gyro_warm_up_i · exp(−t/τ), t from the session's start"
-    separated_by = (
-        "In less than τ it looks like `gyro_drift`, with a thermometer like `gyro_bias_temperature`: "
-        "switch off and on within the session."
-    )
     remedy = "switch the sensor off, let it cool, and repeat a few poses after switching on"
     not_corrected = "follows the clock of the session; the zero rate applies to the warm part"
     covariates = ("time",)
@@ -336,15 +320,16 @@ class GyroWarmUp(WarmUp):
 
 
 class GyroSupply(SupplyBias):
-    """The zero rate changes in proportion to the supply voltage."""
+    """The zero rate changes in proportion to the supply voltage.
+
+    Formula: ω_i += gyro_supply_i · (V − 5 V)
+
+    Separated by: A supply that sinks while the part warms looks like `gyro_bias_temperature` or
+    `gyro_drift`: change the supply by hand in one pose.
+    """
 
     name = "gyro_supply"
     cause = "The zero rate of a gyro moves with the supply voltage."
-    formula = "ω_i += gyro_supply_i · (V − 5 V)"
-    separated_by = (
-        "A supply that sinks while the part warms looks like `gyro_bias_temperature` or `gyro_drift`: "
-        "change the supply by hand in one pose."
-    )
     remedy = "change the supply by hand in one pose, such as from 4.8 to 5.2 V"
     correctable = True
     needs = ("supply_v",)
@@ -353,12 +338,15 @@ class GyroSupply(SupplyBias):
 
 
 class GyroAsymmetry(LinearAxisEffect):
-    """The scale factor of a gyro is 1 + A for positive rates of turn, 1 − A for negative rates."""
+    """The scale factor of a gyro is 1 + A for positive rates of turn, 1 − A for negative rates.
+
+    Formula: ω_i += gyro_asymmetry_i · |Ω_i|
+
+    Separated by: Turns in one sense alone show it as a gain (`gyro_scale`): turn in both senses.
+    """
 
     name = "gyro_asymmetry"
     cause = "The gain of a gyro differs between the two senses of turning."
-    formula = "ω_i += gyro_asymmetry_i · |Ω_i|"
-    separated_by = "Turns in one sense alone show it as a gain (`gyro_scale`): turn in both senses."
     remedy = "turn the part by as many whole turns to the one side as to the other"
     not_corrected = "differs between the two senses of turning, which no gain corrects"
     needs = ("rate_dps",)

@@ -38,15 +38,16 @@ _OBLIQUE = (
 
 
 class Bias(LinearAxisEffect):
-    """The reading has a constant error: the term K0 of the usual accelerometer model."""
+    """The reading has a constant error: the term K0 of the usual accelerometer model.
+
+    Formula: a_i += bias_i
+
+    Separated by: Two positions cannot show it, opposite positions (0/180°) can. An even nonlinearity adds
+    to it in one plane: use positions out of the plane.
+    """
 
     name = "bias"
     cause = "An axis does not read zero without acceleration along it."
-    formula = "a_i += bias_i"
-    separated_by = (
-        "Two positions cannot show it, opposite positions (0/180°) can. An even nonlinearity adds to it "
-        "in one plane: use positions out of the plane."
-    )
     remedy = "repeat a few positions on another day or at another temperature"
     in_base = True
     prior = "constant"
@@ -60,16 +61,17 @@ class Bias(LinearAxisEffect):
 
 
 class Scale(LinearAxisEffect):
-    """The gain has a relative error; in every fit of this package it is a base parameter."""
+    """The gain has a relative error; in every fit of this package it is a base parameter.
+
+    Formula: a_i += scale_i · a_i
+
+    Separated by: It is the gain of every model. `gravity` changes all gains alike; `cubic` also has a third
+    harmonic.
+    """
 
     name = "scale"
     covariates = ("reading",)
     cause = "The sensitivity of an axis differs from its nominal one."
-    formula = "a_i += scale_i · a_i"
-    separated_by = (
-        "It is the gain of every model. `gravity` changes all gains alike; `cubic` also has a third "
-        "harmonic."
-    )
     remedy = "enter the local gravity, as from --latitude and --height"
     correctable = True
     in_base = True
@@ -87,16 +89,16 @@ class Misalignment(CrossEffect):
     and Δφ; in space with free attitudes six of the nine linear terms are gains and skews, and the other
     three are a rotation, which gravity cannot show. A fit therefore finds this effect in the base
     parameters.
+
+    Formula: a_i += misalignment_ip · a_p (angle in radians)
+
+    Separated by: The base model has it as α, Δφ or skews, except the misalignment towards z in the xy
+    plane: turn in another plane.
     """
 
     name = "misalignment"
     covariates = ("reading",)
     cause = "The sensitive direction of an axis is misaligned towards another axis by a small angle."
-    formula = "a_i += misalignment_ip · a_p (angle in radians)"
-    separated_by = (
-        "The base model has it as α, Δφ or skews, except the misalignment towards z in the xy plane: turn "
-        "in another plane."
-    )
     remedy = "repeat the session in another plane"
     correctable = True
     in_base = True
@@ -113,16 +115,16 @@ class CrossAxis(CrossEffect):
     The linear part of cross-axis sensitivity is `misalignment`, which the base model contains in every
     session. The remaining part of the cross-axis response is the product a_i a_p, which gives sin 2t in a
     tumble with the angle t.
+
+    Formula: a_i += kip_ip · (a_i/1000)(a_p/1000)
+
+    Separated by: `stage_eccentricity` has the same harmonic sin 2t on both axes: remount the part by 180°,
+    and only the stage's term changes its sign.
     """
 
     name = "cross_axis"
     covariates = ("reading",)
     cause = "Acceleration across an axis deflects its proof mass and so changes its sensitivity (K_ip)."
-    formula = "a_i += kip_ip · (a_i/1000)(a_p/1000)"
-    separated_by = (
-        "`stage_eccentricity` has the same harmonic sin 2t on both axes: remount the part by 180°, and "
-        "only the stage's term changes its sign."
-    )
     remedy = ONE_TURN
     correctable = True
     shown_over = "angle"
@@ -134,16 +136,17 @@ class CrossAxis(CrossEffect):
 
 
 class Quadratic(LinearAxisEffect):
-    """The response has a quadratic nonlinearity: K2 is the error in mg at 1 g along the axis."""
+    """The response has a quadratic nonlinearity: K2 is the error in mg at 1 g along the axis.
+
+    Formula: a_i += k2_i · (a_i/1000)²
+
+    Separated by: In one plane it equals `cross_quadratic` of opposite sign plus a bias: leave the plane.
+    `asymmetry` has a fourth harmonic (9 positions); for `stage_eccentricity` remount by 180°.
+    """
 
     name = "quadratic"
     covariates = ("reading",)
     cause = "The response of an axis is curved: the same change for +1 g and for −1 g (K2)."
-    formula = "a_i += k2_i · (a_i/1000)²"
-    separated_by = (
-        "In one plane it equals `cross_quadratic` of opposite sign plus a bias: leave the plane. "
-        "`asymmetry` has a fourth harmonic (9 positions); for `stage_eccentricity` remount by 180°."
-    )
     remedy = _OUT_OF_PLANE
     remedy_in_space = _OBLIQUE
     correctable = True
@@ -156,16 +159,17 @@ class Quadratic(LinearAxisEffect):
 
 
 class Cubic(LinearAxisEffect):
-    """The response has a cubic nonlinearity: coefficient K3 is the error in mg at 1 g along the axis."""
+    """The response has a cubic nonlinearity: coefficient K3 is the error in mg at 1 g along the axis.
+
+    Formula: a_i += k3_i · (a_i/1000)³
+
+    Separated by: It has a third harmonic (7 positions). `stage_ellipticity` has it on both axes: remount by
+    90°, and only the stage's term changes its sign.
+    """
 
     name = "cubic"
     covariates = ("reading",)
     cause = "The sensitivity of an axis changes alike towards both ends of its range (K3)."
-    formula = "a_i += k3_i · (a_i/1000)³"
-    separated_by = (
-        "It has a third harmonic (7 positions). `stage_ellipticity` has it on both axes: remount by 90°, "
-        "and only the stage's term changes its sign."
-    )
     remedy = "remount the part turned by 90° and repeat some angles"
     remedy_in_space = _OBLIQUE
     correctable = True
@@ -177,13 +181,16 @@ class Cubic(LinearAxisEffect):
 
 
 class Asymmetry(LinearAxisEffect):
-    """The scale factor is 1 + A/1000 for positive readings, 1 − A/1000 for negative readings, A in mg/g."""
+    """The scale factor is 1 + A/1000 for positive readings, 1 − A/1000 for negative readings, A in mg/g.
+
+    Formula: a_i += asymmetry_i · |a_i|/1000
+
+    Separated by: Few positions take it for `quadratic`: add readings near zero, where |a| has its kink.
+    """
 
     name = "asymmetry"
     covariates = ("reading",)
     cause = "The gain of an axis differs between positive and negative acceleration."
-    formula = "a_i += asymmetry_i · |a_i|/1000"
-    separated_by = "Few positions take it for `quadratic`: add readings near zero, where |a| has its kink."
     remedy = "add angles with readings of an axis near zero, five degrees apart"
     remedy_in_space = _OBLIQUE
     correctable = True
@@ -195,15 +202,17 @@ class Asymmetry(LinearAxisEffect):
 
 
 class CrossQuadratic(CrossEffect):
-    """The squared acceleration across an axis shifts its bias, by K_pp in mg at 1 g."""
+    """The squared acceleration across an axis shifts its bias, by K_pp in mg at 1 g.
+
+    Formula: a_i += kpp_ip · (a_p/1000)²
+
+    Separated by: In one plane it equals `quadratic` of opposite sign plus a bias: use positions out of the
+    plane.
+    """
 
     name = "cross_quadratic"
     covariates = ("reading",)
     cause = "Acceleration across an axis shifts its bias by its square (K_pp)."
-    formula = "a_i += kpp_ip · (a_p/1000)²"
-    separated_by = (
-        "In one plane it equals `quadratic` of opposite sign plus a bias: use positions out of the plane."
-    )
     remedy = _OUT_OF_PLANE
     remedy_in_space = _OBLIQUE
     correctable = True
@@ -216,15 +225,16 @@ class CrossQuadratic(CrossEffect):
 
 
 class VibrationRectification(LinearAxisEffect):
-    """The mean reading shifts in proportion to the vibration (variance of the samples) during the dwell."""
+    """The mean reading shifts in proportion to the vibration (variance of the samples) during the dwell.
+
+    Formula: a_i += vre_i · var_i/1000²
+
+    Separated by: With equal vibration in all dwells it is a `bias`: repeat a position with a source of
+    vibration on and off.
+    """
 
     name = "vibration_rectification"
     cause = "An even nonlinearity turns vibration into a shift of the mean."
-    formula = "a_i += vre_i · var_i/1000²"
-    separated_by = (
-        "With equal vibration in all dwells it is a `bias`: repeat a position with a source of vibration "
-        "on and off."
-    )
     remedy = "repeat one position with a source of vibration on, and off"
     not_corrected = "follows the variance of many samples, which a single reading does not show"
     needs = ("variance_mg2",)
@@ -245,6 +255,11 @@ REFERENCE_V = 5.0
 class BiasTemperature(LinearAxisEffect):
     """The bias follows the temperature: a polynomial of degree 1 to 3 in T − 25 °C, by default a line.
 
+    Formula: a_i += tempco_i · ΔT + tempco2_i · ΔT² + tempco3_i · ΔT³ up to `degree`, ΔT = T − 25 °C
+
+    Separated by: If the temperature only rises it looks like `bias_drift` or `warm_up`: let it fall again.
+    `scale_temperature` grows with the reading.
+
     Attributes
     ----------
     degree : int
@@ -255,11 +270,6 @@ class BiasTemperature(LinearAxisEffect):
 
     name = "bias_temperature"
     cause = "The bias of an axis changes with the temperature of the die."
-    formula = "a_i += tempco_i · ΔT + tempco2_i · ΔT² + tempco3_i · ΔT³ up to `degree`, ΔT = T − 25 °C"
-    separated_by = (
-        "If the temperature only rises it looks like `bias_drift` or `warm_up`: let it fall again. "
-        "`scale_temperature` grows with the reading."
-    )
     remedy = CYCLE
     correctable = True
     needs = ("temperature_c",)
@@ -289,15 +299,16 @@ class BiasTemperature(LinearAxisEffect):
 
 
 class ScaleTemperature(LinearAxisEffect):
-    """The gain changes in proportion to the temperature."""
+    """The gain changes in proportion to the temperature.
+
+    Formula: a_i += scale_tempco_i · 10⁻⁶ · (T − 25 °C) · a_i
+
+    Separated by: `bias_temperature` does not change its sign with the reading: measure +1 g and −1 g at the
+    same temperatures. For `scale_drift` let the temperature rise and fall.
+    """
 
     name = "scale_temperature"
     cause = "The sensitivity of an axis changes with the temperature of the die."
-    formula = "a_i += scale_tempco_i · 10⁻⁶ · (T − 25 °C) · a_i"
-    separated_by = (
-        "`bias_temperature` does not change its sign with the reading: measure +1 g and −1 g at the same "
-        "temperatures. For `scale_drift` let the temperature rise and fall."
-    )
     remedy = CYCLE
     correctable = True
     needs = ("temperature_c",)
@@ -314,15 +325,15 @@ class MisalignmentTemperature(CrossEffect):
     In the plane a misalignment of both axes is the misalignment of one axis and a turn of the whole part. A
     part that turns with its mount is not misaligned, so a candidate of the trace misaligns one axis; two
     candidates represent both.
+
+    Formula: a_i += misalignment_tempco_ip · (T − 25 °C) · a_p (angle in radians)
+
+    Separated by: `scale_temperature` shows if the axis is along gravity, this effect if it is across:
+    measure several angles at two temperatures.
     """
 
     name = "misalignment_temperature"
     cause = "The misalignment of an axis changes with the temperature of the die."
-    formula = "a_i += misalignment_tempco_ip · (T − 25 °C) · a_p (angle in radians)"
-    separated_by = (
-        "`scale_temperature` shows if the axis is along gravity, this effect if it is across: measure "
-        "several angles at two temperatures."
-    )
     remedy = CYCLE
     correctable = True
     needs = ("temperature_c",)
@@ -340,15 +351,15 @@ class ThermalLag(CourseEffect):
     With τ dT_lag/dt = T − T_lag and T_lag = T at the first record of the session, the term is
     lag_i (T_lag − T). It is zero at constant temperature, so that it does not compete with
     `bias_temperature`; a bias that follows only T_lag has lag_i = tempco_i.
+
+    Formula: a_i += lag_i · (T_lag − T), τ dT_lag/dt = T − T_lag
+
+    Separated by: `bias_temperature` is equal on the way up and down: heat and cool at different rates
+    through the same temperature.
     """
 
     name = "thermal_lag"
     cause = "The element that shifts the bias warms later than the die with the thermometer."
-    formula = "a_i += lag_i · (T_lag − T), τ dT_lag/dt = T − T_lag"
-    separated_by = (
-        "`bias_temperature` is equal on the way up and down: heat and cool at different rates through the "
-        "same temperature."
-    )
     remedy = "heat and let cool at different speeds, with a dwell every few minutes"
     not_corrected = MEMORY
     shown_over = "temperature_lag"
@@ -363,15 +374,16 @@ class ThermalLag(CourseEffect):
 
 
 class SupplyBias(LinearAxisEffect):
-    """The bias changes in proportion to the supply voltage."""
+    """The bias changes in proportion to the supply voltage.
+
+    Formula: a_i += supply_i · (V − 5 V)
+
+    Separated by: A supply that sinks while the part warms looks like `bias_temperature` or `bias_drift`:
+    change the supply by hand at one position.
+    """
 
     name = "supply_bias"
     cause = "The bias of an axis changes with the supply voltage."
-    formula = "a_i += supply_i · (V − 5 V)"
-    separated_by = (
-        "A supply that sinks while the part warms looks like `bias_temperature` or `bias_drift`: change "
-        "the supply by hand at one position."
-    )
     remedy = "change the supply by hand at one position, such as from 4.8 to 5.2 V"
     correctable = True
     needs = ("supply_v",)
@@ -383,15 +395,16 @@ class SupplyBias(LinearAxisEffect):
 
 
 class SupplyScale(LinearAxisEffect):
-    """The gain changes in proportion to the supply voltage."""
+    """The gain changes in proportion to the supply voltage.
+
+    Formula: a_i += supply_scale_i · 10⁻⁶ · (V − 5 V) · a_i
+
+    Separated by: `supply_bias` does not change its sign with the reading: measure +1 g and −1 g at the same
+    voltages, changed by hand.
+    """
 
     name = "supply_scale"
     cause = "The sensitivity of an axis changes with the supply voltage."
-    formula = "a_i += supply_scale_i · 10⁻⁶ · (V − 5 V) · a_i"
-    separated_by = (
-        "`supply_bias` does not change its sign with the reading: measure +1 g and −1 g at the same "
-        "voltages, changed by hand."
-    )
     remedy = "change the supply by hand at +1 g and at −1 g, such as from 4.8 to 5.2 V"
     correctable = True
     needs = ("supply_v",)
@@ -403,15 +416,16 @@ class SupplyScale(LinearAxisEffect):
 
 
 class BiasDrift(LinearAxisEffect):
-    """The bias changes evenly with time."""
+    """The bias changes evenly with time.
+
+    Formula: a_i += drift_i · t/60, t from the session's start
+
+    Separated by: With positions in one order, time is angle: repeat positions in another order. For
+    `bias_temperature` let the temperature fall; for `warm_up` measure longer.
+    """
 
     name = "bias_drift"
     cause = "The bias of an axis changes evenly with time (ageing, relaxing stress, creep of the mount)."
-    formula = "a_i += drift_i · t/60, t from the session's start"
-    separated_by = (
-        "With positions in one order, time is angle: repeat positions in another order. For "
-        "`bias_temperature` let the temperature fall; for `warm_up` measure longer."
-    )
     remedy = "repeat some positions in another order, and once more after a break"
     covariates = ("time",)
     coefficients = (Parameter("drift", "mg/min", -50.0, 50.0, 0.05),)
@@ -422,15 +436,16 @@ class BiasDrift(LinearAxisEffect):
 
 
 class ScaleDrift(LinearAxisEffect):
-    """The gain changes evenly with time."""
+    """The gain changes evenly with time.
+
+    Formula: a_i += scale_drift_i · 10⁻⁶ · t/60 · a_i, t from the session's start
+
+    Separated by: `bias_drift` does not change its sign with the reading: measure +1 g and −1 g early and
+    late. For `scale_temperature` let the temperature rise and fall.
+    """
 
     name = "scale_drift"
     cause = "The sensitivity of an axis moves evenly with time (ageing, a reference that drifts)."
-    formula = "a_i += scale_drift_i · 10⁻⁶ · t/60 · a_i, t from the session's start"
-    separated_by = (
-        "`bias_drift` does not change its sign with the reading: measure +1 g and −1 g early and late. "
-        "For `scale_temperature` let the temperature rise and fall."
-    )
     remedy = "repeat +1 g and −1 g of an axis early and late, and once more after a break"
     not_corrected = "follows the clock of the session; the gain applies to its start"
     covariates = ("time",)
@@ -442,15 +457,16 @@ class ScaleDrift(LinearAxisEffect):
 
 
 class WarmUp(CourseEffect):
-    """The bias settles exponentially after power-on."""
+    """The bias settles exponentially after power-on.
+
+    Formula: a_i += warm_up_i · exp(−t/τ), t from the session's start
+
+    Separated by: In less than τ it looks like `bias_drift`, with a thermometer like `bias_temperature`:
+    switch off and on within the session.
+    """
 
     name = "warm_up"
     cause = "The bias of an axis settles while the part heats itself after power-on."
-    formula = "a_i += warm_up_i · exp(−t/τ), t from the session's start"
-    separated_by = (
-        "In less than τ it looks like `bias_drift`, with a thermometer like `bias_temperature`: switch "
-        "off and on within the session."
-    )
     remedy = "switch the sensor off, let it cool, and repeat a few positions after switching on"
     not_corrected = "follows the clock of the session; the bias applies to the warm part"
     covariates = ("time",)
@@ -467,16 +483,16 @@ class Gravity(Effect):
 
     With g the local gravity and g′ the declared gravity of the session, the readings are (g/g′) times the
     ideal ones: `gravity` = g/g′ − 1. On the Earth's surface g lies between 9.764 and 9.834 m/s².
+
+    Formula: a_i += gravity · a_i on every axis
+
+    Separated by: It equals a common error of all gains; ΔK and Δφ do not depend on it. A measured g
+    separates it from `scale`.
     """
 
     name = "gravity"
     covariates = ("reading",)
     cause = "Local gravity differs from the declared gravity of the session."
-    formula = "a_i += gravity · a_i on every axis"
-    separated_by = (
-        "It equals a common error of all gains; ΔK and Δφ do not depend on it. A measured g separates it "
-        "from `scale`."
-    )
     remedy = "enter the local gravity, as from --latitude and --height"
     not_corrected = "belongs to the place: state its gravity; no angle depends on it"
     in_base = True

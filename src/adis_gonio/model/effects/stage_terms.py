@@ -68,15 +68,15 @@ class StageEccentricity(StageEffect):
     """The divided circle is off-centre: an angle error with one cycle a turn.
 
     Its amplitude in rad is eccentricity divided by radius of the circle.
+
+    Formula: ψ += ecc_sin · sin θ + ecc_cos · cos θ
+
+    Separated by: It looks like `quadratic` and `cross_axis` on both axes together: remount the part by
+    180°, and only the stage's term changes its sign.
     """
 
     name = "stage_eccentricity"
     cause = "The divided circle of the stage is not centred on its axis: one cycle a turn."
-    formula = "ψ += ecc_sin · sin θ + ecc_cos · cos θ"
-    separated_by = (
-        "It looks like `quadratic` and `cross_axis` on both axes together: remount the part by 180°, and "
-        "only the stage's term changes its sign."
-    )
     remedy = ONE_TURN
     not_corrected = _STAGE
     needs = ("angle_rad",)
@@ -92,15 +92,16 @@ class StageEccentricity(StageEffect):
 
 
 class StageEllipticity(StageEffect):
-    """The divided circle is oval: an angle error of the stage with two cycles a turn."""
+    """The divided circle is oval: an angle error of the stage with two cycles a turn.
+
+    Formula: ψ += ell_sin · sin 2θ + ell_cos · cos 2θ
+
+    Separated by: It looks like `scale`, Δφ and `cubic` on both axes together: remount the part by 90°, or
+    compare the stage with a polygon.
+    """
 
     name = "stage_ellipticity"
     cause = "The divided circle of the stage is oval, or its bearing is: two cycles a turn."
-    formula = "ψ += ell_sin · sin 2θ + ell_cos · cos 2θ"
-    separated_by = (
-        "It looks like `scale`, Δφ and `cubic` on both axes together: remount the part by 90°, or compare "
-        "the stage with a polygon."
-    )
     remedy = "remount the part turned by 90° and repeat some angles"
     not_corrected = _STAGE
     needs = ("angle_rad",)
@@ -119,6 +120,11 @@ class StageEllipticity(StageEffect):
 class StagePeriodic(StageEffect):
     """The stage has an angle error with any whole number of cycles a turn, three or more.
 
+    Formula: ψ += per_sin · sin cycles·θ + per_cos · cos cycles·θ
+
+    Separated by: Remount the part by half a cycle, and only the stage's term changes its sign. Unequal
+    angles distinguish numbers of cycles.
+
     Attributes
     ----------
     cycles : int
@@ -134,11 +140,6 @@ class StagePeriodic(StageEffect):
 
     name = "stage_periodic"
     cause = "A worm, a gear or the division of the stage repeats its error a whole number of times a turn."
-    formula = "ψ += per_sin · sin cycles·θ + per_cos · cos cycles·θ"
-    separated_by = (
-        "Remount the part by half a cycle, and only the stage's term changes its sign. Unequal angles "
-        "distinguish numbers of cycles."
-    )
     remedy = BETWEEN
     not_corrected = _STAGE
     needs = ("angle_rad",)
@@ -168,15 +169,15 @@ class Backlash(StageEffect):
 
     The parameter is the difference of the angles between both directions; half of it is added to either
     side.
+
+    Formula: ψ += backlash · approach/2
+
+    Separated by: `hysteresis` shifts an axis alike at every angle, backlash only if the reading changes
+    with the angle: approach several positions from both sides.
     """
 
     name = "backlash"
     cause = "Play in the drive of the stage: the angle depends on the direction of approach."
-    formula = "ψ += backlash · approach/2"
-    separated_by = (
-        "`hysteresis` shifts an axis alike at every angle, backlash only if the reading changes with the "
-        "angle: approach several positions from both sides."
-    )
     remedy = "approach several positions from both sides"
     not_corrected = _STAGE
     needs = ("approach",)
@@ -191,6 +192,11 @@ class Backlash(StageEffect):
 class PositionSlip(StageEffect):
     """One dwell is at another angle than declared.
 
+    Formula: ψ += slip in dwell `dwell`
+
+    Separated by: Readings move along the circle; `outlier_dwell` also changes their length: repeat the
+    position.
+
     Attributes
     ----------
     dwell : int
@@ -201,10 +207,6 @@ class PositionSlip(StageEffect):
 
     name = "position_slip"
     cause = "One position differs from its declared angle: the part or the stage slipped, or was misread."
-    formula = "ψ += slip in dwell `dwell`"
-    separated_by = (
-        "Readings move along the circle; `outlier_dwell` also changes their length: repeat the position."
-    )
     remedy = "repeat the position"
     not_corrected = OF_DWELL
     needs = ("order",)
@@ -220,15 +222,15 @@ class Hysteresis(LinearAxisEffect):
 
     The parameter is the difference of the biases between both directions; half of it is added to either
     side.
+
+    Formula: a_i += hysteresis_i · approach/2
+
+    Separated by: `backlash` moves a reading only if it changes with the angle: approach several positions
+    from both sides.
     """
 
     name = "hysteresis"
     cause = "Stress of the last move stays in the sensor or its mount and shifts the bias of an axis."
-    formula = "a_i += hysteresis_i · approach/2"
-    separated_by = (
-        "`backlash` moves a reading only if it changes with the angle: approach several positions from "
-        "both sides."
-    )
     remedy = "approach several positions from both sides"
     not_corrected = MEMORY
     needs = ("approach",)
@@ -248,15 +250,15 @@ class Creep(CourseEffect):
     that changes with the load itself is `quadratic` or `cubic`; a gain that drifts *after* loading is this.
     `settling` is equal in every dwell and ends within it; `hysteresis` depends only on the direction of the
     last move.
+
+    Formula: a_i += creep_i · (a_late,i − a_i)/1000, τ da_late,i/dt = a_i − a_late,i
+
+    Separated by: It follows the loads of all earlier dwells: turn by 180°, repeat the position for several
+    τ, and turn back. `settling` begins again with every dwell.
     """
 
     name = "creep"
     cause = "The spring or the mount of an axis continues to yield after a change of its load."
-    formula = "a_i += creep_i · (a_late,i − a_i)/1000, τ da_late,i/dt = a_i − a_late,i"
-    separated_by = (
-        "It follows the loads of all earlier dwells: turn by 180°, repeat the position for several τ, and "
-        "turn back. `settling` begins again with every dwell."
-    )
     remedy = "turn by 180°, dwell there for several time constants, and turn back"
     not_corrected = MEMORY
     needs = ("load_history",)
@@ -287,16 +289,16 @@ class AxisTilt(Effect):
     ε²/2 of their gain (0.15 mg at 1°), which is `gravity` or a common `scale`; only z shows ε in first
     order (17.5 mg at 1°). A part mounted with an axis tilted by λ out of the plane of rotation also reads G
     sin ε · λ, a constant, which is `bias`. x and y alone therefore cannot identify it.
+
+    Formula: a_x, a_y += (cos ε − 1) a_x, a_y; a_z += ρ sin ε (for a_z = 0), ρ² = a_x² + a_y²
+
+    Separated by: In x and y it is a common gain, in z a `bias`: level the axis, or remount the part with z
+    reversed.
     """
 
     name = "axis_tilt"
     covariates = ("reading",)
     cause = "The axis of rotation is not horizontal, so that gravity leaves the plane of rotation."
-    formula = "a_x, a_y += (cos ε − 1) a_x, a_y; a_z += ρ sin ε (for a_z = 0), ρ² = a_x² + a_y²"
-    separated_by = (
-        "In x and y it is a common gain, in z a `bias`: level the axis, or remount the part with z "
-        "reversed."
-    )
     remedy = "level the stage's axis with a spirit level"
     not_corrected = _STAGE
     by_axis = False
@@ -364,13 +366,16 @@ class SampleEffect(AxisEffect):
 
 
 class Saturation(SampleEffect):
-    """Samples are clipped at ± a limit, the end of the range."""
+    """Samples are clipped at ± a limit, the end of the range.
+
+    Formula: sample_i = clip(sample_i, −limit, limit)
+
+    Separated by: Samples pile up at one extreme value; `quantization` piles them up on every step.
+    """
 
     name = "saturation"
     covariates = ("reading",)
     cause = "The output stops at the end of the range."
-    formula = "sample_i = clip(sample_i, −limit, limit)"
-    separated_by = "Samples pile up at one extreme value; `quantization` piles them up on every step."
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -388,16 +393,17 @@ class Saturation(SampleEffect):
 
 
 class Quantization(SampleEffect):
-    """Samples are rounded to multiples of a converter's step (LSB)."""
+    """Samples are rounded to multiples of a converter's step (LSB).
+
+    Formula: sample_i = lsb · round(sample_i/lsb)
+
+    Separated by: The samples are multiples of one step; with noise of a step or more the mean is free of
+    it: lower the filter setting, or tilt by a fraction of a step.
+    """
 
     name = "quantization"
     covariates = ("reading",)
     cause = "The converter gives whole steps; if noise is below a step the mean follows a staircase."
-    formula = "sample_i = lsb · round(sample_i/lsb)"
-    separated_by = (
-        "The samples are multiples of one step; with noise of a step or more the mean is free of it: "
-        "lower the filter setting, or tilt by a fraction of a step."
-    )
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -413,16 +419,17 @@ class Quantization(SampleEffect):
 
 
 class Tone(SampleEffect):
-    """The samples contain a sine wave (a spectral line), with one phase on all axes."""
+    """The samples contain a sine wave (a spectral line), with one phase on all axes.
+
+    Formula: sample_i += tone_i · sin(2π f t + phase)
+
+    Separated by: It is a line in the spectrum. A line that moves with the sample rate is an alias: record
+    at two rates.
+    """
 
     name = "tone"
     covariates = ("reading",)
     cause = "A machine or the mains shakes the table: a spectral line within the dwells."
-    formula = "sample_i += tone_i · sin(2π f t + phase)"
-    separated_by = (
-        "It is a line in the spectrum. A line that moves with the sample rate is an alias: record at two "
-        "rates."
-    )
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -444,16 +451,17 @@ class Tone(SampleEffect):
 
 
 class NoiseChange(SampleEffect):
-    """The samples contain additional white noise from some time of the session on."""
+    """The samples contain additional white noise from some time of the session on.
+
+    Formula: sample_i += extra_i · N(0, 1) for t ≥ start
+
+    Separated by: The variance within dwells changes and the mean does not; `vibration_rectification` moves
+    the mean with it.
+    """
 
     name = "noise_change"
     covariates = ("reading",)
     cause = "From a moment on the samples scatter more: a loose contact, a machine, a supply."
-    formula = "sample_i += extra_i · N(0, 1) for t ≥ start"
-    separated_by = (
-        "The variance within dwells changes and the mean does not; `vibration_rectification` moves the "
-        "mean with it."
-    )
     not_corrected = OF_DWELL
 
     @property
@@ -478,16 +486,16 @@ class Settling(CourseEffect):
 
     For readings of equally long dwells it is a constant, so it is searched within the dwells: rows of
     `Conditions` are then samples. The mean of exp(−t/τ) over a dwell is not exp(−mean t/τ).
+
+    Formula: a_i += settling_i · exp(−t/τ), t from the end of the move
+
+    Separated by: It begins again with every dwell, unlike `bias_drift` and `warm_up`; in the means it is a
+    `bias`: wait longer in some dwells.
     """
 
     name = "settling"
     covariates = ("reading",)
     cause = "After each move the sensor, its mount or the stage settles exponentially."
-    formula = "a_i += settling_i · exp(−t/τ), t from the end of the move"
-    separated_by = (
-        "It begins again with every dwell, unlike `bias_drift` and `warm_up`; in the means it is a "
-        "`bias`: wait longer in some dwells."
-    )
     remedy = "wait longer before some of the dwells"
     needs = ("time_in_dwell_s",)
     within_dwell = True
@@ -503,6 +511,11 @@ class Settling(CourseEffect):
 class OutlierDwell(LinearAxisEffect):
     """The readings of one dwell deviate by any amount.
 
+    Formula: a_i += offset_i in dwell `dwell`
+
+    Separated by: `position_slip` keeps the length of the reading; a jump of the bias stays in all later
+    dwells: repeat the position.
+
     Attributes
     ----------
     dwell : int
@@ -513,11 +526,6 @@ class OutlierDwell(LinearAxisEffect):
 
     name = "outlier_dwell"
     cause = "One dwell was disturbed: a touch, a shock, a failure of the supply."
-    formula = "a_i += offset_i in dwell `dwell`"
-    separated_by = (
-        "`position_slip` keeps the length of the reading; a jump of the bias stays in all later dwells: "
-        "repeat the position."
-    )
     remedy = "repeat the position"
     not_corrected = OF_DWELL
     needs = ("order",)
