@@ -418,6 +418,13 @@ def _refuse_other_units(session: Session, readings: Readings) -> None:
                 " others: an axis is dead or saturated, or the part was not at rest; leave such dwells out"
             )
         return
+    whole = [np.linalg.norm(dwell.accel.mean(axis=0)) for dwell in session.dwells if len(dwell)]
+    flat = float(np.median(whole)) * (mg_per_unit(session) or math.nan) / session.gravity_mg
+    if session.plane == "xy" and length < 1 and 1 / OFF_UNIT < flat < OFF_UNIT:
+        raise DataError(
+            f"{session.source or 'session'}: the part lies flat, X and Y read {length:.2g} g of"
+            f" {flat:.3g} g: a plane that is turned has to be vertical; give plane none for poses in space"
+        )
     also = "; a plane that is turned has to be vertical" if session.plane == "xy" and length < 1 else ""
     raise DataError(
         f"{session.source or 'session'}: readings are {length:.3g} g long instead of 1 g: accel_unit "
