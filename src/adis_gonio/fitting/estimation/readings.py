@@ -202,7 +202,7 @@ class Readings(ComputedOnce):
     @property
     def planar(self) -> bool:
         """True if the sensor turns in a known plane, False for any attitude in space."""
-        return isinstance(self.model, PlanarTurn)
+        return self.model.planar
 
     @cached_property
     def model(self) -> Measurement:
@@ -225,13 +225,22 @@ class Readings(ComputedOnce):
     def noise_dof(self) -> float:
         """Degrees of freedom of the noise of all readings together; inf if it was stated.
 
-        If dwells share one estimate (`pooled`), these are its degrees of freedom; otherwise the sum over
-        the dwells.
+        If the dwells of a session share one estimate (`pooled`), these are its degrees of freedom, added
+        over the sessions; otherwise the sum over the dwells.
         """
         finite = self.dof[np.isfinite(self.dof)]
         if not finite.size:
             return math.inf
-        return float(finite.max() if self.pooled else finite.sum())
+        if not self.pooled:
+            return float(finite.sum())
+        session = self.conditions.session
+        whole = np.zeros(len(self)) if session is None else session
+        return float(
+            sum(
+                finite[whole[np.isfinite(self.dof)] == k].max()
+                for k in np.unique(whole[np.isfinite(self.dof)])
+            )
+        )
 
     @cached_property
     def fixture(self) -> Floats:
@@ -305,6 +314,7 @@ class Readings(ComputedOnce):
             self,
             conditions=self.conditions.rows(index),
             links=None if self.links is None else self.links.rows(np.arange(len(self))[index]),
+            measurement=None if self.measurement is None else self.measurement.rows(index),
             **{name: getattr(self, name)[index] for name in by_dwell},
         )
 
