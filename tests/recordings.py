@@ -15,7 +15,7 @@ LARGER_NAMES = frozenset(
     (
         *(f"mpu9150_{number}_recording" for number in (1, 2, 3, 4)),
         *(f"mimu4444/exp{number}_imu4" for number in (6, 7, 8, 9)),
-        "mimu4444/exp5_imu1",
+        *(f"mimu4444/exp{number}_imu1" for number in range(4, 10)),
         "adis16405/run4_first_hour",
         *RUNS_AT_REST,
     )

@@ -111,6 +111,17 @@ def test_the_mark_of_a_killed_session_is_cleared_and_a_used_alarm_is_left_alone(
         assert sensor.read("ALM_CTRL") == 0x2000
 
 
+def test_a_mark_does_not_get_into_flash_and_registers_explains_it(capsys):
+    with open_bus(POLLED) as bus:
+        sensor = Adis16354(bus, "adis16354")
+        sensor.write("ALM_MAG2", MARK)
+        sensor.save_to_flash()
+        sensor.reset()
+        assert sensor.read("ALM_MAG2") == 0
+    assert main(["registers", POLLED, f"ALM_MAG2=0x{MARK:X}"]) == 0
+    assert "ALM_MAG2 holds the mark of an interrupted session" in capsys.readouterr().err
+
+
 def test_a_restart_shows_if_both_alarms_are_in_use(tmp_path):
     with open_bus(POLLED) as bus:
         sensor = Adis16354(bus, "adis16354")

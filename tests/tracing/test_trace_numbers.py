@@ -8,6 +8,7 @@ a number is derived it is derived here once more.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import replace
 from types import SimpleNamespace
@@ -22,7 +23,7 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import Basis
 from adis_gonio.model.effects import Conditions
-from adis_gonio.model.measurement import MeanRate
+from adis_gonio.model.measurement import MeanRate, SessionOrigin
 from adis_gonio.tracing.averaging import AveragedTerm, average
 from adis_gonio.tracing.credible_sets import Names, judge, set_of, undecided
 from adis_gonio.tracing.findings import differs_from_zero
@@ -32,6 +33,7 @@ from adis_gonio.tracing.named_candidates import cycles_shown, named_terms
 from adis_gonio.tracing.scatter import with_scatter
 from adis_gonio.tracing.selection import select
 from adis_gonio.tracing.smooth_candidates import processes
+from adis_gonio.tracing.stacking import stack
 from adis_gonio.tracing.trace_result import Finding
 from adis_gonio.tracing.validation import (
     Fold,
@@ -118,6 +120,22 @@ class TestPrior:
         terms = [t for t in nameless_terms(self.data) if t.covariates == (covariate,)]
         smooth = prior(t for t in terms if t.basis.approximates)
         assert smooth / prior(terms) == pytest.approx(0.25)
+
+    @pytest.mark.number("own_weight")
+    def test_a_curvature_of_each_session_is_a_tenth_as_likely_as_that_of_the_part(self) -> None:
+        terms, _ = named_terms(
+            stack([self.data, self.data], [SessionOrigin("one", "A7"), SessionOrigin("two", "A7")])
+        )
+        each, part = (
+            prior(t for t in terms if t.label == f"quadratic[x]{end}") for end in ("@session", "")
+        )
+        assert each / part == pytest.approx(0.1)
+        # The start of a session drives a warm-up, which is as likely to differ.
+        each, part = (
+            prior(t for t in terms if re.fullmatch(rf"warm_up\[x\]<[^>]*>{end}", t.label))
+            for end in ("@session", "")
+        )
+        assert each / part == pytest.approx(1.0)
 
     @pytest.mark.number("pair_weight")
     def test_a_process_in_two_covariates_is_three_tenths_as_likely_as_one_in_time(self) -> None:

@@ -760,7 +760,7 @@ class TestNotes:
         ("kind", "unit", "facts"),
         [
             ("fixture_scatter", "deg", ("0.02°", "0.01°", "fixture")),
-            ("reading_scatter", "mg", ("0.02 mg", "0.01 mg", "within the dwells")),
+            ("reading_scatter", "mg", ("0.02 mg", "0.01 mg", "noise of a reading")),
         ],
     )
     def test_scatter_is_said_in_its_unit_and_the_noise_not_once_more(

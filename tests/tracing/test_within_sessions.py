@@ -159,7 +159,7 @@ def test_trace_counts_what_is_beyond_doubt_and_only_remarks_the_rest(humming, ca
     (tone,) = [entry for entry in document["found"] if entry["effect"] == "tone"]
     assert tone["explains"] == 0.0
     assert tone["p_value"] <= 1e-6
-    print_trace(humming, result)
+    print_trace([humming], result)
     text = " ".join(capsys.readouterr().out.split())
     assert "Inside the dwells: tone (x, y)." in text
     assert "A spectral line at" in text

@@ -93,9 +93,10 @@ class ErrorCurve:
 
     @cached_property
     def _rays(self) -> Floats:
-        """Change (n, m) of the error along n random unit vectors in the space of the independent causes.
+        """Change of the angle error (n, m) along n random directions, at the m angles of the turn.
 
-        Of two opposite vectors only one is present.
+        A direction is a unit vector in the space of the independent causes of the error. The opposite
+        direction only changes the sign and is not present.
         """
         z = np.random.default_rng(0).normal(size=(_DIRECTIONS, self._independent.shape[1]))
         return np.asarray((z / np.linalg.norm(z, axis=1, keepdims=True)) @ self._independent.T)

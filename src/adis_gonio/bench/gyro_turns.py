@@ -128,7 +128,8 @@ class GyroTurn(FollowedTurn):
     def ended(self) -> str | None:
         """None while the turn goes on; empty at its end; an error message if it never began.
 
-        The turn ends when the sensor rests after it, or has stopped for long.
+        A whole turn ends after `REST_S` seconds of rest. If the sensor stopped earlier, the turn ends after
+        `STOPPED_S` seconds of rest.
         """
         if self.moved and self.rest_s >= (REST_S if self.full else STOPPED_S):
             return ""

@@ -104,7 +104,8 @@ class Visiting:
     def _carry_out(self, answer: Reply, place: int | None) -> Generator[Event, None, bool]:
         """Do what the operator's answer requests; return False if the answer ends the session.
 
-        `place` is the index of the position that was asked for; None if an offer was answered.
+        `place` is the index of the position that the operator was asked to set; None if the program offered
+        something else (more positions, a repeat).
         """
         last = self._ledger.last_place
         if answer is Reply.REPEAT and last is not None:

@@ -270,7 +270,7 @@ def as_printed(x1: Any, y1: Any, x2: Any, y2: Any) -> tuple[Any, Any]:
     """Return ΔK and Δφ in rad by the paper's equations 5 to 12.
 
     `x1` and `y1` are the readings of X and Y at 0°, `x2` and `y2` at 90°: numbers or arrays, also complex.
-    The results are NaN if sin Δφ would exceed 1, and infinite at the pole.
+    A result is NaN if sin Δφ would exceed 1, and infinite or NaN if a denominator of the equations is 0.
     """
     gain = x1 / -y2
     # Equation 12 with numerator and denominator times U_x1 U_x2, which allows U_x2 = 0 at α = 0.

@@ -75,10 +75,11 @@ class NoiseAssumptions:
 
 @dataclass(frozen=True)
 class Settled:
-    """A fit of base model and biases, and the noise that the session does not state, as estimated.
+    """A fit of base model and biases, with an estimate of the noise that the session does not state.
 
-    `determination` is the fit. `chi2` and `dof` (χ² and its degrees of freedom) are computed with the
-    measured noise: from the readings with a known noise, if there are enough of them to test the model.
+    `determination` is the fit and `noise` the estimate. `chi2` and `dof` (χ² of the fit and its degrees of
+    freedom) test the model. If the noise of enough readings is known, they are from these readings alone
+    and do not use the estimate; otherwise they are from all readings and use it.
     """
 
     determination: Determination

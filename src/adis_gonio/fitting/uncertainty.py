@@ -804,11 +804,13 @@ class ShownAngle:
 
     @classmethod
     def around(cls, fit: Fit) -> ShownAngle:
-        """Return the derivatives at angles around the turn, by base parameters and biases of a fit.
+        """Return the derivatives of the calibrated angle at angles all around the turn.
 
-        Angle ψ = atan2(v, u) with u = (U_x − b_x)/(G K_x), v = ((U_y − b_y)/(G K_y) − u sin Δφ)/cos Δφ; the
-        calibrated angle is α − ψ. Without declared angles there is no α, and the angle is between gravity
-        and X.
+        They are the derivatives with respect to the base parameters and the biases of a fit. With readings
+        U_x and U_y, gravity G and biases b, the angle ψ is atan2(v, u) with u = (U_x − b_x)/(G K_x) and
+        v = ((U_y − b_y)/(G K_y) − u sin Δφ)/cos Δφ. The calibrated angle is α − ψ with the start angle α. A
+        session without declared angles has no start angle, and the calibrated angle is then the angle
+        between gravity and X.
         """
         gradient = gradient_of_base(fit.values.base, zero=bool(fit.data.visible[0]))
         return cls(gradient, -np.degrees(_by_reading(fit, _around())))

@@ -33,8 +33,9 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -235,6 +236,29 @@ class Measurement(ABC):
     def calibrated(self, base: Floats, reading: Floats) -> Floats:
         """Return the calibrated output for readings (n, axes); accelerometers: in local gravity."""
 
+    @property
+    def planar(self) -> bool:
+        """True if the sensor turns in a known plane."""
+        return False
+
+    def start_rad(self, base: Floats) -> float | Floats:
+        """Return the start angle α in rad of all dwells, or of each (n,); 0 without a plane."""
+        return 0.0
+
+    @property
+    def origins(self) -> tuple[SessionOrigin, ...]:
+        """Part and stage of each session, if the dwells are of several sessions; else empty."""
+        return ()
+
+    @property
+    def sessions(self) -> list[tuple[Measurement, NDArray[np.intp]]]:
+        """Measurement of each session, and the numbers of its parameters among all base parameters."""
+        return [(self, np.arange(len(self.parameters)))]
+
+    def rows(self, index: NDArray[np.bool_] | NDArray[np.intp]) -> Measurement:
+        """Return the measurement of the selected dwells."""
+        return self
+
     def visible(self, reading: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return for each base parameter (p,) if dwells with these readings can determine it.
 
@@ -263,6 +287,11 @@ class PlanarTurn(Measurement):
     )
     axes = 2
     freedom = 1
+    planar = True
+
+    def start_rad(self, base: Floats) -> float | Floats:
+        """Return the start angle α in rad."""
+        return float(base[0])
 
     def begin(
         self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
@@ -335,7 +364,7 @@ class PlanarTurn(Measurement):
         """Return gravity (n, 2) along two perpendicular axes, in units of local gravity, free of Δφ."""
         _, k_x, k_y, skew = base
         x, y = reading[..., 0] / (self.gravity_mg * k_x), reading[..., 1] / (self.gravity_mg * k_y)
-        return np.stack([x, (y - x * math.sin(skew)) / math.cos(skew)], axis=-1)
+        return np.stack([x, (y - x * np.sin(skew)) / np.cos(skew)], axis=-1)
 
     def angle_rad(self, base: Floats, reading: Floats) -> Floats:
         """Return the angle ψ (n,) in rad that a calibrated goniometer without effects shows."""
@@ -502,6 +531,194 @@ def _cross(a: Floats, b: Floats) -> Floats:
     """Return the cross products of the rows, (n, 3); more than twice as fast as `numpy.cross`."""
     (ax, ay, az), (bx, by, bz) = a.T, b.T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
+
+
+@dataclass(frozen=True)
+class SessionOrigin:
+    """Names by which a session shares parameters and causes with other sessions.
+
+    Attributes
+    ----------
+    label : str
+        Name of the session, unique among the sessions.
+    part : str
+        Serial number of the part.
+    stage : str
+        Name of the stage; empty if unknown.
+    """
+
+    label: str
+    part: str
+    stage: str = ""
+
+
+class JointMeasurement(Measurement):
+    """Measurement of dwells of several sessions, which share parameters of the part.
+
+    A parameter without a prior (the start angle) belongs to its session, any other to its part.
+
+    Attributes
+    ----------
+    models : tuple of Measurement
+        Measurement of each of S sessions, all of one kind.
+    origins : tuple of SessionOrigin
+        Part and stage of each session.
+    session : (n,) int
+        Number of the session of each dwell.
+    numbers : (S, p) int
+        Number of each parameter of a session among all parameters.
+    """
+
+    def __init__(
+        self, models: Sequence[Measurement], origins: Sequence[SessionOrigin], session: NDArray[np.intp]
+    ) -> None:
+        self.models, self._origins, self.session = tuple(models), tuple(origins), session
+        several = len({origin.part for origin in origins}) > 1
+        places: dict[str, int] = {}
+        found: list[BaseParameter] = []
+        index: list[list[int]] = []
+        for model, origin in zip(models, origins, strict=True):
+            index.append([])
+            for one in model.parameters:
+                owner = origin.label if math.isinf(one.spread) else origin.part if several else ""
+                name = f"{one.name}@{owner}" if owner else one.name
+                if name not in places:
+                    places[name] = len(places)
+                    found.append(replace(one, name=name))
+                index[-1].append(places[name])
+        self.parameters, self.numbers = tuple(found), np.array(index)  # type: ignore[misc]
+        first = models[0]
+        self.axes, self.freedom, self.part = first.axes, first.freedom, first.part  # type: ignore[misc]
+        self.unit, self.full = first.unit, first.full  # type: ignore[misc]
+        self.driven_by, self.named_forms = first.driven_by, first.named_forms  # type: ignore[misc]
+
+    @property
+    def origins(self) -> tuple[SessionOrigin, ...]:
+        """Part and stage of each session."""
+        return self._origins
+
+    @property
+    def sessions(self) -> list[tuple[Measurement, NDArray[np.intp]]]:
+        """Measurement of each session, and the numbers of its parameters among all base parameters."""
+        return list(zip(self.models, self.numbers, strict=True))
+
+    @property
+    def planar(self) -> bool:
+        """True if the sensors turn in a known plane."""
+        return self.models[0].planar
+
+    @property
+    def size(self) -> float:
+        """Typical size of a reading: that of the first session."""
+        return self.models[0].size
+
+    @cached_property
+    def _each(self) -> list[tuple[Measurement, NDArray[np.intp], NDArray[np.intp]]]:
+        """Model, numbers of its dwells and numbers (p,) of its parameters, for each session with dwells."""
+        each = [(m, np.flatnonzero(self.session == k), self.numbers[k]) for k, m in enumerate(self.models)]
+        return [one for one in each if len(one[1])]
+
+    @cached_property
+    def _groups(self) -> list[tuple[Measurement, NDArray[np.intp], NDArray[np.intp]]]:
+        """Like `_each`, with as few groups of dwells as possible.
+
+        A plane needs one group: its numbers of parameters (p, n) differ by dwell. In space a group has
+        sessions with equal parameters.
+        """
+        kinds = [
+            (model, () if self.planar else tuple(own))
+            for model, own in zip(self.models, self.numbers.tolist(), strict=True)
+        ]
+        different = list(dict.fromkeys(kinds))
+        keys = np.array([different.index(kind) for kind in kinds])
+        found = []
+        for key in range(len(different)):
+            rows = np.flatnonzero(keys[self.session] == key)
+            k = int(np.flatnonzero(keys == key)[0])
+            if len(rows):
+                found.append(
+                    (
+                        self.models[k],
+                        rows,
+                        self.numbers[self.session[rows]].T if self.planar else self.numbers[k],
+                    )
+                )
+        return found
+
+    def rows(self, index: NDArray[np.bool_] | NDArray[np.intp]) -> JointMeasurement:
+        """Return the measurement of the selected dwells, with the parameters of all sessions."""
+        return JointMeasurement(self.models, self.origins, self.session[index])
+
+    def start_rad(self, base: Floats) -> float | Floats:
+        """Return the start angle α (n,) in rad of each dwell's session."""
+        each = [
+            float(model.start_rad(base[own])) for model, own in zip(self.models, self.numbers, strict=True)
+        ]
+        return np.array(each)[self.session]
+
+    def stimulus(self, ideal: Floats, conditions: Conditions) -> Floats:
+        """Return the quantity (n, axes) that the scale factors multiply, as a fraction of `full`."""
+        return self.models[0].stimulus(ideal, conditions)
+
+    def begin(
+        self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
+    ) -> tuple[Floats, Floats]:
+        """Return starting values: the mean over the sessions of a part, and the attitude of each dwell."""
+        total, count, attitudes = np.zeros(len(self.parameters)), np.zeros(len(self.parameters)), []
+        for model, rows, own in self._each:
+            some = reading[rows], turn_rad[rows], declared[rows], conditions.rows(rows)
+            base, attitude = model.begin(*some)
+            total[own] += base
+            count[own] += 1
+            attitudes.append((rows, attitude))
+        return np.where(count > 0, total / np.maximum(count, 1), self.nominal), self._joined(attitudes)
+
+    def _joined(self, parts: Sequence[tuple[NDArray[np.intp], Floats]]) -> Floats:
+        """Return arrays of the sessions' dwells, given with their numbers, as one array of all dwells."""
+        out = np.zeros((len(self.session), *parts[0][1].shape[1:]))
+        for rows, own in parts:
+            out[rows] = own
+        return out
+
+    def ideal(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+        """Return the ideal readings (n, axes) in `unit`, each by the parameters of its session."""
+        return self._joined([(r, m.ideal(base[k], attitude[r], turn_rad[r])) for m, r, k in self._groups])
+
+    def tangent(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+        """Return the derivative of `ideal` by the attitude, (n, axes, freedom) in `unit` per rad."""
+        return self._joined([(r, m.tangent(base[k], attitude[r], turn_rad[r])) for m, r, k in self._groups])
+
+    def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
+        """Return the derivative of `ideal` by all base parameters, (n, axes, p), per rad or per 1."""
+        out = np.zeros((len(self.session), self.axes, len(self.parameters)))
+        for model, rows, own in self._groups:
+            columns = model.columns(base[own], attitude[rows], turn_rad[rows])
+            out[rows[:, None], :, own.T] = columns.swapaxes(1, 2)
+        return out
+
+    def moved(self, attitude: Floats, step: Floats) -> Floats:
+        """Return the attitudes after a change of each one by `step` (n, freedom) in rad."""
+        return self.models[0].moved(attitude, step)
+
+    def deviation_rad(self, attitude: Floats) -> Floats:
+        """Return how far attitudes are from the declared ones, (n, freedom) in rad."""
+        return self.models[0].deviation_rad(attitude)
+
+    def calibrated(self, base: Floats, reading: Floats) -> Floats:
+        """Return gravity (n, axes) in units of local gravity, each by the parameters of its session."""
+        return self._joined([(r, m.calibrated(base[k], reading[r])) for m, r, k in self._groups])
+
+    def visible(self, reading: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return for each base parameter (p,) if the dwells of its session or part can determine it."""
+        seen = np.zeros(len(self.parameters), dtype=bool)
+        parts = np.array([origin.part for origin in self.origins])[self.session]
+        for model, rows, own in self._each:
+            part = parts == parts[rows[0]]
+            whole = model.visible(reading[part], declared[part])
+            here = model.visible(reading[rows], declared[rows])
+            free = np.isinf([one.spread for one in model.parameters])
+            seen[own] |= np.where(free, here, whole)
+        return seen
 
 
 FULL_DPS = 100.0

@@ -824,7 +824,7 @@ def prediction_lines(
     yield ""
     yield "Positions, in this order"
     positions = [f"{k:>3}  {position}" for k, position in enumerate(prediction.plan.positions, 1)]
-    yield from two_columns(positions, least=24)
+    yield from arrange_in_columns(positions, least=24)
     for note in prediction.reach.notes:
         yield from fold_text(note, WIDTH)
 
@@ -884,7 +884,7 @@ def _sight_lines(sight: Sight) -> Iterator[str]:
             cells.append(f"{name} {with_unit(format_number(one.amplitude, 2), one.unit)}")
     if cells:
         yield "Sees from this size on (found in 90 of 100 sessions)"
-        yield from two_columns(cells)
+        yield from arrange_in_columns(cells)
     yield "Cannot see"
     for reason, names in blind.items():
         yield from fold_text(f"{', '.join(names)}: {reason}", WIDTH, 2)
@@ -898,7 +898,7 @@ def _sight_lines(sight: Sight) -> Iterator[str]:
         yield "  nothing of what it sees"
 
 
-def two_columns(cells: Sequence[str], least: int = 38) -> Iterator[str]:
+def arrange_in_columns(cells: Sequence[str], least: int = 38) -> Iterator[str]:
     """Yield lines in which text cells are arranged in as many columns as the width allows.
 
     A column has at least `least` characters; the cells run down each column.

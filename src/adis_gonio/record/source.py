@@ -20,7 +20,7 @@ from adis_gonio.base.errors import ChipError, SessionError, UsageError
 from adis_gonio.base.jsonable import OPTIONAL, JsonRecord
 from adis_gonio.device.bus.opening import SOURCE_GROUP, BusUrl
 from adis_gonio.device.sensor import settings as chip_settings
-from adis_gonio.device.sensor.driver import DEFAULT_SCAN, Adis16354, open_sensor
+from adis_gonio.device.sensor.driver import DEFAULT_SCAN, MARK, Adis16354, open_sensor
 from adis_gonio.device.sensor.registers import ACCEL_OUT, BY_NAME, READING_BITS, REGISTERS
 from adis_gonio.device.sensor.scanning import MASK as DATA_READY_BITS, DataReadyLoan
 from adis_gonio.record.blocks import Block
@@ -268,9 +268,6 @@ class SampleSource(Closing):
         """Close the sensor; may be called twice."""
 
 
-MARK = 0x2A5A
-"""Number written to the level of an unused alarm during a session; a restart of the chip erases it."""
-
 HOLDING_SETTINGS = tuple(
     row.name
     for row in REGISTERS
@@ -398,9 +395,7 @@ class ChipSource(SampleSource):
 
     def _forget_old_mark(self) -> None:
         """Set an alarm level to 0 if a killed session left the number `MARK` in it."""
-        for name in ("ALM_MAG1", "ALM_MAG2"):
-            if self.sensor.read(name) == MARK:
-                self.sensor.write(name, 0)
+        self.sensor.forget_mark()
 
     def settings_held(self, *, checked: bool = False) -> dict[str, int]:
         """Return the contents of registers that shift or scale a sample, and of the marked alarm level.

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -29,7 +29,7 @@ from adis_gonio.base.numbers import format_percent, join_words
 from adis_gonio.fitting.estimation.terms import NamelessTerm, Term
 from adis_gonio.tracing.averaging import Averaged
 from adis_gonio.tracing.linear_problem import LinearProblem, span
-from adis_gonio.tracing.model_search import Model, skeleton
+from adis_gonio.tracing.model_search import Model, posterior, skeleton
 from adis_gonio.tracing.selection import Selection
 from adis_gonio.tracing.thresholds import limits
 
@@ -264,6 +264,23 @@ def _count_votes(selection: Selection, cause: str) -> tuple[dict[str, float], fl
     return weight, none
 
 
+def owners_of(selection: Selection, cause: str, owner: Callable[[Term], str]) -> dict[str, float]:
+    """Return the probability of each owner of a cause, such as the stage or the part, if it is present.
+
+    `cause` is its name in the chosen model; `owner` returns the owner of a term. A probable model counts
+    for the owner of the term that it has for the cause.
+    """
+    place, terms = _Place.of(selection, cause), selection.problem.terms
+    weight: dict[str, float] = defaultdict(float)
+    for model, probability in posterior(selection.found).items():
+        for word, part in place.choice(model).items():
+            owners = {owner(terms[k]) for k in model if cause_name(terms[k]) == word}
+            for one in owners:
+                weight[one] += probability * part / len(owners)
+    total = sum(weight.values())
+    return {one: weight[one] / total for one in sorted(weight, key=lambda one: -weight[one])}
+
+
 def probability_of(selection: Selection, cause: str, averaged: Averaged | None = None) -> float:
     """Return the probability that a cause of the chosen model is present and that its name is right.
 
@@ -339,7 +356,11 @@ class _Place:
 
 
 def _may_be_piece(selection: Selection, cause: str, averaged: Averaged) -> bool:
-    """Return True if a named cause may be a piece of the Gaussian process that the average describes."""
+    """Return True if a named cause of the best model may be part of an unnamed smooth function.
+
+    This is so if the average over unnamed functions is a Gaussian process, and the cause depends on its
+    covariates.
+    """
     terms = [selection.problem.terms[k] for k in selection.verdict.best]
     return any(
         unknown is averaged.smooth and related(term, unknown)

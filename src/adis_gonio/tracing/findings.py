@@ -47,6 +47,7 @@ from adis_gonio.tracing.linear_problem import LinearProblem, amplitudes, span
 from adis_gonio.tracing.model_search import Model, Search, posterior
 from adis_gonio.tracing.scatter import Scatter
 from adis_gonio.tracing.selection import Selection
+from adis_gonio.tracing.sharing import SplitEffect
 from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace_result import ErrorFigures, Finding, Rival, Unnamed
 
@@ -101,7 +102,11 @@ def finding_of(
                     u = mixture.u(u, np.array([float(other == parameter.name) for other in amplitude_of]))
                 undetermined = k in unseen
                 value = 0.0 if undetermined else float(values[k])
-                parameters[parameter.name] = Value(value, None if undetermined else u, parameter.unit, dof)
+                # Sessions may show two courses of one name; a single session keeps the last one.
+                stated = parameter.name
+                if stated in parameters and selection.data.model.origins:
+                    stated += " (second)"
+                parameters[stated] = Value(value, None if undetermined else u, parameter.unit, dof)
             for choice in (c for c in term.effect.choices() if c not in term.effect.options):
                 parameters[choice] = Value(float(getattr(term.effect, choice)), None, "1")
     # The prior distributes the test level: a name has a far greater share of it than one of thousands
@@ -217,15 +222,24 @@ def base_of(selection: Selection) -> dict[str, Value]:
     dof = dof_of(selection)
     mixture = base_mixture(selection)
     # The function that `fit` uses, so that each name has one unit in both results.
-    outputs = outputs_of(data, np.concatenate([base, np.zeros(data.axes)]))
-    hidden = {q.name for q, seen in zip(data.model.parameters, data.visible, strict=True) if not seen}
-    out = {}
-    for output in outputs:
-        if output.name.startswith("bias"):
-            continue
-        slope = output.gradient[:p]
-        u = mixture.u(float(np.sqrt(slope @ covariance @ slope)), slope)
-        out[output.name] = Value(output.value, None if output.name in hidden else u, output.unit, dof)
+    out: dict[str, Value] = {}
+    for where, own in data.model.sessions:
+        # Parameters of one session; those of its part may be in `out` already.
+        names = [data.model.parameters[k] for k in own]
+        hidden = {
+            q.name.split("@")[0] for q, seen in zip(names, data.visible[own], strict=True) if not seen
+        }
+        owner = {q.name.split("@")[0]: q.name for q in names}
+        here = replace(data, measurement=where)
+        for output in outputs_of(here, np.concatenate([base[own], np.zeros(data.axes)])):
+            if output.name.startswith("bias"):
+                continue
+            # ΔK belongs to the owner of the gains.
+            name = owner.get(output.name) or output.name + owner["scale_x"].removeprefix("scale_x")
+            slope = np.zeros(p)
+            slope[own] = output.gradient[: len(names)]
+            u = mixture.u(float(np.sqrt(slope @ covariance @ slope)), slope)
+            out[name] = Value(output.value, None if output.name in hidden else u, output.unit, dof)
     return out
 
 
@@ -511,10 +525,13 @@ def clock_at_middle(fit: Fit, ideal: Floats, *, turned: bool = False) -> tuple[F
 
 
 def bias_at_middle(selection: Selection, finding: Finding) -> Finding:
-    """Return a bias finding with its value at the middle of the session; leave other findings unchanged."""
-    if finding.effect != "bias":
-        return finding
+    """Return a bias finding with its value at the middle of the session; leave other findings unchanged.
+
+    Several sessions have no common middle.
+    """
     fit = selection.fit
+    if finding.effect != "bias" or fit.data.model.origins:
+        return finding
     added, slopes = clock_at_middle(fit, np.zeros(fit.data.axes))
     if not slopes.any() and not added.any():
         return finding
@@ -590,6 +607,8 @@ def detectable(
     figures: dict[tuple[str, str, str], list[float]] = defaultdict(list)
     for k, term in enumerate(problem.terms):
         if not isinstance(term, NamedTerm) or len(term.effect.axes) > 1:
+            continue
+        if isinstance(term.effect, SplitEffect):  # the amplitude that all sessions would show
             continue
         name = term.effect.name
         lengths = _lengths(problem, k, basis_without(name if name in inside else None))

@@ -592,8 +592,8 @@ def _of_rate(data: Readings) -> Iterator[_Made]:
         assert c.temperature_history is not None
         times, temperatures = c.temperature_history
         reach = max(step, 1e-9)
-        ahead = np.interp(c.time_s + reach / 2, times, temperatures)
-        return (ahead - np.interp(c.time_s - reach / 2, times, temperatures)) / reach
+        ahead = np.interp(c.clock_s + reach / 2, times, temperatures)
+        return (ahead - np.interp(c.clock_s - reach / 2, times, temperatures)) / reach
 
     middle, half = _scaled(rate(data.conditions))
     scale = max(abs(middle) + half, 1e-12)

@@ -57,6 +57,8 @@ class LinearProblem:
         Gram matrix of each block's prior rows, in units of the noise.
     inflation : float
         Factor on the noise variance contained in `prior`.
+    joint : bool
+        True for readings of several sessions, of which only a search of limited size scores pairs of names.
     """
 
     terms: tuple[Term, ...]
@@ -71,6 +73,7 @@ class LinearProblem:
     column_price: Floats
     prior: tuple[Floats, ...]
     inflation: float = 1.0
+    joint: bool = False
 
     @property
     def chi2(self) -> float:
@@ -344,6 +347,14 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
     chosen, width, together, back, prior = _orthonormal_blocks(columns, length, spread, widths)
     first = (np.cumsum(width) - width).astype(np.intp)
     seen = set(chosen)
+    prices = _column_prices(together, first)
+    for k, own in enumerate(prior):
+        term = terms[chosen[k]]
+        if term.constant and term.cost <= 0:
+            prices[k] = 0.0  # it is in every model
+        elif term.prior_sd is not None:
+            # A stated prior of the amplitudes: ½ ln |1 + Σ Xᵀ X|, with the columns X of the readings.
+            prices[k] = 0.5 * np.linalg.slogdet(np.eye(len(own)) + np.linalg.inv(own))[1]
     free = LinearProblem(
         terms=tuple(terms[k] for k in chosen),
         columns=together,
@@ -354,8 +365,9 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
         back=back,
         hidden=tuple(term for k, term in enumerate(terms) if k not in seen),
         cost=np.array([terms[k].cost for k in chosen]),
-        column_price=_column_prices(together, first),
+        column_price=prices,
         prior=tuple(np.zeros((size, size)) for size in width.tolist()),
+        joint=bool(fit.data.model.origins),
     )
     return free._with_prior(prior, 1.0)
 

@@ -162,7 +162,9 @@ class _Climb:
         self.every = _Joining(problem, np.arange(len(terms)))
         self.names = _Joining(problem, np.flatnonzero(self.named))
         self.paired: set[Model] = set()
-        biases = [k for k, term in enumerate(terms) if term.constant]
+        columns = self.names.problem.columns.shape[1]
+        self.paired_names = not problem.joint or (explored > 1 and columns <= limits.paired)
+        biases = [k for k, term in enumerate(terms) if term.constant and term.prior_sd is None]
         self.bias = max(biases, key=lambda k: int(problem.width[k]), default=None)
         self.nameless = frozenset(np.flatnonzero(~self.named).tolist())
         # The best of all models and of those with names only, by their names and covariates.
@@ -236,7 +238,12 @@ class _Climb:
         best model.
         """
         found, problem, joining = self.found, self.found.problem, self.names
-        if model in self.paired or len(model) + 2 > self.max_terms or len(joining.number) < 2:
+        if (
+            not self.paired_names
+            or model in self.paired
+            or len(model) + 2 > self.max_terms
+            or len(joining.number) < 2
+        ):
             return
         self.paired.add(model)
         chi2, rank, gains = joining.products.pairs(model)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.model.effects import AXES, Effect, Enters, catalogue
 from adis_gonio.model.effects.base import Parameter
 from adis_gonio.model.effects.stage_terms import LEAST_CYCLES, of_one_phase
+from adis_gonio.model.measurement import SESSION_BIAS_MG
+from adis_gonio.tracing.sharing import sharings, split_effect
 from adis_gonio.tracing.thresholds import limits
 
 
@@ -63,8 +66,43 @@ def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
                 label += "[" + "".join(effect.axes) + "]"
             label += "".join(f"({c}={getattr(effect, c)})" for c in effect.choices())
             label += "".join(f"<{value:.4g}>" for _, value in shapes)
-            terms.append(NamedTerm(label, kind.covariates, -math.log(part), effect, shapes))
+            terms += _shared(NamedTerm(label, kind.covariates, -math.log(part), effect, shapes), data)
     return terms, missing
+
+
+def _shared(term: NamedTerm, data: Readings) -> list[NamedTerm]:
+    """Return a term with one amplitude for all sessions, and with amplitudes of each group of sessions.
+
+    They share the prior of the term. Base parameters are the part's, so that only a bias can differ between
+    its sessions: by a scatter of unknown size, of which a grid of sizes is tried. The start of a session
+    changes an effect that time drives; another effect rarely differs between sessions.
+    """
+    kind, found = type(term.effect), [term]
+    driven = "time" in kind.covariates or any(need.endswith("_history") for need in kind.needs)
+    constant, weights, groups = kind.prior == "constant", [1.0], sharings(data.model.origins)
+    if not groups or term.dwell is not None or (kind.in_base and not constant):
+        return found
+    for sharing in groups:
+        effect = split_effect(term.effect, sharing)
+        later = len(effect.parameters) - len(term.effect.parameters)
+        split = replace(
+            term,
+            label=f"{term.label}@{sharing.by}",
+            effect=effect,
+            shapes=tuple((k + later, value) for k, value in term.shapes),
+        )
+        if constant and sharing.by == "session":
+            sizes = SESSION_BIAS_MG * 3.0 ** np.arange(-4, 2)
+            found += [replace(split, label=f"{split.label}<{s:.2g}>", spread=float(s)) for s in sizes]
+        else:
+            found.append(split)
+        own = sharing.by != "session" or constant or driven
+        weights += [1.0 if own else limits.own_weight] * (len(found) - len(weights))
+    costs = [term.cost - math.log(weight / sum(weights)) for weight in weights]
+    if constant and len(term.effect.axes) == data.axes:
+        # Every part has a bias: it is in every model, and costs nothing.
+        costs[next((k for k, one in enumerate(found) if one.label.endswith("@part")), 0)] = 0.0
+    return [replace(one, cost=cost) for one, cost in zip(found, costs, strict=True)]
 
 
 def _variants(kind: type[Effect], data: Readings) -> Iterator[tuple[Effect, tuple[tuple[int, float], ...]]]:
@@ -131,12 +169,14 @@ def cycles_shown(angle_rad: Floats, most: int | None = None) -> list[int]:
 def _grid(parameter: Parameter, data: Readings) -> list[float]:
     """Return the values to try for a shape parameter: a grid of time constants, or its typical value.
 
-    Time constants range from the spacing of the dwells to 1.5 times the length of the session.
+    Time constants range from the spacing of the dwells to 1.5 times the length of a session;
+    a slower course is a bias of the session.
     """
     if parameter.unit != "s":
         return [parameter.typical]
     time = data.conditions.time_s
     length = max(float(np.ptp(time)), 1.0)
-    low = max(parameter.low, length / max(len(time) - 1, 1))
+    sessions = max(len(data.model.origins), 1)
+    low = max(parameter.low, length / max(len(time) / sessions - 1, 1))
     high = min(parameter.high, max(1.5 * length, 2 * low))
     return [float(value) for value in np.geomspace(low, high, limits.grid)]

@@ -188,7 +188,7 @@ def _start_with_slips(base: Fit, terms: Sequence[Term]) -> Fit:
     slips = [term for term in named if term.begins and term.dwell in here]
     if not slips:
         return base
-    biases = [term for term in named if term.constant]
+    biases = [term for term in named if term.constant and term.prior_sd is None]
     widest = max(biases, key=lambda term: len(term.effect.axes), default=None)
     model = slips if widest is None else [*slips, widest]
     return base.with_terms(
@@ -283,5 +283,5 @@ def _mostly_bias_refitted(problem: LinearProblem, base: Fit) -> Fit | None:
 
 def _widest_bias(problem: LinearProblem) -> int | None:
     """Return the term number of the bias that acts on the most axes; None if no candidate is a bias."""
-    constants = [k for k, term in enumerate(problem.terms) if term.constant]
+    constants = [k for k, term in enumerate(problem.terms) if term.constant and term.prior_sd is None]
     return max(constants, key=lambda k: problem.width[k]) if constants else None

@@ -41,6 +41,9 @@ class Limits:
     g_weight: float = number(4.0, "chosen", "prior weight of a g-sensitivity, as common as a drift")
     family_weight: float = number(0.7, "chosen", "prior weight of supply, approach, memory and products")
     smooth_weight: float = number(0.25, "chosen", "polynomials' part of a covariate's prior")
+    own_weight: float = number(
+        0.1, "chosen", "prior weight of an effect without time that differs by session"
+    )
     pair_weight: float = number(0.3, "chosen", "prior weight of a process in two covariates")
     prior_snr: float = number(4.0, "chosen", "prior standard deviation of an effect, in u of a reading")
 
@@ -101,6 +104,8 @@ class Limits:
     promising: int = number(40, "effort", "processes that are tried again inside a fold")
     fold_active: int = number(150, "effort", "candidates tried again inside a fold and with scatter")
     grid: int = number(9, "effort", "grid values of a time constant")
+    paired: int = number(2500, "effort", "most columns of a joint trace in which pairs of names are scored")
+    screened: int = number(300, "effort", "candidates of a joint trace after screening")
 
 
 limits = Limits()

@@ -437,8 +437,6 @@ class TraceRun:
 
     def finished(self) -> TraceResult:
         """Return the result of a completed trace, with advice for the next session."""
-        from adis_gonio.tracing.advice import advise
-
         selection, final = self.selection, self.final
         of_step = shares(self.steps, excesses(self.fits, self.figures))
         seen = shown_findings(self.findings, self.data, self.scatter, of_step)
@@ -446,7 +444,7 @@ class TraceRun:
         open_still = replace(selection, adequate=self.adequate)
         advice, measurements = attempt(
             "what to measure next",
-            lambda: advise(self.data, open_still, self.terms, self.names.confounded),
+            lambda: self.advice(open_still),
             nothing,
         )
         zeros = zeros_of(final)
@@ -469,6 +467,12 @@ class TraceRun:
             reasons=self.reasons,
             notes=tuple(self.notes),
         )
+
+    def advice(self, selection: Selection) -> tuple[tuple[str, ...], tuple[NextDwell, ...]]:
+        """Return advice and measurements for the next session, given the selection with its adequacy."""
+        from adis_gonio.tracing.advice import advise
+
+        return advise(self.data, selection, self.terms, self.names.confounded)
 
     def unfinished(self) -> TraceResult:
         """Return the result of a trace that was not validated: errors of the best model, no findings."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from adis_gonio.base.budget import Budget
 from adis_gonio.base.errors import FitError
@@ -326,7 +326,7 @@ class TraceResult(ParameterTable):
         Comparison with the best model; None if the user put no term into the model and took none out.
     """
 
-    document_keys = (
+    document_keys: ClassVar[tuple[str, ...]] = (
         *("adequate", "adequacy", "found", "steps", "sets", "confounded", "unnamed", "error", "detectable"),
         *("advice", "measurements", "rivals", "base", "reasons", "notes", "within", "heldout_design"),
         *("reference_temperature_c", "stopped", "overrides", "what_if"),

@@ -26,6 +26,7 @@ from adis_gonio.model.records import Session
 from adis_gonio.tracing.trace_result import ErrorFigures, Finding, TraceResult
 
 if TYPE_CHECKING:
+    from adis_gonio.tracing.joint_trace import JointResult
     from adis_gonio.tracing.what_if import WhatIf
 
 _IN_SAMPLES = "looked for within the dwells"
@@ -387,6 +388,41 @@ def unnamed(result: TraceResult) -> str:
         return ""
     sure = f"probability {format_percent(rest.probability)}, {format_p(rest.p_value)}"
     return f"{rest.form} (explains {format_percent(rest.explains)} of the excess; {sure})"
+
+
+def owners(result: JointResult) -> list[str]:
+    """Describe for each cause the probable owners of its amplitudes, such as the stage or the part."""
+    return [
+        f"{cause}: {', '.join(f'{_OWNERS[one]} {format_percent(p)}' for one, p in by.items() if p >= 0.01)}"
+        for cause, by in result.owners.items()
+    ]
+
+
+_OWNERS = {
+    "stage": "the stage",
+    "part": "each part",
+    "all parts": "all parts alike",
+    "session": "each session",
+}
+
+
+def session_shares(result: JointResult) -> list[str]:
+    """Describe each session's share of the evidence, its own verdict and its held-out errors."""
+    total = {
+        cause: sum(one.evidence[cause] for one in result.sessions) for cause in result.sessions[0].evidence
+    }
+    lines = []
+    for one in result.sessions:
+        shares = [f"{cause} {format_percent(own / total[cause])}" for cause, own in one.evidence.items()]
+        alone = [f"{cause} ({format_percent(p)})" for cause, p in one.alone.items()] or ["nothing"]
+        unit = format_unit(result.before.unit)
+        left = " → ".join(format_number(x) for x in (one.heldout_before_mg, one.heldout_after_mg))
+        whole = " → ".join(format_number(x) for x in (one.session_before_mg, one.session_after_mg))
+        lines.append(
+            f"{one.session}: {'; '.join(shares)} of the evidence. Alone: {', '.join(alone)}. Left out:"
+            f" dwells {left} {unit}, the whole session {whole} {unit}"
+        )
+    return lines
 
 
 def sight(result: TraceResult) -> SightWords:

@@ -93,14 +93,18 @@ def rms(residual: Floats, by_axis: bool) -> float:
 
 
 def folds(data: Readings) -> dict[str, list[NDArray[np.bool_]]]:
-    """Return the possible designs of holding out dwells: for each name, the masks (n,) of its folds."""
+    """Return the possible designs of holding out dwells: for each name, the masks (n,) of its folds.
+
+    Of several sessions dwells are left out, and no blocks: a whole session is a block.
+    """
     n = len(data)
     count = min(limits.folds, n) if n > limits.alone else n
-    order = np.arange(n)
     # A fixed shuffle, so that no fold consists of exactly every fifth angle of a turn.
     shuffled = np.random.default_rng(5).permutation(n)
     designs = {"whole dwells": [shuffled % count == k for k in range(count)]}
-    blocks = [order * limits.blocks // n == k for k in range(limits.blocks)]
+    if data.model.origins:
+        return designs
+    blocks = [np.arange(n) * limits.blocks // n == k for k in range(limits.blocks)]
     if n >= 2 * limits.blocks and _poses_repeat(data, blocks):
         designs[BLOCKS_OF_TIME] = blocks
     by_axis = masks_about_axes(data)

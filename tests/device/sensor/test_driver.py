@@ -400,6 +400,7 @@ def test_a_flash_update_that_was_not_done_is_found_by_the_counter():
     script = [
         *CONFIGURATION,
         *checked_reading((0x0000, 7)),  # before
+        (0x2600, 0), (0x2800, 0), (0x0000, 0),  # no alarm level has the mark of a session
         (0xBE08, 0), *checked_reading((0x0000, 7)),  # the command, and the counter stands still
     ]  # fmt: skip
     sensor = Adis16354(ExpectedFrames(script), check=False)

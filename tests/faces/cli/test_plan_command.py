@@ -7,7 +7,7 @@ import pytest
 from adis_gonio import fit, load_session
 from adis_gonio.faces.cli import main
 from adis_gonio.plan import Bench, predict, read_plan
-from adis_gonio.plan.optimal_plan import two_columns
+from adis_gonio.plan.optimal_plan import arrange_in_columns
 from adis_gonio.record.archive import ArchiveView
 
 
@@ -41,7 +41,7 @@ def test_effects_that_a_plan_confounds_stand_side_by_side(capsys):
 
 
 def test_two_columns_of_39_letters_fill_a_line():
-    assert [len(line) for line in two_columns(["x" * 39] * 4)] == [80, 80]
+    assert [len(line) for line in arrange_in_columns(["x" * 39] * 4)] == [80, 80]
 
 
 def test_a_given_plan_is_evaluated_and_nothing_searched(capsys):

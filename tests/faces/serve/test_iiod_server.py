@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import BusTimeoutError
+from adis_gonio.device.bus import open_bus
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.faces.cli import main
 from adis_gonio.faces.serve import iio_server
@@ -21,6 +22,7 @@ from adis_gonio.faces.serve.iio_server import MOST_PENDING, SEND_BUFFER
 from adis_gonio.sim.bus import SimBus
 from faces.serve.raw_client import WAIT_S, RawClient, served
 from fakes.counting_bus import CountingBus
+from fakes.faulty_chip import FaultyChip, Window
 from programs import running
 
 PERIOD_NS = 1_220_700
@@ -56,6 +58,24 @@ def test_readings_have_the_units_that_they_claim():
         )
         assert float(client.text("READ iio:device0 sampling_frequency")) == pytest.approx(819.2, rel=1e-4)
         assert client.text("READ iio:device0 DEBUG clients") == "1"
+
+
+@pytest.mark.parametrize("level", ["high", "low"])
+def test_a_reading_is_refused_while_the_data_line_is_stuck(level):
+    """Zeros and ones look like readings: only a register that is never zeros or ones tells."""
+    bus = open_bus("sim:?seed=1")
+    chip = bus.chip = FaultyChip(bus.chip, np.random.default_rng(1))
+    lines = [f"READ iio:device0 INPUT accel_{axis} raw" for axis in "xyz"]
+
+    def norm_lsb(client) -> float:
+        return float(np.linalg.norm([int(client.text(line)) for line in lines]))
+
+    with served(sensor=Adis16354(bus)) as server, server.client() as client:
+        assert norm_lsb(client) == pytest.approx(2140, rel=0.1)
+        chip.windows.append(Window(bus.now_s(), bus.now_s() + 1e6, level, deaf=False))
+        assert [client.ask(line) for line in lines] == [EIO] * 3
+        chip.windows.clear()
+        assert norm_lsb(client) == pytest.approx(2140, rel=0.1)
 
 
 def test_all_attributes_at_once_are_those_one_by_one():

@@ -82,6 +82,9 @@ from adis_gonio.device.sensor.settings import (
 DEFAULT_SCAN = (*ACCEL_OUT, *GYRO_OUT, "XTEMP_OUT", "SUPPLY_OUT")
 """Registers of a scan by default: accelerometers, gyros, one temperature, supply."""
 
+MARK = 0x2A5A
+"""Number written to the level of an unused alarm during a session; a restart of the chip erases it."""
+
 START_UP_S = 0.3
 """Wait in s after power-on and after a reset.
 
@@ -102,6 +105,7 @@ ENDURANCE_WRAP = 32_768
 MOST_READINGS = 4
 """Largest number of times that `read_checked` reads the registers until two successive readings agree."""
 
+_LEVELS = ("ALM_MAG1", "ALM_MAG2")
 _STUCK_WORDS = frozenset({0x0000, 0xFFFF})
 """Replies that show a stuck data line: all zeros or all ones."""
 
@@ -647,6 +651,15 @@ class Adis16354(Closing):
         self.bus.sleep_s(START_UP_S)
         self._follow()
 
+    def forget_mark(self) -> None:
+        """Set an alarm level to 0 if an interrupted session left the number `MARK` in it.
+
+        Each flash update does this before, because a mark in flash would survive the next restart.
+        """
+        for name, word in zip(_LEVELS, self.read_words(_LEVELS), strict=True):
+            if word == MARK:
+                self.write(name, 0)
+
     # -- alarms, output, sleep ----------------------------------------------------------------------
 
     def set_alarm(self, number: int, alarm: Alarm) -> None:
@@ -733,6 +746,7 @@ class Adis16354(Closing):
             raise ChipError(
                 f"ENDURANCE is {before}: the flash is made for {FLASH_LIFE} writes; force it if you must"
             )
+        self.forget_mark()
         self._command(field)
         self.bus.sleep_s(wait_s)
         after = self.endurance()

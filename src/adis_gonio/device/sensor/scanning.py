@@ -1,14 +1,16 @@
 """Scans of registers: at data-ready edges, or polled.
 
-The module enables the chip's data-ready line for a stream or a session, and checks it before use. An input
-may show edges even if nothing or something else drives it. The line is therefore used only if the bridge
-counts about one edge for each update, and if no update falls into the scans that start at the edge. Without
-edges, as without the wire, scans are polled.
+A scan reads each register of a list once. All its words should belong to one update of the chip. Each word
+has a bit ND (new data): an update sets it, and the read of this register clears it.
 
-ND in the words of one scan does not show an update during the scan: every register has one update between
-two reads, at any place in the scan. A trial therefore reads the first register of the scan once more at its
-end. At an edge before the update the first read finds new data and the last read none; if the update comes
-within the scan it is the opposite.
+The module enables the chip's data-ready line for a stream or a session, and checks it before use. A bridge
+may count edges although the line is not connected. The line is therefore used only if the bridge counts
+about one edge for each update, and if no update falls into the scans that start at the edge. If there are
+no edges, scans are polled.
+
+The bits ND of a scan do not show if an update came during the scan, since each register is read only once.
+A trial therefore reads the first register once more at the end of the scan. If the second read finds new
+data, an update came within the scan.
 
 One iterator of `ScanBlock` has two implementations:
 
@@ -18,13 +20,12 @@ One iterator of `ScanBlock` has two implementations:
   chip's
   own clock, which may differ from the nominal rate.
 
-Polling without tearing. An update may fall between two reads of one pass through the list, so that the pass
-mixes two updates. In each *column*, however, ND shows if an update came since the last read: an update sets
-ND, and the read of that register clears it. If as many successive reads as there are columns find no new
-data, the latest new words of all columns therefore belong to one update, independent of pauses between the
-reads before. They are one row. New words that are followed by others before such a silence are not used,
-and the number of missed updates follows from the time. If a bus needs more than half a period for a pass
-this is not possible, and each pass is a scan.
+Polling without mixing updates. An update may come between two reads of one pass through the list, so that
+the pass has words of two updates. Polling therefore goes on until as many successive reads as the list is
+long find no new data. Every register was then read after the last update, and the latest new word of each
+register is from this update. These words are one scan. If the next update comes before, its words replace
+the earlier ones, and the number of missed updates follows from the time. If a bus needs more than half an
+update period for a pass, this is not possible, and each pass is a scan.
 """
 
 from __future__ import annotations

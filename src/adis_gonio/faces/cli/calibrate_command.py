@@ -245,7 +245,7 @@ def _show_result(session: Session, advisor: TraceAdvisor | None, *, complete: bo
     print_gains(session)
     if traced is not None:
         click.echo()
-        print_trace(session, traced)
+        print_trace([session], traced)
         print_loop(session, traced)
 
 

@@ -15,6 +15,7 @@ from adis_gonio.base.numbers import use_minus
 from adis_gonio.device.bus import find_devices
 from adis_gonio.device.bus.host import udev_rules
 from adis_gonio.device.sensor import DEFAULT_SCAN, REGISTERS, Adis16354, Register, open_sensor
+from adis_gonio.device.sensor.driver import MARK
 from adis_gonio.device.sensor.registers import CONFIDENCES, Kind, register, registers
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import console, print_json, print_table
@@ -279,6 +280,13 @@ def _parse_number(sensor: Adis16354, row: Register, text: str) -> int:
     return round((float(number) - zero) / lsb)
 
 
+def _tell_mark(rows: list[tuple[Register, Any]]) -> None:
+    for row, quantity in rows:
+        if row.name.startswith("ALM_MAG") and quantity is not None and quantity.number == MARK:
+            text = f"{row.name} holds the mark of an interrupted session, which has no effect"
+            click.echo(f"{text}; the next calibrate or flash update removes it", err=True)
+
+
 def _show_registers(
     rows: list[tuple[Register, Any]], wanted: Mapping[str, OffsetWord], *, fields: bool, as_json: bool
 ) -> None:
@@ -287,6 +295,7 @@ def _show_registers(
     `wanted` has the offsets of a calibration by register name; `fields` also shows the bit fields.
     `as_json` prints a JSON document instead of a table.
     """
+    _tell_mark(rows)
     if as_json:
         documents = []
         for row, quantity in rows:

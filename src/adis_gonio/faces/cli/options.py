@@ -280,6 +280,7 @@ def what_if(function: F) -> F:
 
 url = click.argument("url")
 session = click.argument("session", type=FILE)
+sessions = click.argument("sessions", type=FILE, nargs=-1, required=True, metavar="SESSION...")
 places = click.argument(
     "places", type=click.Path(path_type=Path, readable=False), nargs=-1, metavar="[DIR]..."
 )

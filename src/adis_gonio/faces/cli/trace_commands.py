@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from adis_gonio.base.errors import AdisGonioError
+from adis_gonio.base.errors import AdisGonioError, UsageError
 from adis_gonio.base.numbers import counted, format_number, format_percent
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import WIDTH, check_page, console, print_json, report_progress, write_page
@@ -31,7 +31,7 @@ _WHAT_IF = {"What if": "--with --without --only"}
 
 
 @option.command("trace", "--max-effects --time-limit --json", _WHAT_IF)
-@option.session
+@option.sessions
 @option.with_default(
     "--max-effects",
     type=click.IntRange(0, 12),
@@ -48,7 +48,7 @@ _WHAT_IF = {"What if": "--with --without --only"}
 @option.json
 def trace_command(
     *,
-    session: Path,
+    sessions: Sequence[Path],
     max_effects: int,
     time_limit: float | None,
     part: str,
@@ -58,27 +58,46 @@ def trace_command(
 ) -> None:
     """Trace the residual of a session to the effects that the seed paper's model lacks.
 
+    Several sessions of one part, board or stage are traced as one model: gains and misalignments are shared
+    by the sessions of one part, and an effect is shared or differs between sessions, parts or stages, by
+    evidence. The keys `serial` and `stage` of the files name part and stage; sessions without a key share
+    it.
+
     The command reports each effect found with its probability, the error before and after on data that the
     fit did not use, the effects that this session cannot distinguish or detect, and measurements to make
     next. With --with, --without or --only it compares your model with the best one.
     """
+    from adis_gonio.tracing.joint_trace import trace_sessions
     from adis_gonio.tracing.trace import trace
 
-    loaded = option.load(session, overrides)
-    with report_progress(f"tracing {counted(len(loaded.dwells), 'dwell')} of {session.name}"):
-        result = trace(loaded, max_effects=max_effects, time_limit=time_limit, part=part, **what_if)
+    loaded = [option.load(session, overrides) for session in sessions]
+    dwells = counted(sum(len(one.dwells) for one in loaded), "dwell")
+    if len(loaded) > 1 and (part != "accelerometer" or any(what_if.values())):
+        raise UsageError(
+            "several sessions are traced together for the accelerometers only, without --with, --without"
+            " and --only: give one session"
+        )
+    where = sessions[0].name if len(loaded) == 1 else counted(len(loaded), "session")
+    result: TraceResult
+    with report_progress(f"tracing {dwells} of {where}"):
+        if len(loaded) == 1:
+            result = trace(loaded[0], max_effects=max_effects, time_limit=time_limit, part=part, **what_if)
+        else:
+            result = trace_sessions(loaded, max_effects=max_effects, time_limit=time_limit)
     if as_json:
         print_json(result.as_dict())
     else:
         print_trace(loaded, result)
 
 
-def print_trace(session: Session, result: TraceResult) -> None:
-    """Show the result of a trace on the terminal."""
+def print_trace(sessions: Sequence[Session], result: TraceResult) -> None:
+    """Show the result of a trace of one or more sessions on the terminal."""
     from adis_gonio.tracing import trace_summary as summary
+    from adis_gonio.tracing.joint_trace import JointResult
 
     screen = console(most=WIDTH)
-    screen.print(f"{summary.title(session)}: {summary.shape(session)}")
+    for session in sessions:
+        screen.print(f"{summary.title(session)}: {summary.shape(session)}")
     if result.what_if is not None:
         _print_heading(screen, summary.asked(result.what_if))
         _print_table(screen, summary.compared(result.what_if))
@@ -90,6 +109,9 @@ def print_trace(session: Session, result: TraceResult) -> None:
     _print_errors(screen, result)
     _print_list(screen, "What this session cannot distinguish", summary.confounded(result))
     _print_list(screen, "Unnamed cause", [summary.unnamed(result)] if result.unnamed else [])
+    if isinstance(result, JointResult):
+        _print_list(screen, "Belongs to", summary.owners(result))
+        _print_list(screen, "Evidence of each session", summary.session_shares(result))
     _print_list(screen, "Rejected effects", summary.open_names(result))
     _print_list(screen, "Inside the dwells", summary.within(result))
     seen = summary.sight(result)
@@ -101,7 +123,8 @@ def print_trace(session: Session, result: TraceResult) -> None:
     heading = f"{summary.absent(result).capitalize()} (90 % power) from"
     _print_list(screen, heading, [visible] if visible else [])
     _print_list(screen, "What to measure next", summary.advice(result), numbered=True)
-    _print_list(screen, "Remarks", [*session.notes, *result.notes])
+    notes = dict.fromkeys(note for session in sessions for note in session.notes)
+    _print_list(screen, "Remarks", [*notes, *result.notes])
 
 
 def _print_heading(screen: Console, text: str) -> None:

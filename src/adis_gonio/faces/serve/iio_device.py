@@ -219,7 +219,7 @@ class Sampler:
 def state_of(sensor: Adis16354) -> SensorState:
     """Read configuration and offsets of the sensor, from which the values of attributes are computed."""
     rows = register_table.registers([*register_table.ACCEL_OFF, *register_table.GYRO_OFF])
-    words = sensor.read_words(rows)
+    words = sensor.read_checked(rows)
     offsets = {row.name: row.number(word) for row, word in zip(rows, words, strict=True)}
     return SensorState(sensor.configuration(), offsets)
 

@@ -22,7 +22,15 @@ from adis_gonio.device.sensor.settings import (
     rounding_covariance,
     white_noise_gain,
 )
-from adis_gonio.fitting.allan.allan_result import PARTS, AllanResult, AxisNoise, Part, notes_of, parameters
+from adis_gonio.fitting.allan.allan_result import (
+    PARTS,
+    AllanResult,
+    AxisNoise,
+    MovingPeak,
+    Part,
+    notes_of,
+    parameters,
+)
 from adis_gonio.fitting.allan.spectral_likelihood import (
     KINDS,
     Kind,
@@ -430,10 +438,46 @@ def _axis(rests: Rests, axis: int, m: int) -> AxisNoise:
     notes = notes_of(
         found,
         narrowed=fitted.band < highest,
+        peak=moving_peak([flat[k] for k in quiet], period_s, fitted.band / period_s),
         coarse=coarse,
         loud=[rests.positions[k] for k in range(len(parts)) if k not in quiet],
     )
     return replace(found, notes=tuple(notes))
+
+
+_PIECES, _SEGMENT, _AROUND = 12, 512, 33
+"""Number of pieces of a record in which a peak is followed, samples in a segment of their spectra, and
+number of frequencies around a peak that it is compared with."""
+_LEAST_PEAK = 2.0
+"""Least height of a peak relative to the spectrum around it; lobes of a filter are rounder."""
+
+
+def moving_peak(records: Sequence[Floats], period_s: float, above_hz: float) -> MovingPeak | None:
+    """Return the highest peak of records (n,) above a frequency; None unless every piece shows it.
+
+    From piece to piece it moves by less than the width of its surroundings.
+    """
+    from scipy.ndimage import median_filter
+    from scipy.signal import welch
+    from scipy.stats import chi2
+
+    tops, ratios = [], []
+    for piece in [piece for one in records for piece in np.array_split(one, _PIECES)]:
+        if len(piece) < 8 * _SEGMENT:
+            return None
+        frequency, power = welch(piece, 1 / period_s, nperseg=_SEGMENT)
+        # Power relative to the spectrum around each frequency, which needs neighbours on both sides.
+        ratio = np.where(frequency > above_hz, power / median_filter(power, _AROUND), 0.0)
+        ratio[: _AROUND // 2] = ratio[-_AROUND // 2 :] = 0.0
+        tops.append(int(ratio.argmax()))
+        ratios.append(float(ratio.max()))
+        means = 2 * len(piece) // _SEGMENT
+        if ratios[-1] < max(float(chi2.isf(INADEQUATE / _SEGMENT, means)) / means, _LEAST_PEAK):
+            return None
+    if np.abs(np.diff(tops)).max() > _AROUND // 2:
+        return None
+    low, high = (float(top / (_SEGMENT * period_s)) for top in (min(tops), max(tops)))
+    return MovingPeak(low, high, float(np.median(ratios)))
 
 
 def _quiet(parts: Sequence[Ordinates], highest: float) -> list[int]:

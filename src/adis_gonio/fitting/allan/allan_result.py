@@ -6,7 +6,7 @@ import math
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted, format_number, format_p, format_unit
@@ -313,12 +313,37 @@ def name_shown(parameter: NoiseParameter) -> str:
     return parameter.name.replace("_", " ")
 
 
-def notes_of(axis: AxisNoise, *, narrowed: bool, coarse: bool, loud: Sequence[int]) -> Iterator[str]:
+SWAY_HZ = 1.0
+"""Frequency in Hz below which a sinusoid is named a sway: machines run faster, and buildings do not."""
+
+
+class MovingPeak(NamedTuple):
+    """Lowest and highest frequency of a peak of the spectrum in pieces of a record, and its typical height.
+
+    The height is relative to the spectrum around the peak.
+    """
+
+    low_hz: float
+    high_hz: float
+    ratio: float
+
+    @property
+    def line(self) -> str:
+        """Sentence for the user."""
+        return (
+            f"a line between {self.low_hz:.3g} and {self.high_hz:.3g} Hz, {self.ratio:.2g} times the noise"
+            " around it: a resonance of the sensor, or a vibration whose speed changes"
+        )
+
+
+def notes_of(
+    axis: AxisNoise, *, narrowed: bool, coarse: bool, loud: Sequence[int], peak: MovingPeak | None = None
+) -> Iterator[str]:
     """Yield sentences for the user on the noise of an axis, such as excess noise, sinusoids or drift.
 
     `narrowed` is True if only a part of the frequency band was fitted, `coarse` if the noise is small
     against the step of the converter. `loud` has the dwell numbers of records that were left out because of
-    their larger noise.
+    their larger noise. `peak` is a peak above the fitted band.
     """
     if loud:
         which = ", ".join(map(str, loud[:8])) + (", …" if len(loud) > 8 else "")
@@ -330,12 +355,14 @@ def notes_of(axis: AxisNoise, *, narrowed: bool, coarse: bool, loud: Sequence[in
         )
     if narrowed and axis.adequacy >= INADEQUATE:
         yield f"above {format_number(axis.band_hz[1])} Hz the spectrum is of another kind and was left out"
+    yield from [] if peak is None else [peak.line]
     if axis.adequacy < INADEQUATE:
         yield f"these noises do not explain the spectrum ({format_p(axis.adequacy)}): u is too small"
     for line in axis.lines:
         yield (
             f"a sinusoid of {format_number(line.frequency_hz, 4)} Hz, amplitude"
-            f" {format_number(line.amplitude)}, taken off: a vibration, or its alias"
+            f" {format_number(line.amplitude)}, taken off:"
+            f" {'a sway, as of a building' if line.frequency_hz < SWAY_HZ else 'a vibration'}, or its alias"
         )
     flicker, walk = axis["flicker"], axis["walk"]
     if not flicker.present and not walk.present and axis.slow_p_value < SLOW_NOISE:

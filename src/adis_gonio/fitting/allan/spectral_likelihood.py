@@ -646,7 +646,9 @@ class Profile:
 
 
 class Likelihood:
-    """−2 log likelihood of squared coefficients, its slope and its information.
+    """−2 log likelihood of the squared coefficients of noise processes, given a spectrum.
+
+    It also has the slope and the Fisher information with respect to the squared coefficients.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.fitting.estimation.links import LinkRows
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term, Where, join_columns
-from adis_gonio.model.measurement import Measurement, PlanarTurn
+from adis_gonio.model.measurement import Measurement
 from adis_gonio.model.records import MG_PER_G
 
 NAMELESS_SPREAD = 0.1
@@ -334,7 +334,7 @@ class Fit:
         """
         if not term.enters_angle:
             return columns
-        if not isinstance(self.data.model, PlanarTurn):
+        if not self.data.model.planar:
             return np.zeros((*self.ideal.shape, columns.shape[1]))
         return self.tangent * columns[:, None, :]
 
@@ -628,9 +628,9 @@ class Fit:
     def _placed_on(self, data: Readings) -> Fit:
         model = data.model
         _, attitude = model.begin(data.mean, data.turn_rad, np.isfinite(data.angle_rad), data.conditions)
-        if isinstance(model, PlanarTurn):
+        if model.planar:
             # Start an undeclared dwell at the angle of its reading, a declared one at its declared angle.
-            shown = np.arctan2(data.mean[:, 1], data.mean[:, 0]) - self.values.base[0]
+            shown = np.arctan2(data.mean[:, 1], data.mean[:, 0]) - model.start_rad(self.values.base)
             attitude = np.where(np.isfinite(data.angle_rad), 0.0, shown)
         return replace(self, data=data, values=replace(self.values, attitude=attitude))
 
@@ -639,7 +639,7 @@ class Fit:
 
         None in space, or if an angle is not declared.
         """
-        if not isinstance(data.model, PlanarTurn) or data.conditions.angle_rad is None:
+        if not data.model.planar or data.conditions.angle_rad is None:
             return None
         # A stage at a larger angle than declared has turned ψ = α − θ the other way.
         return -self._placed_on(replace(data, fixture_rad=np.inf)).settled(4).values.attitude

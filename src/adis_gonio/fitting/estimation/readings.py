@@ -202,7 +202,7 @@ class Readings(ComputedOnce):
     @property
     def planar(self) -> bool:
         """True if the sensor turns in a known plane, False for any attitude in space."""
-        return isinstance(self.model, PlanarTurn)
+        return self.model.planar
 
     @cached_property
     def model(self) -> Measurement:
@@ -225,13 +225,22 @@ class Readings(ComputedOnce):
     def noise_dof(self) -> float:
         """Degrees of freedom of the noise of all readings together; inf if it was stated.
 
-        If dwells share one estimate (`pooled`), these are its degrees of freedom; otherwise the sum over
-        the dwells.
+        If the dwells of a session share one estimate (`pooled`), these are its degrees of freedom, added
+        over the sessions; otherwise the sum over the dwells.
         """
         finite = self.dof[np.isfinite(self.dof)]
         if not finite.size:
             return math.inf
-        return float(finite.max() if self.pooled else finite.sum())
+        if not self.pooled:
+            return float(finite.sum())
+        session = self.conditions.session
+        whole = np.zeros(len(self)) if session is None else session
+        return float(
+            sum(
+                finite[whole[np.isfinite(self.dof)] == k].max()
+                for k in np.unique(whole[np.isfinite(self.dof)])
+            )
+        )
 
     @cached_property
     def fixture(self) -> Floats:
@@ -305,6 +314,7 @@ class Readings(ComputedOnce):
             self,
             conditions=self.conditions.rows(index),
             links=None if self.links is None else self.links.rows(np.arange(len(self))[index]),
+            measurement=None if self.measurement is None else self.measurement.rows(index),
             **{name: getattr(self, name)[index] for name in by_dwell},
         )
 
@@ -408,6 +418,13 @@ def _refuse_other_units(session: Session, readings: Readings) -> None:
                 " others: an axis is dead or saturated, or the part was not at rest; leave such dwells out"
             )
         return
+    whole = [np.linalg.norm(dwell.accel.mean(axis=0)) for dwell in session.dwells if len(dwell)]
+    flat = float(np.median(whole)) * (mg_per_unit(session) or math.nan) / session.gravity_mg
+    if session.plane == "xy" and length < 1 and 1 / OFF_UNIT < flat < OFF_UNIT:
+        raise DataError(
+            f"{session.source or 'session'}: the part lies flat, X and Y read {length:.2g} g of"
+            f" {flat:.3g} g: a plane that is turned has to be vertical; give plane none for poses in space"
+        )
     also = "; a plane that is turned has to be vertical" if session.plane == "xy" and length < 1 else ""
     raise DataError(
         f"{session.source or 'session'}: readings are {length:.3g} g long instead of 1 g: accel_unit "

@@ -233,10 +233,11 @@ def _periodograms(samples: Sequence[Floats], scale: Floats | float) -> list[_Ord
 
 
 def _bins(frequency: Floats) -> NDArray[np.intp]:
-    """Divide the ordinates of a spectrum into bins; return the first ordinate of each bin.
+    """Divide the ordinates of a spectrum into bins; return the index of the first ordinate of each bin.
 
-    Bands end at 0.5/2^j and have `_CELLS` cells each: the upper octave of a band has half of them, and a
-    band twice as wide has cells twice as wide. Only an ordinate at the end of a band has a separate bin.
+    `frequency` is in cycles per sample, up to 0.5. Each octave has `_CELLS`/2 bins of equal width, so that
+    the bins of the next higher octave are twice as wide. An ordinate exactly between two octaves has a bin
+    of its own, and so have the first `_ALONE` ordinates.
     """
     # frexp splits 2f into octave (band) and mantissa (cell within the band).
     mantissa, octave = np.frexp(2 * frequency)

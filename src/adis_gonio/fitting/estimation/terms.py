@@ -216,7 +216,9 @@ class NamedTerm(Term):
 
     @cached_property
     def amplitude_spread(self) -> Floats:
-        """Prior standard deviation (d,) of each amplitude: a quarter of the range between its limits."""
+        """Prior standard deviation (d,) of each amplitude: `spread`, or a quarter of its range."""
+        if self.spread is not None:
+            return np.full(len(self.amplitudes), self.spread)
         low, high = self._bounds[self.amplitudes].T
         return np.asarray((high - low) / 4)
 

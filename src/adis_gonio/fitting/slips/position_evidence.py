@@ -48,11 +48,21 @@ GYRO_FAILS = 0.01
 
 @dataclass(frozen=True)
 class ScatterPoint:
-    """One assumption on the ordinary errors of a session: their standard deviations, with its prior.
+    """Assumed standard deviations of the errors that a session without a wrong position has.
 
-    `position_rad` is of positions and `reading` of readings (share of gravity); `effects` is a factor on
-    the typical size of the catalogue's effects. `turns_rad` and `drifts` are slow changes by the end of the
-    session. `log_prior` is ln of the prior probability.
+    Attributes
+    ----------
+    position_rad : float
+        Standard deviation of the set positions, in rad.
+    reading : float
+        Standard deviation of the readings, as a share of gravity.
+    effects : float
+        Factor on the typical amplitudes of the catalogue's effects.
+    log_prior : float
+        Natural logarithm of the prior probability of this assumption.
+    turns_rad, drifts : float
+        Standard deviation, at the end of the session, of a slow turn of the part (rad) and of a slow change
+        of the readings (share of gravity).
     """
 
     position_rad: float

@@ -177,6 +177,10 @@ class Parameter:
         return value
 
 
+APART_S = 1e9
+"""Time between the begins of two sessions on the clock of their histories; any lag ends within it."""
+
+
 @dataclass(frozen=True)
 class Conditions:
     """Circumstances of each of n rows (samples or readings); a field that was not recorded is None.
@@ -212,6 +216,9 @@ class Conditions:
         Times and readings (in mg) of the whole session, for effects with memory of the load.
     variance_mg2 : (n, axes) float
         Variance of the samples within each dwell, in mg².
+    session : (n,) float
+        Number of the session, from 0, if the rows are of several sessions; otherwise None. The clocks of
+        `time_s` then begin with each session, and the times of the histories are on `clock_s`.
 
     Raises
     ------
@@ -234,6 +241,7 @@ class Conditions:
     force_g: Floats | None = None
     rate_dps: Floats | None = None
     abs_rate_dps: Floats | None = None
+    session: Floats | None = None
 
     def __post_init__(self) -> None:
         for name, rows in self._rows().items():
@@ -272,8 +280,15 @@ class Conditions:
         key = history, axis, tau_s
         if key not in self._late:
             times, values = self.covariate(history)
-            self._late[key] = lagged(times, values if axis is None else values[:, axis], self.time_s, tau_s)
+            self._late[key] = lagged(
+                times, values if axis is None else values[:, axis], self.clock_s, tau_s
+            )
         return self._late[key]
+
+    @property
+    def clock_s(self) -> Floats:
+        """Times (n,) on the clock of the histories, on which sessions are `APART_S` apart."""
+        return self.time_s if self.session is None else self.time_s + APART_S * self.session
 
     def rows(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Conditions:
         """Return the conditions of the selected rows; the histories stay complete."""

@@ -81,9 +81,9 @@ class GSensitivity(LinearAxisEffect):
     Attributes
     ----------
     force : int
-        0: along all three axes; 1 to 3: along x, y or z alone. If the force along one axis follows the
-        order of the poses, the effect then has one column for each gyro like a drift, and the trace
-        compares both on equal terms.
+        0: the force along all three axes acts; 1, 2, 3: only the force along x, y, z. With one axis the
+        effect has one coefficient for each gyro, as many as a drift. The trace can then compare it with a
+        drift, which it resembles if the force changes steadily from pose to pose.
     """
 
     force: int = 0

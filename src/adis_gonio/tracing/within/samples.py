@@ -123,7 +123,7 @@ def samples_of(session: Session, data: Readings) -> Samples | None:
     ----------
     session : Session
     data : Readings
-        Readings of the session, with the unit of the samples.
+        Readings of the session; `data.unit` converts the samples to mg.
     """
     used = set(data.position.tolist())
     dwells = [dwell for dwell in session.dwells if dwell.position in used]

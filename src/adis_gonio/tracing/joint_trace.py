@@ -1,0 +1,358 @@
+"""Trace several sessions of one part, board or stage as one model.
+
+The readings of all sessions are stacked (`adis_gonio.tracing.stacking`) and traced like those of one
+session. Gains, skews and Δφ belong to the part, the start angle to the session, and the amplitudes of an
+effect to all sessions or to groups of them, by evidence (`adis_gonio.tracing.sharing`)::
+
+    sessions → readings, one by one → stack → screening → trace → share of each session
+
+A session's part is its `serial`, and its stage is its `stage`. Sessions that do not state one share it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import field, replace
+from pathlib import PurePath
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adis_gonio.base.arrays import Floats, solvable
+from adis_gonio.base.budget import current, with_progress, within
+from adis_gonio.base.errors import AdisGonioError, FitError, UsageError
+from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.base.numbers import counted
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings, readings_of
+from adis_gonio.fitting.estimation.terms import NamedTerm, Term
+from adis_gonio.fitting.noise_estimation import state_noise
+from adis_gonio.fitting.slips.session_positions import failure_message, positions_of
+from adis_gonio.model.measurement import SessionOrigin
+from adis_gonio.model.records import Session
+from adis_gonio.tracing.credible_sets import cause_name, owners_of
+from adis_gonio.tracing.linear_problem import linearise, span
+from adis_gonio.tracing.model_search import price
+from adis_gonio.tracing.selection import Selection, select
+from adis_gonio.tracing.sharing import SplitEffect
+from adis_gonio.tracing.stacking import stack
+from adis_gonio.tracing.thresholds import limits
+from adis_gonio.tracing.trace import TraceRun, correct_slips
+from adis_gonio.tracing.trace_result import NextDwell, TraceResult
+from adis_gonio.tracing.validation import folds, rms
+
+GROUPS_LEFT_OUT = 10
+"""Most groups of sessions that are left out in turn."""
+
+
+class SessionShare(JsonRecord):
+    """One session of a joint trace: its share of the evidence, and its own verdict.
+
+    The JSON document is one entry of `sessions`.
+
+    Attributes
+    ----------
+    session, part, stage : str
+        Name of the session, serial number of its part and name of its stage; empty if not stated.
+    dwells : int
+        Number of its dwells.
+    evidence : mapping of str to float
+        Log likelihood in nats that its readings add for each cause of the model.
+    alone : mapping of str to float
+        Effects that its readings alone would show, with their probabilities; unnamed functions begin with
+        `unnamed:`. The candidates are those that scored well in the joint trace.
+    heldout_before_mg, heldout_after_mg : float or None
+        Held-out error of its dwells by the base model and by the joint model, if a fifth of all dwells is
+        left out in turn.
+    session_before_mg, session_after_mg : float or None
+        The same errors if the whole session is left out. One half of its dwells then gives its own
+        parameters (start angle, its own amplitudes) for the other half.
+    """
+
+    session: str
+    part: str
+    stage: str
+    dwells: int
+    evidence: Mapping[str, float]
+    alone: Mapping[str, float]
+    heldout_before_mg: float | None = None
+    heldout_after_mg: float | None = None
+    session_before_mg: float | None = None
+    session_after_mg: float | None = None
+
+
+class JointResult(TraceResult):
+    """Result of a joint trace: the result of a trace, with the share of each session.
+
+    Attributes
+    ----------
+    sessions : tuple of SessionShare
+        The sessions in the given order.
+    owners : mapping of str to mapping of str to float
+        For each cause, the probability of each owner of its amplitudes if the cause is present: `stage`,
+        `part`, `all parts` or `session`.
+    """
+
+    document_keys: ClassVar[tuple[str, ...]] = (*TraceResult.document_keys, "sessions", "owners")
+
+    sessions: tuple[SessionShare, ...] = ()
+    owners: dict[str, dict[str, float]] = field(default_factory=dict)
+
+    def calibration(self) -> Any:
+        """Raise `FitError`: a calibration is of one session."""
+        raise FitError("a joint trace gives no calibration: fit or trace one session of the part")
+
+
+@solvable
+def trace_sessions(
+    sessions: Sequence[Session], max_effects: int = 6, time_limit: float | None = None
+) -> JointResult:
+    """Trace the residual of several sessions to the effects that the base model lacks, as one model.
+
+    Parameters
+    ----------
+    sessions : sequence of Session
+        Two sessions or more, all in a plane or all in space, with accelerometer readings of known unit.
+    max_effects : int
+        Largest number of terms added to the base model.
+    time_limit : float, optional
+        Seconds after which the trace ends at the next safe point with the best model found by then.
+
+    Raises
+    ------
+    DataError, FitError
+        A session has no readings, or too few.
+    UsageError
+        Fewer than two sessions, sessions that cannot be joined, or a time limit that is not positive.
+    """
+    if len(sessions) < 2:
+        raise UsageError("a joint trace needs two sessions or more; use `trace` for one session")
+    if time_limit is not None and not time_limit > 0:
+        raise UsageError(f"a time limit of {time_limit:g} s: give a positive number of seconds")
+    if time_limit is None:
+        return trace_stacked([reduced(one) for one in sessions], origins_of(sessions), max_effects)
+    with within(current().limited(time_limit)):
+        return trace_stacked([reduced(one) for one in sessions], origins_of(sessions), max_effects)
+
+
+def reduced(session: Session) -> Readings:
+    """Return the readings of one session for a joint trace, with angles corrected for lasting slips."""
+    try:
+        return state_noise(correct_slips(readings_of(session), positions_of(session)))
+    except FitError as error:
+        raise FitError(failure_message(session, error)) from error
+
+
+def origins_of(sessions: Sequence[Session]) -> list[SessionOrigin]:
+    """Return part and stage of each session, with a unique name of the session."""
+    names = [PurePath(one.source).name.split(".")[0] or one.title or "session" for one in sessions]
+    many = Counter(names)
+    return [
+        SessionOrigin(name if many[name] == 1 else f"{name}-{k}", one.serial, one.stage)
+        for k, (name, one) in enumerate(zip(names, sessions, strict=True), 1)
+    ]
+
+
+def trace_stacked(
+    readings: Sequence[Readings], origins: Sequence[SessionOrigin], max_effects: int = 6
+) -> JointResult:
+    """Trace readings of several sessions as one model.
+
+    Parameters
+    ----------
+    readings : sequence of Readings
+        Readings of each session.
+    origins : sequence of SessionOrigin
+        Part and stage of each session.
+    max_effects : int
+        Largest number of terms added to the base model.
+    """
+    run = JointRun(stack(readings, origins), max_effects)
+    result = run.traced()
+    return result if isinstance(result, JointResult) else JointResult(**vars(result))
+
+
+class JointRun(TraceRun):
+    """A trace of stacked readings in progress."""
+
+    def __init__(self, data: Readings, max_effects: int) -> None:
+        super().__init__(data, max_effects, None)
+        self.terms = screen(self.measured, self.terms, max_effects)
+
+    def advice(self, selection: Selection) -> tuple[tuple[str, ...], tuple[NextDwell, ...]]:
+        """Return no advice: the next dwells belong to one session."""
+        return (), ()
+
+    def finished(self) -> TraceResult:
+        """Return the result of a completed trace, with the share of each session and the owners."""
+        result = super().finished()
+        several = len({origin.part for origin in self.data.model.origins}) > 1
+        causes = [one.cause for one in self.sets]
+        return JointResult(
+            **vars(replace(result, notes=(*result.notes, _sharing_note(self.data.model.origins)))),
+            sessions=self._shares(),
+            owners={
+                cause: owners_of(self.selection, cause, lambda term: owner_of(term, several=several))
+                for cause in causes
+            },
+        )
+
+    def _shares(self) -> tuple[SessionShare, ...]:
+        data = self.measured
+        session = _session(data)
+        evidence = evidence_by_session(self.selection)
+        masks = {"whole dwells": folds(data)["whole dwells"]}
+        kept = [
+            self.fold.left_out(self.selection.data, masks, fit) for fit in (self.fits[0], self.fits[-1])
+        ]
+        dwells = [left["whole dwells"].residual for left in kept]
+        whole = [left_out_sessions(fit) for fit in (self.fits[0], self.fits[-1])]
+        by_axis = data.by_axis
+        out = []
+        for k, origin in enumerate(with_progress(data.model.origins)):
+            rows = session == k
+            errors = [rms(residual[rows], by_axis) for residual in (*dwells, *whole)]
+            out.append(
+                SessionShare(
+                    origin.label,
+                    origin.part,
+                    origin.stage,
+                    int(rows.sum()),
+                    {cause: own[k] for cause, own in evidence.items()},
+                    self._alone(rows),
+                    *errors,
+                )
+            )
+        return tuple(out)
+
+    def _alone(self, rows: NDArray[np.bool_]) -> dict[str, float]:
+        """Return the probable effects of one session alone, from candidates that scored well in all."""
+        own = replace(self.measured.rows(rows), fitted=None)
+        whole = [
+            term
+            for term in self.fold.terms
+            if not (isinstance(term, NamedTerm) and isinstance(term.effect, SplitEffect))
+        ]
+        try:
+            chosen = select(own, whole, self.max_effects, limits.fold_explored, limits.fold_rounds)
+        except AdisGonioError:
+            return {}
+        weight: dict[str, float] = defaultdict(float)
+        terms = chosen.problem.terms
+        for model, probability in chosen.verdict.weights.items():
+            for cause in {cause_name(terms[k]) for k in model}:
+                weight[cause] += probability
+        return {
+            cause: min(p, 1.0)
+            for cause, p in sorted(weight.items(), key=lambda i: -i[1])
+            if p >= limits.open_level
+        }
+
+
+def _session(data: Readings) -> NDArray[np.intp]:
+    session = data.conditions.session
+    return np.zeros(len(data), dtype=np.intp) if session is None else session.astype(np.intp)
+
+
+def _sharing_note(origins: Sequence[SessionOrigin]) -> str:
+    """Return a sentence on the sessions that share a part or a stage, and the rule for it."""
+    parts, stages = ({getattr(one, name) for one in origins} for name in ("part", "stage"))
+    unstated = " (sessions that do not state one share it)" if "" in parts | stages else ""
+    return (
+        f"{counted(len(origins), 'session')} of {counted(len(parts), 'part')} on"
+        f" {counted(len(stages), 'stage')}, by `serial` and `stage` of the files{unstated}"
+    )
+
+
+def owner_of(term: Term, *, several: bool) -> str:
+    """Return the owner of a term's amplitudes: `stage`, `part`, `all parts` or `session`.
+
+    `several` is True if the sessions are of several parts.
+    """
+    if isinstance(term, NamedTerm) and isinstance(term.effect, SplitEffect):
+        return term.effect.sharing.by
+    if term.enters_angle:
+        return "stage"
+    return "all parts" if several else "part"
+
+
+def screen(data: Readings, terms: Sequence[Term], max_terms: int) -> list[Term]:
+    """Return the candidates that may matter, since a full search of all sessions' candidates is long.
+
+    A model of up to `max_terms` terms grows from the bias by the best term each time. Kept are the
+    candidates that would improve any of these models most, the best of each effect on its axes, and every
+    bias.
+    """
+    begun = Fit.begin(data).refit()
+    free = [term for term in terms if term.constant and term.prior_sd is None]
+    if not free:
+        return list(terms)
+    bias = max((t for t in free if isinstance(t, NamedTerm)), key=lambda term: len(term.amplitudes))
+    about = begun.with_terms([bias], [np.zeros(len(bias.amplitudes))]).refit()
+    problem = linearise(about, terms)
+    prices = price(problem)
+    model = [k for k, term in enumerate(problem.terms) if term is bias]
+    promise = np.full(len(problem.terms), -np.inf)
+    for _ in range(max_terms):
+        basis, residual = span(problem, model)
+        gains = 0.5 * problem.gains(basis, residual) - prices
+        promise = np.maximum(promise, gains)
+        best = int(gains.argmax())
+        if gains[best] <= 0:
+            break
+        model.append(best)
+    ranked = [problem.terms[k] for k in np.argsort(-promise)]
+    kept = {term.label for term in ranked[: limits.screened]}
+    seen = set()
+    for term in ranked:
+        if isinstance(term, NamedTerm):
+            split = term.effect.sharing.by if isinstance(term.effect, SplitEffect) else ""
+            key = term.effect.name, term.effect.axes, split
+            if key not in seen or term.constant:
+                kept.add(term.label)
+            seen.add(key)
+    return [term for term in terms if term.label in kept]
+
+
+def evidence_by_session(selection: Selection) -> dict[str, list[float]]:
+    """Return for each cause of the model the log likelihood in nats that it adds in each session."""
+    problem, best, data = selection.problem, selection.verdict.best, selection.data
+    session = np.repeat(_session(data), len(problem.target) // len(data))
+    _, whole = span(problem, best)
+    out = {}
+    for cause in dict.fromkeys(cause_name(problem.terms[k]) for k in best):
+        _, without = span(problem, [k for k in best if cause_name(problem.terms[k]) != cause])
+        gain = 0.5 * (without**2 - whole**2) / selection.inflation
+        out[cause] = [float(gain[session == k].sum()) for k in range(len(data.model.origins))]
+    return out
+
+
+def left_out_sessions(fit: Fit) -> Floats:
+    """Return residuals (n, axes) of each session under the model fitted to the other sessions.
+
+    Parameters that the other sessions do not show (a start angle, the session's own amplitudes) are fitted
+    to one half of its dwells, every second one, to predict the other half.
+    """
+    data = fit.data
+    session = _session(data)
+    # Every second dwell of each session, by its number in the session.
+    halves = (np.arange(len(data)) - np.searchsorted(session, session)) % 2 == 0
+    groups = min(len(data.model.origins), GROUPS_LEFT_OUT)
+    out = np.full(data.mean.shape, np.nan)
+    for group in range(groups):
+        inside = session % groups == group
+        trained = fit.again(data.rows(~inside))
+        unseen = np.asarray(~np.abs(trained.jacobian).any(axis=0))
+        for near, far in ((inside & halves, inside & ~halves), (inside & ~halves, inside & halves)):
+            out[far] = _with_own(trained, data.rows(near), unseen).on(data.rows(far)).misfit
+    return out
+
+
+def _with_own(trained: Fit, own: Readings, unseen: NDArray[np.bool_]) -> Fit:
+    """Fit the parameters `unseen` (p,) of a fit to other dwells; the remaining parameters stay fixed."""
+    begun = Fit.begin(own)
+    base = np.where(unseen[: len(begun.values.base)], begun.values.base, trained.values.base)
+    placed = replace(trained, values=replace(trained.values, base=base)).on(own)
+    return placed.refit(within=np.eye(len(unseen))[:, unseen]) if unseen.any() else placed

@@ -1,0 +1,107 @@
+"""Readings of several sessions as one set of readings, for a joint trace."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
+from adis_gonio.base.errors import UsageError
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.model.effects import Conditions
+from adis_gonio.model.measurement import JointMeasurement, SessionOrigin
+
+
+def stack(each: Sequence[Readings], origins: Sequence[SessionOrigin]) -> Readings:
+    """Join the readings of sessions; base parameters are shared by the sessions of one part.
+
+    The rows keep the number of their session (`Conditions.session`). Noise that dwells share is
+    independent between sessions. A covariate that a session did not record is dropped.
+
+    Raises
+    ------
+    UsageError
+        Sessions of different kinds, in counts, or with different uncertainties of the declared angles.
+    """
+    first = each[0]
+    for one, origin in zip(each, origins, strict=True):
+        for same, what in (
+            (one.axes == first.axes, "one plane and attitudes in space"),
+            (one.fixture_rad == first.fixture_rad, "different uncertainties of the declared angles"),
+            (one.unit.known, "readings in counts"),
+        ):
+            if not same:
+                raise UsageError(
+                    f"{origin.label}: a joint trace cannot join {what}; trace this session alone, or state"
+                    " one --fixture or --unit for all"
+                )
+    session = np.repeat(np.arange(len(each)), [len(one) for one in each])
+    if len(each) == 1:
+        return first
+    by_row = ["mean", "own_covariance", "dof", "known", "angle_rad", "check", "position", "samples"]
+    parts = [
+        name for name in ("quantization", "flicker") if all(getattr(r, name) is not None for r in each)
+    ]
+    joined: dict[str, Any] = {n: np.concatenate([getattr(r, n) for r in each]) for n in (*by_row, *parts)}
+    return replace(
+        first,
+        **joined,
+        conditions=_conditions([one.conditions for one in each]),
+        slow=_modes(each, origins),
+        flicker_shown=any(one.flicker_shown for one in each),
+        pooled=all(one.pooled for one in each),
+        notes=tuple(dict.fromkeys(note for one in each for note in one.notes)),
+        measurement=JointMeasurement([one.model for one in each], origins, session),
+        converter=None,
+        links=None,
+        fitted=None,
+    )
+
+
+def _conditions(each: Sequence[Conditions]) -> Conditions:
+    """Join conditions; dwells are numbered on over the sessions, and histories follow on one clock."""
+    lengths = [len(one) for one in each]
+    session = np.repeat(np.arange(float(len(each))), lengths)
+    made: dict[str, Any] = {}
+    for name in (field.name for field in fields(Conditions)):
+        values = [getattr(one, name) for one in each]
+        if any(value is None for value in values):
+            continue
+        if name.endswith("_history"):
+            clocks = [replace(one, session=np.full(len(one), float(k))) for k, one in enumerate(each)]
+            shifts = [one.clock_s[0] - one.time_s[0] for one in clocks]
+            times = np.concatenate([time + shift for (time, _), shift in zip(values, shifts, strict=True)])
+            made[name] = times, np.concatenate([value for _, value in values])
+        else:
+            made[name] = np.concatenate(values)
+    made["session"] = session
+    if "order" in made:
+        made["order"] = np.arange(float(sum(lengths)))
+    return Conditions(**made)
+
+
+def _modes(each: Sequence[Readings], origins: Sequence[SessionOrigin]) -> Floats | None:
+    """Join the shared noise of sessions: modes (n, axes, k) of each session, then those of the stages.
+
+    Sessions on one stage with equally many modes of its certificate share these modes.
+    """
+    n, axes = sum(len(one) for one in each), each[0].axes
+    blocks: dict[tuple[str, int | str, int], Floats] = {}
+    start = 0
+    for k, (one, origin) in enumerate(zip(each, origins, strict=True)):
+        end = start + len(one)
+        if one.slow is not None:
+            own = one.slow.shape[2] - one.stage_modes
+            for key, modes in (
+                (("own", k, own), one.slow[:, :, :own]),
+                (("stage", origin.stage or k, one.stage_modes), one.slow[:, :, own:]),
+            ):
+                block = blocks.setdefault(key, np.zeros((n, axes, key[2])))
+                block[start:end] = modes
+        start = end
+    ordered = [blocks[key] for key in sorted(blocks, key=lambda key: key[0])]
+    joined = np.concatenate(ordered, axis=2) if ordered else np.zeros((n, axes, 0))
+    return joined if joined.shape[2] else None

@@ -1,0 +1,202 @@
+"""Several sessions as one model: stacking, effects of groups of sessions, findings and their owners."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adis_gonio import load_session
+from adis_gonio.base.arrays import central_differences
+from adis_gonio.base.errors import UsageError
+from adis_gonio.faces.cli import main
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.model.effects import effect
+from adis_gonio.model.effects.base import lagged
+from adis_gonio.model.measurement import FreeAttitude, JointMeasurement, PlanarTurn, SessionOrigin
+from adis_gonio.tracing.joint_trace import JointResult, trace_sessions, trace_stacked
+from adis_gonio.tracing.sharing import sharings, split_effect
+from adis_gonio.tracing.stacking import stack
+from adis_gonio.tracing.trace import trace_readings
+from recordings import recording
+from tracing.joint_fleets import draw_fleet, draw_part, draw_session, origins
+
+
+@pytest.mark.parametrize("model", [PlanarTurn, FreeAttitude])
+@pytest.mark.parametrize("parts", ["aaa", "aab", "abc"])
+def test_joint_measurement_is_that_of_each_session(model, parts) -> None:
+    rng = np.random.default_rng(1)
+    session = np.repeat([0, 1, 2], [4, 5, 6])
+    joint = JointMeasurement(
+        [model(1000.0), model(1000.0), model(1001.0)],
+        [SessionOrigin(f"s{k}", p) for k, p in enumerate(parts)],
+        session,
+    )
+    base = joint.nominal + 0.02 * rng.normal(size=len(joint.nominal))
+    unit = rng.normal(size=(15, 3))
+    attitude = 0.1 * unit[:, 0] if joint.planar else unit / np.linalg.norm(unit, axis=1, keepdims=True)
+    turn = rng.uniform(0, 6, 15) if joint.planar else np.zeros(15)
+    ideal = joint.ideal(base, attitude, turn)
+    for k, (own, numbers) in enumerate(joint.sessions):
+        rows = session == k
+        at = base[numbers], attitude[rows], turn[rows]
+        np.testing.assert_allclose(ideal[rows], own.ideal(*at))
+        np.testing.assert_allclose(joint.tangent(base, attitude, turn)[rows], own.tangent(*at))
+        np.testing.assert_allclose(joint.calibrated(base, ideal)[rows], own.calibrated(at[0], ideal[rows]))
+    slopes = central_differences(lambda b: joint.ideal(b, attitude, turn), base, np.full(len(base), 1e-6))
+    np.testing.assert_allclose(joint.columns(base, attitude, turn), slopes, atol=1e-5)
+    # A start angle is the session's, everything else the part's.
+    assert len(joint.parameters) == 3 * joint.planar + len(set(parts)) * (3 if joint.planar else 6)
+
+
+def test_a_lag_does_not_reach_into_the_next_session() -> None:
+    rng = np.random.default_rng(2)
+    each = [draw_session(rng, draw_part(rng)) for _ in range(2)]
+    times = np.linspace(0, 1500, 40)
+    histories = [(times, 25 + k + np.sin(times / 300 + k)) for k in range(2)]
+    each = [
+        replace(one, conditions=replace(one.conditions, temperature_history=history))
+        for one, history in zip(each, histories, strict=True)
+    ]
+    joint = stack(each, origins(2)).conditions.late("temperature_history", None, 200.0)[0]
+    own = [lagged(*h, one.conditions.time_s, 200.0)[0] for one, h in zip(each, histories, strict=True)]
+    np.testing.assert_allclose(joint, np.concatenate(own), atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("warm_up", (3.0, -2.0, 1.0, 5.0, 400.0)), ("stage_eccentricity", (0.1, 0.2, -0.1, 0.3))],
+)
+def test_a_split_effect_acts_in_each_group_with_its_own_amplitudes(name, values) -> None:
+    rng = np.random.default_rng(3)
+    data = stack([draw_session(rng, draw_part(rng)) for _ in range(3)], origins(3, 2))
+    (by_part, by_session) = sharings(data.model.origins)
+    assert (by_part.group, by_session.group) == ((0, 1, 0), (0, 1, 2))
+    whole = effect(name)
+    split, at = split_effect(whole, by_part), np.array(values)
+    shapes = at[4:]
+    of = "attitude_rad" if whole.enters == "attitude" else "reading"
+    arguments = (data.conditions,) if of == "attitude_rad" else (data.mean, data.conditions)
+    found = getattr(split, of)(at, *arguments)
+    for group, rows in enumerate((np.isin(data.conditions.session, (0, 2)), data.conditions.session == 1)):
+        own = getattr(whole, of)(np.array([*at[2 * group : 2 * group + 2], *shapes]), *arguments)
+        np.testing.assert_allclose(found[rows], own[rows])
+    step = 1e-4 * np.maximum(np.abs(at), 1e-2)
+    slopes = central_differences(lambda v: getattr(split, of)(v, *arguments), at, step)
+    np.testing.assert_allclose(split.derivative(at, data.mean, data.conditions), slopes, atol=1e-6)
+    assert [one.name for one in split.parameters][:2] == [
+        f"{one.name}@part0" for one in whole.parameters[:2]
+    ]
+
+
+def test_whitened_rows_of_a_stack_are_those_of_its_sessions() -> None:
+    rng = np.random.default_rng(4)
+    each = [draw_session(rng, draw_part(rng)) for _ in range(2)]
+    each = [replace(one, slow=rng.normal(size=(len(one), 2, 3))) for one in each]
+    joint = Fit.begin(stack(each, origins(2, 2)))
+    own = [Fit.begin(one) for one in each]
+    np.testing.assert_allclose(joint.residual, np.concatenate([fit.residual for fit in own]), rtol=1e-6)
+
+
+def test_one_session_is_its_own_stack() -> None:
+    rng = np.random.default_rng(5)
+    one = draw_session(rng, draw_part(rng))
+    assert stack([one], origins(1)) is one
+
+
+def test_sessions_of_two_kinds_are_refused() -> None:
+    rng = np.random.default_rng(6)
+    one, two = (draw_session(rng, draw_part(rng)) for _ in range(2))
+    with pytest.raises(UsageError, match="s1: a joint trace cannot join different uncertainties"):
+        stack([one, replace(two, fixture_rad=1.0)], origins(2))
+    with pytest.raises(UsageError, match="two sessions or more"):
+        trace_sessions([])
+
+
+def names(result: JointResult) -> set[str]:
+    return {finding.effect for finding in result.found}
+
+
+def test_sessions_together_find_an_effect_that_none_finds_alone() -> None:
+    weak = [(effect("backlash"), [0.03])]
+    readings, where = draw_fleet(np.random.default_rng(7), 8, present=weak)
+    alone = [{finding.effect for finding in trace_readings(one).found} for one in readings]
+    result = trace_stacked(readings, where)
+    assert sum("backlash" in found for found in alone) <= 2
+    assert names(result) == {"bias", "backlash"}
+    found = next(finding for finding in result.found if finding.effect == "backlash").parameters["backlash"]
+    assert abs(found.value - 0.03) < 3.5 * found.u
+    # All sessions carry the evidence, and each stands with its own verdict.
+    evidence = np.array([one.evidence["backlash"] for one in result.sessions])
+    assert evidence.sum() > 10
+    assert evidence.max() < 0.5 * evidence.sum()
+    assert {one.session for one in result.sessions} == {f"s{k}" for k in range(8)}
+    # Leaving a session out costs little: the model of the others is true for it.
+    assert all(one.session_after_mg < 0.05 * one.session_before_mg for one in result.sessions)
+
+
+def test_sessions_without_an_effect_show_none() -> None:
+    readings, where = draw_fleet(np.random.default_rng(8), 6, parts=3)
+    result = trace_stacked(readings, where)
+    assert names(result) == {"bias"}
+    assert result.adequate
+
+
+def test_an_error_that_many_parts_show_on_one_stage_is_the_stages() -> None:
+    """Alone, two cycles of the stage are a curvature of the part."""
+    table = [(effect("stage_ellipticity"), [0.012, -0.008])]
+    readings, where = draw_fleet(np.random.default_rng(9), 6, parts=6, present=table)
+    result = trace_stacked(readings, where)
+    assert "stage_ellipticity" in names(result)
+    assert result.owners["stage_ellipticity"]["stage"] > 0.95
+
+
+def test_a_curvature_of_each_part_is_the_parts() -> None:
+    rng = np.random.default_rng(10)
+    readings = [
+        draw_session(rng, draw_part(rng), [(effect("quadratic"), rng.normal(0, 2, 2))]) for _ in range(6)
+    ]
+    result = trace_stacked(readings, origins(6, 6))
+    assert "quadratic" in names(result)
+    assert result.owners["quadratic"]["part"] > 0.95
+
+
+@pytest.mark.parametrize("sensor", [1, 4])
+def test_four_sessions_show_the_warm_up_that_one_calls_a_drift(sensor) -> None:
+    """The zero of z decays by −0.94, −0.45, −0.17, −0.14 mg/min from session to session."""
+    result = trace_sessions([load_session(recording(f"mimu4444/exp{k}_imu{sensor}")) for k in (6, 7, 8, 9)])
+    assert names(result) == {"bias", "warm_up"}
+    assert result.unnamed is None
+    assert result.owners["warm_up"]["session"] > 0.9
+    warm = next(finding for finding in result.found if finding.effect == "warm_up").parameters
+    z = [next(warm[name].value for name in warm if name.startswith(f"warm_up_z@exp{k}")) for k in (6, 7, 8)]
+    assert z[0] > z[1] > z[2] > 0
+    first = result.sessions[0]
+    # Alone, with a bias and without a course, its held-out error is 0.77 mg.
+    assert first.heldout_after_mg < 0.55
+    assert first.evidence["warm_up"] > max(one.evidence["warm_up"] for one in result.sessions[1:])
+
+
+def test_sessions_of_a_warm_sensor_show_nothing_more() -> None:
+    result = trace_sessions([load_session(recording(f"mimu4444/exp{k}_imu1")) for k in (4, 5)])
+    assert names(result) == {"bias"}
+    assert result.adequate
+
+
+def test_the_command_traces_several_files_as_one_model(tmp_path, capsys) -> None:
+    paths = [str(tmp_path / f"{name}.session") for name in ("one", "two")]
+    for seed, path in enumerate(paths, 1):
+        make = ("--plan", "tumble", "--dwell", "2", "--seed", str(seed), "-o", path)
+        assert main(["simulate", *make]) == 0
+    capsys.readouterr()
+    assert main(["trace", *paths, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert [one["session"] for one in document["sessions"]] == ["one", "two"]
+    assert set(document["owners"]["bias"]) <= {"part", "session", "all parts", "stage"}
+    assert main(["trace", *paths]) == 0
+    shown = capsys.readouterr().out
+    assert "Belongs to" in shown
+    assert "Evidence of each session" in shown
+    assert main(["trace", *paths, "--sensor-part", "gyro"]) == 2
