@@ -579,11 +579,12 @@ def _noise(columns: slice) -> Observer:
             rest = max(rests, key=lambda one: (one.m == 0, one.dof))
             lsb = part.lsb(Kind.GYRO if columns.start else Kind.ACCEL, rest.dps)[0]
             gain = levels[rest.m][0] - levels[0][0]
-            variance = max(float(np.mean(rest.sigma[columns] ** 2)) - 1 / 12, 1e-9)
-            x = math.log(variance) / 2 - gain + math.log(lsb / part.performance.noise[columns.start])
-            u = math.sqrt(0.5 / (3 * rest.dof) + sum(0.5 / dof for _, dof, _ in levels.values()))
+            u = math.sqrt(0.5 / rest.dof + sum(0.5 / dof for _, dof, _ in levels.values()))
             u = math.hypot(u, max(rest.color[columns.start // 3], levels[0][2]))
-            yield RowFigure(x, u, {"as the table": (-0.05, 0.05)})
+            # Each axis is a sensor of its own.
+            for variance in np.maximum(rest.sigma[columns] ** 2 - 1 / 12, 1e-9).tolist():
+                x = math.log(variance) / 2 - gain + math.log(lsb / part.performance.noise[columns.start])
+                yield RowFigure(x, u, {"as the table": (-0.05, 0.05)})
 
     return observe
 
