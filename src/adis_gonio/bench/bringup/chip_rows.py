@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord
@@ -345,13 +346,11 @@ def _status_clears(chip: RecordedChip, _: Variant) -> Iterator[str]:
 def _ends(condition: str) -> Observer:
     """Return a function that reports if a bit of STATUS stays or falls when a write ends its condition.
 
-    The function takes a recorded chip; `condition` is `alarm` or `over_range`. It yields nothing if any
-    read clears STATUS, which looks the same.
+    The function takes a recorded chip; `condition` is `alarm` or `over_range`.
     """
 
     def observe(chip: RecordedChip, _: Variant) -> Iterator[str]:
-        if "lost" not in chip.error_flags:
-            yield from ("stays" if stayed else "falls" for name, stayed in chip.ended if name == condition)
+        yield from ("stays" if stayed else "falls" for name, stayed in chip.ended if name == condition)
 
     return observe
 
@@ -366,12 +365,20 @@ def _new_data(chip: RecordedChip, _: Variant) -> Iterator[str]:
         if flags.size and flags.shape[1] > 2:
             first, rest = flags[:, 0].mean(), flags[:, 1:].mean()
             yield "never" if first + rest == 0 else "by any read" if first - rest > 0.5 else "by its read"
-    shares: dict[int, list[float]] = {}
+    runs: dict[int, list[Floats]] = {}
     for span, step_s, flags, period_s in _bursts(chip):
         if step_s < period_s / 2.5 and len(flags) * step_s > 3 * period_s:
-            shares.setdefault(id(span), []).append(float(flags.mean()))
-    for share in (np.mean(of_span) for of_span in shares.values()):
-        yield "stays" if share == 1 else "never" if share == 0 else "by its read"
+            # Share of set flags, and number of successive words with one flag.
+            share, words = flags.mean(), flags.sum() / max(_rises(flags).size, 1)
+            runs.setdefault(id(span), []).append(np.array([share, words]))
+    for share, words in (np.mean(of_span, axis=0).tolist() for of_span in runs.values()):
+        late = "stays" if share == 1 else "a frame late"
+        yield "never" if share == 0 else "by its read" if words < 1.5 else late
+
+
+def _rises(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return the numbers of the words that are the first with a flag after words without it."""
+    return np.flatnonzero(flags[1:] & ~flags[:-1]) + 1
 
 
 def _bursts(chip: RecordedChip) -> Iterator[tuple[RegisterSpan, float, np.ndarray, float]]:
@@ -385,29 +392,55 @@ def _bursts(chip: RecordedChip) -> Iterator[tuple[RegisterSpan, float, np.ndarra
 
 
 def _periods(chip: RecordedChip, _: Variant) -> Iterator[RowFigure]:
-    measured: dict[int, list[float]] = {}
+    """Yield the log of the best measured period, and of its ratio to each of the others.
+
+    The clock of the part, which is uncertain by 3 %, has no effect on the ratios.
+    """
+    bursts: dict[int, list[tuple[float, float]]] = {}
     for span, step_s, flags, _period_s in _bursts(chip):
-        at = np.flatnonzero(flags)
-        if len(at) > 3 and (at[-1] - at[1]) / (len(at) - 2) > 2.5:
-            period_s = (at[-1] - at[1]) / (len(at) - 2) * step_s
-            measured.setdefault(span.image["SMPL_PRD"] & 0xFF, []).append(period_s)
-    for code, periods in measured.items():
-        base, n = (FAST_BASE_S, SLOW_BASE_S)[code >> 7], code & 0x7F
-        due = {"base × (N + 1)": base * (n + 1), "base × N": base * max(n, 1)}
-        due["bit 7 has no effect"] = FAST_BASE_S * (n + 1)
-        predicted = {name: (math.log(0.97 * one), math.log(1.03 * one)) for name, one in due.items()}
-        yield RowFigure(math.log(float(np.median(periods))), 0.01, predicted)
+        at = _rises(flags)
+        if len(at) > 2 and (at[-1] - at[0]) / (len(at) - 1) > 2.5:
+            # Each end is uncertain by one read, uniformly.
+            words = float(at[-1] - at[0])
+            measured = math.log(words / (len(at) - 1) * step_s), math.sqrt(1 / 6) / words
+            bursts.setdefault(span.image["SMPL_PRD"] & 0xFF, []).append(measured)
+    periods = {code: np.median(of_code, axis=0).tolist() for code, of_code in bursts.items()}
+    best = min(periods, key=lambda code: periods[code][1], default=0)
+    for code, (log, u) in periods.items():
+        reference = _due_periods(best) if code != best else {}
+        shared, u = (periods[best][0], math.hypot(u, periods[best][1])) if reference else (0.0, 0.01)
+        due = {name: one - reference.get(name, 0.0) for name, one in _due_periods(code).items()}
+        wide = dict.fromkeys(due, _STEADY if reference else 0.03)
+        if code >> 7 and not (reference and best >> 7):
+            wide[_OTHER_BASE] = math.log(2)
+        predicted = {name: (one - wide[name], one + wide[name]) for name, one in due.items()}
+        yield RowFigure(log - shared, u, predicted)
+
+
+_OTHER_BASE = "another slow base"
+_STEADY = 0.004
+"""Largest relative change of the clocks of part and host between two measurements of a period."""
+
+
+def _due_periods(code: int) -> dict[str, float]:
+    """Return the logarithm of the period in s at a value of SMPL_PRD, for each alternative."""
+    base, n = (FAST_BASE_S, SLOW_BASE_S)[code >> 7], code & 0x7F
+    due = {"base × (N + 1)": base * (n + 1), "base × N": base * max(n, 1)}
+    due |= {"bit 7 has no effect": FAST_BASE_S * (n + 1), _OTHER_BASE: base * (n + 1)}
+    return {name: math.log(period_s) for name, period_s in due.items()}
 
 
 def _mean_u(part: Variant, rest: RestStatistics, columns: slice) -> float:
     """Return the standard uncertainty of the difference of two means of readings at rest, in LSB.
 
-    It comes from white noise, flicker and rounding; `columns` chooses accelerometers or gyros.
+    It comes from noise, flicker and rounding; `columns` chooses accelerometers or gyros. The bench may add
+    noise to the variant's.
     """
     figures, gyros = part.performance, columns.start == 3
     lsb = part.lsb(Kind.GYRO if gyros else Kind.ACCEL, rest.dps)[0]
     white, floor = figures.noise[columns.start] / lsb, figures.floor[columns.start] / lsb
-    return math.sqrt(2 * white**2 / rest.count + 4 * floor**2 + 1 / 6)
+    noise = max(white**2, float(np.mean(rest.rms[columns] ** 2)))
+    return math.sqrt(2 * noise / rest.count + 4 * floor**2 + 1 / 6)
 
 
 def _offset_steps(
@@ -420,6 +453,8 @@ def _offset_steps(
     """
 
     def observe(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
+        rates = [rest.slope[columns] ** 2 - 4 * rest.slope_u[columns] ** 2 for rest in chip.rests]
+        drift = np.array([rate[np.isfinite(rate)].max(initial=0.0) for rate in rates]).max(initial=0.0)
         for one, two in pairwise(chip.rests):
             if one.span.settings("SENS_AVG", "MSC_CTRL") != two.span.settings("SENS_AVG", "MSC_CTRL"):
                 continue
@@ -429,13 +464,28 @@ def _offset_steps(
                     continue
                 row = BY_NAME[name]
                 step = (row.number(now) - row.number(then)) / (one.dps / 75 if columns.start else 1)
-                moved = two.mean[columns][k] - one.mean[columns][k]
+                drifted, drift_u = _drift(one, two, columns.start + k, drift)
+                moved = two.mean[columns][k] - one.mean[columns][k] - drifted
                 u = _mean_u(part, min(one, two, key=lambda rest: rest.count), columns)
+                u = math.hypot(u, drift_u)
                 if abs(step) > 10 * u and math.isfinite(moved):
                     predicted = {key: (value - 0.01, value + 0.01) for key, value in rivals.items()}
                     yield RowFigure(moved / step, u / abs(step), predicted)
 
     return observe
+
+
+def _drift(one: RestStatistics, two: RestStatistics, axis: int, rate2: float) -> tuple[float, float]:
+    """Return the drift of an axis between two rests in LSB, and its standard uncertainty.
+
+    The slopes of both rests measure it. `rate2` is the square of the largest slope of the recording in
+    (LSB/s)², which is the prior variance of the slope.
+    """
+    weights = np.array([rest.slope_u[axis] ** -2 for rest in (one, two)])
+    slope = float(weights @ [one.slope[axis], two.slope[axis]] / weights.sum())
+    u2, gap_s = 1 / float(weights.sum()), two.middle_s - one.middle_s
+    share = rate2 / (rate2 + u2)
+    return gap_s * share * slope, gap_s * math.sqrt(share * u2)
 
 
 def _after_filter(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
@@ -444,13 +494,13 @@ def _after_filter(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
     The share is scaled: 1 if the offset acts after the filter, 0 if it acts before.
     """
     ratio = float(np.median([figure.x for figure in _accel_steps(chip, part)] or [1.0]))
-    level: dict[str, tuple[RegisterSpan, float]] = {}
+    level: dict[str, tuple[RegisterSpan, float, float]] = {}
     for span in chip.spans:
         for name, out in zip(ACCEL_OFF, ACCEL_OUT, strict=True):
-            first, (before, mean) = span.first(out), level.get(out, (None, 0.0))
+            first, (before, mean, sigma) = span.first(out), level.get(out, (None, 0.0, 0.0))
             _, numbers = span.settled(out)
             if len(numbers) >= 8:
-                level[out] = span, float(numbers.mean())
+                level[out] = span, float(numbers.mean()), float(numbers.std())
             alike = before and span.settings("SENS_AVG", "MSC_CTRL") == before.settings(
                 "SENS_AVG", "MSC_CTRL"
             )
@@ -469,17 +519,20 @@ def _after_filter(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
             if abs(changed) > 500 and ramp < 0.4 and passed > 1:
                 share = (first[1] - mean) / (changed * ratio)
                 predicted = {"after": (0.9, 1.1), "before": (-0.1, 0.1)}
-                yield RowFigure((share - ramp) / (1 - ramp), 0.05, predicted)
+                yield RowFigure((share - ramp) / (1 - ramp), 0.05 + sigma / abs(changed), predicted)
 
 
-def _levels(chip: RecordedChip, part: Variant) -> dict[int, tuple[float, float]]:
-    """Return the logarithm of the accelerometers' noise in LSB, and its degrees of freedom, by M."""
-    found: dict[int, tuple[float, float]] = {}
+def _levels(chip: RecordedChip, part: Variant) -> dict[int, tuple[float, float, float]]:
+    """Return logarithm of the accelerometers' noise in LSB, degrees of freedom, and color, by M.
+
+    Lines of the spectrum are vibration of the bench and not noise.
+    """
+    found: dict[int, tuple[float, float, float]] = {}
     floor = part.performance.floor[0] / part.accel_mg_per_lsb
     for rest in chip.rests:
         variance = float(np.mean(rest.sigma[:3] ** 2)) - 1 / 12 - floor**2
         if variance > 0 and 3 * rest.dof > found.get(rest.m, (0.0, 100.0))[1]:
-            found[rest.m] = math.log(variance) / 2, 3 * rest.dof
+            found[rest.m] = math.log(variance) / 2, 3 * rest.dof, rest.color[0]
     return found
 
 
@@ -499,9 +552,11 @@ _GAINS: dict[str, Callable[[int], float]] = {
 def _filter_gain(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
     found = _levels(chip, part)
     least = min(found, default=0)
-    for m, (log, dof) in found.items():
+    for m, (log, dof, _) in found.items():
         if m != least:
-            u = math.hypot(math.sqrt(0.5 / dof + 0.5 / found[least][1]), 0.02)
+            # The filter has another gain for colored noise. Without a filter, the color is the bench's.
+            color = found[least][2] if least == 0 else 0.0
+            u = math.hypot(math.sqrt(0.5 / dof + 0.5 / found[least][1]), 0.02, color)
             predicted = {
                 name: (math.log(gain(m) / gain(least)) - 0.02, math.log(gain(m) / gain(least)) + 0.02)
                 for name, gain in _GAINS.items()
@@ -513,7 +568,8 @@ def _noise(columns: slice) -> Observer:
     """Return a function that yields the log of the noise before the filter, divided by the table's value.
 
     The function takes a recorded chip and its variant. The gain of the filter is the measured gain of the
-    accelerometers, so that M = 0 must be recorded too. `columns` chooses accelerometers or gyros.
+    accelerometers, so that M = 0 must be recorded too. `columns` chooses accelerometers or gyros. Only
+    white noise is the part's: the bench may add colored noise.
     """
 
     def observe(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
@@ -525,7 +581,8 @@ def _noise(columns: slice) -> Observer:
             gain = levels[rest.m][0] - levels[0][0]
             variance = max(float(np.mean(rest.sigma[columns] ** 2)) - 1 / 12, 1e-9)
             x = math.log(variance) / 2 - gain + math.log(lsb / part.performance.noise[columns.start])
-            u = math.sqrt(0.5 / (3 * rest.dof) + sum(0.5 / dof for _, dof in levels.values()))
+            u = math.sqrt(0.5 / (3 * rest.dof) + sum(0.5 / dof for _, dof, _ in levels.values()))
+            u = math.hypot(u, max(rest.color[columns.start // 3], levels[0][2]))
             yield RowFigure(x, u, {"as the table": (-0.05, 0.05)})
 
     return observe
@@ -654,8 +711,9 @@ ROWS: tuple[ChipRow, ...] = (
     _entry("byte_write | Content after its bytes were written? | DS | A", _contents("write", wide=True),
            "right", "unchanged"),
     _entry("new_data_flag | When is bit ND cleared? | DS | A", _new_data,
-           "by its read", "by any read", "stays", "never"),
-    _entry("error_flag | Bit EA during an alarm? | DS | A", _error_flag, "set", "missing"),
+           "by its read", "by any read", "stays", "never", "a frame late"),
+    _entry("error_flag | Bit EA during an alarm? | DS | A", _error_flag,
+           "set", "missing", "on some outputs"),
     _entry("status_clears | STATUS after it was read? | DS | A", _status_clears,
            "cleared", "kept", "cleared by any read"),
     _entry("alarm_stays", _ends("alarm"), "stays", "falls"),
@@ -683,7 +741,7 @@ ROWS: tuple[ChipRow, ...] = (
     _entry("autonull_rounding | Does an autonull round or truncate? | estimate | D", _rounding,
            *_ROUNDINGS, wide=(-50.0, 50.0)),
     _entry("sample_period", _periods,
-           "base × (N + 1)", "base × N", "bit 7 has no effect",
+           "base × (N + 1)", "base × N", "bit 7 has no effect", _OTHER_BASE,
            wide=(-10.0, 5.0), unit="s", logarithmic=True),
     _entry("filter_gain", _filter_gain, *_GAINS, wide=(-7.0, 2.0), logarithmic=True),
     _entry("accel_noise", _noise(_ACCELS), "as the table",
@@ -718,6 +776,9 @@ def judge_recordings(paths: Iterable[str | Path], part: Variant) -> tuple[RowFin
         source = LogicCapture(path) if capture else BusRecording(path)
         rises = None if isinstance(source, LogicCapture) else source.header["edge_rises"]
         chips.append(RecordedChip(source, rises))
+    if any("lost" in chip.error_flags for chip in chips):
+        for chip in chips:
+            chip.attribute_to_reads()
     findings = []
     for row in ROWS:
         observed = [found for chip in chips if (found := [*row.observe(chip, part)])]

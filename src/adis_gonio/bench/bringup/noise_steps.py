@@ -30,8 +30,8 @@ from adis_gonio.device.sensor.settings import (
 
 _SCANS = 4096
 _FEW = 512
-_BANDS = 6
-_HANN_WIDTH = 35 / 18
+BANDS = 6
+HANN_WIDTH = 35 / 18
 """Number of bins of a periodogram with Hann's window that count as one independent bin in a mean."""
 _MOST_FLICKER = 0.1
 """Largest density of flicker noise, relative to white noise, at the lowest frequency used."""
@@ -240,7 +240,7 @@ def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, e
     share = gain[used, None] * expected**2 / (gain[used, None] * expected**2 + rest)
     # Weighted mean of the levels of the bins, and its number of independent bins.
     level = np.sum(share**2 * relative, axis=0) / np.sum(share**2, axis=0)
-    effective = np.sum(share**2, axis=0) / _HANN_WIDTH
+    effective = np.sum(share**2, axis=0) / HANN_WIDTH
     sigma = np.sqrt(np.maximum(level, 1e-12))
     judged = _Judged(sigma, sigma / (2 * np.sqrt(effective)))
     model = gain[used, None] * np.maximum(level, 1e-12) + rest
@@ -255,9 +255,9 @@ def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, e
             rms = math.sqrt(3 * power[used][highest, k] / gain[used][highest] / len(numbers))
             judged.tones.append((k, float(hz[highest]), rms))
         # The shape is judged by the means over bands of the spectrum.
-        bands = [band for band in np.array_split(ratio[:, k], _BANDS) if len(band)]
+        bands = [band for band in np.array_split(ratio[:, k], BANDS) if len(band)]
         for band in bands:
-            low, high = bench.budget.variance_ratio(2 * len(band) / _HANN_WIDTH)
+            low, high = bench.budget.variance_ratio(2 * len(band) / HANN_WIDTH)
             if not low <= float(np.mean(band)) <= high and k not in judged.shape_off:
                 judged.shape_off.append(k)
     # At most about 200 points are drawn: means over neighbouring bins.

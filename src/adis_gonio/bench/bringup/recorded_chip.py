@@ -10,13 +10,14 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.bench.bringup.link_steps import legal
-from adis_gonio.bench.bringup.noise_steps import degrees_of_freedom
+from adis_gonio.bench.bringup.noise_steps import BANDS, HANN_WIDTH, degrees_of_freedom, spectrum
 from adis_gonio.device.bus import FrameBlock
 from adis_gonio.device.bus.recording import Call
 from adis_gonio.device.sensor import settings
@@ -40,6 +41,12 @@ Integers = NDArray[np.int64]
 _COMMAND, _MISC = BY_NAME["COMMAND"], BY_NAME["MSC_CTRL"]
 SELF_TEST = _MISC.field("self_test").mask
 _ALARM = BY_NAME["STATUS"].field("alarm1").mask
+_OVER_RANGE = BY_NAME["STATUS"].field("over_range").mask
+_NEAR_LIMIT = 100
+"""Distance from the limit of the range, in LSB of an offset, within which noise sets the over-range bit."""
+_LINE = 30.0
+"""Power of a bin of a spectrum over the medians on both sides from which it is a line."""
+_ALARMS = _ALARM | BY_NAME["STATUS"].field("alarm2").mask
 _MOVING = ("SLP_CNT", "GPIO_CTRL")
 """Registers that also change without a write."""
 _IS_OUTPUT = np.array([slot in BY_ADDRESS and BY_ADDRESS[slot].flags for slot in range(64)])
@@ -154,23 +161,87 @@ class RestStatistics:
     ----------
     span : RegisterSpan
         The span.
-    mean, sigma : (6,) float
+    mean, rms : (6,) float
         Mean and standard deviation of each axis in LSB of the outputs; NaN for gyros that were not read.
+    slope, slope_u : (6,) float
+        Change of each axis in LSB/s, and its standard uncertainty by the axis's own noise.
+    middle_s : float
+        Mean time of the updates in s.
+    sigma : (6,) float
+        Standard deviation of each axis in LSB without the lines of its spectrum.
+    color : (float, float)
+        Relative scatter of the noise (accelerometers, gyros) over the bands of its spectrum, without lines
+        and the filter; 0 for white noise.
     count : int
         Number of sample updates.
     dof : float
-        Degrees of freedom of the variance of one axis.
+        Degrees of freedom of the variance `sigma`² of one axis.
     m, dps : int
         Filter setting and range of the gyros in °/s.
     """
 
     span: RegisterSpan
     mean: Floats
+    rms: Floats
+    slope: Floats
+    slope_u: Floats
+    middle_s: float
     sigma: Floats
+    color: tuple[float, float]
     count: int
     dof: float
     m: int
     dps: int
+
+
+def remove_lines(values: Floats) -> tuple[float, Floats, bool]:
+    """Return standard deviation and spectrum of a series without the lines of its spectrum.
+
+    The standard deviation has the unit of `values`, the spectrum its square (see `spectrum`). A line is
+    much higher than the bins on both sides of it; the bins on both sides replace it. The last result is
+    True if there are lines.
+    """
+    _, power = spectrum(values[:, None])
+    power = power[:, 0]
+    at = np.arange(len(power))
+    # Medians over bins at some distance below and above, reflected at both ends; ln 2 makes them means.
+    sides = [np.abs(at[:, None] + sign * np.arange(5, 22)) for sign in (-1, 1)]
+    last = len(power) - 1
+    below, above = (np.median(power[np.abs(last - np.abs(last - one)) % len(power)], 1) for one in sides)
+    line = power > _LINE * np.maximum(below, above)
+    # The window spreads a line over neighbouring bins.
+    line = np.convolve(line, np.ones(7), "same") > 0.5
+    around = (below + above) / 2 / math.log(2)
+    power = np.where(line, around, power)
+    return math.sqrt(2 * float(power.sum()) / len(values)), power, bool(line.any())
+
+
+def _longest_run(times: Floats) -> tuple[int, int]:
+    """Return begin and end of the longest run of times without a gap, or of all times if it is short."""
+    steps = np.diff(times)
+    ends = [0, *(np.flatnonzero(steps > 1.5 * np.median(steps)) + 1), len(times)]
+    begin, end = max(pairwise(ends), key=lambda run: run[1] - run[0])
+    return (begin, end) if 4 * (end - begin) > len(times) else (0, len(times))
+
+
+def noise_color(powers: list[Floats], m: int) -> float:
+    """Return the scatter of the logarithm of noise over the bands of its spectrum, beyond chance.
+
+    `powers` are the spectra of some axes after a filter of setting `m`. Only frequencies are used that the
+    filter lets pass.
+    """
+    levels = np.zeros(BANDS)
+    independent = 0.0
+    for power in powers:
+        gain = settings.filter_response(m, np.linspace(0, 0.5, len(power)))
+        used = np.flatnonzero(gain > 0.1)[4:-1]
+        if len(used) < 2 * BANDS:
+            return 0.0
+        levels += [band.mean() for band in np.array_split(power[used] / gain[used], BANDS)]
+        independent += len(used) / BANDS / HANN_WIDTH
+    scatter = float(np.var(np.log(levels), ddof=1)) if powers else 0.0
+    # Chance scatters the levels by 1 / independent, and this by chance up to about 2.5 times as much.
+    return math.sqrt(scatter) if scatter * independent > 2.5 else 0.0
 
 
 class RecordedChip:
@@ -199,7 +270,9 @@ class RecordedChip:
         For each STATUS word after an alarm whose condition has ended: True if it is the first such word,
         and the alarm bit.
     error_flags : list of (str)
-        Behaviour of the flag EA during an alarm: `set` in all words, `missing`, or `lost` after some words.
+        Behaviour of the flag EA during an alarm: `set` in all words after the first; `missing` in all
+        although STATUS had the bit of the alarm; once for each output without it, `on some outputs` (in all
+        words) or `lost` (after some words).
     ended : list of (str, bool)
         Name of a condition that a write ended, and True if its bit stayed until STATUS was read; False if
         it cleared before.
@@ -235,9 +308,25 @@ class RecordedChip:
         self._counting: list[str] = []
         self._flagged = False
         self._alarming: float | None = None
-        self._over = ""
+        self._ending = self._unflagged = False
+        # Last change of an accelerometer's offset: register, number, time in s from which STATUS shows it.
+        self._ranged: tuple[str, int, float] | None = None
+        self._status_s = -math.inf
+        # For each word of STATUS: register, number, True if it is the first word and shows the change (None
+        # for a later word), bit.
+        self._ranges: list[tuple[str, int, bool | None, bool]] = []
         self._cleared = self._proved = False
         self._follow(calls)
+        self._judge_ranges()
+
+    def attribute_to_reads(self) -> None:
+        """Attribute alarms that ended, and flags that only the first output had, to reads of any register.
+
+        Another recording of the part has shown that any read clears STATUS.
+        """
+        self.error_flags = [one.replace("on some outputs", "lost") for one in self.error_flags]
+        self.error_flags += ["lost"] * self.ended.count(("alarm", False))
+        self.ended = [one for one in self.ended if one != ("alarm", False)]
 
     @cached_property
     def rests(self) -> list[RestStatistics]:
@@ -248,23 +337,33 @@ class RecordedChip:
         found = []
         for span in self.spans:
             columns = [span.settled(name) for name in (*ACCEL_OUT, *GYRO_OUT)]
-            numbers = [values for _, values in columns]
-            count = min(len(values) for values in numbers[:3])
+            count = min(len(values) for _, values in columns[:3])
             if count < 16 or span.m is None:
                 continue
             times = columns[0][0]
-            spacing = max(float(times[-1] - times[0]) / (len(times) - 1) / span.period_s, 1.0)
-            found.append(
-                RestStatistics(
-                    span,
-                    np.array([values.mean() if len(values) else math.nan for values in numbers]),
-                    np.array([values.std(ddof=1) if len(values) > 1 else math.nan for values in numbers]),
-                    count,
-                    degrees_of_freedom(count, span.m, spacing),
-                    span.m,
-                    settings.Configuration.from_words(1, span.image["SENS_AVG"], 0).gyro_range_dps or 300,
-                )
-            )
+            begin, end = _longest_run(times)
+            spacing = max(float(times[end - 1] - times[begin]) / (end - begin - 1) / span.period_s, 1.0)
+            dof = degrees_of_freedom(end - begin, span.m, spacing)
+            mean, rms, slope, slope_u, sigma = np.full((5, 6), math.nan)
+            powers, lined = [], False
+            for k, (at, values) in enumerate(columns):
+                if len(values) < 16:
+                    continue
+                mean[k], rms[k] = values.mean(), values.std(ddof=1)
+                begin, end = _longest_run(at)
+                at = at - at.mean()
+                slope[k] = at @ values / (at @ at)
+                slope_u[k] = math.sqrt((rms[k] ** 2 + 1 / 12) * len(at) / dof / (at @ at))
+                level, power, lines = remove_lines(values[begin:end])
+                sigma[k], lined = level if lines else rms[k], lined or lines
+                powers.append(power)
+            color = (noise_color(powers[:3], span.m), noise_color(powers[3:], span.m))
+            dps = settings.Configuration.from_words(1, span.image["SENS_AVG"], 0).gyro_range_dps or 300
+            middle_s = float(times.mean())
+            dof /= HANN_WIDTH if lined else 1
+            found.append(RestStatistics(
+                span, mean, rms, slope, slope_u, middle_s, sigma, color, count, dof, span.m, dps
+            ))  # fmt: skip
         return found
 
     # -- calls --------------------------------------------------------------------------------------------
@@ -342,22 +441,26 @@ class RecordedChip:
                     self._control(row, int(word), float(time_s))
         outputs = _IS_OUTPUT[slots]
         if outputs.any():
-            self._flags(times[outputs], (words[outputs] & EA).astype(bool))
+            self._flags(times[outputs], slots[outputs], (words[outputs] & EA).astype(bool))
 
-    def _flags(self, times: Floats, flags: NDArray[np.bool_]) -> None:
+    def _flags(self, times: Floats, slots: Integers, flags: NDArray[np.bool_]) -> None:
         if self._alarming is not None and times[0] > self._alarming:
-            if not flags.any():
-                self.error_flags.append("missing")
-            elif len(flags) >= 3:
-                self.error_flags.append("set" if flags.all() else "lost")
-        if self._over and not flags[-1] and self._flagged and times[-1] > self._settled_s:
-            self.ended.append((self._over, False))
-            self._over = ""
+            self._unflagged = not flags.any()
+            # From the first flag on: the condition may have begun before it.
+            slots, flags = slots[np.argmax(flags) :], flags[np.argmax(flags) :]
+            if len(flags) >= 3 and not self._unflagged:
+                # A flag that depends on the output alone was not cleared by a read.
+                shares = {float(flags[slots == slot].mean()) for slot in np.unique(slots)}
+                label = "set" if flags.all() else "on some outputs" if shares == {0.0, 1.0} else "lost"
+                self.error_flags += [label] * max(np.unique(slots[~flags]).size, 1)
+        if self._ending and not flags[-1] and self._flagged and times[-1] > self._settled_s:
+            self.ended.append(("alarm", False))
+            self._ending = False
         self._flagged = bool(flags[-1])
 
     def _control(self, row: Register, word: int, time_s: float) -> None:
         if row.name == "STATUS":
-            self._status(word)
+            self._status(word, time_s)
         elif row.name == "ENDURANCE":
             if self._endurance is not None and len(self._counting) == 1:
                 self.counts.append((self._counting[0], (word - self._endurance) % 32768))
@@ -374,19 +477,26 @@ class RecordedChip:
                 self._new_span(time_s)
             self.spans[-1].verified.add(row.name)
 
-    def _status(self, word: int) -> None:
+    def _status(self, word: int, time_s: float) -> None:
         control = self._contents.get("ALM_CTRL")
         alone = control is not None and not control.word
-        if self._over == "alarm":
+        if self._ranged is not None:
+            name, number, settled_s = self._ranged
+            first = time_s > settled_s if settled_s > -math.inf else None
+            self._ranges.append((name, number, first, bool(word & _OVER_RANGE)))
+            self._ranged = name, number, -math.inf
+        self._status_s = time_s
+        if self._unflagged and word & _ALARMS:
+            self.error_flags.append("missing")
+        self._unflagged = False
+        if self._ending:
             self._cleared = bool(word & _ALARM)
             if self._cleared or self._proved:
                 self.ended.append(("alarm", self._cleared))
         elif alone and self._cleared:
             self.statuses.append((False, word & _ALARM))
             self._cleared = False
-        elif self._over == "over_range":
-            self.ended.append((self._over, bool(word & BY_NAME["STATUS"].field("over_range").mask)))
-        self._over = ""
+        self._ending = False
         self._flagged = False
 
     # -- changes ------------------------------------------------------------------------------------------
@@ -431,11 +541,32 @@ class RecordedChip:
         # The condition acts with the next update.
         self._settled_s = time_s + (0.1 if math.isnan(period_s) else 3 * period_s)
         if row.name == "ALM_CTRL":
-            self._over = "alarm" if not word and self._alarming is not None else ""
+            self._ending = not word and self._alarming is not None
             self._proved = self._flagged
             self._alarming = self._settled_s if word else None
-        elif row.name in ACCEL_OFF and self._flagged and self._alarming is None:
-            self._over = "over_range"
+        elif row.name in ACCEL_OFF:
+            # The bit was set again since STATUS was read, and the filter has to settle.
+            again = self._status_s + self._settled_s - time_s < time_s
+            filter_s = settings.filter_settling_samples(self.spans[-1].m or 0) * period_s
+            self._ranged = row.name, row.number(word), self._settled_s + filter_s if again else math.inf
+
+    def _judge_ranges(self) -> None:
+        """Note if the over-range bit stayed when a write of an offset took the output back into the range.
+
+        The words of STATUS give the offset at the limit of the range: a bit in a later word than the first
+        was set again. Offsets near the limit are left out, because noise sets the bit there.
+        """
+        for name in ACCEL_OFF:
+            words = [one[1:] for one in self._ranges if one[0] == name]
+            over = np.array([number for number, first, bit in words if bit and first is None])
+            inside = np.array([number for number, _, bit in words if not bit])
+            if not (len(over) and len(inside)):
+                continue
+            side = 1 if over.mean() > inside.mean() else -1
+            most = min(int((side * inside).max()), int((side * over).min()) - _NEAR_LIMIT)
+            for (_, _, before), (number, first, bit) in pairwise(words):
+                if before and first and side * number <= most:
+                    self.ended.append(("over_range", bit))
 
     def _command(self, name: str, time_s: float) -> None:
         known = {key: content.word for key, content in self._contents.items()}
@@ -459,9 +590,10 @@ class RecordedChip:
                 if row.name in self._flash or (row.write_mask and not row.flash_mask)
             }
             self._contents.pop("COMMAND", None)
-            self._over, self._alarming, self._flagged = "", None, False
+            self._ending = self._flagged = self._unflagged = False
+            self._alarming = None
         self._pending = name, time_s
-        self._testing = None
+        self._testing = self._ranged = None
         self._new_span(time_s)
         if "null" in name:
             self.nulls.append((len(self.spans) - 1, name))
