@@ -457,14 +457,16 @@ def moving_peak(records: Sequence[Floats], period_s: float, above_hz: float) -> 
 
     From piece to piece it moves by less than the width of its surroundings.
     """
+    pieces = [piece for one in records for piece in np.array_split(one, _PIECES)]
+    if min((len(piece) for piece in pieces), default=0) < 8 * _SEGMENT:
+        return None
+    # Only long records need these imports, which are slow.
     from scipy.ndimage import median_filter
     from scipy.signal import welch
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     tops, ratios = [], []
-    for piece in [piece for one in records for piece in np.array_split(one, _PIECES)]:
-        if len(piece) < 8 * _SEGMENT:
-            return None
+    for piece in pieces:
         frequency, power = welch(piece, 1 / period_s, nperseg=_SEGMENT)
         # Power relative to the spectrum around each frequency, which needs neighbours on both sides.
         ratio = np.where(frequency > above_hz, power / median_filter(power, _AROUND), 0.0)
@@ -472,7 +474,7 @@ def moving_peak(records: Sequence[Floats], period_s: float, above_hz: float) -> 
         tops.append(int(ratio.argmax()))
         ratios.append(float(ratio.max()))
         means = 2 * len(piece) // _SEGMENT
-        if ratios[-1] < max(float(chi2.isf(INADEQUATE / _SEGMENT, means)) / means, _LEAST_PEAK):
+        if ratios[-1] < max(float(chdtri(means, INADEQUATE / _SEGMENT)) / means, _LEAST_PEAK):
             return None
     if np.abs(np.diff(tops)).max() > _AROUND // 2:
         return None
