@@ -359,10 +359,9 @@ class RecordedChip:
                 powers.append(power)
             color = (noise_color(powers[:3], span.m), noise_color(powers[3:], span.m))
             dps = settings.Configuration.from_words(1, span.image["SENS_AVG"], 0).gyro_range_dps or 300
-            middle_s = float(times.mean())
             dof /= HANN_WIDTH if lined else 1
             found.append(RestStatistics(
-                span, mean, rms, slope, slope_u, middle_s, sigma, color, count, dof, span.m, dps
+                span, mean, rms, slope, slope_u, float(times.mean()), sigma, color, count, dof, span.m, dps
             ))  # fmt: skip
         return found
 
