@@ -79,7 +79,10 @@ class LogicCapture:
             raise DataError(f"{self.path}: cannot be read: {error.strerror}") from None
 
     def _changes(self) -> Iterator[tuple[float, str, str]]:
-        """Yield time in s, signal and new level of each change; unknown levels count as low."""
+        """Yield the time in s, the name and the new level, `0` or `1`, of each signal that changes.
+
+        An unknown level counts as `0`.
+        """
         with self._opened() as file:
             _read_header(self.path, file)
             time_s = 0.0

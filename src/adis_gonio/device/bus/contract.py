@@ -69,7 +69,11 @@ class Capability(StrEnum):
 
 @dataclass(frozen=True)
 class SpiTiming:
-    """SPI timing of a bus: maximum clock in Hz, minimum stall between frames and minimum period in µs."""
+    """SPI timing of a bus: maximum clock in Hz, minimum stall and minimum frame period in µs.
+
+    The stall is the pause between two frames. The period is the time from the start of a frame to the start
+    of the next one.
+    """
 
     clock_hz: float
     stall_us: float
@@ -92,7 +96,8 @@ class FrameBlock:
     Attributes
     ----------
     words : (n, k) uint16
-        Reply to each of the k frames of the stream's list, for n scans; the pipelining is undone.
+        Reply to each of the k frames of the stream's list, for n scans. The chip replies one frame late,
+        but each reply is in the column of its own frame.
     time_s : (n,) float
         Time of each scan's trigger on the bus's clock.
     lost : int
@@ -260,7 +265,7 @@ class SpiBus(Closing):
         """Return the number of data-ready edges since the last call, and the time of counting in s.
 
         Two calls give the rate of data-ready. The time is on the clock of the bridge if it has one, else on
-        the clock of the host, which includes the unknown delay of the answer: use only differences of
+        the clock of the host. The time includes the unknown delay of the answer: use only differences of
         times.
         """
         return self.read_event_counter(), self.now_s()

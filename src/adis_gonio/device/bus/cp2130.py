@@ -127,7 +127,7 @@ def parse_spi_words(data: bytes) -> tuple[int, ...]:
 
 
 def parse_selects(data: bytes) -> tuple[frozenset[int], frozenset[int]]:
-    """Return the channels with enabled chip select, and the pins that carry one.
+    """Return the channels whose chip select is enabled, and the pins that are chip selects, by number.
 
     `data` is the reply to `GET_CHIP_SELECT`.
     """

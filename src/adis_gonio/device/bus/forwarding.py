@@ -34,12 +34,12 @@ class ForwardingBus(SpiBus):
 
     @property
     def stage(self) -> Any:
-        """Stage of the inner bus; None if that bus has no stage."""
+        """Stage of the inner bus, which a program can move; None if the inner bus has no such stage."""
         return getattr(self.inner, "stage", None)
 
     @property
     def world(self) -> Any:
-        """Simulated world of the inner bus; None if that bus has no world."""
+        """Simulated sensor and surroundings of the inner bus; None if the inner bus is no simulator."""
         return getattr(self.inner, "world", None)
 
     @property
@@ -56,9 +56,10 @@ class ForwardingBus(SpiBus):
         self.inner.sleep_s(seconds)
 
     def witness(self, name: str, observe: Callable[[], T]) -> T:
-        """Return `observe()`, a value named `name`, through the inner bus.
+        """Call the method `witness` of the inner bus and return its result, normally `observe()`.
 
-        The inner bus may record or replay the value.
+        A recording bus also records the result under `name`. A replaying bus returns the recorded value
+        instead.
         """
         return self.inner.witness(name, observe)
 

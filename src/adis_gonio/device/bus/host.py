@@ -327,11 +327,12 @@ def missing(url: str, what: str, others: Sequence[Device] = ()) -> CannotOpenErr
 
 @contextlib.contextmanager
 def claimed(path: str, url: str) -> Iterator[None]:
-    """Lock a device file for this process while the block runs.
+    """Lock the device file `path` for this process while the block runs.
 
-    Nodes such as /dev/hidraw0 can be opened many times, and an answer would go to the first reader. The
-    lock is advisory: it separates two programs of this package. Without locks of the file or the system it
-    does nothing.
+    A device file such as /dev/hidraw0 can be opened by several programs, and an answer would go to the
+    first reader. The lock is advisory: it only keeps away other programs that use this package. If the
+    system has no file locks or the file cannot be opened, nothing is locked. `url` is the URL of the bus,
+    for messages.
 
     Raises
     ------

@@ -526,9 +526,10 @@ class Mcp2210Bus(UsbBus):
         return word_of(self._ask(command), command)
 
     def _ask(self, command: Command, report: bytes | None = None) -> bytes:
-        """Send a command and return its answer; after an error the device counts as unsettled.
+        """Send a command and return its answer.
 
-        `report` is the HID report of the command; None is a report without further bytes.
+        `report` is the HID report of the command; None is a report without further bytes. After an error,
+        the next use of the bus first brings the device back to a known state.
         """
         try:
             return self._converse(command, report if report is not None else request(command))

@@ -111,9 +111,10 @@ class Call:
         return f"record {self.number} at {self.begin_s:.6f} s: {self.name} {_hexadecimal(self.frames)}"
 
     def read_words(self) -> tuple[Floats, NDArray[np.int64]]:
-        """Return the time in s of each frame (n,), and the word that it read (n,); −1 if not recorded.
+        """Return the time in s of each frame (n,), and the word that each frame read (n,).
 
-        The word of a frame is shifted out during the next frame, so that of the last frame is not recorded.
+        The chip shifts out the word of a frame during the next frame. The word of the last frame is
+        therefore not recorded and is −1.
         """
         n = 0 if self.frames is None else len(self.frames)
         words = np.full(n, -1, np.int64)
@@ -316,9 +317,10 @@ class RecordingBus(ForwardingBus):
         document: Callable[[T], Any] = lambda value: value,
         **facts: Any,
     ) -> T:
-        """Run `action`, one call of the inner bus, and record it as the call `name`.
+        """Run `action`, which calls the inner bus, and return its result; record the call under `name`.
 
-        `document` converts the result to a JSON value; `facts` are further entries of the record.
+        `document` converts the result to the JSON value that is recorded. `facts` are further entries of
+        the record.
         """
         begin_s = self.inner.now_s()
         try:
@@ -338,9 +340,10 @@ They are a stage that moves by program, and a simulated world.
 
 
 def _describe(helper: object) -> dict[str, Any] | None:
-    """Return the names of the public methods of an object, and its settings.
+    """Describe an object as a JSON object with the entries `methods` and `settings`.
 
-    The settings are None if the object has none; the result is None without an object.
+    `methods` has the names of its public methods. `settings` has the fields of its attribute `settings`, or
+    None if it has no such attribute. The result is None if `helper` is None.
     """
     if helper is None:
         return None
@@ -351,9 +354,10 @@ def _describe(helper: object) -> dict[str, Any] | None:
 
 
 def _stand_in(described: dict[str, Any] | None, call: Callable[..., Any]) -> Any:
-    """Make an object with the methods and settings that `_describe` returned; None if that is None.
+    """Make an object with the methods and settings in `described`, a result of `_describe`.
 
-    Each of its methods calls `call(name, *arguments)`.
+    Each of its methods calls `call(name, *arguments)` with the name of the method. Return None if
+    `described` is None.
     """
     if described is None:
         return None
@@ -540,9 +544,9 @@ class ReplayBus(SpiBus):
         return self._kind
 
     def now_s(self) -> float:
-        """Return the recorded time in s if the next record is a look at the clock.
+        """Return the recorded time in s if the next recorded call reads the clock.
 
-        Otherwise return the time of the last answer.
+        Otherwise return the time at which the last replayed call had ended.
         """
         self._now_s = self.witness("clock", lambda: self._now_s)
         return self._now_s
@@ -552,7 +556,7 @@ class ReplayBus(SpiBus):
         self.witness("sleep_s", lambda: None)
 
     def witness(self, name: str, observe: Callable[[], T]) -> T:
-        """Return the recorded value if the next record is called `name`; otherwise return `observe()`."""
+        """Return the recorded value if the next recorded call has this name; otherwise `observe()`."""
         with self._lock:
             if self._next < len(self._calls) and self._calls[self._next].name == name:
                 self._next += 1

@@ -286,10 +286,11 @@ class Adis16354(Closing):
         return found
 
     def read_checked(self, names: Sequence[str | Register]) -> list[int]:
-        """Return words that agree in two successive readings, with SENS_AVG read before and after them.
+        """Read registers repeatedly until two successive readings agree; return their words.
 
-        SENS_AVG is never 0x0000 or 0xFFFF (its range code is 4, 2 or 1), so such replies come from a stuck
-        line. Use this method for registers that a program relies on, such as SMPL_PRD and ENDURANCE.
+        Each reading also reads SENS_AVG before and after the registers. SENS_AVG is never 0x0000 or 0xFFFF
+        (its range code is 4, 2 or 1), so such replies come from a stuck line. Use this method for registers
+        that a program relies on, such as SMPL_PRD and ENDURANCE.
 
         Raises
         ------
@@ -393,8 +394,9 @@ class Adis16354(Closing):
         A bus with streams makes a scan at each data-ready edge; otherwise scans are polled, and missed
         updates are counted by the event counter of the bus, or by time without one.
 
-        If the bus can use data-ready and MSC_CTRL does not enable it, it is enabled on DIO1 and restored
-        when the stream is closed; if no edge arrives then, as without the wire, scans are polled.
+        If the bus can use data-ready and the chip's register MSC_CTRL does not enable it, this method
+        enables it on pin DIO1 and restores the register when the stream is closed. If no edge arrives, for
+        example because the line is not connected, scans are polled.
 
         Parameters
         ----------
@@ -405,9 +407,9 @@ class Adis16354(Closing):
         leave_registers : bool
             True writes no register: data-ready is used only if it is already enabled.
         data_ready : bool or None
-            True uses data-ready as the chip has it, without a check for edges (a `DataReadyLoan` has
-            checked); False polls; neither writes a register. None checks for edges and uses data-ready if
-            they arrive.
+            True uses data-ready without a check for edges, which a `DataReadyLoan` has already done. False
+            polls. Neither True nor False writes a register. None checks for edges and uses data-ready if
+            edges arrive.
 
         Raises
         ------
@@ -456,9 +458,10 @@ class Adis16354(Closing):
         return stream
 
     def lend_data_ready(self, names: Sequence[str | Register] = DEFAULT_SCAN) -> DataReadyLoan | None:
-        """Enable data-ready for streams of these registers; the returned loan restores the old setting.
+        """Enable the chip's data-ready output for streams of the registers `names`.
 
-        Returns None if the bus cannot use data-ready. Raises the errors of `DataReadyLoan`.
+        Returns a loan, whose method `give_back` restores the old setting, or None if the bus cannot use
+        data-ready. Raises the errors of `DataReadyLoan`.
         """
         if not USED_BY & self.bus.capabilities:
             return None
@@ -611,8 +614,9 @@ class Adis16354(Closing):
     def autonull(self, *, force: bool = False) -> Offsets:
         """Let the chip cancel its present gyro outputs while it is at rest; return the new offsets.
 
-        The autonull ends in a flash update; `force` allows it on a worn flash. The maker does not give its
-        duration; the wait covers the filter and the flash update.
+        The autonull ends in a flash update. Unless `force` is True, it raises `ChipError` if the flash is
+        worn (10 000 updates). The maker does not give the duration of an autonull; the method waits until
+        filter and flash update must have ended.
         """
         wait = self.configuration().settling_s + START_UP_S + FLASH_UPDATE_S
         self._flash_command("autonull", wait, "the autonull", force=force)
@@ -621,8 +625,8 @@ class Adis16354(Closing):
     def precision_autonull(self, *, force: bool = False) -> Offsets:
         """Let the chip measure and cancel its gyro biases for 30 s at rest; return the new offsets.
 
-        The precision autonull ends in a flash update, which `force` allows on a worn flash; only a reset
-        stops it.
+        The precision autonull ends in a flash update. Unless `force` is True, it raises `ChipError` if the
+        flash is worn (10 000 updates). Only a reset of the chip stops the autonull.
         """
         what = "the precision autonull"
         self._flash_command("precision_autonull", PRECISION_AUTONULL_S, what, force=force)
@@ -631,10 +635,12 @@ class Adis16354(Closing):
     def restore_factory(self, *, force: bool = False) -> Offsets:
         """Set the six offset registers to zero by the factory restore; return them as read back.
 
-        The restore ends in a flash update; `force` allows it on a worn flash.
+        The restore ends in a flash update.
 
         Raises
         ------
+        ChipError
+            The flash is worn (10 000 updates) and `force` is False; nothing was written.
         VerifyError
             An offset is not zero afterwards, or the endurance counter did not go up.
         """
@@ -652,9 +658,11 @@ class Adis16354(Closing):
         self._follow()
 
     def forget_mark(self) -> None:
-        """Set an alarm level to 0 if an interrupted session left the number `MARK` in it.
+        """Set the level of each alarm to 0 if it contains the number `MARK`.
 
-        Each flash update does this before, because a mark in flash would survive the next restart.
+        A session writes this number to notice a restart of the chip, which erases it; an interrupted
+        session may leave it there. Every method that updates the flash first calls this one, because a
+        number saved in flash would survive a restart.
         """
         for name, word in zip(_LEVELS, self.read_words(_LEVELS), strict=True):
             if word == MARK:
@@ -663,7 +671,10 @@ class Adis16354(Closing):
     # -- alarms, output, sleep ----------------------------------------------------------------------
 
     def set_alarm(self, number: int, alarm: Alarm) -> None:
-        """Set alarm 1 or 2; when it triggers, STATUS and the flag EA show it (DS tables of ALM_*, B).
+        """Set alarm 1 or 2 of the chip.
+
+        When the alarm triggers, its bit in the register STATUS and bit 14 (EA) of the output registers are
+        set. Source: the data sheet's tables of ALM_*, confidence B.
 
         Raises
         ------
@@ -838,12 +849,13 @@ class Undo:
         self.left: tuple[str, ...] = ()
 
     def put_back(self) -> None:
-        """Restore all changed registers; afterwards `left` names those that could not be restored.
+        """Restore all changed registers; set `left` to the names of those that could not be restored.
 
         Raises
         ------
         KeyboardInterrupt
-            The operator interrupted the restoration; the error is raised after it.
+            The operator pressed Ctrl-C during the restoration. The error is raised when all attempts are
+            done.
         """
         interrupted = False
         self.left = tuple(row.name for row in self.rows)

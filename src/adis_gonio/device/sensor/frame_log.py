@@ -111,9 +111,10 @@ class FrameLog:
             yield self._frame_row(call.number, time_s, frame, problem, None if word < 0 else word)
 
     def _captured(self, call: Call) -> Iterator[FrameRow]:
-        """Yield the row of the previous captured frame, which the reply of this frame completes.
+        """Yield the row of the previous frame of a capture, whose reply is now known.
 
-        `call` is the captured frame.
+        `call` is the present frame, during which the chip shifts out the reply to the previous one. Before
+        the second frame nothing is yielded.
         """
         assert call.frames is not None
         if self._before is not None:
@@ -167,9 +168,10 @@ class FrameLog:
         return f"{row.number(word) * lsb + zero:.6g} {unit}{flags}"
 
     def _follow_write(self, row: registers.Register | None, high: bool, byte: int, time_s: float) -> None:
-        """Update timing mode (SMPL_PRD) and end of the silence after a command, from a written byte.
+        """Note a written byte that sets the timing mode (SMPL_PRD) or starts a command.
 
-        `row` is the written register (None if unknown), `high` is True for its high byte.
+        After some commands the host must be silent for a time, which begins at `time_s`. `row` is the
+        written register (None if unknown), `high` is True for its high byte, `byte` the value of the byte.
         """
         if row is None or high:
             return
@@ -197,7 +199,10 @@ class FrameLog:
 
 
 def started_commands(byte: int) -> list[str]:
-    """Return the commands with a busy time that a byte written to COMMAND starts."""
+    """Return the names of the commands that a byte written to the register COMMAND starts.
+
+    Only commands after which the host must be silent for a time are returned.
+    """
     return [name for name in BUSY_S if byte & registers.BY_NAME["COMMAND"].field(name).mask]
 
 

@@ -99,7 +99,7 @@ class Register:
     flags : bool
         True for output registers: bit 15 is ND (new data), bit 14 EA (error or alarm).
     flash_mask : int
-        Bits that have a flash copy, saved by COMMAND[3] alone.
+        Bits that have a flash copy. Only a flash update (bit 3 of COMMAND) saves them.
     write_mask : int
         Bits that a write can change.
     """
@@ -292,10 +292,11 @@ They are bit masks by register name; -1 is all bits.
 
 
 def changed_settings(then: Mapping[str, int], now: Mapping[str, int]) -> dict[str, tuple[int, int]]:
-    """Return the registers that shift or scale a reading and whose contents differ between two times.
+    """Return the old and the new content of each register whose change shifts or scales the readings.
 
-    `then` and `now` are the contents by register name; each result is the pair of old and new bits. A
-    register that is missing on one side is not compared.
+    `then` and `now` map register names to contents at an earlier and a later time. Only the bits in
+    `READING_BITS` are compared, and only these bits are returned. A register that is missing in `then` or
+    `now` is not compared.
     """
     pairs = {
         name: (then[name] & bits, now[name] & bits)

@@ -15,10 +15,9 @@ data, an update came within the scan.
 One iterator of `ScanBlock` has two implementations:
 
 * the bus streams at each data-ready edge (`Capability.STREAM`, and data-ready enabled);
-* polling: the list of reads runs again and again, and the chip's ND bit marks new words. Missed updates
-  follow from the time between scans; if the bus counts data-ready edges, they correct the count to the
-  chip's
-  own clock, which may differ from the nominal rate.
+* polling: the list of reads runs again and again, and the chip's ND bit marks new words. The number of
+  missed updates follows from the time between scans. If the bus counts data-ready edges, their number
+  corrects it, because the rate of the chip's updates may differ from the nominal rate.
 
 Polling without mixing updates. An update may come between two reads of one pass through the list, so that
 the pass has words of two updates. Polling therefore goes on until as many successive reads as the list is
@@ -94,11 +93,10 @@ MASK = _ROW.field("data_ready").mask | _POLARITY | _ROW.field("line").mask
 
 
 def edges_arrive(bus: SpiBus, period_s: float) -> bool:
-    """Return True if data-ready edges come, one for each update, or if the bus cannot count them.
+    """Return True if data-ready edges come, one for each update, or if the bus cannot count edges.
 
-    Return False if no edge comes.
-
-    Takes 0.1 s or 2.5 updates of `period_s`, whichever is longer.
+    Return False if no edge comes. The count takes 0.1 s or 2.5 sample periods, whichever is longer;
+    `period_s` is the sample period in s.
 
     Raises
     ------
@@ -123,8 +121,8 @@ def edges_arrive(bus: SpiBus, period_s: float) -> bool:
 def edge_at_update(bus: SpiBus, table: Sequence[Register], period_s: float) -> bool:
     """Return True if no update of the sensor happens during scans that start at the data-ready edge.
 
-    `table` has the registers of a scan, `period_s` is the sample period. Takes 0.1 s or 4 updates,
-    whichever is longer.
+    `table` has the registers of a scan, `period_s` is the sample period in s. The trial takes 0.1 s or 4
+    updates, whichever is longer.
     """
     least, most = _TRIAL_SCANS
     scans = min(max(least, math.ceil(_COUNT_S / period_s)), most)
@@ -160,13 +158,15 @@ class DataReadyLoan:
         Sensor that drives the line.
     table : sequence of Register
         Registers of the scans.
+    period_s : float
+        Sample period in s.
     edge : {"first", "last"}
-        Edge of the pulse expected at the update.
+        Edge of the data-ready pulse at which the update is expected.
 
     Attributes
     ----------
     edge : {"first", "last"}
-        Edge that is used.
+        Edge that the bus uses: the expected edge, or the other one if the updates were found there.
     wired : bool
         False if no edge arrives; MSC_CTRL is then already restored.
 
@@ -421,9 +421,9 @@ class StreamedScans(ScanStream):
 
 
 class PolledScans(ScanStream):
-    """Stream of scans made by polling: the host reads all the time and keeps new data (flag ND).
+    """Stream of scans made by polling: the host reads the registers again and again and keeps new words.
 
-    The module's text describes the method.
+    The chip marks a new word by its bit 15, ND. The module's text describes the method.
     """
 
     def __init__(
@@ -478,7 +478,7 @@ class PolledScans(ScanStream):
 
     @property
     def caveat(self) -> str:
-        """Warning that a row may mix words of two updates, if polling was too slow; else empty."""
+        """Warning that a scan may mix words of two updates, if polling was too slow; else empty."""
         if not self._may_mix:
             return ""
         return (
@@ -487,7 +487,10 @@ class PolledScans(ScanStream):
         )
 
     def _heed_counter(self) -> None:
-        """Correct the number of missed updates by the edge counter of the bus, from the next block on."""
+        """Compare the number of counted updates with the data-ready edges that the bus has counted.
+
+        A difference is added to the missed updates of the next block.
+        """
         if self._edges is None or self._last_s is None:
             return
         begin_s = self._bus.now_s()
@@ -541,10 +544,10 @@ class PolledScans(ScanStream):
         return replies[1:].reshape(shape), times[:-1].reshape(shape)
 
     def _match(self, words: Words, times: Floats) -> ScanBlock:
-        """Assemble new words into scans of one update each.
+        """Assemble new words into scans, each with one word of each register from one update of the chip.
 
-        `words` and `times` are (passes, k) from polling. A gap of more reads without new data than there
-        are columns ends a scan.
+        `words` and `times` (in s) are (passes, k): the registers of a scan were read in several passes. A
+        scan is complete when more successive reads than the scan has registers have found no new data.
         """
         held = len(self._open[0])
         words, times = np.concatenate([self._open[0], words]), np.concatenate([self._open[1], times])

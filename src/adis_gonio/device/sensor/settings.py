@@ -37,24 +37,24 @@ from adis_gonio.device.sensor.registers import (
 
 
 def filter_weights(m: int) -> Floats:
-    """Return the weights of the chip's filter of size M (DS, A).
+    """Return the weights (2·2^M − 1,) of the chip's filter of size M, with sum 1.
 
-    The filter is two cascaded moving averages over 2^M samples.
+    The filter is two cascaded moving averages over 2^M samples (data sheet, confidence A).
     """
     box = np.full(1 << min(m, 6), 1.0 / (1 << min(m, 6)))
     return np.convolve(box, box)
 
 
 def white_noise_gain(m: int) -> float:
-    """Return the factor by which the filter reduces the rms of white noise (DS, A).
+    """Return the factor by which the chip's filter of size M reduces the rms of white noise.
 
-    It is 1, 0.612, 0.415 … for sizes M = 0, 1, 2 …
+    It is 1, 0.612, 0.415 … for sizes M = 0, 1, 2 … (data sheet, confidence A).
     """
     return float(np.sqrt(np.sum(filter_weights(m) ** 2)))
 
 
 def filter_response(m: int, frequency: Floats) -> Floats:
-    """Return the power response |H|² of the filter of size M at frequencies in cycles a sample."""
+    """Return the power response |H|² of the chip's filter of size M at frequencies in cycles per sample."""
     taps = 1 << m
     with np.errstate(invalid="ignore", divide="ignore"):
         box = np.sin(np.pi * frequency * taps) / (taps * np.sin(np.pi * frequency))
@@ -64,11 +64,13 @@ def filter_response(m: int, frequency: Floats) -> Floats:
 def rounding_covariance(m: int, sigma: float) -> Floats:
     """Return the autocovariance (lags,) in LSB² of the error that rounding adds to filtered noise.
 
-    The readings are rounded to whole LSB; the autocovariance is zero beyond these lags.
+    The chip filters white noise and rounds the result to whole LSB. The lags are 0, 1, 2 … samples, one for
+    each weight of the filter; at greater lags the autocovariance is taken as 0.
 
-    A slow signal is rounded the same way for several samples: the error is not white. With ρ the signal's
-    correlation and σ its rms in LSB the error's is Σ exp(−4π²n²σ²(1 − ρ)) / (2π²n²) (Widrow and Kollár,
-    Quantization Noise, for Gaussian signals of half an LSB and more).
+    Filtered noise changes slowly, so that successive samples have similar rounding errors. If ρ is the
+    autocorrelation of the filtered noise at a lag and σ its rms in LSB, the autocovariance of the error is
+    Σ exp(−4π²n²σ²(1 − ρ)) / (2π²n²) over n = 1, 2, … (Widrow and Kollár, Quantization Noise, for Gaussian
+    signals with an rms of half an LSB or more).
 
     Parameters
     ----------
@@ -88,6 +90,8 @@ def rounding_covariance(m: int, sigma: float) -> Floats:
 
 def rounding_spectrum(m: int, sigma: float, frequency: Floats) -> Floats:
     """Return the power (n,) in LSB² that rounding to whole LSB adds to a periodogram of filtered noise.
+
+    A white error of variance v would add v at each frequency.
 
     Parameters
     ----------
@@ -119,9 +123,10 @@ _RANGE_OF_CODE = {code: dps for dps, code in RANGE_CODE.items()}
 
 
 def sample_period_s(smpl_prd: int) -> float:
-    """Return the time in s between internal updates at a value of SMPL_PRD.
+    """Return the time in s between two updates of the chip's outputs at a value of SMPL_PRD.
 
-    It is the time base times (N + 1) (DS, A).
+    It is the time base times (N + 1), where N is in the bits 6:0 of SMPL_PRD, and bit 7 selects
+    `SLOW_BASE_S` instead of `FAST_BASE_S` (data sheet, confidence A).
     """
     base = SLOW_BASE_S if smpl_prd & 0x80 else FAST_BASE_S
     return base * ((smpl_prd & 0x7F) + 1)
@@ -143,16 +148,16 @@ def smpl_prd_for(sample_rate_hz: float) -> int:
 
 
 def filter_settling_samples(filter_m: int) -> int:
-    """Return the number of samples until the filter of size M has settled: 2 * 2^M - 1 (DS, A)."""
+    """Return the number of samples until the filter of size M has settled, 2·2^M − 1 (data sheet)."""
     return int(2 * 2**filter_m - 1)
 
 
 def low_pass_3db_hz(filter_m: int, sample_rate_hz: float) -> float:
-    """Return the frequency in Hz at which the filter halves the power (DS, A).
+    """Return the frequency in Hz at which the filter of size M halves the power.
 
-    It is the −3 dB column of the data sheet's table. Two boxcars of N = 2^M taps pass (sin(N x) / (N sin
-    x))² of an amplitude, with x = π f / rate. Without the filter (M = 0) only the pole of the analog front
-    end remains.
+    It is the −3 dB column of the data sheet's table (confidence A). Two boxcars of N = 2^M taps pass (sin(N
+    x) / (N sin x))² of an amplitude, with x = π f / rate. Without the filter (M = 0) only the pole of the
+    analog front end remains.
     """
     if filter_m == 0:
         return ANALOG_POLE_HZ
@@ -249,7 +254,7 @@ def sens_avg_word(gyro_range_dps: int, filter_m: int) -> int:
     ------
     UsageError
         No such range or filter, or a range that needs more filtering: ±150 °/s needs M >= 2, ±75 °/s
-        M >= 4 (DS, A).
+        M >= 4 (data sheet, confidence A).
     """
     if gyro_range_dps not in RANGE_CODE:
         raise UsageError(f"gyro_range_dps is {gyro_range_dps}: choose 300, 150 or 75")
@@ -317,8 +322,8 @@ class SelfTest:
 class ManualSelfTest:
     """Result of the manual self-test: change of each mean output under a stimulus of either sign.
 
-    The gyros answer to both signs, the accelerometers to the positive sign only (DS p. 19, B). The size is
-    not specified, so only presence and direction are judged.
+    The gyros answer to both signs, the accelerometers to the positive sign only (data sheet p. 19,
+    confidence B). The size is not specified, so only presence and direction are judged.
 
     Attributes
     ----------
@@ -393,13 +398,13 @@ class Alarm:
     source : str
         Register that is watched, such as `XACCL_OUT`.
     threshold : float
-        Limit of the value in mg, °/s, °C or V; with `rate_samples` limit of its change in that unit a
-        sample.
+        Limit of the value in mg, °/s, °C or V. If `rate_samples` is not 0, limit of the change of the value
+        in this unit per sample.
     above : bool
         True alarms above the threshold, False below.
     rate_samples : int
-        0 compares the value; 1 to 255 is the number of samples over which its mean change a sample is
-        compared (DS p. 20, B).
+        0: the alarm compares the value. 1 to 255: it compares the mean change per sample over this number
+        of samples (data sheet p. 20, confidence B).
     filtered : bool
         True compares filtered data; ALM_CTRL[4], shared by both alarms.
     """
@@ -468,7 +473,7 @@ def _masks_and_signs(layout: tuple[tuple[int, bool], ...]) -> tuple[Words, Words
 def scales(
     table: Sequence[Register], part: Variant, gyro_range_dps: int | None
 ) -> tuple[Floats, Floats, tuple[str, ...]]:
-    """Return for each of k registers: value of an LSB (k,), value at number zero (k,), and unit.
+    """Return the scales of k registers: value of an LSB (k,), value of the content 0 (k,), and units.
 
     `part` is the sensor type, `gyro_range_dps` the range of the gyros, None if unknown.
 
@@ -575,7 +580,7 @@ class ScanBlock:
 
     @property
     def accel_mg(self) -> Floats:
-        """Acceleration (n, 3) along X, Y and Z in mg (thousandths of 9.80665 m/s²), as read."""
+        """Uncalibrated acceleration (n, 3) along X, Y and Z in mg (thousandths of 9.80665 m/s²)."""
         return self.select(ACCEL_OUT).values()
 
     @property

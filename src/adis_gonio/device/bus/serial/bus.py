@@ -354,9 +354,10 @@ class ClockMap:
         Parameters
         ----------
         first_us, span_us : int
-            Firmware's time of the first scan, and duration from the first to the last scan.
+            Time of the first scan on the firmware's clock, and duration from the first to the last scan, in
+            µs.
         arrival_s : float
-            Time at which the packet arrived.
+            Time in s on the bus's clock at which the packet arrived.
         """
         first_s = self._unwrap(first_us)
         end_s = first_s + span_us * 1e-6
@@ -371,9 +372,10 @@ class ClockMap:
         return at_host_s + rate * (np.linspace(first_s, end_s, count) - at_s)
 
     def _unwrap(self, us: int) -> float:
-        """Convert the 32-bit time `us` of the board in µs to seconds since the first reply.
+        """Convert the time `us` of the board's 32-bit clock in µs to seconds since the first reply.
 
-        The time must be less than half a wrap from the previous time.
+        The clock wraps every 2³² µs. The time must differ by less than half of this from the time of the
+        previous call.
         """
         step = (us - self._us + _WRAP_US // 2) % _WRAP_US - _WRAP_US // 2
         self._us = us
@@ -392,7 +394,11 @@ class ClockMap:
             del points[:-_POINTS]
 
     def _fit(self) -> None:
-        """Fit a straight line to the delays of arrival in s against the board's time."""
+        """Fit a straight line to the clock difference in s against the board's time in s.
+
+        The clock difference is the arrival of a packet on the bus's clock minus its time on the board's
+        clock. Each period of `_WHILE_S` seconds gives one point, its smallest difference.
+        """
         at, late = np.array(self._points).T
         middle = float(at.mean())
         slope = float((at - middle) @ late / ((at - middle) @ (at - middle)))
@@ -508,8 +514,8 @@ class SerialStream(FrameStream):
     def _packet(self) -> tuple[Packet, float]:
         """Wait for the next packet of scans; return it and its time of arrival in s.
 
-        While no packet comes, the edge counter shows if the chip is silent or the line is faulty; both
-        raise `BusTimeoutError`.
+        It raises `BusTimeoutError` if the firmware counts no data-ready edge for `SILENCE_S` seconds (the
+        chip is silent), or counts edges although no packet arrives (the serial line is faulty).
         """
         owner = self.owner
         first: int | None = None
