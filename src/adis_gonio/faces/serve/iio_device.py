@@ -440,12 +440,15 @@ class Channel:
 
     @property
     def label(self) -> str:
-        """Suffix of the channel's name in file names of the kernel; empty for most channels."""
+        """Suffix that file names of the Linux kernel add to the channel's name; empty for most channels."""
         return _LABELS.get(self.register.name, "") if self.register else ""
 
     @property
     def format(self) -> str:
-        """Format of a sample as IIO describes it; the sign is already extended to 16 bits."""
+        """Format of a sample in IIO's notation, such as `le:s14/16>>0`.
+
+        The sign of a sample is already extended to 16 bits.
+        """
         if self.register is None:
             return "le:S64/64>>0"
         return f"le:{'s' if self.register.signed else 'u'}{self.register.bits}/16>>0"
@@ -471,9 +474,9 @@ class Channel:
         return tuple(names)
 
     def filename(self, attribute: str) -> str:
-        """Return the name of the file in which the kernel would have an attribute of the channel.
+        """Return the name of the file in which the Linux kernel would have an attribute of the channel.
 
-        All axes of a kind share the attributes of the filter.
+        The attributes of the filter have the same file for all axes of a kind, such as acceleration.
         """
         stem = self.id + (f"_{self.label}" if self.label else "")
         if attribute.startswith("filter"):
@@ -601,7 +604,9 @@ class ServedDevice:
 
 
 def filter_for(frequency_hz: float, state: SensorState) -> int:
-    """Return the filter size M with the nearest −3 dB frequency, on a logarithmic scale.
+    """Return the filter size M whose −3 dB frequency is nearest to `frequency_hz` on a logarithmic scale.
+
+    `state` has the sample rate, on which the −3 dB frequencies depend.
 
     Raises
     ------
