@@ -2,7 +2,8 @@
 
 Parameters are expressed in natural units (1 rad, a gain of 1, a bias of local gravity), and their standard
 uncertainty is compared with the largest allowed one (`limits`). The declared angles of the stage count as
-information: a wide fixture makes the start angle less certain, but not unknown.
+information, however large the fixture's uncertainty is: it makes the start angle less certain, but not
+unknown.
 """
 
 from __future__ import annotations
@@ -87,7 +88,7 @@ class Determination:
     def determined_by(self, fit: Fit) -> bool:
         """Return True if the readings of `fit` determine at least as many parameters as these readings.
 
-        A combination of parameters counts as a parameter.
+        Independent combinations of parameters are counted.
         """
         return bool(_null_space(fit, self.free).shape[1] <= self.null.shape[1])
 
@@ -133,8 +134,8 @@ def determine(data: Readings, held: Sequence[int] = ()) -> Determination:
     """Fit base model and bias, and find what the session cannot determine.
 
     Directions with too little information (`limits`) are eigenvectors of the information matrix in natural
-    units. While such directions exist, the affected parameters that a session may lack (biases in the
-    plane, skews in space) are fixed at their nominal values. The remaining directions are `null`.
+    units. While there are such directions, parameters that they affect are fixed at their nominal values:
+    biases in the plane, skews in space. The directions that remain after that are `null`.
 
     Parameters
     ----------

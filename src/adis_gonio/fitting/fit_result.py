@@ -40,9 +40,9 @@ if TYPE_CHECKING:
 class Estimate:
     """A parameter of a result: name, value, standard uncertainty, unit, degrees of freedom.
 
-    `u` is the GUM's standard uncertainty (None if the noise is unknown), `dof` its effective degrees of
-    freedom (inf if unlimited). The expanded uncertainty for 95 % is `U` = `k`·`u` with Student's quantile
-    k.
+    `u` is the standard uncertainty as in the GUM (JCGM 100:2008); None if the noise is unknown. `dof` are
+    its effective degrees of freedom; inf if unlimited. The expanded uncertainty for 95 % is `U` = `k`·`u`,
+    where k is the quantile of Student's distribution.
     """
 
     name: str
@@ -84,7 +84,7 @@ class Origin:
     sources : Sources or None
         Sources of the uncertainty; None if the noise of a reading is unknown.
     determination : Determination or None
-        Free and held parameters of `ml`; None for other methods.
+        Fitted and fixed parameters of the method `ml`; None for other methods.
     """
 
     readings: Readings
@@ -219,7 +219,10 @@ class FitResult(ParameterTable):
 
     @cached_property
     def comparison(self) -> MethodComparison | None:
-        """Scores of all methods on the session's readings, and the recommended one; None if no session."""
+        """Scores of all methods on the session's readings, with the recommended method.
+
+        None if the result was not made from a session.
+        """
         from adis_gonio.fitting.method_comparison import compare_methods
 
         if self.session is None:
@@ -251,7 +254,7 @@ class FitResult(ParameterTable):
 
     @cached_property
     def _around(self) -> ShownAngle | None:
-        """Derivatives of the calibrated angle at angles around the turn; None if it is undetermined."""
+        """Derivatives of the calibrated angle at angles around the turn; None if no angle is determined."""
         assert self.origin is not None
         shown, found = ShownAngle.around(self.origin.fit), self.origin.determination
         sure = found is None or all(is_determined(slope, found.null) for slope in shown.gradient)

@@ -1,28 +1,33 @@
 """The free turn: angle and calibration from one slow continuous turn without declared angles.
 
-All parameters are estimated together from the samples of the whole recording.
-Unknown are the angle ψ_k of gravity to X at the centre of each window, and common parameters:
+All parameters are estimated together from the samples of the whole recording. The unknowns are the angle
+ψ_k of gravity to X at the centre of each time window k, and parameters that all windows share:
 
     U_x = K_x G ⟨cos ψ⟩ + b_x + d_x(t) + l_x ω² + l_y ω'
     U_y = K_y G ⟨sin(ψ + Δφ)⟩ + b_y + d_y(t) + l_y ω² − l_x ω'
     ψ_{k+1} − ψ_k = −∫ω dt + noise,   ω = (1/s) g_z − b_g − γ_x u_x − γ_y u_y − d_g(t) + τ g_z'
 
-⟨…⟩ is the mean in a window over the gyro's course of the angle within it, so neither the window nor an
-uneven turn smears the angle. d are slow drifts with the spectrum 1/f, as its principal components. l is
-the lever arm in mm, τ the gyro's latency. The priors hold for any part (`SENSOR_SPREAD`) and any
-bench (`LEVER_MM` …); the biases have none.
+U_x and U_y are the mean readings of the accelerometers in a window, and u_x and u_y are their readings as a
+share of gravity G. The rate of the turn is ω, the reading of gyro Z is g_z, and ' is the derivative by
+time. ⟨…⟩ is the mean over a window of the angles that the gyro shows within it, so that neither the length
+of the window nor an uneven turn distorts the result. Unknown are the gains K, the misalignment Δφ, the
+biases b_x and b_y, the lever arm l in mm from the axis of the turn to the sensor, the gyro's gain s, zero
+rate b_g, g-sensitivity γ and delay τ, and slow drifts d with a 1/f spectrum, as their principal components.
+The priors hold for any part (`SENSOR_SPREAD`) and any bench (`LEVER_MM` …); the biases b_x and b_y have no
+prior.
 
-Gauss–Newton maximises the posterior. The variances of accelerometers, gyro and drifts follow from the
-same data by the evidence (MacKay 1992: the squared residual divided by the remaining degrees of freedom),
-that of the accelerometers in short stretches, because a hand does not shake evenly.
+Gauss–Newton iterations maximise the posterior. The variances of the noise of accelerometers and gyro and of
+the drifts follow from the same data by the evidence (MacKay 1992: the squared residual divided by the
+remaining degrees of freedom). The variance of the accelerometers is estimated in short stretches, because a
+hand does not shake evenly.
 
-Windows are Hann windows that overlap by half. Their weights add up to a constant, so nothing slow is
-lost, and motion faster than their hop (tremor at 8 to 12 Hz) hardly changes a mean. The noise of the
-means is then noise of low frequencies, which the parameters follow. White noise correlates neighbours by
-1/6; `LONG_RUN` is the resulting factor on the variance of slow parameters.
+The windows are Hann windows that overlap by half. Their weights add up to a constant, so no slow signal is
+lost. Motion that is fast against the distance of the windows (tremor at 8 to 12 Hz) hardly changes a mean.
+White noise gives the means of neighbouring windows a correlation of 1/6; `LONG_RUN` is the resulting factor
+on the variance of slow parameters.
 
-`fit` of such a recording returns a `FitResult`. The checks here state the conditions of the estimate, and a
-message says what to do if the turn does not meet them.
+`fit_free_turn` makes the fit. Functions `require_…` check the conditions of the estimate; their messages
+say what to do if the turn does not meet them.
 """
 
 from __future__ import annotations
@@ -381,14 +386,13 @@ class LeastSquaresProblem:
 def drift_functions(time_s: Floats, length_s: float, floor: float, most: int) -> tuple[Floats, Floats]:
     """Return functions of time (n, k) that describe a drift, and the prior variance (k,) of each.
 
-    `time_s` (n,) are the times since the begin. At most `most` functions are used for a recording of
-    `length_s`. The drift is 1/f noise with the Allan deviation `floor`; 0 gives no function. Each function
-    has the mean zero.
+    `time_s` (n,) are the times since the beginning of the recording, and `length_s` is its length. The
+    drift is 1/f noise with the Allan deviation `floor`. At most `most` functions are returned, and none if
+    `floor` is 0. Each function has the mean zero.
 
-    They are principal components of the noise. Each is a sum of cosines with a whole number of half cycles
-    in the recording. A density h/f has, up to a constant, the covariance −h ln|t − s|; `_of_cosines` has
-    its integrals over cosines. A section of a longer recording is no sum of independent cosines, and the
-    slowest ones have less variance than their density.
+    The functions are the principal components of the noise. Each is a sum of cosines with a whole number of
+    half cycles in the recording. A density h/f has, up to a constant, the covariance −h ln|t − s| of two
+    times; `_of_cosines` has the integrals of this covariance over pairs of cosines.
     """
     count = min(most, int(DRIFT_HZ * 2 * length_s)) if floor > 0 else 0
     density = floor**2 / (2 * math.log(2))
@@ -398,11 +402,12 @@ def drift_functions(time_s: Floats, length_s: float, floor: float, most: int) ->
 
 
 def _of_cosines(count: int) -> Floats:
-    """Return the covariance (k, k) of the means of √2 cos(π j t) times a noise of density 1/f.
+    """Return the covariance (`count`, `count`) of the amplitudes of cosines in a noise of density 1/f.
 
-    The time t is from 0 to 1 and j from 1 to k = `count`. Integrated by parts, with J = π j and Cin(x) = γ
-    + ln x − Ci(x). The diagonal is 2 (Si(J) − (1 − cos J)/J)/J. Off the diagonal it is 4 (Cin(J) −
-    Cin(K))/(K² − J²) if j and k are both even or both odd, else 0.
+    The amplitude of cosine j is the mean of √2 cos(π j t) times the noise over the time t from 0 to 1. With
+    J = π j and Cin(x) = γ + ln x − Ci(x), the variance of this amplitude is 2 (Si(J) − (1 − cos J)/J)/J.
+    Its covariance with the amplitude of cosine k, K = π k, is 4 (Cin(J) − Cin(K))/(K² − J²) if j and k are
+    both even or both odd, otherwise 0.
     """
     from scipy.special import sici
 
@@ -454,10 +459,10 @@ def _first(problem: LeastSquaresProblem) -> Variances:
 def _system(
     problem: LeastSquaresProblem, values: Floats, variances: Variances
 ) -> tuple[Floats, Floats, tuple[Floats, ...]]:
-    """Return the normal equations of one iteration at `values`, and the information by cause.
+    """Return the normal equations of one iteration at `values`, and the information of each source.
 
-    They are the information matrix and the right side. The causes are the accelerometers, the gyro
-    (matrices), and the priors (the diagonal).
+    The results are the information matrix, the right side of the equations, and the parts of the
+    information matrix from the accelerometers (a matrix), the gyro (a matrix) and the priors (a diagonal).
     """
     accel, gyro, by_accel, by_gyro = problem.model(values)
     mean, variance = problem.prior

@@ -114,7 +114,8 @@ def rests_of(session: Session, part: Part) -> Rests:
     UsageError
         No such part.
     DataError
-        No gyros, no rest that is long enough, constant times, an axis that never changes.
+        The session has no gyros or no gap-free record of `LEAST` samples, its times do not increase, or an
+        axis never changes.
     """
     where = session.source or session.title or "session"
     if part not in PARTS:
@@ -265,9 +266,9 @@ def fit_allan(session: Session, part: Part = "gyro", *, filter_m: int | None = N
     part : {"gyro", "accelerometer"}
         Sensors to fit the noise of.
     filter_m : int, optional
-        Parameter M of the chip's filter, 0 to 6. By default it is the session's, or, for a known sensor,
-        the one that the spectrum shows. Other sensors count as unfiltered in the band in which these noises
-        explain their spectrum.
+        Parameter M of the chip's filter, 0 to 6. By default it is the value that the session states. If the
+        session states none, it is the value that the spectrum shows for an ADIS1635x, and 0 (no filter) for
+        any other sensor.
 
     Raises
     ------
@@ -322,8 +323,9 @@ def _flat(record: Floats) -> Floats:
 def _rounding(flat: Sequence[Floats], step: float, m: int) -> tuple[Floats, bool]:
     """Return the autocovariance, by lag, of the errors that rounding to `step` causes.
 
-    The rounding is behind a filter of parameter m; `flat` are the records without their slopes. The second
-    result is True if the step is too large against the noise for a prediction.
+    The noise passes the chip's filter of parameter M = `m` and is then rounded. `flat` are the records
+    without their slopes. The second result is True if the step is too large against the noise of the
+    samples for this computation; the first result is then zero.
     """
     # Changes within the filter's window are white noise, without the slow noise.
     lag = 1 << m
@@ -453,9 +455,10 @@ _LEAST_PEAK = 2.0
 
 
 def moving_peak(records: Sequence[Floats], period_s: float, above_hz: float) -> MovingPeak | None:
-    """Return the highest peak of records (n,) above a frequency; None unless every piece shows it.
+    """Return the highest peak in the spectrum of records (n,) above the frequency `above_hz`.
 
-    From piece to piece it moves by less than the width of its surroundings.
+    Each record is divided into pieces. The result is None unless every piece shows the peak, and its
+    frequency changes little from one piece to the next.
     """
     pieces = [piece for one in records for piece in np.array_split(one, _PIECES)]
     if min((len(piece) for piece in pieces), default=0) < 8 * _SEGMENT:
@@ -483,10 +486,11 @@ def moving_peak(records: Sequence[Floats], period_s: float, above_hz: float) -> 
 
 
 def _quiet(parts: Sequence[Ordinates], highest: float) -> list[int]:
-    """Return the indices of records with about as little noise as the quietest; vibration disturbs others.
+    """Return the indices of the records that are about as quiet as the quietest record.
 
-    `highest` is the highest fitted frequency in cycles per sample. Starting with the quietest, each record
-    counts that is not louder than the earlier ones together in either of two bands.
+    The other records are louder, as by vibration. `highest` is the highest fitted frequency in cycles per
+    sample. Records are added from the quietest to the loudest. A record is left out if its mean power in
+    one of two frequency bands is clearly larger than the mean power of the records added before.
     """
     bands = [(low * highest, high * highest) for low, high in _BANDS]
     level = np.empty((len(parts), len(bands)))
@@ -525,7 +529,7 @@ def _drawn(fitted: _Fitted, profiles: dict[Kind, Profile]) -> Floats:
 def _slow(fitted: _Fitted) -> float:
     """Return the p-value of the hypothesis that the records have no flicker noise and no random walk.
 
-    It is an upper bound, because both coefficients are on the boundary of their range.
+    It is an upper bound of this probability, because both coefficients cannot be negative.
     """
     _, without = fitted.likelihood.maximum(fitted.theta.copy(), {2: 0.0, 3: 0.0})
     # Mixture of χ² with one and two degrees of freedom, an upper bound on the boundary.
@@ -536,10 +540,10 @@ def _slow(fitted: _Fitted) -> float:
 
 
 def _ramp(fitted: _Fitted, slopes: list[float], period_s: float, unit: str) -> Value:
-    """Return the drift of an axis, in `unit` per second, with u: the mean slope of all records.
+    """Return the drift of an axis in `unit` per second, with its standard uncertainty.
 
-    `period_s` is the time between samples, `slopes` are the slopes of straight lines through the records,
-    per sample; the mean is weighted.
+    It is the weighted mean of the slopes of all records. `slopes` are the slopes per sample of straight
+    lines through the records, and `period_s` is the time between samples.
     """
     rest = fitted.likelihood.slopes(fitted.theta)
     # Weighted mean of the slopes, each corrected by the slope of the likelihood.

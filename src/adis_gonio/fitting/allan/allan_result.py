@@ -78,9 +78,10 @@ class NoiseParameter:
 
     @property
     def value(self) -> Value | None:
-        """Coefficient of the process with u, ν, k and U; None if the process may be absent.
+        """Coefficient of the process with its uncertainty; None if the process may be absent.
 
-        U is the longer side of the 95 % interval, so k = U/u.
+        The expanded uncertainty U is the longer side of the 95 % interval, and the coverage factor k is
+        U/u.
         """
         if not self.present:
             return None
@@ -97,10 +98,10 @@ class NoiseParameter:
         return self.profile.low, self.profile.high
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the JSON object of a noise process: value, u, ν, k, U, interval and limits.
+        """Return the JSON object of a noise process: its value with uncertainty, interval and limits.
 
-        The first five are null if the process may be absent. The limits are the upper limit and the
-        detectable size.
+        The value, u, its degrees of freedom ν, k and U are null if the process may be absent. The limits
+        are the upper limit of the coefficient and its detectable size.
         """
         value, found = self.value, self.profile
         empty = {"value": None, "u": None, "dof": None, "k": None, "U": None, "unit": self.unit}
@@ -318,9 +319,10 @@ SWAY_HZ = 1.0
 
 
 class MovingPeak(NamedTuple):
-    """Lowest and highest frequency of a peak of the spectrum in pieces of a record, and its typical height.
+    """A peak of the spectrum whose frequency moves during the records.
 
-    The height is relative to the spectrum around the peak.
+    `low_hz` and `high_hz` are its lowest and highest frequency in the pieces of the records. `ratio` is its
+    median height, relative to the spectrum around it.
     """
 
     low_hz: float
@@ -329,7 +331,7 @@ class MovingPeak(NamedTuple):
 
     @property
     def line(self) -> str:
-        """Sentence for the user."""
+        """Sentence for the user on the frequency and the height of the peak."""
         return (
             f"a line between {self.low_hz:.3g} and {self.high_hz:.3g} Hz, {self.ratio:.2g} times the noise"
             " around it: a resonance of the sensor, or a vibration whose speed changes"

@@ -64,12 +64,11 @@ _TABLE = 256
 
 
 def variances(filter_m: int, n: int, k: Floats, period_s: float) -> Floats:
-    """Return the variances (len(k), 4) of DCT-II coefficients, for each of the four noise processes.
+    """Return the variances (len(k), 4) of DCT-II coefficients of each of the four noise processes.
 
-    The processes are quantization, white noise, flicker noise and random walk.
-
-    They are the coefficients with indices `k` of `n` samples behind the filter M = `filter_m`, `period_s`
-    apart. Each column is for a process with a squared coefficient of 1.
+    The columns are for quantization, white noise, flicker noise and random walk, each with a squared
+    coefficient of 1. The rows are for the DCT-II coefficients with the indices `k` of a record of `n`
+    samples. The samples are `period_s` apart and have passed the filter M = `filter_m`.
     """
     angle = np.pi * k / n
     frequency = k / (2 * n)
@@ -85,9 +84,9 @@ def variances(filter_m: int, n: int, k: Floats, period_s: float) -> Floats:
 def ordinate_variances(autocovariance: Floats, n: int, k: Floats) -> Floats:
     """Return the variances (len(k),) of DCT-II coefficients of a process with a short autocovariance.
 
-    They are the coefficients with indices `k` of `n` samples; `autocovariance` is by lag. The variances are
-    exact and include the ends of the record: with a = πk/n, Σ_t φ_k(t) φ_k(t+l) = ((n − l) cos(la) −
-    sin(la)/sin(a))/n.
+    They are for the DCT-II coefficients with the indices `k` of `n` samples; `autocovariance` is by lag.
+    The variances are exact and include the effect of the ends of the record, by Σ_t φ_k(t) φ_k(t+l) = ((n −
+    l) cos(la) − sin(la)/sin(a))/n for the basis functions φ_k of the DCT-II, with a = πk/n.
     """
     angle = np.pi * k / n
     total = np.full(len(k), autocovariance[0])
@@ -148,10 +147,11 @@ def _cin(x: NDArray[np.floating[Any]]) -> Floats:
 
 @lru_cache(maxsize=1)
 def _edge_table() -> Floats:
-    """Return the variances of the DCT-II coefficients 1 … `_TABLE` of flicker noise times frequency.
+    """Return the variance times frequency of the DCT-II coefficients 1 … `_TABLE` of flicker noise.
 
-    They include the effect of the ends of a record, and come from the variogram 2h Cin(πl) of noise with
-    density h/|f| below half the sampling rate. The record is so long that its length has no effect.
+    The product would be constant without the ends of a record; the table has their effect. It is computed
+    from the variogram 2h Cin(πl) at lag l of noise with the density h/|f| below half the sampling rate, for
+    a record so long that its length has no effect.
     """
     n = 8 * _TABLE
     lag = np.arange(1, n)
@@ -203,7 +203,8 @@ class AllanCurve(JsonRecord):
 def octaves(longest: int) -> list[int]:
     """Return averaging times of the Allan variance, in samples: 1, 2, 4, … .
 
-    The largest leaves enough differences in a record of `longest` samples.
+    At the largest, a record of `longest` samples has at least `LEAST_DIFFERENCES` differences of
+    neighbouring means.
     """
     return [1 << j for j in range(longest.bit_length()) if 2 * (1 << j) + LEAST_DIFFERENCES <= longest]
 
@@ -242,7 +243,7 @@ def overlapping(samples: Sequence[Floats]) -> tuple[list[int], Floats]:
 def curve(
     records: Sequence[Floats], squares: Floats, filter_m: int, period_s: float, rounding: Floats
 ) -> AllanCurve:
-    """Compute the Allan deviation of an axis from its records, and the one that its noise predicts.
+    """Compute the Allan deviation of an axis from its records, and the deviation by its fitted noise.
 
     Parameters
     ----------
@@ -451,8 +452,9 @@ class Ordinates:
     rounding : (b,) float
         Mean variance of the ordinates from the converter's rounding.
     lines : tuple of (first, ordinate, line)
-        For each record: the bin of its first single ordinate, the (s,) single ordinates, and the ordinates
-        of a line of slope 1 per sample.
+        For each record, as input of a fit of a straight line: the index of its first bin; the (s,) lowest
+        DCT-II ordinates of the record, which have a bin each; and the (s,) ordinates of a straight line
+        with a slope of 1 per sample.
     """
 
     frequency: Floats
@@ -470,7 +472,7 @@ class Ordinates:
     def below(self, frequency: float) -> Ordinates:
         """Return a copy without the bins above a frequency, in cycles per sample.
 
-        The ordinates of the straight line are cut likewise; the lowest bins suffice to fit it.
+        In `lines`, too, only ordinates up to this frequency remain.
         """
         chosen = self.frequency <= frequency
         place = np.cumsum(chosen) - 1
@@ -533,7 +535,7 @@ def together(parts: list[Ordinates]) -> Ordinates:
 class _Grid:
     """Frequency bins for records of one length, and the shapes of the noise processes in them.
 
-    They do not depend on the data.
+    Neither depends on the data of the records.
 
     Attributes
     ----------
@@ -681,15 +683,20 @@ class Likelihood:
         self._d = np.concatenate([d for _, _, d in data.lines])
 
     def expected(self, theta: Floats) -> Floats:
-        """Return the expected variance (k,) in each distinct frequency bin, for squared coefficients θ."""
+        """Return the expected variance (k,) of the ordinates in each kind of bin.
+
+        `theta` (4,) are the squared coefficients. Bins in which every model expects equal variances, as of
+        records of equal length, are one kind.
+        """
         return np.asarray(np.maximum(self._shapes @ theta + self._rounding, self._least), np.float64)
 
     def _lines(self, v: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Return terms and sums for the weighted fit of a straight line to each of r records.
 
-        The bins have the variances v. The results are the terms (s,) of a = Σ d²/v and of b = Σ c d/v over
-        the single ordinates of all records, then a (r,) and b (r,); c are the ordinates of a record, and d
-        the ordinates of a line of slope 1. Records without a line have an infinite a.
+        The slope of the fitted line is b/a with a = Σ d²/v and b = Σ c d/v. Here c are the lowest ordinates
+        of a record, d the ordinates of a line of slope 1 and v the expected variances of their bins. The
+        results are the terms (s,) of a and of b for the ordinates of all records, then a (r,) and b (r,).
+        Records without a line have an infinite a.
         """
         square, product = self._d**2 / v[self._singles], self._c * self._d / v[self._singles]
         a, b = np.add.reduceat(square, self._starts), np.add.reduceat(product, self._starts)

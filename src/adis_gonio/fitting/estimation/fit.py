@@ -1,19 +1,20 @@
 """`Fit`: a model with parameter values and readings, and every quantity derived from them.
 
-Base parameters and terms are fitted together; attitudes (the deviation δ ~ N(0, σ_f²) of a declared angle
-in the plane, any unit vector in space) are nuisance parameters, eliminated in each dwell: with C = L Lᵀ the
-covariance of a reading and t its tangent, rows are whitened by (I − β û ûᵀ) L⁻¹, û ∥ L⁻¹ t, β = 1 − (1 +
-σ_f² |L⁻¹ t|²)^(−1/2), which is the inverse root of C + σ_f² t tᵀ and, for σ_f → ∞, the projection that
-removes the direction t. σ_f = 0 is least squares with declared angles, σ_f = ∞ the fit of an ellipse;
-neither limit needs special code.
+Base parameters and terms are fitted together. The attitudes of the dwells are nuisance parameters: in the
+plane the deviation δ ~ N(0, σ_f²) from the declared angle, in space any unit vector. They are eliminated in
+each dwell by its whitening matrix (I − β û ûᵀ) L⁻¹. Here C = L Lᵀ is the covariance of the reading, t is
+its tangent (the derivative by the attitude), û is the unit vector along L⁻¹ t, and β = 1 − (1 + σ_f² |L⁻¹
+t|²)^(−1/2). The matrix is the inverse root of C + σ_f² t tᵀ. For σ_f → ∞ it becomes the projection that
+removes the direction t. σ_f = 0 is least squares with declared angles, and σ_f = ∞ is the fit of an
+ellipse; neither limit needs special code.
 
-With noise that dwells share (1/f noise, F = Φ Φᵀ over all readings), rows whitened in this way have the
-covariance 1 + A Aᵀ, A = W Φ. They are multiplied by its symmetric inverse root 1 − A g(Aᵀ A) Aᵀ, g(λ) =
-1/(r (r + 1)) with r = √(1 + λ). This root changes the rows less than any other root, so that a row still
-belongs to its dwell.
+Dwells may share noise, such as 1/f noise, with the covariance Φ Φᵀ over all readings. With all whitening
+matrices in one matrix W, the whitened rows then have the covariance 1 + A Aᵀ with A = W Φ. They are
+multiplied by its symmetric inverse root 1 − A g(Aᵀ A) Aᵀ, g(λ) = 1/(r (r + 1)) with r = √(1 + λ). This root
+changes the rows less than any other root, so that a row still belongs to its dwell.
 
-Known rotations between poses in space add two rows for each link (`estimation.links`), and their own modes
-to Φ.
+Known rotations between poses in space (links, `estimation.links`) add two rows each, and add columns to Φ
+for the errors that all links share.
 
 Cost is linear in the number of dwells.
 """
@@ -248,8 +249,8 @@ class Fit:
     def _shared(self) -> tuple[Floats, Floats] | None:
         """Factors of the symmetric inverse root of 1 + A Aᵀ, the covariance with shared noise.
 
-        The first factor is A (rows, k), the shared modes. The second is V g(λ) Vᵀ (k, k) with Aᵀ A = V λ
-        Vᵀ. None without shared noise.
+        The first factor is A (rows, k), the shared modes on the whitened rows. The second is V g(λ) Vᵀ (k,
+        k) with Aᵀ A = V λ Vᵀ and the function g of the module's docstring. None without shared noise.
         """
         if self.data.model.freedom == 0 and self.data.links is None:
             return self.data.once(
@@ -300,7 +301,7 @@ class Fit:
     def by_rotation(self, slope: Floats) -> Floats:
         """Return the derivative (m, 3, d) of d weighted sums of whitened rows by each link's rotation.
 
-        It is per rad. The weights are the columns of `slope` (rows, d).
+        The derivative is per rad of rotation error. The weights are the columns of `slope` (rows, d).
         """
         links = self.link_rows
         assert links is not None
@@ -423,7 +424,7 @@ class Fit:
 
     @cached_property
     def _half(self) -> Floats:
-        """Root (p + q, k) of the covariance of all parameters: root times its transpose gives it."""
+        """Root (p + q, k) of the covariance of all parameters: root · rootᵀ is the covariance."""
         # Scale columns to unit length first: parameters have different units.
         scaled = self._with_prior(self.jacobian)
         size = np.linalg.norm(scaled, axis=0)
@@ -440,7 +441,10 @@ class Fit:
 
     @cached_property
     def used(self) -> float:
-        """Effective number of fitted parameters; one with an informative prior counts less than 1."""
+        """Effective number of fitted parameters.
+
+        A parameter with an informative prior counts less than 1.
+        """
         used = float(((self.jacobian @ self._half) ** 2).sum())
         if all(term.prior_sd is None for term in self.terms):
             used = float(round(used))  # the base's prior is wide: a parameter counts fully or not at all
@@ -716,10 +720,11 @@ def amplitude_spreads(model: Measurement, terms: Sequence[Term], widths: NDArray
 def predictable_dwells(rest: Floats, left: Floats, most: float) -> NDArray[np.bool_]:
     """Return a mask (n,) of dwells that a fit to other dwells predicts with sufficient certainty.
 
-    The variance of the prediction must be at most `most` times the variance of the noise. `left` (n, r, p)
-    are the whitened rows of these dwells, and `rest` (m, p) the whitened rows of the fit. With whitened
-    columns X, the prediction of held-out rows has the covariance 1 + X_b (X₋bᵀ X₋b)⁻¹ X_bᵀ in units of the
-    noise (Cook and Weisberg, Residuals and Influence in Regression, 1982).
+    The variance of the prediction, including the noise of the reading, must be at most `most` times the
+    variance of the noise. `left` (n, r, p) are the whitened derivatives of these dwells' readings by the p
+    parameters, and `rest` (m, p) the whitened derivatives of the fitted readings. In units of the noise,
+    the prediction of a dwell with derivatives X_b (r, p) has the covariance 1 + X_b (Xᵀ X)⁻¹ X_bᵀ with X =
+    `rest` (Cook and Weisberg, Residuals and Influence in Regression, 1982).
     """
     if not len(rest):
         return np.zeros(len(left), dtype=bool)

@@ -1,13 +1,14 @@
 """Links: known rotations of the sensor between two poses, as equations of a `Fit` in space.
 
-A pose in space gives one equation, because its attitude u is unknown. If the rotation Φ from one pose to
-another is known except for a small error ε (`gyros.gyro_links`), u' = exp(ε×) Φ u gives two more. Let P(u)
-be two directions normal to u, and ũ the attitudes that fit the readings best at some parameters. The rows
-of a link are
+A pose in space gives one equation, because its attitude u is unknown. A known rotation Φ from one pose to
+the next gives two more: u' = exp(ε×) Φ u, with the attitude u' after the turn and a small rotation error ε
+(`gyros.gyro_links`). Let P(u) be two directions normal to u, and ũ the attitudes that fit the readings best
+at some parameters. The rows of a link are
 
     y = P(ũ')ᵀ (ũ' − Φ ũ) = T' e' − F T e + K ε,    F = P(ũ')ᵀ Φ P(ũ),    K = −P(ũ')ᵀ [Φ ũ]×,
 
-with the noise e of both readings, which moves ũ by T e, T = (tᵀ C⁻¹ t)⁻¹ tᵀ C⁻¹ (t is the tangent). T e is
+with the noise e and e' of the readings before and after the turn. The noise e moves ũ by T e with T = (tᵀ
+C⁻¹ t)⁻¹ tᵀ C⁻¹, the covariance C of the reading and its tangent t (the derivative by the attitude). T e is
 not correlated with the norm of the reading, so the rows of links are independent of the other rows of a
 fit.
 
@@ -76,7 +77,7 @@ class Links:
         )  # fmt: skip
 
     def rows(self, kept: NDArray[np.intp]) -> Links | None:
-        """Return the links that connect two of the kept readings, with new row numbers; None if none."""
+        """Return the links between kept readings, with new row numbers; None without such a link."""
         # New number of each kept reading, −1 for the others.
         place = np.full(max(int(self.after.max()), int(kept.max(initial=0))) + 1, -1, dtype=np.intp)
         place[kept] = np.arange(len(kept))
@@ -182,9 +183,10 @@ class LinkRows:
 
     @property
     def residual(self) -> Floats:
-        """Whitened misclosure (2 m,): direction of gravity after each link minus gravity before it, turned.
+        """Whitened misclosure (2 m,) of the links.
 
-        The turn is the rotation of the link.
+        The misclosure of a link is the direction of gravity after it, minus the direction before it after
+        the rotation of the link.
         """
         return self.band.solved(self.misclosure.reshape(-1, 1))[:, 0]
 

@@ -10,18 +10,17 @@ The covariance of a reading has three parts.
   (q/π)·exp(−2π²σ²/q²). The variance of this error over all places between two codes is
   q²/(2π²)·Σ exp(−4π²k²σ²/q²)/k², which is q²/12 without noise and negligible at σ > q/2, because then the
   noise dithers and quantization is part of it.
-* *Bias instability* (1/f noise), which averaging does not lower: from the lowest frequencies of the dwells
-if
-  they show it; otherwise the variant's figure (an estimate: confidence D), limited to the amount that the
-  dwells allow; zero for a sensor without a figure. With an Allan deviation s the means of N dwells scatter
-  with s²·N ln N / (2 (N − 1) ln 2) (Barnes 1969).
+* *Bias instability* (1/f noise), which averaging does not lower. If the lowest frequencies of the dwells
+  show it, its size is taken from them. Otherwise it is the variant's figure (an estimate: confidence D),
+  limited to the amount that the dwells allow, or zero for a sensor without a figure. With an Allan
+  deviation s the means of N dwells scatter with s²·N ln N / (2 (N − 1) ln 2) (Barnes 1969).
 
 Neighbouring dwells share 1/f noise. The shared part is kept as modes (`Readings.slow`); one mode is the
 constant by which this session differs from a session on another day.
 
-A dwell of one sample is a reading that was averaged before: `Session.reading_u_mg` is its whole
-uncertainty. Without this key the uncertainty is unknown (`Readings.known`), and a fit estimates it from its
-residual.
+A dwell of one sample is a reading that was averaged before. `Session.reading_u_mg` is its whole
+uncertainty. If the session does not state it, the uncertainty is unknown (`Readings.known` is False), and a
+fit estimates it from its residual.
 
 Readings in `counts` have neither a known zero nor a known gain. An ellipse or ellipsoid through them gives
 rough values of both (`Unit`), so that all later steps use readings that are nearly in mg.
@@ -77,8 +76,8 @@ class Unit:
     name : str
         `mg` or `dps` for any unit of known size, or `counts`.
     zero, per_mg : (axes,) float
-        Value in the file at zero acceleration, and counts per mg; both rough for counts, 0 and 1 for a
-        known unit.
+        Value in the file at zero acceleration, and counts per mg. For counts both are rough estimates from
+        the readings; for a known unit they are 0 and 1.
     scale : float
         Factor by which the values of the file are multiplied first: mg per unit, or 1 if the unit is
         unknown.
@@ -90,7 +89,10 @@ class Unit:
     scale: float = 1.0
 
     def mg(self, values: Floats) -> Floats:
-        """Convert values (n, axes or more) from the unit of the file to mg (n, axes)."""
+        """Convert values (n, columns) from the unit of the file to mg (n, axes).
+
+        Columns beyond the axes of the unit are dropped.
+        """
         return np.asarray((values[:, : len(self.zero)] * self.scale - self.zero) / self.per_mg)
 
     @property
@@ -223,10 +225,10 @@ class Readings(ComputedOnce):
 
     @property
     def noise_dof(self) -> float:
-        """Degrees of freedom of the noise of all readings together; inf if it was stated.
+        """Degrees of freedom of the noise of all readings together; inf if all noise was stated.
 
-        If the dwells of a session share one estimate (`pooled`), these are its degrees of freedom, added
-        over the sessions; otherwise the sum over the dwells.
+        If the dwells of a session share one estimate of noise (`pooled`), its degrees of freedom count once
+        for each session. Otherwise the degrees of freedom of all dwells are added.
         """
         finite = self.dof[np.isfinite(self.dof)]
         if not finite.size:
@@ -397,9 +399,10 @@ def from_means(
 
 
 def _refuse_other_units(session: Session, readings: Readings) -> None:
-    """Raise `DataError` if the readings at rest are far from 1 g.
+    """Raise `DataError` if the readings at rest are far from 1 g, by a factor of `OFF_UNIT` or more.
 
-    Then their unit is wrong, or they do not measure gravity.
+    Their unit is then wrong, or they do not measure gravity. A single dwell whose length differs much from
+    the others is refused, too.
 
     Parameters
     ----------
@@ -799,9 +802,10 @@ def quantized_means(variance_mg2: Floats, quantum_mg: Floats) -> Floats:
 
 
 def _flicker(session: Session, noise: spectrum.MeanNoise) -> Floats:
-    """Return the Allan variance (axes,) in mg² of the 1/f noise: measured, or the figure of the part.
+    """Return the Allan variance (axes,) in mg² of the 1/f noise of the accelerometers.
 
-    The figure is limited to the amount that the dwells allow.
+    It is the measured one on an axis that shows 1/f noise in its dwells. Otherwise it is the figure of the
+    sensor's variant, but at most the upper limit that the dwells allow; 0 without a figure.
     """
     variant = VARIANTS.get(session.sensor)
     stated = 0.0 if variant is None else variant.performance.bias_instability_mg**2
@@ -872,7 +876,7 @@ def known_part(part: str) -> str:
 
 
 def readings_of_part(session: Session, part: str) -> Readings:
-    """Reduce a session to readings of its gyros or of its accelerometers, as `part` names."""
+    """Reduce a session to readings of its accelerometers or gyros; `part` is the name of the one wanted."""
     module, name = _READERS[known_part(part)]
     reader: Callable[[Session], Readings] = getattr(import_module(module), name)
     return reader(session)

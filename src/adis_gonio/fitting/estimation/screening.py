@@ -4,8 +4,8 @@
 word for a whole dwell, so a dwell without variance is no proof. Data counts as stuck if it contradicts
 another known fact:
 
-* the other dwells: the axis moves there by more than the noise around an edge between two codes (0.6 steps
-  rms), and was never constant for a quarter as long;
+* the other dwells: the axis has more noise there than values around an edge between two codes can show
+  (0.6 steps rms), and its longest constant run there is at most a quarter as long;
 * the positions: two or more dwells at different declared angles have identical words on all axes, or all
   dwells are identical;
 * the chip: an ADIS1635x has 4.7 mg (16354) of noise before its filter and 1 LSB rms behind the longest
@@ -101,10 +101,11 @@ def limit_notes(limits: Sequence[Limit], unit: str) -> list[str]:
 
 
 def dwells_at_limit(dwells: Sequence[Dwell], limits: Sequence[Limit], gravity: float | None) -> set[int]:
-    """Return the positions of dwells whose mean a limit of the range changes, if gravity allows that.
+    """Return the positions of dwells whose mean is changed by a limit of the range.
 
-    `gravity` is local gravity in the unit of the samples; None, if the unit is unknown, gives no dwell. The
-    limit must be reached in two or more dwells.
+    `gravity` is local gravity in the unit of the samples. If it is None, because the unit is unknown, the
+    result is empty. A limit counts only if two or more dwells reach it, and if the means of the dwells that
+    it changes are not clearly longer than gravity.
     """
     if gravity is None:
         return set()
@@ -133,7 +134,8 @@ def longest_runs(accel: Floats) -> Floats:
 def dwells_too_still(dwells: Sequence[Dwell]) -> list[int]:
     """Return the positions of dwells in which an axis is suspiciously constant.
 
-    It is constant for half of the dwell, and four times longer than in the other dwells.
+    Such an axis has one value for at least half of the dwell, and for at least four times as many samples
+    in a row as in any dwell without such an axis.
     """
     if len(dwells) < 2:
         return []
@@ -148,7 +150,7 @@ def dwells_too_still(dwells: Sequence[Dwell]) -> list[int]:
 
 
 def _is_lively(dwells: Sequence[Dwell], healthy: NDArray[np.bool_], axis: int) -> bool:
-    """Return True if an axis has so much noise in the healthy dwells that no converter step could hide it.
+    """Return True if an axis has more noise in the healthy dwells than a step of the converter can hide.
 
     `healthy` is True for each dwell that counts.
     """

@@ -100,11 +100,11 @@ class MeanNoise:
 
 @dataclass(frozen=True)
 class _Ordinates:
-    """Periodograms (spectra) of all `dwell` indices with an equal number `n` of samples.
+    """Periodograms (spectra) of all dwells with an equal number `n` of samples.
 
-    The lowest ordinates (values of a periodogram) are separate. Higher ones of a long dwell are joined into
-    bins of frequency, which never cross a limit between the bands of the fit. `weight` is the number of
-    ordinates of each bin.
+    `dwell` has the indices of these dwells. The lowest ordinates (values of a periodogram) are separate.
+    Higher ordinates of a long dwell are joined into bins of frequency, which never cross a limit between
+    the bands of the fit. `weight` is the number of ordinates of each bin.
     """
 
     dwell: NDArray[np.intp]
@@ -660,7 +660,8 @@ def spans(times_s: Sequence[Floats]) -> tuple[Floats, Floats]:
 def scatter_of_means(dwells: int) -> float:
     """Return the expected variance of dwell means about their average under 1/f noise.
 
-    The 1/f noise has an Allan variance of 1; the dwells are consecutive and equally long.
+    The 1/f noise has an Allan variance of 1; the dwells follow each other without pauses and are equally
+    long.
     """
     return 1.0 if dwells < 2 else dwells * math.log(dwells) / (2 * (dwells - 1) * math.log(2))
 
@@ -668,7 +669,8 @@ def scatter_of_means(dwells: int) -> float:
 def modes(covariance: Floats) -> tuple[Floats, Floats]:
     """Split a covariance (n, n) into a factor (n, k) of its largest modes and the remaining variances.
 
-    The modes are its eigenvectors with the largest eigenvalues, which vary slowly in time.
+    The modes are its eigenvectors with the `MOST_MODES` largest eigenvalues, times the roots of the
+    eigenvalues. For 1/f noise they vary slowly in time.
     """
     values, vectors = np.linalg.eigh(covariance)
     values, vectors = values[-MOST_MODES:], vectors[:, -MOST_MODES:]

@@ -57,12 +57,12 @@ class Term(ABC):
 
     @property
     def constant(self) -> bool:
-        """True for a term that is always in the model, such as a bias."""
+        """True for an error of constant size in all readings of an axis, such as a bias."""
         return False
 
     @property
     def forced(self) -> bool:
-        """True for a term that is in every model of a search; only a `NamedTerm` can be forced."""
+        """True for a term that a search has to include in every model; possible only for a `NamedTerm`."""
         return False
 
     @property
@@ -216,7 +216,10 @@ class NamedTerm(Term):
 
     @cached_property
     def amplitude_spread(self) -> Floats:
-        """Prior standard deviation (d,) of each amplitude: `spread`, or a quarter of its range."""
+        """Prior standard deviation (d,) of each amplitude.
+
+        It is `spread` or, without a spread, a quarter of the range of the amplitude in the catalogue.
+        """
         if self.spread is not None:
             return np.full(len(self.amplitudes), self.spread)
         low, high = self._bounds[self.amplitudes].T
