@@ -286,7 +286,7 @@ class PlainBench:
             self._say(f"  '{line}' is no answer: press Enter, or one of {known} (? lists them)")
 
     def _rest_of(self, text: str, asked: str) -> str:
-        """Return `text`, which followed a key on its line; if it is empty, ask for it by the prompt `asked`."""
+        """Return `text`, which followed a key on its line; if it is empty, ask for it, with prompt `asked`."""
         if text:
             return text
         self._prompt(asked)
