@@ -286,7 +286,10 @@ class PlainBench:
             self._say(f"  '{line}' is no answer: press Enter, or one of {known} (? lists them)")
 
     def _rest_of(self, text: str, asked: str) -> str:
-        """Return `text`, which followed a key on its line; if it is empty, ask for it, with prompt `asked`."""
+        """Return `text`, the text after a key on its line.
+
+        If it is empty, show the prompt `asked` and return the next line of standard input.
+        """
         if text:
             return text
         self._prompt(asked)

@@ -1,9 +1,10 @@
 """The sensor as an IIO device: its channels and attributes, and the samples of its buffers.
 
-One thread reads the sensor, and a hub distributes its scans to the open buffers of many clients. The thread
-streams while a client listens, and runs jobs in between. A bus that streams takes no other exchange, so a
-job ends the stream, runs, and the stream begins again. `state` and `newest` therefore keep the values of
-the attributes, so that reading them needs no job during a stream.
+One thread, the `Sampler`, reads the sensor, and a `Hub` distributes its scans to the open buffers of many
+clients. The thread streams while a client has a buffer open. Other access to the sensor is a job, which the
+thread runs between two scans. A bus that streams takes no other exchange, so the stream ends before a job
+and begins again after it. `Sampler` therefore keeps the values of the attributes in `state` and `newest`,
+so that reading them needs no job during a stream.
 
 The channels, their attributes, the XML and the format of scans need no sensor; `SensorState` contains the
 values of the attributes. Units as in Linux' IIO ABI: m/s², rad/s, milli-degree Celsius, millivolt; value =

@@ -96,7 +96,8 @@ class BenchState:
     turn : TurnMeasured or None
         The last turn between positions; None before the first.
     whole, turned : TurnProgress or None, TurnDone or None
-        The whole turns on a table in progress, and the last completed ones; None if there are none.
+        Progress of the present whole turns on a table, and result of the last completed ones; None if there
+        are none.
     range_dps : float
         Range of the gyros in °/s.
     running : Running or None
