@@ -92,9 +92,9 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def unsolvable(name: str, error: Exception) -> FitError:
-    """Return the `FitError` to raise if these numbers give a singular matrix.
+    """Return the `FitError` to raise if a fit fails because its matrix is singular.
 
-    `name` is the file or command that the message begins with, `error` the failure of the computation.
+    `name` is the file or command that the message begins with, `error` the exception of the computation.
     """
     return FitError(
         f"{name}: no fit is possible with these numbers ({error}): check the times, the units and the"
@@ -103,7 +103,7 @@ def unsolvable(name: str, error: Exception) -> FitError:
 
 
 def solvable(compute: F) -> F:
-    """Decorate a function of a session so that it raises `FitError` instead of `LinAlgError`.
+    """Decorate a function of a session so that it raises `FitError` instead of numpy's `LinAlgError`.
 
     Values that are finite one by one can still give a matrix without an inverse, such as times that differ
     by many orders of magnitude.

@@ -1,10 +1,11 @@
 """Time limits: long work reports its progress, and ends in an orderly way when its time is over.
 
-A `Budget` here is a budget of time (elsewhere a budget of uncertainty). The present one is a context
-variable, like a cancel scope, so that an inner loop can check it without an argument. Work asks at its
-safe points: `spent` if it can continue with its best result so far, `check` if unfinished work must be
-discarded. `attempt` runs a stage and returns a substitute result if `check` ended the stage;
-`with_progress` reports the progress of a loop. Without a time limit nothing ends early.
+A `Budget` here is a budget of time (elsewhere a budget of uncertainty). The current budget is a context
+variable, so that an inner loop can check it without an argument. Long work calls a function at the places
+at which it can stop. `spent` returns True at the end of the time, for work that can return its best result
+so far; `check` raises an exception, for work whose unfinished result must be discarded. `attempt` runs a
+stage and returns a substitute result if `check` ended the stage; `with_progress` reports the progress of a
+loop. Without a time limit nothing ends early.
 """
 
 from __future__ import annotations

@@ -224,7 +224,7 @@ class QuantityRow:
 
     @classmethod
     def of(cls, name: str, value: Value) -> QuantityRow:
-        """Format a quantity as a row; value, u and U have as many decimals as show two digits of u.
+        """Format a quantity as a row; value, u and U have so many decimals that u has two digits.
 
         Without an uncertainty, u is the text `u unknown`. `name` is the parameter's name.
         """

@@ -95,10 +95,10 @@ def expanded(u: float | None, dof: float, factor: float | None = None) -> tuple[
 
 
 def factor_over(variances: Floats, dof: float) -> float:
-    """Return the coverage factor for 95 % of errors with different variances (m,), relative to their rms.
+    """Return the factor k such that 95 % of errors with different variances lie within ±k times their rms.
 
-    Each error has Student's distribution with `dof` degrees of freedom; if the variances differ much, the
-    mixture has longer tails than each of them.
+    `variances` (m,) are the variances of m errors, such as of an angle at m places, all equally frequent;
+    the rms is the root of their mean. Each error has Student's distribution with `dof` degrees of freedom.
     """
     from scipy.special import stdtr
 

@@ -1,9 +1,9 @@
-"""Advisors, which propose the next positions to measure by the dwells so far.
+"""Advisors, which propose the next positions to measure after analysing the dwells so far.
 
 A runner asks its advisor whenever its plan is done. `TraceAdvisor` traces the session so far and asks for
-the positions that are expected to separate the remaining explanations of the residual. It ends when the
-model is adequate and no measurement would decide anything more, when further positions are not expected to
-help, or at a limit.
+the positions that are expected to separate the remaining explanations of the residual. It ends if the model
+is adequate and no measurement would decide anything more, if further positions are not expected to help, or
+if a limit is reached.
 """
 
 from __future__ import annotations

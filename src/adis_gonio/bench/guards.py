@@ -89,10 +89,12 @@ class Guard:
 
 
 def shorten_repeated(guard: Guard, times: int, said: set[str]) -> Guard:
-    """Return a guard as the operator reads it, with a message of one clause if it repeats known words.
+    """Return a guard with the message that the operator sees, shortened if it was shown before.
 
-    `times` counts the stops at this position without a dwell between them: a second stop may mean that an
-    earlier dwell is wrong. `said` holds the words of the messages so far and is extended.
+    `said` has the messages shown so far, without their numbers; this message is added to it. If it is there
+    already, only its first clause is shown. `times` counts the questions about this position since the last
+    dwell. From the second on, the message mentions this number if the guard contradicts earlier dwells; at
+    the second it adds that an earlier dwell may be wrong.
     """
     words = "".join(filter(str.isalpha, guard.message))
     message = guard.message.split("; ")[0] if words in said else guard.message
@@ -445,7 +447,10 @@ class Turning:
         self._last_s, self._last = float(time_s[-1]), turning[-1]
 
     def turn(self) -> GyroIntegral | None:
-        """Return the angles turned since the last dwell; None if samples were missing for too long."""
+        """Return the angles turned since the last dwell; None if samples are missing.
+
+        They count as missing after a gap of more than `longest_gap_s`.
+        """
         if self._bias is None or self._broken or not self._length_s:
             return None
         wander = math.hypot(INSTABILITY_DPS, G_SENSITIVITY_DPS) * self._length_s

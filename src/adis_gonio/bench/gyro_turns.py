@@ -121,7 +121,7 @@ class GyroTurn(FollowedTurn):
 
     @property
     def full(self) -> bool:
-        """True if the sensor has turned by nearly the requested angle."""
+        """True if the sensor has turned by the requested angle, or lacks less than `_ALMOST_DEG` of it."""
         return self.moved and abs(self.turned_deg) > abs(self.wanted_deg) - _ALMOST_DEG
 
     @property
@@ -325,7 +325,10 @@ def way(angle_deg: float) -> str:
 
 
 def _the_other_way(plan: Plan, place: int) -> Plan:
-    """Return the plan with the turns in the present attitude, from a place on, in the other sense."""
+    """Return the plan with the opposite sense for the turn to `place` and the turns directly after it.
+
+    The change ends before the next position without a turn, which has a new attitude.
+    """
     positions, k = list(plan.positions), place
     while k < len(positions) and (turned := positions[k].turned_deg) is not None:
         positions[k] = replace(positions[k], turned_deg=-turned)

@@ -332,7 +332,8 @@ class FreeTurn(FollowedTurn):
     def ended(self) -> str | None:
         """None during the recording; empty at its end.
 
-        The recording ends when the time is over, or when the turns were made and the sensor rests.
+        The recording ends after `limit_s`, or earlier if the requested turns were made and the sensor
+        rests.
         """
         return "" if self.length_s >= self.limit_s or (self.full and self.resting) else None
 

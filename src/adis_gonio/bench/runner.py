@@ -520,7 +520,9 @@ class SessionRunner(Operator):
 
 
 def _measure_noise(questions: Questions) -> Generator[Event, None, list[float] | None]:
-    """Measure the noise at rest, until the sensor has been still long enough; record it in the archive.
+    """Measure the noise of the sensor at rest and record it in the archive.
+
+    If the sensor does not come to rest in time, the operator is told so, and the measurement is repeated.
 
     Returns
     -------

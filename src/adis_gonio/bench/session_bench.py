@@ -291,7 +291,10 @@ class SessionBench:
     # -- scans and moves --------------------------------------------------------------------------
 
     def scans(self) -> SampleStream:
-        """Return the running stream of scans, opened when first needed; two blocks are one window."""
+        """Return the running stream of scans, which is opened at the first call.
+
+        A block has half as many scans as a window of the stillness watch, but at least 8.
+        """
         if self._stream is None:
             block_scans = max(8, self.window // 2)
             self._stream = self.source.samples(self.settings, block_scans)
@@ -365,7 +368,10 @@ class SessionBench:
         return max([since.total_seconds(), *ends]) - bus_s
 
     def checkpoint(self) -> None:
-        """Wait briefly, so that a simulated session can be resumed from this point."""
+        """Wait `CHECKPOINT_S`, so that all calls before it end before the time of the next record.
+
+        A resumed simulation repeats the calls up to this time and continues there.
+        """
         self.source.sleep_s(CHECKPOINT_S)
 
     def bring_world_to(self, archive: ArchiveView, attempt: int) -> None:

@@ -174,8 +174,9 @@ class RunningFit:
     def result(self, plan: Plan, *, reverse: bool) -> Running | None:
         """Fit the dwells so far and return the event that shows the fit.
 
-        Returns None if the dwells do not allow a fit, or few were added since the last fit. `reverse` is
-        True in a reversed session, in which the stage counts angles the other way than the plan.
+        Returns None if the dwells do not allow a fit. With more than `EVERY_UP_TO` dwells, it also returns
+        None until their number is 10 % larger than at the last fit. `reverse` is True in a reversed
+        session, in which the stage counts angles the other way than the plan.
         """
         from adis_gonio.fitting.estimation.readings import readings_of
         from adis_gonio.fitting.methods import fit_of
@@ -447,7 +448,8 @@ class Knowledge:
     def running(self) -> Running | None:
         """Fit the dwells so far and return the event that shows the fit.
 
-        Returns None if the dwells do not allow a fit, or few were added since the last fit.
+        Returns None if the dwells do not allow a fit, or if few were added since the last fit (see
+        `RunningFit`).
         """
         if not self.fits_dwells:
             return None

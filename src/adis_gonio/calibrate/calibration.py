@@ -3,9 +3,10 @@
 `Coefficients` is the common base of accelerometer and gyro calibrations. `Calibration` converts readings
 to gravity and angle with the parameters of a fit or a trace.
 
-In the convention of `model.measurement` a reading is U = diag(K) D g + b + Σ effects(diag(K) D g). Here
-this equation is solved for g. Effects are small against the reading, so the fixed-point iteration a ← U − b
-− Σ effects(a) converges in a few passes.
+In the convention of `model.measurement` a reading is U = diag(K) D g + b + Σ effects(diag(K) D g), with
+gains K, the unit vectors of the sensor's axes as the rows of D, gravity g and biases b. Here this equation
+is solved for g. Effects are small against the reading, so the fixed-point iteration a ← U − b − Σ
+effects(a) converges in a few passes to the ideal reading a = diag(K) D g.
 """
 
 from __future__ import annotations
@@ -287,13 +288,13 @@ def checked_condition(
     name : str
         Name of the condition in messages.
     given : float, (n,) or (n, dies) float, optional
-        Value for all readings, or one for each reading and die; if it is None, all readings get the
-        default.
+        Value for all readings, or one for each reading and each gyro die; if it is None, all readings get
+        the value `default`.
 
     Returns
     -------
     (n, dies) float or None
-        None if neither a value nor a default is given.
+        Values of the condition; None if neither a value nor a default is given.
 
     Raises
     ------
@@ -553,10 +554,10 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         reading_u: float | Sequence[float] | None = None,
         plane: TurnPlane | None = None,
     ) -> AngleReading:
-        """Compute the angle ψ of gravity with u from readings, from the plane's first axis to its second.
+        """Compute the angle ψ of gravity in a plane from readings, with its standard uncertainty.
 
-        A positive turn of the stage by θ reduces ψ: ψ = α − θ with the start angle α. The method
-        `stage_angle` returns θ.
+        ψ is measured from the plane's first axis towards its second axis. A positive turn of the stage by θ
+        reduces ψ: ψ = α − θ with the start angle α. The method `stage_angle` returns θ.
 
         Parameters
         ----------
@@ -591,12 +592,13 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         supply_v: ArrayLike | None = None,
         reading_u: float | Sequence[float] | None = None,
     ) -> AngleReading:
-        """Compute the angle θ = α − ψ of the stage from readings, with u.
+        """Compute the angle θ of the stage from readings, with its standard uncertainty.
 
-        It is positive in the direction of the session's declared angles. `accel` are the readings (n, axes)
-        or (axes,) in the unit of the calibration (mg or counts), and `reading_u` is their standard
-        uncertainty; without it u is the uncertainty by the calibration alone. The default of
-        `temperature_c` and `supply_v` is the mean of the session.
+        θ is the start angle α minus the angle ψ of gravity, and is positive in the direction of the
+        session's declared angles. `accel` are the readings (n, axes) or (axes,) in the unit of the
+        calibration (mg or counts), and `reading_u` is their standard uncertainty; without it u is the
+        uncertainty by the calibration alone. The default of `temperature_c` and `supply_v` is the mean of
+        the session.
 
         Raises
         ------
@@ -616,8 +618,9 @@ class Calibration(Coefficients, eq=False, kw_only=True):
     def error_curves(self, *, stage: bool = True) -> tuple[ErrorCurve | None, ErrorCurve]:
         """Return the error of the angle over the turn in the plane xy, without and with the calibration.
 
-        The angle is the stage's if its start angle is known (and `stage`), else the angle of gravity. The
-        noise of single readings is not included. The first curve is None for readings in counts.
+        The angle is the angle of the stage if `stage` is True and the calibration has a start angle, else
+        the angle of gravity. The noise of single readings is not included. The first curve is None if the
+        readings are in counts of unknown scale.
 
         Raises
         ------
@@ -803,10 +806,11 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         return AngleReading(angle_deg[0], u_deg[0]) if single else AngleReading(angle_deg, u_deg)
 
     def _left_to_temperature(self, readings: Floats, temperature_c: ArrayLike | None) -> Iterator[Floats]:
-        """Yield changes (n, axes) of the readings by each effect of temperature that was not determined.
+        """Yield the change (n, axes) of readings by each temperature effect outside the calibration.
 
-        Each coefficient has its typical size, over the difference to the temperature of the session.
-        Nothing is yielded if the temperature of the readings (None) or of the session is unknown.
+        It is the change from the mean temperature of the session to the temperature of the reading, if the
+        coefficient has its typical size. Nothing is yielded if the temperature of the readings is None or
+        the temperature of the session is unknown.
         """
         session = self.provenance.temperature_c
         now = checked_condition("temperature_c", temperature_c, len(readings), None)
@@ -837,10 +841,10 @@ class Calibration(Coefficients, eq=False, kw_only=True):
 
 
 def _solved(free: Floats, terms: Sequence[tuple[Effect, Floats]], conditions: Conditions) -> Floats:
-    """Return the ideal readings a (n, axes) at which a plus all effects gives the readings `free`.
+    """Return the ideal readings (n, axes), in mg, that together with the effects give the readings `free`.
 
-    `free` (n, axes) are readings without bias, in mg; `terms` are the effects with the values of their
-    parameters.
+    `free` (n, axes) are readings minus bias, in mg; `terms` are the effects with the values of their
+    parameters. The solution a of a + Σ effects(a) = `free` is found by iteration.
 
     A row is NaN if the iteration does not converge.
     """

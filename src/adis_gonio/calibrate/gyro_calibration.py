@@ -4,10 +4,11 @@ In the frame of the accelerometers a gyro reads, in °/s,
 
     rate = (1 + κ ΔT) K D ω + b + β ΔT + β₂ ΔT² + β₃ ΔT³ + G f + G₂ f² + s ΔV,
 
-with the true rate ω, gains K and unit directions D (`sensitivity` = K D), the zero rate b, the force f that
-the accelerometers **read** in g (level with Z up: z = −1), ΔT = T − 25 °C and ΔV = V − 5 V. f is the
-uncorrected reading, including the bias of the accelerometers, because gyros may be calibrated before
-accelerometers.
+with the true rate ω, gains K and unit directions D (`sensitivity` = K D), the relative change κ of the
+gains per °C, the zero rate b, its coefficients β, β₂, β₃ of the temperature and s of the supply voltage,
+the sensitivities G to force and G₂ to squared force, the force f that the accelerometers **read** in g
+(level with Z up: z = −1), ΔT = T − 25 °C and ΔV = V − 5 V. f is the uncorrected reading, including the bias
+of the accelerometers, because gyros may be calibrated before accelerometers.
 """
 
 from __future__ import annotations
@@ -81,10 +82,11 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
     Attributes
     ----------
     parameters : tuple of Coefficient
-        `gyro_bias_x …` (dps), and if determined `gyro_scale_x …` (1), `gyro_misalignment_xy …` (deg; the
-        gyro, and the axis towards which it is misaligned), `g_sensitivity_xy …` (dps/g; the
-        gyro, and the axis of force), `g2_sensitivity_xy …` (dps/g²), `gyro_bias_temperature_x …` (dps/°C;
-        …2, …3 of its square and cube), `gyro_scale_temperature_x …` (ppm/°C), `gyro_supply_x …` (dps/V).
+        `gyro_bias_x …` (dps), and if determined `gyro_scale_x …` (1), `gyro_misalignment_xy …` (deg),
+        `g_sensitivity_xy …` (dps/g), `g2_sensitivity_xy …` (dps/g²), `gyro_bias_temperature_x …` (dps/°C),
+        `gyro_bias_temperature2_x …` and `…3_x …` for the square and the cube, `gyro_scale_temperature_x …`
+        (ppm/°C) and `gyro_supply_x …` (dps/V). The first letter is the gyro. The second letter is the axis
+        towards which the gyro is misaligned, or the axis of the force.
     temperature_c, supply_v : Covered or None
         Range of the temperature and of the supply voltage in the session; None if not recorded.
     offsets_lsb : tuple of int or None
@@ -288,7 +290,7 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         rate_dps: ArrayLike,
         felt: tuple[ArrayLike | None, ArrayLike | None, ArrayLike | None],
     ) -> Rates:
-        """Evaluate a function of the parameters, rates and conditions, with u from the parameters.
+        """Evaluate a function of the parameters, rates and conditions, and propagate the uncertainty to it.
 
         `felt` are the force in g, the temperature and the supply voltage, each or None.
         """
@@ -405,7 +407,7 @@ def _assumed(known: Sequence[str]) -> tuple[str, ...]:
 
 
 def _determined(estimate: Any) -> bool:
-    """Return True if the value and the uncertainty of an estimate are finite numbers, or u is None."""
+    """Return True if the value of an estimate is finite, and its uncertainty finite or None."""
     return bool(np.isfinite(estimate.value)) and (estimate.u is None or bool(np.isfinite(estimate.u)))
 
 
@@ -416,8 +418,8 @@ def _taken(
 ) -> Floats | None:
     """Return the covariance (p, p) of the named parameters; None if any u is unknown.
 
-    `covariance` are names and a matrix. Parameters that it does not contain are uncorrelated, with their
-    own u.
+    `covariance` has names of parameters and their covariance matrix, or is None. Parameters that it does
+    not name are uncorrelated and have the variance u².
     """
     if any(one.u is None for one in parameters):
         return None
@@ -460,7 +462,8 @@ def _by_force(v: _Values, force: Floats) -> Floats:
 def _zero(v: _Values, force: Floats, warm: Floats, volts: Floats) -> Floats:
     """Return the zero rates (n, 3) in °/s at n forces in g, temperatures and voltages.
 
-    `warm` are temperatures minus 25 °C, `volts` supply voltages minus 5 V.
+    `v` are the values of the parameters by kind. `warm` are temperatures minus 25 °C, and `volts` are
+    supply voltages minus 5 V.
     """
     powers = (v[f"gyro_bias_temperature{power}"] * warm ** int(power or 1) for power in ("", "2", "3"))
     by_warmth = sum(powers, np.zeros(warm.shape))

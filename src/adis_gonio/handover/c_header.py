@@ -159,14 +159,17 @@ def _factor(factor: str) -> str:
 
 @dataclass(frozen=True)
 class _Fixed:
-    """Expressions of C that compute a polynomial in fixed point; `name` is the prefix of all names."""
+    """Writes C expressions that compute a polynomial in fixed point; `name` is the prefix of all names."""
 
     name: str
     fixed: fixed_point.FixedPoint
     type: ClassVar[str] = "int32_t"
 
     def body(self, source: str) -> dict[str, Any]:
-        """Return the values that the macro `corrected` needs; the readings are in the variable `source`."""
+        """Return the values that the template's macro `corrected` needs to write the body of a C function.
+
+        `source` is the C variable, a pointer to a structure, that has the readings.
+        """
         own = self.fixed.polynomial
         axes = []
         for k, letter in enumerate(AXES[: own.axes]):
@@ -201,41 +204,44 @@ class _Fixed:
         return f"{self.name}_shifted_((int64_t){value} * {_whole(scaled.number)}, {scaled.shift - q})"
 
     def input(self, need: str, source: str) -> str:
-        """Return an input of the polynomial from a number of the scan."""
+        """Return the C expression for an input of the polynomial, such as the temperature `t`.
+
+        `need` is the name of the input, `source` the C expression for its number in the scan.
+        """
         own, step = self.fixed.polynomial.inputs[need], self.fixed.inputs[need]
         value = f"({source} - {_whole(own.zero)})" if own.zero else source
         return self._clamped(self._shifted(value, step, fixed_point.Q), int(own.limit * fixed_point.ONE))
 
     def raw(self, k: int, source: str) -> str:
-        """Return the reading of axis k without its bias."""
+        """Return the C expression for the reading of axis k minus its bias, from the number `source`."""
         scaled = self._shifted(source, self.fixed.step[k], self.fixed.polynomial.q)
         return self._clamped(f"{scaled} - {_whole(self.fixed.bias[k])}", self.fixed.limit)
 
     def term(self, term: fixed_point.FixedTerm) -> str:
-        """Return a term of the polynomial."""
+        """Return the C expression for a term of the polynomial."""
         product, *rest = map(_factor, term.monomial.factors)
         for factor in rest:
             product = f"{self.name}_shifted_((int64_t){product} * {factor}, {fixed_point.Q})"
         return self._shifted(product, term.coefficient)
 
     def less(self, value: str, terms: str) -> str:
-        """Return a value minus a sum of terms, which may be empty."""
+        """Return the C expression for a value minus a sum of terms; the value alone if `terms` is empty."""
         return self._clamped(f"(int64_t){value} - ({terms})", self.fixed.limit) if terms else value
 
     def warm(self, k: int, value: str) -> str:
-        """Return a value divided by the gain of axis k at the temperature."""
+        """Return the C expression for a value divided by the relative gain of axis k at the temperature."""
         gain = self._shifted("t", fixed_point.Scaled(self.fixed.warm[k], fixed_point.Q))
         one = f"{fixed_point.ONE}L"
         return self._clamped(f"(int64_t){value} * {one} / ({one} + {gain})", self.fixed.limit)
 
     def row(self, k: int) -> str:
-        """Return row k of the matrix times the free readings."""
+        """Return the C expression for row k of the matrix times the corrected readings."""
         pairs = zip(AXES, self.fixed.matrix[k], strict=False)
         return " + ".join(self._shifted(letter, entry) for letter, entry in pairs if entry.number)
 
 
 class _Float(_Fixed):
-    """The expressions in single precision."""
+    """Writes the C expressions that compute a polynomial in single precision (`float`)."""
 
     type = "float"
 
@@ -339,9 +345,9 @@ def _missing(assumed: Iterable[str], not_corrected: Iterable[NotCorrected]) -> l
 
 
 def _checks(fixed: fixed_point.FixedPoint, plane: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return test vectors of the header: scans at 1 g around a turn, with the angles to compute.
+    """Return test vectors for the header: scans at 1 g around a turn, with the angles expected for them.
 
-    The angles avoid the multiples of 45°; `plane` are the two axes.
+    The angles avoid the multiples of 45°. `plane` has the numbers of the two axes as `first` and `second`.
     """
     polynomial = fixed.polynomial
     psi = (np.arange(CHECKS) + 0.37) * 2 * np.pi / CHECKS
@@ -360,10 +366,10 @@ def _checks(fixed: fixed_point.FixedPoint, plane: dict[str, Any]) -> list[dict[s
 def _rate_checks(
     fixed: fixed_point.FixedPoint, accelerometers: fixed_point.Polynomial
 ) -> list[dict[str, str]]:
-    """Return test vectors of the header: gyro readings with a scan, and the corrected rates to compute.
+    """Return test vectors for the header: readings of all sensors, with the expected corrected rates.
 
-    The turns are about every axis in both senses, at forces of 1 g and at other than nominal conditions.
-    `fixed` are the constants of the gyros in fixed point.
+    The turns are about every axis in both senses, at forces of about 1 g; temperature and supply voltage
+    differ from 25 °C and 5 V. `fixed` are the constants of the gyros in fixed point.
     """
     dps = np.array([[250.0, -31.0, 7.0], [-250.0, 90.0, -60.0], [3.0, -4.0, 270.0], [0.0, 0.0, 0.0]])
     g = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.6, -0.8], [0.5, 0.5, 0.7]])
@@ -384,7 +390,11 @@ def _rate_checks(
 def _surroundings(
     polynomial: fixed_point.Polynomial, count: int, degrees: int, volts: int
 ) -> tuple[fixed_point.Whole, fixed_point.Whole]:
-    """Return numbers (count,) of the thermometer and the voltmeter that rise through the nominal ones."""
+    """Return readings (count,) of thermometer and voltmeter for test vectors, rising in equal steps.
+
+    The middle reading is 25 °C and 5 V. `degrees` and `volts` are the steps, in LSB of the sensor; the
+    readings are integers in 1/256 LSB.
+    """
     rise = fixed_point.PARTS * (np.arange(count) - count // 2)
     zeros = [polynomial.inputs[name].zero for name in ("t", "v")]
     return zeros[0] + degrees * rise, zeros[1] + volts * rise

@@ -186,16 +186,16 @@ def _error_figures(
 
 
 def _key(values: Mapping[str, Value]) -> list[KeyFigure]:
-    """Return ΔK, Δφ and the error of the angle for large numerals; an empty list for attitudes in space."""
+    """Return ΔK, Δφ and the error of the angle as key figures; an empty list for attitudes in space."""
     wanted = [name for name in (*_ORDER, "angle") if name in values]
     return [_large(name, values[name]) for name in wanted if len(wanted) > 1]
 
 
 def _large(name: str, value: Value) -> KeyFigure:
-    """Format a value with U as a result in large numerals.
+    """Make a key figure (a result in large numerals) of a value with its expanded uncertainty U.
 
-    For the error of the angle, U belongs to a displayed angle and is shown separately. `name` is the name
-    of the quantity.
+    `name` is the name of the quantity. If this is the error of the angle, U is the uncertainty of a
+    displayed angle and not of the error, and is shown in the small print.
     """
     if value.k is None:
         return KeyFigure(NAMES[name], with_unit(format_number(value.value, 4), value.unit), UNKNOWN)
@@ -212,7 +212,7 @@ _ANGLES = ("position", "declared", "by gravity", "by the gyro", "found", "how su
 
 
 def positions_section(findings: Sequence[PositionFinding]) -> list[Section]:
-    """Return a list with the section on wrong positions and their angles; an empty list without any."""
+    """Return a list with the section on wrong positions and their angles; empty if `findings` is empty."""
     if not findings:
         return []
     rows = [
@@ -263,7 +263,7 @@ def budget_section(answer: Answer) -> Section:
 
 
 def scores_section(answer: Answer) -> Section:
-    """Return the section that compares the errors of all methods on equal readings."""
+    """Return the section that compares the errors of all methods, each computed on the same readings."""
     head, rows = answer.score_rows()
     table = Table(head, rows, numeric=tuple(range(1, len(head))), strong=(0,))
     return Section("Methods on the same readings", words=[answer.scored_on], tables=[table] if rows else [])
@@ -469,7 +469,10 @@ def residual_section(views: Views) -> Section:
 
 
 def what_if_section(traced: TraceResult) -> list[Section]:
-    """Return a list with the section that compares the user's model with the best; empty without such."""
+    """Return a list with the section that compares the user's model with the best model.
+
+    The list is empty if the user gave no model.
+    """
     if traced.what_if is None:
         return []
     head, rows = words.compared(traced.what_if)
@@ -485,7 +488,10 @@ def what_if_section(traced: TraceResult) -> list[Section]:
 
 
 def further_terms_section(session: Session, traced: TraceResult) -> Section:
-    """Return the section on what each further term of the model buys: a sentence, a table, two figures."""
+    """Return the section on the gain by each further term of the model: evidence and held-out error.
+
+    It has a sentence, a table and two figures.
+    """
     if traced.fold is None:
         return Section("What each further term buys")
     bought = bought_by_terms(traced.by_terms, traced.fold, readings_of(session).checking)

@@ -377,7 +377,11 @@ def _real(parent: ET.Element, one: Coefficient) -> None:
 
 
 def _turn(parent: ET.Element, calibration: Calibration) -> None:
-    """Add the standard uncertainty that the calibration adds to angles in the plane of x and y."""
+    """Add a result to `parent`: the expanded uncertainty of the calibrated angle, around the turn.
+
+    The angle is the angle of gravity in the plane of x and y. Nothing is added if the calibration has no
+    covariance.
+    """
     if calibration.covariance is None:
         return
     u_deg = calibration.error_curves(stage=False)[1].u_deg[:: CURVE_PLACES // len(_TURN_DEG)]

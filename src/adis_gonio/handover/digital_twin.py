@@ -69,9 +69,10 @@ def noise_of(session: Session, unit: Unit) -> SamplesNoise:
     """Return settings of the simulated chip that imitate the noise of a session's samples.
 
     The white noise before the filter has the spectral density of the samples at frequency zero, which the
-    filter does not change and which determines the readings. An archive states the settings of the chip.
-    For a CSV the rate is the nearest one of the chip, and the filter is the one with the variance nearest
-    to the variance of the samples. `unit` is the unit of the samples.
+    filter does not change and which determines the readings. An archive states the settings of the chip. A
+    CSV does not; then the sample rate of the chip that is nearest to the rate of the samples is used, and
+    the filter that gives the white noise a variance nearest to the variance of the samples. `unit` is the
+    unit of the samples.
     """
     dwells = [dwell for dwell in session.dwells if len(dwell) > 8]
     if not dwells:
@@ -406,16 +407,19 @@ def _attitude(fit: Fit, k: int) -> list[float]:
 
 @dataclass(frozen=True)
 class TwinComparison:
-    """Comparison of a measured session with its digital twin; each pair is of the session and the twin.
+    """Comparison of a measured session with its digital twin, a simulated session.
+
+    A pair has the values of the measured session first, then the values of the twin.
 
     Attributes
     ----------
     residual : pair of (r,) float
-        Whitened residuals of the readings under one model, in their standard uncertainty.
+        Residuals of all readings after a fit of the same model, whitened and so in standard uncertainties.
     p_residual : float
-        p-value of the Kolmogorov-Smirnov test that the residuals of both have equal distributions.
+        p-value of the Kolmogorov-Smirnov test that the residuals of session and twin have equal
+        distributions.
     p_variance : float
-        p-value of the two-sided F test that χ² per degree of freedom is equal for both.
+        p-value of the two-sided F test that χ² per degree of freedom is equal for session and twin.
     tau_s : (t,) float
         Averaging times of the Allan deviations.
     allan_mg : pair of (t, axes) float
@@ -479,11 +483,11 @@ def _residual(fitted: Fit) -> Floats:
 
 
 def _p_same(ours: Floats, theirs: Floats) -> float:
-    """Return the exact p-value of the two-sided Kolmogorov-Smirnov test that two samples are alike.
+    """Return the exact p-value of the two-sided Kolmogorov-Smirnov test that two distributions are equal.
 
-    It counts the orders of the joined samples in which the distribution functions stay closer than in the
-    data (Kim and Jennrich, in Selected Tables in Mathematical Statistics 1, 1973). `ours` and `theirs` are
-    these samples.
+    `ours` and `theirs` are samples of the two distributions. The function counts the orders of the joined
+    samples in which the empirical distribution functions stay closer than in the data (Kim and Jennrich, in
+    Selected Tables in Mathematical Statistics 1, 1973).
     """
     m, n = len(ours), len(theirs)
     joined = np.concatenate([ours, theirs])
@@ -510,7 +514,10 @@ def _p_variance(ours: Fit, theirs: Fit) -> float:
 
 
 def _allan(session: Session, data: Readings) -> tuple[Floats, Floats]:
-    """Return averaging times in s, one per octave, and the overlapping Allan deviations of all dwells."""
+    """Return averaging times (t,) in s, one per octave, and overlapping Allan deviations (t, axes) in mg.
+
+    The deviations are computed from the samples of all dwells together.
+    """
     times, deviation = overlapping([data.unit.mg(dwell.accel) for dwell in session.dwells if len(dwell)])
     return period_of(session.dwells) * np.array(times, dtype=float), deviation
 

@@ -3,19 +3,22 @@
 The polynomial of a calibration is the form in which a firmware corrects readings.
 
 A scan consists of integers in 1/256 of a step (an LSB of the sensor), so that a mean of many scans keeps
-its digits. In units of the standard g::
+its digits. A reading of axis i is corrected in three steps, in units of the standard g::
 
     free_i  = (scan_i − bias_i) · step_i                     bias in steps
     a_i     = free_i − Σ coefficient · product of factors     solved in a fixed number of passes
     gravity = M a                                             in units of local gravity
 
-Factors are readings a (|a| ≤ 2), their moduli, t = (T − 25 °C)/128 and v = (V − 5 V)/8 (both within ±1).
+The sum contains one term for each parameter of an effect. The factors of a term are ideal readings a (|a| ≤
+2), their moduli, the temperature t = (T − 25 °C)/128 and the supply v = (V − 5 V)/8, both within ±1. The
+matrix M removes gains and misalignments.
 
-The arithmetic of the C header in Python: the fixed point is bit-equal to the compiled header.
+This module repeats in Python the fixed-point arithmetic of the C header; its results are equal to the last
+bit.
 
 Readings in g are integers in Q29 (2⁻²⁹ g, ±4 g in 32 bits). Products are formed in 64 bits and rounded to
-the nearest. Every coefficient has the format that uses its 30 bits (`Scaled`). With readings within ±2 g
-a product of three is at most 2³², times a coefficient below 2³⁰: 2⁶² at most.
+the nearest. Every coefficient is an integer of 30 bits and a shift (`Scaled`). A product of three readings
+within ±2 g is at most 2³² after rounding, so that its product with a coefficient is at most 2⁶².
 
 The angle is found by a CORDIC of 28 steps on a vector scaled to 2²⁸ … 2²⁹. Its error is at most 7 µ°: 28
 truncations of one unit (3.6), truncations of x and the table (1.5), the remainder of the last step (0.5),
@@ -89,15 +92,15 @@ class Monomial:
 
     @property
     def of_reading(self) -> bool:
-        """True if the term depends on readings of its own sensors, and not on inputs alone."""
+        """True if the term depends on the readings to be corrected, and not only on inputs (`Input`)."""
         return any(factor.strip("|") in AXES for factor in self.factors)
 
 
 @dataclass(frozen=True)
 class Input:
-    """Conversion of a number of a scan to a factor of the polynomial: (number − zero) · step.
+    """Conversion of an auxiliary reading, such as the temperature, to a factor: (number − zero) · step.
 
-    The number is a reading in 1/256 of its step; the factor is kept within ± `limit`.
+    The number is the reading in 1/256 LSB. The factor is clipped to ± `limit`.
     """
 
     zero: int
@@ -112,7 +115,7 @@ class Polynomial:
     Attributes
     ----------
     words : bool
-        True if a step of the readings is an LSB of the sensor.
+        True if a step of the readings is an LSB of the sensor; False if the sensor's LSB is unknown.
     q : int
         Binary digits behind the point of a reading in fixed point.
     limit : float
@@ -122,7 +125,8 @@ class Polynomial:
     monomials : tuple of Monomial
         Terms of all effects, with coefficients in g or °/s.
     matrix : (axes, axes) float
-        Conversion of free readings to units of local gravity (lower triangular) or to rates of turn.
+        Matrix that converts the readings, free of bias and effects, to units of local gravity (lower
+        triangular) or to rates of turn in °/s.
     inputs : mapping of str to Input
         Conversions of temperature `t`, supply `v`, and for gyros of the forces `fx`, `fy`, `fz` in g.
     passes : int
@@ -366,9 +370,9 @@ class FixedPoint:
     bias : tuple of int
         Bias of each axis in fixed point; more than 32 bits if the zero of a sensor with counts is far away.
     terms : tuple of FixedTerm
-        Terms of all effects, with coefficients such that their sum is in fixed point.
+        Terms of all effects; their values have the fixed point of the readings and can be added.
     matrix : tuple of tuple of Scaled
-        Rows of the conversion of free readings.
+        Rows of `Polynomial.matrix`.
     inputs : mapping of str to Scaled
         Steps of the inputs of the polynomial.
     warm : tuple of int
@@ -404,7 +408,7 @@ class FixedPoint:
 
     @property
     def limit(self) -> int:
-        """Largest magnitude of a reading."""
+        """Largest magnitude of a reading in fixed point (`Polynomial.q` binary digits behind the point)."""
         return int(self.polynomial.limit * (1 << self.polynomial.q))
 
     def correct(
@@ -451,14 +455,20 @@ class FixedPoint:
         return np.stack([_row(row, list(ideal.T)) for row in self.matrix], axis=1)
 
     def _factor(self, name: str, given: Whole | None, n: int) -> Whole:
-        """Return an input (n,) of the polynomial in 2⁻²⁹ of its unit; without a number its zero."""
+        """Return an input (n,) of the polynomial in 2⁻²⁹ of its unit; 0 if `given` is None.
+
+        `name` is the name of the input; `given` (n,) are its readings in 1/256 LSB.
+        """
         own, step = self.polynomial.inputs[name], self.inputs[name]
         numbers = np.full(n, own.zero) if given is None else np.asarray(given, dtype=np.int64)
         scaled = _shifted((numbers - own.zero) * step.number, step.shift - Q)
         return _clamped(scaled, int(own.limit * ONE))
 
     def _sum(self, factors: dict[str, Whole], like: Whole, *, of_reading: bool) -> Whole:
-        """Return the sum (n, axes) of the terms that depend on readings, or of the other terms."""
+        """Return the sum (n, axes) of the terms that depend on readings (`of_reading`), or of the others.
+
+        `factors` are the values of all factors by name; `like` is an array with the shape of the sum.
+        """
         total = np.zeros_like(like)
         for term in self.terms:
             if term.monomial.of_reading == of_reading:
@@ -487,7 +497,12 @@ class FixedPoint:
         temperature: Whole | None = None,
         supply: Whole | None = None,
     ) -> Whole:
-        """Return the corrected rates (n, 3) of gyros in 1e-6 °/s; the arguments are those of `correct`."""
+        """Return the corrected rates (n, 3) of gyros in 1e-6 °/s.
+
+        `rates` (n, 3) are the readings of the gyros in 1/256 of 0.018315 °/s. `scan` (n, 3) are the
+        readings of the accelerometers, `temperature` and `supply` the readings of thermometer and
+        voltmeter, in 1/256 LSB.
+        """
         turned = _clamped(self.correct(rates, temperature, supply, scan), MOST_RATE)
         # 15625 / 2¹⁴ = 1e6 / 2²⁰
         return _shifted(turned * 15625, RATE_Q - 6)

@@ -130,7 +130,8 @@ def _scores(result: GyroFit) -> list[Table]:
 def _offsets(session: Session) -> list[Table]:
     """Return a list with the table of the gyro offset registers; empty if they are unknown.
 
-    The table has the numbers while recorded, and the numbers that remove the zero rates.
+    The table has the numbers in the registers during the session, the numbers that would remove the zero
+    rates, and the zero rates that remain because the numbers are integers.
     """
     if session.sensor not in VARIANTS:
         return []
@@ -194,7 +195,7 @@ def allan_page(result: AllanResult) -> str:
 
 
 def noise_section(session: Session) -> Section | None:
-    """Return the section on the gyros' noise; None without gyros, or if no rest is long enough."""
+    """Return the section on the gyros' noise; None without gyros, or if `shows_slow_noise` is False."""
     try:
         result = fit_allan(session)
     except DataError:
@@ -203,7 +204,10 @@ def noise_section(session: Session) -> Section | None:
 
 
 def shows_slow_noise(result: AllanResult) -> bool:
-    """Return True if the recordings at rest show slow noise, or are long enough to show it."""
+    """Return True if the recordings at rest show slow noise, or the longest has at least `LONG_S` seconds.
+
+    Slow noise is 1/f noise or a random walk of any axis.
+    """
     shown = any(axis[kind].present for axis in result.axes for kind in _SLOW)
     return shown or result.longest_s >= LONG_S
 

@@ -383,8 +383,9 @@ def propagated_errors(
     """Return the errors of ΔK and of Δφ (rad), each by the paper's method and by MMPM.
 
     They follow by linear propagation from the standard deviations of a declared angle (`fixture_deg`), of
-    the bias of an axis (`bias_mg`) and of a reading (`noise_mg`). The error of a declared angle enters ΔK
-    of two positions by √2 tan α, and Δφ by √2; it enters both by √(2/9) in MMPM.
+    the bias of an axis (`bias_mg`) and of a reading (`noise_mg`). In the paper's method, from two
+    positions, the error of a declared angle contributes to ΔK with the factor √2 tan α (α is the start
+    angle) and to Δφ with the factor √2. In MMPM, from nine positions, both factors are √(2/9).
     """
     true = true_values("x")
     gain = 1 + (true["scale_error_x"] + true["scale_error_y"]) / 2
@@ -398,10 +399,10 @@ def propagated_errors(
 
 
 def crossing_deg(bias_mg: float, noise_mg: float) -> float:
-    """Return the standard deviation of a declared angle above which the paper's method is better.
+    """Return the error of a declared angle above which the paper's method is better than MMPM.
 
-    It is in degrees; better is the method (the paper's or MMPM) with the smaller error of ΔK. `bias_mg` and
-    `noise_mg` are the standard deviations of a bias and of a reading.
+    The result is a standard deviation in degrees. The better method has the smaller error of ΔK. `bias_mg`
+    and `noise_mg` are the standard deviations of a bias and of a reading.
     """
     two, nine = propagated_errors(0.0, bias_mg, noise_mg)["delta_k"]
     return math.degrees(math.sqrt((two**2 - nine**2) / (2 / 9 - 2 * _MEAN_SQUARE_TANGENT)))

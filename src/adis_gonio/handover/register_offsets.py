@@ -50,9 +50,9 @@ class OffsetWord(JsonRecord):
     ) -> OffsetWord:
         """Return the number for one offset register that removes a bias.
 
-        The register belongs to axis number `k`; `offsets` are their numbers during the session, None if
-        unknown. `lsb` is the step of the register in `unit`. `name` is the register, `bias` the bias or
-        zero rate, `unit` its unit.
+        `name` is the register, of axis number `k`. `bias` is the bias or zero rate of this axis in `unit`,
+        and `lsb` is the step of the register in `unit`. `offsets` are the numbers in the registers of all
+        axes during the session, None if unknown.
 
         Raises
         ------

@@ -71,16 +71,18 @@ class LiveAngle:
     smoothed: Smoothed | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the reading as one flat JSON object, with nulls for the missing entries of `smoothed`."""
+        """Return the reading as one flat JSON object; the entries of `smoothed` are null if it is None."""
         document = asdict(self)
         smoothed = document.pop("smoothed") or dict.fromkeys(Smoothed.__dataclass_fields__)
         return document | smoothed | {"notes": list(smoothed["notes"] or ())}
 
 
 def raw_angle_deg(accel_mg: Floats) -> Floats:
-    """Return the angles (n,) within ±180° of readings (n, 2 or more) in any unit; 0 if X reads +1 g.
+    """Return the angles (n,) in degrees, within ±180°, that uncorrected readings (n, 2 or more) show.
 
-    From U_x = G cos(−θ), U_y = G sin(−θ): the convention of `model.measurement` with α = 0.
+    The readings may have any unit. The angle θ is 0 if X reads +1 g, and follows from U_x = G cos(−θ) and
+    U_y = G sin(−θ), with readings U and gravity G: the convention of `model.measurement` for a start angle
+    of 0.
     """
     return np.asarray(np.degrees(np.arctan2(-accel_mg[..., 1], accel_mg[..., 0])))
 
@@ -93,8 +95,8 @@ class AngleMeter:
     measuring : Measuring
         Settings of the sensor.
     noise_mg, step_mg : float
-        Noise of a sample at rest, and step of the analogue-to-digital converter; a larger variation is
-        motion.
+        Standard deviation of a sample at rest, and step of the analogue-to-digital converter. They limit
+        the variation that counts as rest.
     calibration : Calibration or None
         Calibration for the sensor's present offsets (`calibration_for`); None for the raw angle only.
     every_s : float
@@ -258,9 +260,9 @@ def open_live(
     data_ready: bool | None = None,
     gyros: bool = True,
 ) -> Iterator[LiveSource]:
-    """Open a sensor and start sampling, with two blocks in each span; its settings are not changed.
+    """Open a sensor and start sampling; the settings of the sensor are not changed.
 
-    A span is the time that one reading of the angle averages.
+    A block of samples is half as long as the span that one reading of the angle averages.
 
     Parameters
     ----------

@@ -6,12 +6,12 @@ so that motion does not blur their mean. The chip's filter delays gyros and acce
 integral of filtered rates is the filtered angle, and both belong to a time before the sample by the delay
 of the filter.
 
-The turn of the sensor in the plane as a linear model: state, unknown errors, disturbance of gravity.
+**State.** The turn of the sensor in the plane is a linear model with the following state.
 
-The state has the angle (deg), the zero rate of the gyro (°/s), the relative error of its gain, its
-sensitivity to acceleration along X and Y (°/s/g), the distance of the sensor from the stage's axis (mm, X
-and Y), the disturbance of the reading perpendicular to gravity (mg, in this time step and the one before:
-an autoregressive process of second order), and the fast octaves of the accelerometers' 1/f noise in this
+It has the angle (deg), the zero rate of the gyro (°/s), the relative error of its gain, its sensitivity to
+acceleration along X and Y (°/s/g), the distance of the sensor from the stage's axis (mm, X and Y), the
+disturbance of the reading perpendicular to gravity (mg, in this time step and the one before: an
+autoregressive process of second order), and the fast octaves of the accelerometers' 1/f noise in this
 direction (mg).
 
 The gyro is a known input except for its errors. These enter with measured factors, so the model stays
@@ -19,20 +19,22 @@ linear. The error of the gain is a random walk in the angle, because imperfectly
 distort the scale of the angle differently at each angle.
 
 **Disturbance.** With gravity alone, the accelerometers turned back by the gyros would be constant. Their
-changes within the last second, both components together, are the disturbance: the sensor's white noise,
-an autoregressive process of second order (tremor at 8 to 12 Hz, a table that rings, or slow motion) and
-shocks. Its autocovariances give the process (Yule and Walker).
+changes within the last second, both components together, are the disturbance: the sensor's white noise, an
+autoregressive process of second order (tremor at 8 to 12 Hz, a table that rings, or slow motion) and
+shocks. The coefficients of the autoregressive process follow from the autocovariances (Yule-Walker
+equations).
 
 **1/f noise of the accelerometers.** Each octave has half the square of the Allan floor. The fastest octaves
 change while the filter averages. They are states, so that they are averaged correctly and their remainder
 is in u. One state has two octaves: processes with corners a factor of four apart add up to 1/f within a
 few per cent. Slower octaves are constant over a few seconds and are added to u.
 
-**Filter and smoother.** One scalar observation a step:
+**Filter and smoother.** Each step k has one scalar observation y, the angle of gravity:
 
     x(k) = F x(k−1) + s + w,  w ~ N(0, Q);    y(k) = h·x(k) + v,  v ~ N(0, r)
 
-The pass back over the lag follows Rauch, Tung and Striebel in the form of Bierman ("Fixed interval
+x is the state, F its transition, s the known change, w and v are random. The smoother passes back over the
+steps within its lag. This pass follows Rauch, Tung and Striebel in the form of Bierman ("Fixed interval
 smoothing with discrete measurements", 1973). It carries the information of later observations as an adjoint
 vector and matrix, and needs no inverse, so constant parts of the state, or parts without variance, are no
 special case.
@@ -247,9 +249,10 @@ class Stepper:
     def feed(
         self, time_s: Floats, accel_mg: Floats, gyro_dps: Floats, temperature_c: Floats | None = None
     ) -> list[Increment]:
-        """Add n samples (times, accelerations, rates, temperatures); return the completed time steps.
+        """Add n samples; return the time steps that they complete.
 
-        The shapes are (n,), (n, 3), (n, 3) and (n,); the temperatures may be None.
+        Times and temperatures have the shape (n,), accelerations and rates the shape (n, 3). The
+        temperatures are None if not measured.
         """
         warm = np.full(len(time_s), np.nan) if temperature_c is None else temperature_c
         # Columns: time, three accelerations, three rates, temperature.
@@ -307,11 +310,10 @@ class Stepper:
     def _miss(self, lengths_s: Floats) -> None:
         """Add the variance of turns that the samples miss between them, and record the longest gap.
 
-        `lengths_s` are the intervals L between samples in s, q is the variance of the rate's random walk
-        per s.
+        `lengths_s` are the intervals L between samples, in s.
 
-        Between two samples the rate is a random walk with known ends (a Brownian bridge); its integral has
-        the variance q L³/12.
+        Between two samples the rate is a random walk with known ends (a Brownian bridge), whose variance
+        grows by q per s. Its integral, the turn, then has the variance q L³/12.
         """
         hand = np.where(lengths_s > BEGIN_S, max(self._walk, HAND_DPS_PER_RT_S**2), self._walk)
         self._unseen += float((hand * lengths_s**3).sum()) / 12
@@ -447,24 +449,27 @@ _EACH = 2
 
 
 def slow_drift_mg(floor_mg: float) -> float:
-    """Return the standard deviation in mg, on an axis, of the 1/f noise that the filter does not model.
+    """Return the standard deviation in mg, on an axis, of the 1/f noise that the state does not contain.
 
-    This is the noise in the octaves slower than those in the state. `floor_mg` is the smallest Allan
-    deviation of the axis.
+    It is the noise in the slow octaves; the state of the Kalman filter has the fast octaves. `floor_mg` is
+    the smallest Allan deviation of the axis.
     """
     return floor_mg * math.sqrt((OCTAVES - _EACH * DRIFT_STATES) / 2)
 
 
 def drift_process_mg2(floor_mg: float) -> float:
-    """Return the variance in mg² of each 1/f process; `floor_mg` is the smallest Allan deviation."""
+    """Return the variance in mg² of each state of 1/f noise, which represents two octaves.
+
+    `floor_mg` is the smallest Allan deviation of an axis.
+    """
     return floor_mg**2 * _EACH / 2
 
 
 def drift_memory(length_s: float, turn_deg: float) -> Floats:
-    """Return the factors (DRIFT_STATES,) by which the 1/f processes decay in a time and a turn.
+    """Return the factors (DRIFT_STATES,) by which the states of 1/f noise decay in a time and a turn.
 
-    `length_s` is the time, `turn_deg` the turn. A turn also reduces the correlation: the noise belongs to
-    the sensor's axes, and after a turn another axis is perpendicular to gravity.
+    `length_s` is the time in s, `turn_deg` the turn in degrees. A turn also reduces the correlation: the
+    noise belongs to the sensor's axes, and after a turn another axis is perpendicular to gravity.
     """
     return np.asarray(np.exp(-2 * np.pi * CORNERS_HZ * length_s) * math.cos(math.radians(turn_deg)))
 
@@ -575,8 +580,8 @@ SIZE = 9 + DRIFT_STATES
 LEVER_MM = 50.0
 """Standard deviation, in mm, of each component of the sensor's distance from the stage's axis (D)."""
 BEND = 0.012
-"""Standard deviation of the relative error in the slope of the angle by gravity against the true angle, for
-uncalibrated accelerometers: bias 10 mg, gains ±2 %, Δφ ±0.25° (ADIS16350 data sheet, B and D)."""
+"""Standard deviation of the relative error in the slope of the angle that gravity shows, for uncalibrated
+accelerometers: bias 10 mg, gains ±2 %, Δφ ±0.25° (ADIS16350 data sheet, B and D)."""
 OPEN_DEG = 90.0
 """Standard deviation, in degrees, of an angle about which nothing is known."""
 LEAST_MG = 50.0
@@ -626,7 +631,10 @@ class Turned:
 
     @property
     def lever_mg(self) -> tuple[complex, complex]:
-        """Change of gravity in mg by 1 mm of distance from the stage's axis, along X and along Y."""
+        """Acceleration in mg that 1 mm of distance from the stage's axis adds, along X and along Y.
+
+        It is caused by the rotation, and is complex like `gravity`.
+        """
         spin = math.radians(self.rate_dps)
         square = spin * spin * _MG_PER_MM
         change = self.spin_rad_s2 * _MG_PER_MM
@@ -643,8 +651,8 @@ class MotionModel:
     gyros : GyroKnowledge
         Standard uncertainties of the gyro.
     bend : float
-        Standard deviation of the relative error in the slope of the angle by gravity against the true
-        angle; the error varies with the angle.
+        Standard deviation of the relative error in the slope of the angle that gravity shows, as a function
+        of the true angle. Errors of the accelerometers cause it, and it varies with the angle.
     """
 
     def __init__(self, sensing: Sensing, gyros: GyroKnowledge, bend: float = BEND) -> None:
@@ -656,7 +664,7 @@ class MotionModel:
     def begin(self, angle_deg: float) -> StateEstimate:
         """Return the state before the first step, with the uncertainty of an unknown angle.
 
-        `angle_deg` is its mean angle.
+        `angle_deg` is the angle at which the filter starts.
         """
         gyros = self._gyros
         u = np.array([

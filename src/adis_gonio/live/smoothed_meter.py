@@ -204,8 +204,8 @@ class AngleSmoother:
     corrected : callable, optional
         Function that corrects accelerometer readings; without it they are not corrected.
     bend : float
-        Standard deviation of the relative error in the slope of the angle by gravity against the true
-        angle; the default `motion_model.BEND` is for uncalibrated accelerometers.
+        Standard deviation of the relative error in the slope of the angle that gravity shows, as a function
+        of the true angle; the default `motion_model.BEND` is for uncalibrated accelerometers.
 
     Raises
     ------
@@ -583,8 +583,9 @@ def corrected_angle(
 ) -> tuple[float | None, float | None]:
     """Return the angle of a reading by a calibration, and its standard uncertainty, in degrees.
 
-    The angle is positive for the stage's positive turn. It is None if the reading is far too short or too
-    long; the uncertainty is None also if it is not finite.
+    The angle is positive for the stage's positive turn. Both results are None if the calibration refuses
+    the reading, for example because its length is far from gravity. The uncertainty alone is None if it is
+    not finite.
 
     Parameters
     ----------
@@ -610,9 +611,10 @@ def corrected_angle(
 
 
 def _bend_of(calibration: Calibration) -> float:
-    """Return the standard uncertainty of the slope of the calibrated angle against the true angle.
+    """Return the standard uncertainty of the slope of the calibrated angle as a function of the true angle.
 
-    It is derived from the uncertainty of the angle, without the uncertainty of its zero.
+    The slope is 1 for a perfect calibration. Its uncertainty is derived from the largest uncertainty of the
+    angle over the turn, without the uncertainty of the start angle.
     """
     # Standard uncertainty of the angle at eight angles over a turn.
     psi = np.linspace(0, 2 * np.pi, 8, endpoint=False)

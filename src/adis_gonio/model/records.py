@@ -151,10 +151,13 @@ SERIES = {
 
 
 class SampleSeries:
-    """Base class of records with a field for each of `SERIES`, and the temperatures of the gyros' dies."""
+    """Base class of records of samples: times, readings, temperatures and supply as arrays of equal length.
+
+    A record has a field for each name in `SERIES`, and the field `temperatures_c` of the gyros' dies.
+    """
 
     def series(self, rows: slice | NDArray[np.bool_] = slice(None)) -> dict[str, Any]:
-        """Return some rows of the samples by field, for another record; None for a missing series."""
+        """Return the selected rows of each series of samples by field name; None for a missing series."""
         every = {name: getattr(self, name) for name in (*SERIES, "temperatures_c")}
         return {name: None if values is None else values[rows] for name, values in every.items()}
 

@@ -1,16 +1,16 @@
 """A page of a result: sections, tables and plots in one HTML document that loads nothing.
 
-Plots of lines and points are inline SVG, drawn by matplotlib.
-Every series has its own shape or dash in addition to its colour, so that a page printed in black and white
-is readable. Colours are CSS variables with a fallback: the style sheet of a page adapts them to light and
-dark; a separate SVG uses the fallback on a transparent ground. Text remains text. Equal data give equal
-bytes, independent of the user's matplotlibrc.
+Plots of lines and points are inline SVG, drawn by matplotlib. Every series has its own shape or dash in
+addition to its colour, so that a page printed in black and white is readable. Colours are CSS variables
+with a fallback: the style sheet of a page adapts them to light and dark; a separate SVG uses the fallback
+on a transparent ground. Labels are text in the SVG, not outlines. A plot of the same data has the same
+bytes on every computer, independent of the user's matplotlibrc.
 
 Matplotlib writes a complete file: its ids clash with the ids of the next figure, its style sheet would
 apply to the whole page, its black does not follow a dark page, and every marker repeats its style.
 `inline_svg` makes an element of a page from it.
 
-Matplotlib is the extra `report`, imported when the first plot is drawn.
+Matplotlib is installed with the extra `report`, and is imported when the first plot is drawn.
 """
 
 from __future__ import annotations

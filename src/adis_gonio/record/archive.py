@@ -444,10 +444,10 @@ class ArchiveView(Closing):
     def doubts(self) -> list[JsonDict]:
         """Return the reasons to doubt a result of this session, as mappings with `kind` and `message`.
 
-        A reason is a guard that the operator overruled in a dwell that counts; `attempt` is the number of
-        the dwell. If a place was skipped because it contradicted earlier dwells, and all of these still
-        count, one of them may be wrong: this contradiction is a reason too, with its `place`, and its
-        `attempt` is None.
+        There are two sorts of reason. If the operator overruled a guard (a check at the bench) in a dwell
+        that is used, `attempt` is the number of the dwell. If a place was skipped because its reading
+        contradicted earlier dwells, and all these dwells are used, one of them may be wrong: `place` is
+        then the skipped place, and `attempt` is None.
         """
         dwells = self.dwells()
         counted, places = {attempt.number for attempt in dwells}, {attempt.place for attempt in dwells}
@@ -554,10 +554,10 @@ class ArchiveView(Closing):
         return block
 
     def _line(self, attempt: int) -> list[StoredAttempt]:
-        """Return the last attempt of each run in the chain of runs that leads to an attempt, in order.
+        """Return the attempts at which the runs ended that lead to an attempt, one for each run, in order.
 
-        `attempt` is the number of the attempt. If a run resumed at an earlier attempt, the later attempts
-        of the run before are not included.
+        `attempt` is the number of the attempt, which is the last in the list. Each earlier entry is the
+        attempt after which the next run continued; later attempts of its run do not count.
         """
         continues = {run["run"]: run["continues"] for run in self.runs()}
         of_number = {stored.number: stored for stored in self.attempts()}

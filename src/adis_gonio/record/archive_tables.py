@@ -383,7 +383,7 @@ _SUMMARY = fields(
 
 
 def _summary(value: Any) -> None:
-    """Check the summary of a session in a record of kind `advised`; it may be empty."""
+    """Check the summary of a trace in a record of kind `advised` (an advisor's answer); it may be empty."""
     if value not in (None, {}):
         _SUMMARY(value)
 

@@ -120,7 +120,7 @@ def cut(block: Block, low: int, high: int, *, counted: bool) -> Block:
 
 
 def count_alarms(block: Block) -> int:
-    """Return the number of samples with an error or alarm in bit EA; 0 for a sensor without EA."""
+    """Return the number of samples whose flag EA reports an error or alarm; 0 for a sensor without EA."""
     return 0 if block.alarm is None else int(block.alarm.sum())
 
 
@@ -227,7 +227,7 @@ WITHOUT_NEWS = "they had no new data (ND), so their data-ready edge did not come
 
 
 class Alarms(JsonRecord):
-    """When, how often and how long the bit EA reported an error or alarm during a dwell.
+    """Summary of the errors and alarms during a dwell that the flag EA of the output words reported.
 
     Attributes
     ----------
@@ -255,7 +255,7 @@ class Alarms(JsonRecord):
 
 
 def find_alarms(scans: Block) -> Alarms | None:
-    """Summarize the alarms in the scans of a dwell; None without alarms or if the sensor has no bit EA."""
+    """Summarize the alarms in the scans of a dwell; None without alarms or if the sensor has no flag EA."""
     alarm = scans.alarm
     if alarm is None or not alarm.any():
         return None

@@ -20,7 +20,10 @@ REVERSE = "reverse"
 
 
 def explain_refusal(reason: str) -> str:
-    """Return the reason why a file was refused, with a remark on options that the command lacks."""
+    """Return the reason why a file was refused, for a command without the options that correct a file.
+
+    If the reason recommends such an option, a remark is added that names the commands with this option.
+    """
     if not _OPTIONS.search(reason):
         return reason
     return f"{reason} (an option of fit, trace and report; for this command it has to be in the file)"

@@ -274,7 +274,8 @@ def _sphere(count: int) -> list[tuple[float, float, float]]:
 def _with_checks(fit: list[Position], check: int) -> tuple[Position, ...]:
     """Insert `check` check positions, spread evenly over the gaps between positions of use `fit`.
 
-    Each check position is approached in the direction in which the plan crosses its gap.
+    A check position is approached in the direction in which the stage moves from the position before it to
+    the position after it.
     """
     gaps = [
         k for k, (here, there) in enumerate(itertools.pairwise(fit)) if here.angle_deg != there.angle_deg
@@ -316,12 +317,13 @@ class Blindness:
 def blindness(plan: Plan, bias_mg: float, gravity_mg: float = 1000.0) -> Blindness | None:
     """Return the uncertainty of ΔK and Δφ from a bias that a plan cannot determine.
 
-    None for plans that separate the bias: with three or more different angles, or with free attitudes.
+    Returns None for plans that separate the bias: with three or more different angles, or with free
+    attitudes.
 
-    At two positions, the two readings of X are a vector (U_x1, U_x2). A bias b_x turns this vector by b_x
-    (cos α - sin α)/G and lengthens it by b_x (cos α + sin α)/G; b_y turns and lengthens the vector of Y
-    with the two factors exchanged. For equal, independent biases of standard deviation b the squares add up
-    to 2 whatever α is: u(Δφ) = √2 b/G rad and u(ΔK) = √2 b/G.
+    At two positions, the two readings of X are a vector (U_x1, U_x2). With the start angle α and gravity G,
+    a bias b_x turns this vector by b_x (cos α - sin α)/G and lengthens it by b_x (cos α + sin α)/G; b_y
+    turns and lengthens the vector of Y with the two factors exchanged. For equal, independent biases of
+    standard deviation b the squares add up to 2 whatever α is: u(Δφ) = √2 b/G rad and u(ΔK) = √2 b/G.
 
     Parameters
     ----------
@@ -673,7 +675,7 @@ def turned_deg(before_mg: Floats, now_mg: Floats, sense: int = 1) -> float:
 
 
 def _angle_row(psi: float) -> Floats:
-    """Return the derivatives (6,) of the angle that a reading shows, by the model's parameters.
+    """Return the derivatives (6,) of the angle of a reading with respect to the parameters of the model.
 
     `psi` is the angle atan2(U_y, U_x) of the reading in rad. The parameters are the start angle, gains of X
     and Y, Δφ, and biases of X and Y in units of G.
@@ -683,10 +685,10 @@ def _angle_row(psi: float) -> Floats:
 
 
 def _norm_row(psi: float) -> Floats:
-    """Return the derivatives (6,) of ln |U|, the log length of a reading, by the model's parameters.
+    """Return the derivatives (6,) of ln |U| with respect to the parameters of the model.
 
-    `psi` is the angle atan2(U_y, U_x) of the reading in rad. The parameters are the start angle, gains of X
-    and Y, Δφ, and biases of X and Y in units of G.
+    |U| is the length of the reading (U_x, U_y), and `psi` its angle atan2(U_y, U_x) in rad. The parameters
+    are the start angle, gains of X and Y, Δφ, and biases of X and Y in units of G.
     """
     c, s = math.cos(psi), math.sin(psi)
     return np.array([0.0, c * c, s * s, s * c, c, s])

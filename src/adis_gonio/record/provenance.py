@@ -134,9 +134,9 @@ def _provenance(session: Session) -> Provenance:
 
 
 def changed_registers(session: Session) -> list[str]:
-    """Return messages about registers that changed during the recording, so that biases mix two states.
+    """Return messages about registers that changed during the recording; empty if none changed.
 
-    The list is empty if no register changed.
+    After such a change the fitted biases are a mixture of the biases before and after it.
     """
     doubts = session.facts.get("doubts") or []
     return [str(doubt["message"]) for doubt in doubts if doubt["kind"] == "registers"]

@@ -141,7 +141,11 @@ COLUMNS: dict[str, SamplesColumn] = {
 
 
 def _column_called(alias: str, unit: str) -> str | None:
-    """Return the first column with an alias and a unit, else the first with the alias; None without one."""
+    """Return the name of the column of the format with an alias, if possible one that allows the unit.
+
+    If no column with this alias allows the unit, the first column with the alias is returned; None if there
+    is no such column.
+    """
     names = [name for name, column in COLUMNS.items() if alias in (*column.aliases, name)]
     return next((name for name in names if COLUMNS[name].unit(unit)), names[0] if names else None)
 

@@ -389,9 +389,10 @@ def read_head(path: Path, wanted: Mapping[str, str]) -> Head:
 
 
 def _find_header(path: Path, wanted: Mapping[str, str]) -> tuple[int, str, list[str], Lines, Lines]:
-    """Return line number, delimiter and cells of the header, and the lines above it: comments, others.
+    """Find the header of a file; return its line number, delimiter and cells, and the lines above it.
 
-    The number is 0 and there are no cells if the file has no line.
+    The lines above it are in two lists, comment lines and other lines. The number is 0 and there are no
+    cells if the file has no line.
     """
     separator: str | None = None
     comments: Lines = []
@@ -442,9 +443,9 @@ def _names_samples(cells: list[str], wanted: Mapping[str, str]) -> bool:
 
 
 def _split(line: str, separator: str | None, wanted: Mapping[str, str]) -> tuple[str, list[str]]:
-    """Find the delimiter with which most header cells are known names; return it and the cells.
+    """Split a header by the delimiter that gives the most known names; return the delimiter and the cells.
 
-    `separator` is a delimiter that the file states, which is then used, or None; `wanted` maps a column of
+    `separator` is a delimiter that the file states, which is then used, or None. `wanted` maps a column of
     the format to a column of the header, as the user assigned them.
     """
     if separator is not None:
@@ -671,7 +672,10 @@ def _shown(cells: Sequence[str]) -> str:
 
 
 def _likely_column(name: str, spare: Sequence[str]) -> str:
-    """Return the column among the unknown ones (`spare`) that may be `name`; "…" if none is likely."""
+    """Return the cell of the header that the user may have meant for the column `name` of the format.
+
+    `spare` are the cells that no column uses. The result is "…" if none of them is likely.
+    """
     for cell in spare:
         text = split_unit(cell)[0].lower()
         if text.endswith(name[1]) if name in AXES else text.startswith(("t", "z")):

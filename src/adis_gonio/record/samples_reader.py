@@ -112,7 +112,7 @@ class SamplesTable:
         return self.dialect.number(text) * multiply / divide + add
 
     def texts(self, name: str, rows: slice) -> Iterator[tuple[int, str]]:
-        """Yield the successive texts in a column, within some rows, each with the first row of its run.
+        """Yield each run of equal texts in a column, within some rows, as its first row and its text.
 
         The column is one with a value for each dwell, such as the position.
         """

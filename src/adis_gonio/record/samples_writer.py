@@ -112,7 +112,7 @@ def _rows(names: list[str], columns: Mapping[str, NDArray[Any]]) -> Iterator[tup
 
 
 def _between(before: Dwell, turn: Turn, after: Dwell) -> Dwell:
-    """Return the samples of a turn between two dwells in time, as a dwell without a declared angle."""
+    """Return the samples of a turn that lie between two dwells, as a dwell without a declared angle."""
     inside = (turn.time_s > before.time_s[-1]) & (turn.time_s < after.time_s[0])
     return Dwell(0, **turn.series(inside))
 

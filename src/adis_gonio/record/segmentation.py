@@ -8,8 +8,8 @@ Gyros detect a slow turn that the accelerations do not show, but a sensor held b
 noise without harm. The limit of a gyro's standard deviation is therefore ten times its median in windows in
 which the accelerations are still.
 
-Every run of still windows is trimmed at both ends, which the hand may disturb, and kept if it is long. A
-run is split at steps of its mean (a slip, or a slow turn).
+Every run of still windows is trimmed by `TRIM_S` at both ends, which the hand may disturb, and kept if it
+lasts at least `LEAST_S`. A run is split at steps of its mean (a slip, or a slow turn).
 
 The recording is read several times from its beginning, a block at a time: its extent, its noise, the gyros'
 noise, its still windows, its steps. Memory is needed for one block and the results only.
@@ -229,10 +229,10 @@ class Quantiles:
 
 
 def _own_noise(spread: Quantiles) -> float:
-    """Return the noise of an axis at rest: median of the standard deviations in its quiet windows.
+    """Return the noise of an axis at rest, from the standard deviations of all windows (`spread`).
 
-    `spread` has the standard deviations of all windows. The noise is zero if many windows are constant,
-    because the converter is too coarse.
+    It is the median over quiet windows: those with less than twice the 5 % quantile. It is 0 if more than a
+    quarter of the windows is constant (`_OFTEN`), because the converter is then coarser than the noise.
     """
     if spread.share_of_zeros() > _OFTEN:
         return 0.0
@@ -342,7 +342,7 @@ class _Windows:
         return still.found(), flat.found()
 
     def _turn(self, limits: StillnessLimits) -> list[float]:
-        """Return the standard deviation of each gyro above which it turns."""
+        """Return for each gyro the standard deviation in a window above which the sensor turns."""
         assert self.gyro is not None
         usual = [Quantiles() for _ in self.gyro.low]
         for _, piece in _blocks(self.read, self.window - 1):
@@ -354,7 +354,10 @@ class _Windows:
         return [max(pair) for pair in zip(median, coarse.tolist(), strict=True)]
 
     def _judged(self, piece: Piece, limits: StillnessLimits) -> tuple[Flags, Flags]:
-        """Return two flags for each window: some axis moves, and some axis shows too little noise."""
+        """Return two flags for each window of a piece: an axis moves, and an axis shows too little noise.
+
+        Only accelerations are judged, by their standard deviation in the window.
+        """
         high, low = np.zeros((2, len(piece) - self.window + 1), dtype=np.bool_)
         for deviation, least, most in zip(self._accel(piece), limits.lower, limits.upper, strict=True):
             high |= deviation > most
@@ -391,9 +394,10 @@ class _Runs:
 
 
 def _steps(read: Reading, window: int, unit: Floats, runs: Runs) -> tuple[NDArray[np.int64], Floats]:
-    """Return the rows at which the mean changes suddenly between adjacent windows, and the changes.
+    """Return the rows at which the mean changes between adjacent windows, and the size of each change.
 
-    `unit` (axes,) is the noise, in which changes are counted; `runs` are the rows to search.
+    A change is the largest over the axes, in units of the noise `unit` (axes,), and counts if it is above
+    `UPPER`. `runs` are the rows to search.
     """
     found = [(np.zeros(0, dtype=np.int64), np.zeros(0))]
     for row, piece in _blocks(read, 2 * window - 1) if runs else ():
@@ -414,7 +418,10 @@ def _steps(read: Reading, window: int, unit: Floats, runs: Runs) -> tuple[NDArra
 
 
 def _cuts(rows: NDArray[np.int64], jump: Floats, window: int) -> list[int]:
-    """Return the rows at which a dwell is split: large changes of the mean, at least a window apart."""
+    """Return the rows at which a dwell is split, from rows with changes of the mean (`jump`).
+
+    The largest change is taken first; further cuts are at least a window away from it.
+    """
     cuts = []
     while rows.size:
         k = int(rows[jump.argmax()])

@@ -146,7 +146,11 @@ class _Windows:
 
 
 class NoiseMeter:
-    """Measures the noise of samples at rest; it waits until eight consecutive windows agree.
+    """Measures the noise of samples at rest from eight consecutive windows in which the sensor was still.
+
+    The noise is the median of the standard deviations in these windows. The sensor counts as still if none
+    of them is more than 1.6 times the median, and if the means of the windows differ by at most twice the
+    median.
 
     Parameters
     ----------
@@ -223,9 +227,9 @@ class StillnessWatch:
         return self._windows.fed
 
     def anchor(self, sample: int | None) -> None:
-        """Set the sample number at which a dwell begins; later windows are compared with its first one.
+        """Set the number of the sample at which a dwell begins; None if there is no dwell.
 
-        None ends the comparison.
+        The means of later windows are compared with the first window of the dwell.
         """
         self._anchor_from, self._anchor = sample, None
 

@@ -340,9 +340,10 @@ def _words(registers: str, flashed: str, axes: Mapping[str, RegisterState], last
 
 
 def _flash(registers: str, flash: dict[str, int] | None, last: Operation) -> str:
-    """Return the clause of a message that describes if the offsets in the registers are in flash.
+    """Return the clause of a message that states whether the offsets in the registers are also in flash.
 
-    `registers` is "old" or "new" (or another state), `flash` the contents of the flash, None if unknown.
+    `registers` is "old" or "new" (or another state), `flash` the contents of the flash by name (None if
+    unknown), and `last` the last operation.
     """
     held, other = (last.new, last.old) if registers == "new" else (last.old, last.new)
     if flash is None:

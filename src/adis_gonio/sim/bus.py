@@ -264,18 +264,18 @@ class SimStage:
             self._bus._set_now(self.begin_move(angle_deg, approach))
 
     def orient(self, vector: Sequence[float] | Floats) -> None:
-        """Turn the sensor until an ideal sensor reads along a vector (3,).
+        """Turn the sensor to the attitude in which an ideal sensor reads along `vector` (3,).
 
-        Level with Z up is (0, 0, -1).
+        With the sensor level and its Z up, an ideal sensor reads (0, 0, -1).
         """
         with self._bus._lock:
             self._bus._set_now(self.begin_orient(vector))
 
     def turn_about(self, angle_deg: float, axis: Sequence[float] | Floats | None = None) -> None:
-        """Turn the sensor by an angle in degrees about an axis (3,) in the sensor; None is the vertical.
+        """Turn the sensor by an angle in degrees about an axis.
 
-        Positive angles are right-handed about the axis; about the vertical they are counter-clockwise from
-        above.
+        `axis` (3,) is a direction in the sensor's frame; None means the vertical. A positive angle is
+        right-handed about the axis; about the vertical it is counter-clockwise, seen from above.
         """
         with self._bus._lock:
             about = None if axis is None else np.asarray(axis, np.float64)

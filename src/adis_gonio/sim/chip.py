@@ -7,6 +7,8 @@ levels of its DIO lines follow the order of precedence data-ready, alarm, genera
 
 Choices for behaviour that is not known
 ---------------------------------------
+The confidence is A to D, as in `docs/glossary.md`: D is an estimate.
+
 | situation | here | confidence |
 |---|---|---|
 | word of a read | taken when chip select rises after the 16th clock | D |
@@ -92,7 +94,7 @@ def dio_levels(memory: Memory, *, pulse: bool, status: int) -> tuple[int | None,
     pulse : bool
         True during the data-ready pulse.
     status : int
-        Content of STATUS; an alarm output follows its alarm bits (D: until STATUS is read).
+        Content of STATUS; an alarm output follows its alarm bits, supposedly until STATUS is read.
     """
     gpio, alarm, misc = memory["GPIO_CTRL"], memory["ALM_CTRL"], memory["MSC_CTRL"]
     result: list[int | None] = [
@@ -107,9 +109,10 @@ def dio_levels(memory: Memory, *, pulse: bool, status: int) -> tuple[int | None,
 
 
 def gpio_word(memory: Memory, external: tuple[int, int]) -> int:
-    """Return GPIO_CTRL as a host reads it: the bit of an input shows the external level of its line.
+    """Return the content of GPIO_CTRL as a host reads it.
 
-    `external` has the levels on DIO1 and DIO2.
+    The bit of a line that is an input shows the external level of the line. `external` has the external
+    levels (0 or 1) of DIO1 and DIO2.
     """
     word = memory["GPIO_CTRL"]
     for k, level in enumerate(external, 1):
@@ -183,13 +186,13 @@ class SimulatedChip:
     endurance : int
         Number of flash updates so far.
     floating_word : int
-        Word that a host reads while nothing drives the data line; 0xFFFF with the usual pull-up (D).
+        Word that a host reads while nothing drives the data line; 0xFFFF if a resistor pulls it up.
     self_test_failures : sequence of str
         Sensor axes that fail the internal self-test: `xaccl`, `zgyro`, …
     data_ready_pulse_s : float
         Width of the data-ready pulse in s.
     update_edge : {"first", "last"}
-        Edge of the data-ready pulse at which the outputs change: the pulse begins then, or ends (C).
+        Edge of the data-ready pulse at which the outputs change: the pulse begins then, or ends.
     status_falls : bool
         True clears the supply and over-range bits of STATUS when their condition ends; False keeps them
         until a read, like the other bits.
@@ -444,10 +447,12 @@ class SimulatedChip:
         return replies
 
     def _fast(self, words: Words, starts: Floats, clock_hz: float, out: Words) -> int:
-        """Answer as many leading reads as possible as one array, into `out`; return their number.
+        """Answer the first frames of a run of reads together, if possible; return their number.
 
-        `words` and `starts` are the frames and their start times in s, both (n,). `clock_hz` is the SPI
-        clock.
+        `words` and `starts` are the frames and their start times in s, both (n,), `clock_hz` is the SPI
+        clock. The replies are written to the beginning of `out` (n,). Only frames before the first
+        violation of a timing limit are answered. The number is 0 if the chip is not running, or if single
+        answers are as fast because the frames are few.
         """
         first = float(starts[0])
         if first < max(self._last_start, self._time_s - TOLERANCE_S):
@@ -495,9 +500,9 @@ class SimulatedChip:
     ) -> Words:
         """Return the words (n,) that n reads return, with the flags ND (new data) and EA (error or alarm).
 
-        `slots` is the register of each read (half its address), `index` the update that each read sees
-        among the rows, `seen` the number of this update since power-on. `rows` are the outputs of each
-        update, `faulty` is True for an update with an error or alarm.
+        `slots` (n,) has the register of each read, as half its address. `rows` has the output words of
+        successive updates, and `faulty` is True for each update with an error or alarm. `index` (n,) is the
+        row of the update that a read sees, and `seen` (n,) the number of this update since power-on.
         """
         columns = _COLUMN[slots]
         values: Words = rows[index, columns]
@@ -606,7 +611,7 @@ class SimulatedChip:
     def _command(self, data: int, now: float) -> None:
         """Execute a write of `data` to COMMAND at the time `now` in s.
 
-        If several bits are set, only the first in the order of this method acts (D).
+        If several bits are set, only the first in the order of this method acts, which is an assumption.
         """
         if data & _COMMAND.field("reset").mask:
             self._start_up(now)

@@ -207,7 +207,7 @@ class HandTurn(_Hand):
         self._wobble_phase = rng.uniform(0, 2 * np.pi, 2)
 
     def tilt(self, time_s: Floats, turned: Course) -> tuple[Floats, Floats]:
-        """Return the tilt (n,) in rad of the X-Y plane out of the vertical, and its rate in rad/s.
+        """Return the angle (n,) in rad of the sensor's X-Y plane to the vertical, and its rate in rad/s.
 
         `turned` is the angle of the turn with its derivatives, see `turned()`.
         """
@@ -309,8 +309,11 @@ class HandMove(_Hand):
 
         Parameters
         ----------
+        time_s : (n,) float
+            Times in s since the movement began.
         direction, rate : (n, 3) float
-            Direction of gravity in the sensor, and its rate of turn in rad/s, from the movement alone.
+            Direction of gravity and rate of turn in rad/s, both in the sensor's frame, from the movement
+            alone.
 
         Returns
         -------
@@ -333,8 +336,8 @@ class HandMove(_Hand):
 def _misses(size_deg: float, rng: np.random.Generator, *, one_way: bool) -> Floats:
     """Draw the overshoot in degrees after the last grip and after the first correction, (2,).
 
-    `size_deg` is its standard deviation after the last grip. With `one_way` the hand never passes the mark,
-    so both are negative.
+    `size_deg` is the standard deviation of the overshoot after the last grip. With `one_way` the hand never
+    passes the mark, so that both values are negative.
     """
     drawn = size_deg * rng.standard_normal()
     left = drawn * _SECOND_MISS * rng.standard_normal()
@@ -348,10 +351,11 @@ def _add(course: list[Floats], more: Course, size: float = 1.0) -> None:
 
 
 def _turned_back(vector: Floats, axis: Floats, angle: Floats) -> Floats:
-    """Return vectors that are fixed in space in the frame of a sensor after the sensor has turned.
+    """Return vectors that are fixed in space, as seen by a sensor that has turned.
 
-    `vector` (n, 3) are the vectors in its frame before, `angle` (n,) is the angle in rad by which it was
-    turned about `axis` (3,). Returns (n, 3).
+    `vector` (n, 3) has their components in the sensor's frame before the turn. `angle` (n,) is the angle in
+    rad by which the sensor was turned about `axis` (3,) of its frame. The result (n, 3) has the components
+    after the turn.
     """
     sine, cosine = np.sin(angle)[:, None], np.cos(angle)[:, None]
     # The sum is written out, because a matrix product may round differently for another number of rows.

@@ -76,7 +76,7 @@ def serial_limits(smpl_prd: int) -> SerialLimits:
 def update_period_s(smpl_prd: int) -> float:
     """Return the time in s between internal updates for a value of SMPL_PRD.
 
-    The forbidden value 0 acts as 1 (D).
+    The forbidden value 0 is assumed to act as 1.
     """
     value = smpl_prd & 0xFF
     if value == 0:

@@ -50,8 +50,8 @@ class Inputs:
     supply_v, aux_v : (n,) float
         Supply and auxiliary input in V.
     place_mg : (n, 3) float or None
-        Part of `accel_mg` that comes from the positions of the accelerometers within the part; None if
-        there is none.
+        Part of `accel_mg` that turns cause because the accelerometers are at different positions within
+        the sensor; None if there is none.
     """
 
     accel_mg: Floats
@@ -126,7 +126,7 @@ def bartlett_sums(samples: Integers, m: int) -> Integers:
     samples : (2N - 2 + n, k) int
         Samples, the first 2N - 2 of them history.
     m : int
-        SENS_AVG[2:0]; N = 2^M.
+        Filter setting M (the bits SENS_AVG[2:0]); N = 2^m.
 
     Returns
     -------

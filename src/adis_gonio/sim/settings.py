@@ -28,11 +28,11 @@ def _not_negative(default: float | None) -> Any:
 
 @dataclass_transform(frozen_default=True)
 def _by_axis(cls: type[T]) -> type[T]:
-    """Make a frozen dataclass, with a placeholder setting expanded to three, six or nine settings.
+    """Make a frozen dataclass from a class in which one field may stand for the settings of several axes.
 
-    A name with `each` becomes three settings, one for each axis; with `other` six, for each axis and
-    another axis; with `pair` nine, for any two axes; the metadata `own` is the default of a pair of one
-    axis with itself.
+    A field with `each` in its name is replaced by three fields, for x, y and z. `other` gives six fields,
+    for each axis with each other axis (xy, xz, …), and `pair` gives nine, which include xx, yy and zz. The
+    metadata `own` of a field is the default for xx, yy and zz.
     """
     kinds: dict[str, Any] = {}
     for name, kind in cls.__annotations__.items():

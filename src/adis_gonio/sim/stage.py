@@ -492,9 +492,10 @@ class Stage:
 
 
 def _motion(leg: _Leg, time_s: Floats, *course: Floats) -> Motion:
-    """Make the `Motion` of the sensor during and after a move, from its course and the facts of the move.
+    """Return the `Motion` of the sensor during and after a move.
 
-    `course` has the leading fields of `Motion` at the times (n,) in s. `leg` is the move.
+    `leg` is the move. `course` has the values at the times (n,) in s of those fields of `Motion` that
+    change during a move: all from `direction` to `angle_rad`. The other fields follow from the move.
     """
     facts = (np.full(len(time_s), float(fact)) for fact in (leg.previous_rad, leg.order, leg.approach))
     since = time_s - leg.end_s if np.isfinite(leg.end_s) else time_s
@@ -502,9 +503,9 @@ def _motion(leg: _Leg, time_s: Floats, *course: Floats) -> Motion:
 
 
 def _course(leg: _Leg, time_s: Floats) -> Course:
-    """Return the completed share (n,) of a move at each time, and its two derivatives; 1 after the end.
+    """Return the completed share (n,) of a move at each time, with its derivatives per s and per s².
 
-    `leg` is the move; the derivatives are per s and per s².
+    `leg` is the move. The share is 0 at its start and 1 from its end on.
     """
     n = len(time_s)
     moving = time_s - leg.end_s < 0

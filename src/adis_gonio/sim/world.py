@@ -63,8 +63,8 @@ class World:
     seed : int
         Seed of all random numbers.
     day : int
-        Number that another session of the same part differs in: it changes the noise and the errors of the
-        stage, but no hidden parameter. 0 for the first session.
+        Number of the session, 0 for the first. Another day gives the same sensor with the same hidden
+        parameters, but other noise and other errors of the stage.
     effects : sequence of (Effect, values)
         Effects to add to the readings; the values are by name, or in the order of the effect's parameters.
     """
@@ -119,7 +119,11 @@ class World:
         self._levels_mg = np.empty(0)
 
     def _draw(self, rng: np.random.Generator) -> None:
-        """Draw all hidden parameters, also those that are given, so that a given value changes no other."""
+        """Draw all hidden parameters of the sensor.
+
+        Parameters with a given value are drawn too, and not used: the random numbers of the other
+        parameters then do not depend on which values are given.
+        """
         figures, given = self.variant.performance, self.settings
         limit = figures.non_orthogonality_deg
         scale = 1 + figures.scale_error_typical * rng.standard_normal(3)
@@ -341,7 +345,7 @@ class World:
     def _of_part(self, part: str) -> list[tuple[Effect, Floats]]:
         """Return the effects on a part of the sensor, `accelerometer` or `gyro`, with their values.
 
-        An effect on both counts for its first part.
+        An effect on both parts is returned only for the first part that it names.
         """
         return [(effect, values) for effect, values in self.effects if effect.parts[0] == part]
 
@@ -354,9 +358,9 @@ class World:
         return motion.rate_dps - up_dps * motion.direction if up_dps else motion.rate_dps
 
     def _moving_mg(self, motion: Motion) -> Floats | None:
-        """Return the readings (n, 3) in mg that shaking and moving add to those of gravity.
+        """Return the readings (n, 3) in mg that shaking and turning add to the readings of gravity.
 
-        None if all are zero. `motion` is the motion of the sensor at n times.
+        Returns None if all are zero. `motion` is the motion of the sensor at n times.
         """
         moving = motion.shaking_mg if motion.shaking_mg.any() else None
         if self._lever_m.any():
@@ -384,9 +388,10 @@ class World:
         return felt * (1000.0 / STANDARD_GRAVITY_MPS2)
 
     def _by_lever_mg(self, motion: Motion) -> Floats:
-        """Return the readings (n, 3) in mg of a sensor that is off the stage's axis, without gravity.
+        """Return the readings (n, 3) in mg that a turn adds if the sensor is off the axis of the stage.
 
-        They are zero unless the stage turns. `motion` is the motion of the sensor at n times.
+        They come from centripetal and angular acceleration, and are zero while the stage rests. `motion` is
+        the motion of the sensor at n times.
         """
         spin, lever = np.radians(motion.rate_dps[:, 2]), self._lever_m
         x = lever[0] * spin**2 + lever[1] * motion.spin_rad_s2
@@ -426,9 +431,9 @@ class World:
         return self._flicker.at(time_s)
 
     def _vibration_mg(self, order: Floats) -> Floats:
-        """Return the rms vibration (n,) of the table in mg during the dwells with these numbers.
+        """Return the rms vibration of the table in mg (n,), which is one constant for each dwell.
 
-        `order` (n,) has the numbers.
+        `order` (n,) has the number of the dwell at each time.
         """
         if not self._table_mg:
             return np.zeros(len(order))

@@ -472,28 +472,36 @@ class AlarmBudget:
         return self.total / self.tests
 
     def z(self) -> float:
-        """Return the two-sided limit of |x − μ| / u for the next comparison, with normal errors."""
+        """Return the largest permitted deviation from an expected value, in standard uncertainties.
+
+        It is for the next comparison. With normal errors, a good board exceeds it on either side with the
+        permitted probability of a false alarm.
+        """
         from scipy.special import ndtri
 
         return float(-ndtri(self.alpha() / 2))
 
     def variance_ratio(self, dof: float) -> tuple[float, float]:
-        """Return the lower and upper limit of s²/σ² with `dof` degrees of freedom, for one comparison."""
+        """Return the lower and the upper limit of a measured variance divided by the expected variance.
+
+        They are for the next comparison; the measured variance has `dof` degrees of freedom.
+        """
         from scipy.special import gammainccinv, gammaincinv
 
         tail, shape = self.alpha() / 2, dof / 2
         return float(gammaincinv(shape, tail)) / shape, float(gammainccinv(shape, tail)) / shape
 
     def highest_bin(self, bins: int) -> float:
-        """Return the limit of the largest of `bins` bins of a periodogram, relative to their mean.
+        """Return the limit of the largest of `bins` bins of a periodogram, divided by their mean.
 
-        A bin of white noise exceeds it with the permitted probability of a false alarm in one comparison.
+        It is for the next comparison: the largest bin of white noise exceeds it with the permitted
+        probability of a false alarm.
         """
         return math.log(bins / self.alpha())
 
 
 def at_most(errors: int, trials: int, confidence: float = 0.95) -> float:
-    """Return the upper confidence limit of an error probability after `errors` in `trials`.
+    """Return the upper confidence limit of an error probability, from `errors` errors in `trials` trials.
 
     Source: Clopper and Pearson.
     """
@@ -626,8 +634,8 @@ class BringupBench:
         """Read at most `count` scans of named registers; return them, and True if they have no gap.
 
         Reading ends after `LONGEST_S`. The bridge streams if data-ready may be enabled and works, else it
-        polls. If there are gaps, the longest run without a gap is returned if it is long enough, else all
-        scans.
+        polls. If there are gaps, the longest run without a gap is returned if it has at least half of
+        `count` scans. Otherwise all scans are returned, with False.
         """
         blocks: list[ScanBlock] = []
         have, begin_s = 0, self.bus.now_s()
@@ -666,7 +674,10 @@ class BringupBench:
     # -- flags ------------------------------------------------------------------------------------------
 
     def alarm_stands(self) -> bool:
-        """Return True if an output word read now has the error/alarm flag (EA) set; STATUS is not read."""
+        """Return True if an output word that is read now has the flag EA (error or alarm) set.
+
+        STATUS is not read, so that its bits are not cleared.
+        """
         return bool(self.sensor.read_words(["XACCL_OUT"])[0] & EA)
 
     def status(self) -> int:

@@ -319,7 +319,10 @@ def _counts(chip: RecordedChip, _: Variant) -> Iterator[str]:
 
 
 def _saves(chip: RecordedChip, _: Variant) -> Iterator[str]:
-    """Yield labels of autonulls and restores by the change of ENDURANCE, relative to a flash update."""
+    """Yield a label for each autonull and restore: whether it saved to flash `once`, `never` or otherwise.
+
+    The change of ENDURANCE shows this. One save is its change by a command that updates the flash.
+    """
     step = max((change for name, change in chip.counts if name == "flash_update"), default=1)
     for name, change in chip.counts:
         if name != "flash_update" and step:
@@ -344,7 +347,7 @@ def _status_clears(chip: RecordedChip, _: Variant) -> Iterator[str]:
 
 
 def _ends(condition: str) -> Observer:
-    """Return a function that reports if a bit of STATUS stays or falls when a write ends its condition.
+    """Return a function that yields whether a bit of STATUS stays or falls when a write ends its condition.
 
     The function takes a recorded chip; `condition` is `alarm` or `over_range`.
     """
@@ -377,7 +380,7 @@ def _new_data(chip: RecordedChip, _: Variant) -> Iterator[str]:
 
 
 def _rises(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return the numbers of the words that are the first with a flag after words without it."""
+    """Return the indices of flags that are True after a False flag."""
     return np.flatnonzero(flags[1:] & ~flags[:-1]) + 1
 
 
@@ -392,9 +395,10 @@ def _bursts(chip: RecordedChip) -> Iterator[tuple[RegisterSpan, float, np.ndarra
 
 
 def _periods(chip: RecordedChip, _: Variant) -> Iterator[RowFigure]:
-    """Yield the log of the best measured period, and of its ratio to each of the others.
+    """Yield the logarithms of measured sample periods, one for each value of SMPL_PRD.
 
-    The clock of the part, which is uncertain by 3 %, has no effect on the ratios.
+    The most precise period is yielded in s. Each other period is yielded as its ratio to the most precise
+    one, which the error of the chip's clock (3 %) does not change.
     """
     bursts: dict[int, list[tuple[float, float]]] = {}
     for span, step_s, flags, _period_s in _bursts(chip):
@@ -489,9 +493,10 @@ def _drift(one: RestStatistics, two: RestStatistics, axis: int, rate2: float) ->
 
 
 def _after_filter(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
-    """Yield the share of an offset's step that the first word after the write shows.
+    """Yield the share of an offset's step that the first output word after the write shows.
 
-    The share is scaled: 1 if the offset acts after the filter, 0 if it acts before.
+    The share is corrected for the part of the step that would already have passed through the filter. It is
+    1 if the offset acts after the filter, and 0 if it acts before.
     """
     ratio = float(np.median([figure.x for figure in _accel_steps(chip, part)] or [1.0]))
     level: dict[str, tuple[RegisterSpan, float, float]] = {}
@@ -523,9 +528,11 @@ def _after_filter(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
 
 
 def _levels(chip: RecordedChip, part: Variant) -> dict[int, tuple[float, float, float]]:
-    """Return logarithm of the accelerometers' noise in LSB, degrees of freedom, and color, by M.
+    """Return the noise of the accelerometers at each filter setting M that was recorded.
 
-    Lines of the spectrum are vibration of the bench and not noise.
+    The three values by M are the natural logarithm of the noise (rms) in LSB, its degrees of freedom, and
+    its `color` (see `RestStatistics`). Lines of the spectrum are left out, because they are vibration of
+    the bench.
     """
     found: dict[int, tuple[float, float, float]] = {}
     floor = part.performance.floor[0] / part.accel_mg_per_lsb
@@ -565,11 +572,11 @@ def _filter_gain(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
 
 
 def _noise(columns: slice) -> Observer:
-    """Return a function that yields the log of the noise before the filter, divided by the table's value.
+    """Return a function that yields the logarithm of measured noise divided by the noise in the table.
 
-    The function takes a recorded chip and its variant. The gain of the filter is the measured gain of the
-    accelerometers, so that M = 0 must be recorded too. `columns` chooses accelerometers or gyros. Only
-    white noise is the part's: the bench may add colored noise.
+    Both are the noise before the filter. The function takes a recorded chip and its variant, and `columns`
+    chooses accelerometers or gyros. The gain of the filter is measured on the accelerometers, so that M = 0
+    must be recorded too. Only white noise counts, because the bench may add colored noise.
     """
 
     def observe(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
@@ -590,10 +597,10 @@ def _noise(columns: slice) -> Observer:
 
 
 def _self_test(columns: slice, part_of: Callable[[bool, bool, bool], str]) -> Observer:
-    """Return a function that labels the answers of three axes to both signs of the manual self-test.
+    """Return a function that labels the responses of three axes to both signs of the manual self-test.
 
-    The function takes a recorded chip and its variant. `columns` chooses the axes; `part_of` gives the
-    label for: answers to +, answers to −, opposite ways.
+    The function takes a recorded chip and its variant. `columns` chooses the axes. `part_of` returns the
+    label for three flags: the axis responds to +, it responds to −, and the two responses are opposite.
     """
 
     def observe(chip: RecordedChip, part: Variant) -> Iterator[str]:
@@ -661,10 +668,11 @@ def _rounding(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
 
 
 def _flicker_moves(one_s: float, two_s: float) -> float:
-    """Return the variance of the difference of successive means of 1/f noise, over its Allan variance.
+    """Return the variance of the difference between two successive means of 1/f noise.
 
-    The means are over `one_s` and `two_s` seconds, and the result is 2 if these are equal. It follows from
-    the covariance −h ln|t| + constant of noise with the spectrum h/f, whose Allan variance is 2 h ln 2.
+    It is divided by the Allan variance of the noise. The means are over `one_s` and `two_s` seconds, and
+    the result is 2 if these are equal. It follows from the covariance −h ln|t| + constant of noise with the
+    spectrum h/f, whose Allan variance is 2 h ln 2.
     """
 
     def twice_integrated_log(t: float) -> float:
@@ -762,9 +770,9 @@ ROWS: tuple[ChipRow, ...] = (
 
 
 def judge_recordings(paths: Iterable[str | Path], part: Variant) -> tuple[RowFinding, ...]:
-    """Judge all rows by some recordings or captures of a variant together.
+    """Judge all rows by several recordings or captures of one sensor variant together.
 
-    Each file is a power-on of its own.
+    Each file counts as a separate power-on of a chip.
 
     Raises
     ------

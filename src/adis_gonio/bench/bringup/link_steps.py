@@ -56,7 +56,10 @@ _CONSTANT = tuple(
 
 
 def legal(row: Register, word: int) -> bool:
-    """Return True if a register can contain this word: no bit is set outside its number or its fields."""
+    """Return True if a register can contain this word.
+
+    It cannot if a bit is set outside the bits of its number or its fields.
+    """
     if row.name == "ENDURANCE":
         return word < 1 << 15
     if row.name == "SMPL_PRD":

@@ -197,9 +197,9 @@ class RestStatistics:
 def remove_lines(values: Floats) -> tuple[float, Floats, bool]:
     """Return standard deviation and spectrum of a series without the lines of its spectrum.
 
-    The standard deviation has the unit of `values`, the spectrum its square (see `spectrum`). A line is
-    much higher than the bins on both sides of it; the bins on both sides replace it. The last result is
-    True if there are lines.
+    The standard deviation has the unit of `values`, the spectrum its square (see `spectrum`). A line is a
+    bin more than `_LINE` times as high as the medians of the bins on both sides. Its power is replaced by
+    the mean power on both sides. The last result is True if there are lines.
     """
     _, power = spectrum(values[:, None])
     power = power[:, 0]
@@ -217,7 +217,11 @@ def remove_lines(values: Floats) -> tuple[float, Floats, bool]:
 
 
 def _longest_run(times: Floats) -> tuple[int, int]:
-    """Return begin and end of the longest run of times without a gap, or of all times if it is short."""
+    """Return begin and end (exclusive) of the longest run of times without a gap.
+
+    A gap is more than 1.5 times the median step. If no run has more than a quarter of the times, all times
+    are returned as one run.
+    """
     steps = np.diff(times)
     ends = [0, *(np.flatnonzero(steps > 1.5 * np.median(steps)) + 1), len(times)]
     begin, end = max(pairwise(ends), key=lambda run: run[1] - run[0])
@@ -225,8 +229,9 @@ def _longest_run(times: Floats) -> tuple[int, int]:
 
 
 def noise_color(powers: list[Floats], m: int) -> float:
-    """Return the scatter of the logarithm of noise over the bands of its spectrum, beyond chance.
+    """Return the standard deviation of the logarithm of noise over the bands of its spectrum.
 
+    It is 0 if chance alone explains the scatter, as for white noise, or if there are too few frequencies.
     `powers` are the spectra of some axes after a filter of setting `m`. Only frequencies are used that the
     filter lets pass.
     """
@@ -267,15 +272,16 @@ class RecordedChip:
     counts : list of (command, int)
         Change of ENDURANCE by each command that saves to flash.
     statuses : list of (bool, int)
-        For each STATUS word after an alarm whose condition has ended: True if it is the first such word,
-        and the alarm bit.
-    error_flags : list of (str)
-        Behaviour of the flag EA during an alarm: `set` in all words after the first; `missing` in all
-        although STATUS had the bit of the alarm; once for each output without it, `on some outputs` (in all
-        words) or `lost` (after some words).
+        False, and the alarm bit in the second word of STATUS after the condition of an alarm has ended, if
+        the first word had this bit.
+    error_flags : list of str
+        Labels of the flag EA (error or alarm) in the output words during an alarm. `set`: all words from
+        the first flag on have it. `missing`: no word has it, although STATUS has the bit of the alarm.
+        `on some outputs`: some outputs always have it, the others never. `lost`: an output has it in some
+        words only. The last two labels appear once for each output with words without the flag.
     ended : list of (str, bool)
-        Name of a condition that a write ended, and True if its bit stayed until STATUS was read; False if
-        it cleared before.
+        Name of a condition (`alarm` or `over_range`) that a write ended, and True if its bit in STATUS
+        stayed until STATUS was read; False if the bit cleared before.
     nulls : list of (int, str)
         Index of the span after each autonull, and its command.
     edges : list of (k, n) int64
@@ -320,9 +326,10 @@ class RecordedChip:
         self._judge_ranges()
 
     def attribute_to_reads(self) -> None:
-        """Attribute alarms that ended, and flags that only the first output had, to reads of any register.
+        """Attribute cleared alarms to reads of any register.
 
-        Another recording of the part has shown that any read clears STATUS.
+        This is right if another recording of the part has shown that any read clears STATUS. It concerns
+        alarm bits that cleared before STATUS was read, and flags EA that only some outputs had.
         """
         self.error_flags = [one.replace("on some outputs", "lost") for one in self.error_flags]
         self.error_flags += ["lost"] * self.ended.count(("alarm", False))
@@ -532,9 +539,10 @@ class RecordedChip:
         self._new_span(time_s)
 
     def _conditions(self, row: Register, word: int, time_s: float) -> None:
-        """Note that an alarm begins, or that a write ends a condition that the flag EA has shown.
+        """Note the beginning or the end of an alarm or an over-range condition that a write may cause.
 
-        The write changed the content of register `row` to `word` at `time_s`.
+        The write changed the content of register `row` to `word` at `time_s`. ALM_CTRL starts and ends
+        alarms; an offset of an accelerometer may move its output out of the range or back.
         """
         period_s = self.spans[-1].period_s
         # The condition acts with the next update.
@@ -550,10 +558,11 @@ class RecordedChip:
             self._ranged = row.name, row.number(word), self._settled_s + filter_s if again else math.inf
 
     def _judge_ranges(self) -> None:
-        """Note if the over-range bit stayed when a write of an offset took the output back into the range.
+        """Note in `ended` whether the over-range bit stayed after an offset ended the condition.
 
-        The words of STATUS give the offset at the limit of the range: a bit in a later word than the first
-        was set again. Offsets near the limit are left out, because noise sets the bit there.
+        The offset at which the output reaches the limit of the range is found from the words of STATUS: a
+        bit in the second or a later word at an offset was set again, so that the output was still out of
+        range. Offsets within `_NEAR_LIMIT` of the limit are left out, because noise sets the bit there.
         """
         for name in ACCEL_OFF:
             words = [one[1:] for one in self._ranges if one[0] == name]
@@ -607,10 +616,10 @@ class RecordedChip:
 
 
 def _is_ready(frames: Integers, words: Integers) -> bool | None:
-    """Return True if a batch shows that the chip answers, False that it does not; None if neither.
+    """Return True if the replies of a batch show that the chip answers, False if they show the opposite.
 
-    `words` are the replies to `frames`, −1 if not known. SENS_AVG and SMPL_PRD are never zero, and
-    different registers do not all have one content.
+    Returns None if they show neither. `words` are the replies to `frames`, −1 if not known. SENS_AVG and
+    SMPL_PRD are never zero, and different registers do not all have one content.
     """
     got = words[words >= 0]
     telling = [

@@ -186,9 +186,9 @@ class _Edges:
 
     @property
     def slack(self) -> float:
-        """Tolerance of the number of edges minus the number of updates.
+        """Largest difference between the numbers of edges and of updates that is not a fault.
 
-        It covers one edge at each end of the scans, and the error of the bridge's clock.
+        It allows for one edge at each end of the scans, and for the error of the bridge's clock.
         """
         return 2 + _BENT * self.expected
 
@@ -200,13 +200,16 @@ class _Edges:
 
     @property
     def usual(self) -> int:
-        """Most frequent position of the read with ND in a scan."""
+        """Most frequent number of the read, within a scan, that has the new-data flag (ND)."""
         values, counts = np.unique(self.position, return_counts=True)
         return int(values[np.argmax(counts)])
 
     @property
     def locked(self) -> float:
-        """Share of scans with ND within one read of the usual position; near 1 if edges follow updates."""
+        """Share of scans in which the read with the flag ND is within one read of the usual one.
+
+        It is near 1 if the edges follow the updates.
+        """
         near = np.abs(self.position - self.usual) <= 1
         return float(np.mean(near & (self.position >= 0)))
 

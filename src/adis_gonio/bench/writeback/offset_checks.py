@@ -337,7 +337,10 @@ class _FittedSensor:
         return Agreement(what, ("|g|",), value, np.array([gravity]), u)
 
     def bias_found(self, angle_rad: float) -> tuple[Floats, Floats]:
-        """Return the biases (2,) in mg that the dwell gives with the gains and angles of the fit, and u."""
+        """Return the biases (2,) in mg of X and Y by the dwell alone, and their standard uncertainties.
+
+        Gains and angles are those of the session's fit.
+        """
 
         def left(values: Floats, mean: Floats) -> Floats:
             return np.asarray(mean[:2] - self._ideal_mg(values, angle_rad))
@@ -369,7 +372,7 @@ class _FittedSensor:
         return ideal
 
     def _fixture_u(self, angle_rad: float) -> Floats:
-        """Return the standard uncertainty (2,) in mg of predicted readings by the declared angle."""
+        """Return the standard uncertainty (2,) in mg of predicted readings due to the declared angle."""
         more = SET_ANEW_U_DEG if self.session.fixture_sigma_deg is None else 0.0
         sigma = math.radians(math.hypot(self.result.fixture_sigma_deg or 0.0, more))
         tangent = self.model.tangent(self._base(self.values), np.zeros(1), np.array([-angle_rad]))
@@ -378,10 +381,11 @@ class _FittedSensor:
     def _propagated(
         self, function: Callable[[Floats, Floats], Floats], more_u: Floats
     ) -> tuple[Floats, Floats]:
-        """Return the value (k,) of a function of fitted parameters and mean reading, and its u.
+        """Return the value (k,) of a function, and its standard uncertainty.
 
-        `function` takes the values of the parameters and the mean reading; `more_u` (k,) is a further
-        standard uncertainty, from the declared angle.
+        The uncertainty comes from the fit, the dwell and the declared angle. `function` takes the values of
+        the fitted parameters and the mean reading of the dwell. `more_u` (k,) is the standard uncertainty
+        from the declared angle alone.
         """
         mean = self.rest.mean_mg
         by_parameter = _slopes(lambda v: function(v, mean), self.values)
@@ -405,9 +409,9 @@ PRECISE_S = 30.0
 
 
 class AutonullFound(JsonRecord):
-    """Zero rates (3,) in °/s in the present pose, by the chip's autonull and by the session.
+    """Zero rates (3,) of the gyros in °/s, as found by the chip's autonull and as predicted by the session.
 
-    Both are for the offsets during the recording.
+    Both are for the sensor at rest in its present pose, with the offsets during the recording.
 
     Attributes
     ----------
@@ -653,16 +657,17 @@ class Gyros:
     def found(self, plan: WritePlan, rest: Rest) -> tuple[Floats, Floats] | None:
         """Return the zero rates (3,) in °/s by a dwell, without the effect of force, and their u.
 
-        The plan is not used, and the result is never None.
+        u is the standard uncertainty (3,) in °/s. `plan` is not used, and the result is never None.
         """
         mean, u = rest.of_gyros
         force, of_force = self.by_force(rest)
         return mean - force, np.hypot(u, of_force)
 
     def zero(self, rest: Rest) -> tuple[Floats, Floats]:
-        """Return the zero rates (3,) in °/s that the session predicts for a dwell, and their u.
+        """Return the zero rates (3,) in °/s that the session predicts for a dwell, and their uncertainties.
 
-        They are for the offsets during the recording.
+        The uncertainties are standard uncertainties (3,) in °/s. The zero rates are for the offsets during
+        the recording.
         """
         read = self.gyro.readings_of(
             np.zeros(3), rest.mean_mg / 1000, rest.temperatures_c, supply_v=rest.supply_v
@@ -670,7 +675,10 @@ class Gyros:
         return read.rate_dps, read.u_dps
 
     def by_force(self, rest: Rest) -> tuple[Floats, Floats]:
-        """Return the contribution of force to the zero rates (3,) in °/s of a dwell, and its u."""
+        """Return the part of the zero rates (3,) in °/s of a dwell that force causes, with its uncertainty.
+
+        The uncertainty is the standard uncertainty (3,) in °/s.
+        """
         return self.gyro.force_part(rest.mean_mg / 1000)
 
     def wander(self, rest: Rest) -> float:

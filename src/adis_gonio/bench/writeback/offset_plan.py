@@ -235,10 +235,11 @@ def _plan(
     method: str,
     doubts: Sequence[str],
 ) -> WritePlan:
-    """Return the plan from biases `found`, each with its u (None if unknown), by name of the register.
+    """Return the plan that cancels biases.
 
-    `recorded` and `held` have the numbers during the recording and now; `doubts` are reasons to doubt the
-    fit.
+    `found` has each bias and its standard uncertainty (None if unknown), by the name of the register.
+    `recorded` and `held` have the numbers in the registers during the recording and now; `doubts` are
+    reasons to doubt the fit.
     """
     axes = []
     for name, (bias, u) in found.items():
@@ -272,7 +273,11 @@ def _lacks(session: Session, result: FitResult) -> list[str]:
 
 
 def _unsure(axis: AxisPlan) -> list[str]:
-    """Return a list with the reason why an axis's bias is too uncertain to write; empty if it is not."""
+    """Return a list with the reason why the bias of an axis is too uncertain to be written.
+
+    The list is empty if the standard uncertainty is known and not larger than the bias, or if it is known
+    and the register would not change.
+    """
     unit = UNITS[axis.unit]
     name = f"bias_{axis.axis}" if axis.unit == "mg" else f"gyro_bias_{axis.axis}"
     if axis.u != axis.u:

@@ -501,7 +501,7 @@ class OffsetWriter:
                 self._set_back(journal, why)
 
     def _keep_what_is_saved(self, journal: Logbook) -> None:
-        """Complete the journal if flash and registers already have the new offsets."""
+        """Complete the journal of a stopped write if flash and registers already have the new offsets."""
         if WriteStep.SAVING not in journal.steps:
             return
         self.sensor.bus.sleep_s(FLASH_UPDATE_S)

@@ -185,7 +185,8 @@ class Asymmetry(LinearAxisEffect):
 
     Formula: a_i += asymmetry_i · |a_i|/1000
 
-    Separated by: Few positions take it for `quadratic`: add readings near zero, where |a| has its kink.
+    Separated by: With few positions it looks like `quadratic`: add readings near zero, where |a| has its
+    kink.
     """
 
     name = "asymmetry"
@@ -322,9 +323,9 @@ class ScaleTemperature(LinearAxisEffect):
 class MisalignmentTemperature(CrossEffect):
     """The direction of an axis follows the temperature of the die.
 
-    In the plane a misalignment of both axes is the misalignment of one axis and a turn of the whole part. A
-    part that turns with its mount is not misaligned, so a candidate of the trace misaligns one axis; two
-    candidates represent both.
+    In the plane, misalignments of x and y together equal a misalignment of one axis and a turn of the whole
+    part, which its mount may cause. A candidate of the trace therefore has one misaligned axis; if both are
+    misaligned, the trace adds two candidates.
 
     Formula: a_i += misalignment_tempco_ip · (T − 25 °C) · a_p (angle in radians)
 
@@ -420,8 +421,9 @@ class BiasDrift(LinearAxisEffect):
 
     Formula: a_i += drift_i · t/60, t from the session's start
 
-    Separated by: With positions in one order, time is angle: repeat positions in another order. For
-    `bias_temperature` let the temperature fall; for `warm_up` measure longer.
+    Separated by: If each position is visited once, a change with time may equal a change with the angle:
+    repeat positions in another order. For `bias_temperature` let the temperature fall; for `warm_up`
+    measure longer.
     """
 
     name = "bias_drift"
@@ -461,8 +463,8 @@ class WarmUp(CourseEffect):
 
     Formula: a_i += warm_up_i · exp(−t/τ), t from the session's start
 
-    Separated by: In less than τ it looks like `bias_drift`, with a thermometer like `bias_temperature`:
-    switch off and on within the session.
+    Separated by: In a session shorter than τ it looks like `bias_drift`, and if the temperature is recorded
+    like `bias_temperature`: switch off and on within the session.
     """
 
     name = "warm_up"

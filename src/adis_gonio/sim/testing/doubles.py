@@ -333,7 +333,7 @@ def open_board(
         Kind of port; None takes a pseudo-terminal if the system has them, else TCP.
     line_faults : Faults
         Faults of the serial line (None: no faults), see `SimulatedBoard`; each board draws from its own
-        copy, because a mark may apply to many tests.
+        copy, because one pytest mark may give them to many tests.
     boot_s : float
         Silence in s at the beginning, like that of a board that boots.
 

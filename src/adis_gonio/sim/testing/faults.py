@@ -1,10 +1,18 @@
 """Simulated faults between host and device, drawn from a seed: of bytes, USB packets and SPI frames.
 
-`Faults` draws the faults, `FaultyStream` applies them to the bytes of a serial line; a model of USB packets
-asks `Faults` for each packet. The rates are probabilities: `drop`, `duplicate`, `flip`, `delay` and `chunk`
-apply to a byte of a stream or a packet of USB; `hang`, `busy`, `progress` (the device reports that it is at
-work), `stuck`, `short` and `unplug` to a packet. A serial line knows `drop`, `duplicate`, `flip`, `delay`,
-`chunk` and `hang`.
+`Faults` has the probability of each kind of fault, and draws the faults. `FaultyStream` applies them to the
+bytes of a serial line, and a model of a USB device asks `Faults` for each packet. Kinds of faults of a byte
+or a packet:
+
+* `drop`: it is lost; `duplicate`: it arrives twice; `flip`: one of its bits is changed;
+* `delay`: it arrives late, by `delay_s` on average; `chunk`: a pause of 2 ms comes before it (bytes only).
+
+Kinds of faults of a device, drawn for each packet:
+
+* `hang`: the device does not react for `hang_s` (also the device on a serial line);
+* `busy`: it refuses the request; `progress`: it reports that it is still at work;
+* `stuck`: it does not finish this transfer or any later one, until a reset or a cancel;
+* `short`: it returns one byte too few; `unplug`: it is disconnected.
 
 `FaultyBus` is a bus around another bus that corrupts its frames, for drivers and host code that have to
 notice. Each kind of fault has its own generator, so the faults of a frame do not depend on its batch or on
@@ -31,8 +39,9 @@ from adis_gonio.device.bus.forwarding import ForwardingBus
 class Faults:
     """Probabilities of the faults of a serial line or device, and the random draws from them.
 
-    The module's text explains each kind; its field is the probability of the fault at one occasion. `seed`
-    starts the random draws, `delay_s` is the mean delay and `hang_s` the length of a hang.
+    Each kind of fault is explained in the text of the module. The field with its name is the probability of
+    this fault for one byte or packet. `seed` starts the random draws, `delay_s` is the mean delay and
+    `hang_s` the length of a hang, both in s.
 
     `seen` counts the faults that happened, by kind.
     """
@@ -265,10 +274,7 @@ class FaultyBus(ForwardingBus):
         return replies
 
     def _spoilt(self, words: Words) -> Words:
-        """Return a copy of replies (n,), some of which are repeated or have flipped bits.
-
-        A repeated reply stands in place of the replies after it.
-        """
+        """Return a copy of replies (n,), some replaced by an earlier reply and some with flipped bits."""
         words = words.copy()
         sticks = self._struck("stuck_words", len(words))
         if self._stuck_left or sticks.any():

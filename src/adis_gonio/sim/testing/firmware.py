@@ -148,7 +148,7 @@ class SimulatedFirmware:
                 self._packet(taken)
 
     def next_event_s(self) -> float | None:
-        """Return the time in s of the firmware's next action without a request; None without one."""
+        """Return the time in s of the next scan of the running stream; None if no scan is due."""
         if self._stream is None:
             return None
         return self._stream.next_trigger_s()

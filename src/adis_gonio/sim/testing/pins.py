@@ -28,7 +28,7 @@ class VirtualClock:
             self._now_s += seconds
 
     def advance_to(self, time_s: float) -> None:
-        """Advance the clock to the time in s at which a piece of work ends, unless it is later already."""
+        """Advance the clock to a time in s at which the device's work ends, unless it is later already."""
         self._now_s = max(self._now_s, time_s)
 
 
@@ -47,7 +47,7 @@ class DeviceClock:
         time.sleep(max(0.0, seconds))
 
     def advance_to(self, time_s: float) -> None:
-        """Wait in real time until a time in s at which a piece of work ends."""
+        """Wait in real time until a time in s at which the device's work ends."""
         self.sleep_s(time_s - self.now_s())
 
 
@@ -88,7 +88,7 @@ class PinClock(Protocol):
         """Return the present time in s."""
 
     def advance_to(self, time_s: float) -> None:
-        """Advance the clock to the time in s at which a piece of work ends."""
+        """Advance the clock to the time in s at which the device's work ends."""
 
 
 class ChipPins:

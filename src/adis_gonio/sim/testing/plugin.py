@@ -61,9 +61,9 @@ def simulated_board(request: pytest.FixtureRequest) -> Iterator[SimulatedBoard]:
 
 
 def _made(make: Any, request: pytest.FixtureRequest, names: tuple[str, ...]) -> Any:
-    """Return `make(**options)` with those options of the test's marks that `names` lists.
+    """Call `make` with options from the marks of a test, and return the made sensor or board.
 
-    A wrong option fails the test with one line.
+    Only options that `names` lists are passed. A wrong option fails the test with one line.
     """
     from adis_gonio.base.errors import AdisGonioError
 
