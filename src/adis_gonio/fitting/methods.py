@@ -179,18 +179,20 @@ def refit_two(method: str, readings: Readings, made: Origin) -> Fit:
 
 
 def fit_paper(readings: Readings) -> FitResult:
-    """Fit the method `paper`: equations 5 to 12 as printed, which divide the reading of Y by ΔK first.
+    """Fit the method `paper`: equations 5 to 12 as printed, which first correct the readings of Y by ΔK.
 
-    ΔK = U_x1/(−U_y2) − 1, a = U_y1(1 + ΔK)/U_x1, b = U_y2(1 + ΔK)/U_x2, sin Δφ = (1 + ab)/(a + b).
+    With the readings U_x1, U_y1 at 0° and U_x2, U_y2 at 90°, ΔK = U_x1/(−U_y2) − 1, a = U_y1(1 + ΔK)/U_x1,
+    b = U_y2(1 + ΔK)/U_x2 and sin Δφ = (1 + ab)/(a + b).
 
     Raises
     ------
     FitError
         If 0° or 90° is missing.
     SingularError
-        α is near 45°, where a + b vanishes: the noise-free answer is Δφ/cos(2α + Δφ). The method fails if
-        Δφ and the uncertainty of 2α + Δφ together exceed a fifth of the distance from that pole, because
-        the quotient is then not linear in either and no uncertainty is valid.
+        The start angle α is near 45°, where a + b vanishes, because the result without noise is Δφ/cos(2α +
+        Δφ). The method fails if Δφ and the uncertainty of 2α + Δφ together exceed a fifth of |cos(2α +
+        Δφ)|: the result is then not linear in either, and no uncertainty is valid. It also fails if a
+        reading in a denominator is nearly zero.
     """
     chosen, weights = _grouped(readings, "paper", (0, 90))
     exact = _linear(chosen, weights, bias=False)

@@ -238,9 +238,11 @@ class GyroLinks:
 
     @cached_property
     def _wander(self) -> tuple[Floats, Floats]:
-        """Effect of 1/f noise on the angle of each turn, for an Allan variance of 1.
+        """Variance and covariance of the zero rates of the turns by 1/f noise with an Allan variance of 1.
 
-        It is the variance (m,) for each turn, and its covariance (m,) with the next turn.
+        The zero rate of a turn is estimated by the mean of the two adjacent dwells. The results are the
+        variance (m,) of the error of each estimate, and its covariance (m,) with the error of the next
+        turn.
         """
         own, following = np.zeros(len(self.legs)), np.zeros(len(self.legs))
         for k, leg in enumerate(self.legs):

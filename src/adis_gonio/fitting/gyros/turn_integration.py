@@ -27,16 +27,18 @@ asymmetry a give ω = A⁻¹ (m − z − a |m − z|), hence ε = ∫ Φ(t₁, 
 True rotation of the sensor between two dwells, as a rotation vector in the accelerometers' frame.
 
 Gravity on both sides
-    If the axis is not upright, the rotation is the angle between the two directions of gravity about the
-    axis, up to whole turns, and the gyro counts these. On a stage (plane xy) the axis is z of the frame,
-    and ψ decreases as the part turns forward; declared angles improve ψ by the fixture's uncertainty. In
-    space the axis is the gyro's own, so the angle about it is measured and its direction is not.
+    If the axis is not vertical, the rotation is the angle about the axis between the two directions of
+    gravity, plus whole turns, which the gyro counts. On a stage (plane xy) the axis is z of the frame, and
+    the angle ψ of gravity to X decreases as the part turns forward. Declared angles, with the fixture's
+    uncertainty, improve ψ. In space the axis is taken from the gyros themselves, so that the angle about it
+    is measured and its direction is not.
 Declared angle
     On a level table the axis is vertical, and gravity does not depend on the angle. The operator declares
-    it: from a mark back to the mark the rotation is a whole number of turns, which is exact up to the error
-    of meeting the mark. The gyro counts the turns beyond the declared angle. Along the axis the
-    accelerometers' reading is constant during the turn: they read c + a cos θ + b sin θ (the table's tilt)
-    + d ω² + e dω/dt (a part away from the axis), c along it.
+    the angle. From a mark back to the mark the rotation is a whole number of turns, which is exact up to
+    the error of setting the mark. The gyro counts the whole turns beyond the declared angle. The direction
+    of the axis is the constant part c of the accelerometers' reading during the turn, which is c + a cos θ
+    + b sin θ + d ω² + e dω/dt. The table's tilt causes a and b, the distance of the part from the axis
+    causes d and e.
 
 A rotation vector equals the integral of the rate if the axis is constant in the part, as on a stage and
 on a table. In space a turn about an axis that wanders by more than `STRAIGHT` allows is refused.
@@ -44,10 +46,10 @@ on a table. In space a turn about an axis that wanders by more than `STRAIGHT` a
 Directions of gravity by the accelerometers of a session, the reference of turns, with their uncertainty.
 
 Gains, skews and biases are taken from a fit of the same session if it determines them, else from a
-calibration of the part, else from a perfect triad with the uncertainty that the data sheet allows. An error
-of one of these nine parameters changes the directions of all turns of a session at once, in its own way.
-For example, a bias of Y adds the same amount to the misalignments in every turn about X, and nothing in
-turns about Y.
+calibration of the part, else from a perfect triad with the uncertainty expected of this family of sensors.
+An error of one of these nine parameters changes the directions of all turns of a session at once, in its
+own way. For example, a bias of Y adds the same amount to the misalignments in every turn about X, and
+nothing in turns about Y.
 """
 
 from __future__ import annotations

@@ -255,7 +255,7 @@ class Weighed:
     def best(self) -> int | None:
         """Index of the fault that is most probable in total over its names.
 
-        None if no fault is more probable than none.
+        None if no fault is more probable than the absence of a further fault.
         """
         whole: dict[int, float] = {}
         for (k, _), value in self.named.items():
@@ -349,12 +349,11 @@ def _of_name(pattern: Pattern, name: Name, moments: Floats) -> Floats:
 
 
 def _pushes(vv: Floats, vz: Floats, ww: Floats, wz: Floats, vw: Floats) -> Floats:
-    """Return the gain in log likelihood if the amplitudes of two faults are free instead of zero.
+    """Return the gain in log likelihood if the two amplitudes of a fault are free instead of zero.
 
-    It is averaged over several prior standard deviations of the amplitudes.
-
-    The arguments are scalar products: `vw` is v · w, and so on, with the change v and w of the whitened
-    readings by each amplitude, and the whitened residual z.
+    The vectors v and w are the changes of the whitened rows per unit of each amplitude, and z is the
+    whitened residual. The arguments are scalar products of them: `vw` is v · w, and so on. The likelihood
+    is averaged over several prior standard deviations of the amplitudes.
     """
     inverse = (1000.0 / np.array(PUSH_MG)[:, None]) ** 2
     # Two by two normal equations for each prior size, solved by hand.

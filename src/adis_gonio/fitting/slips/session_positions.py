@@ -690,8 +690,8 @@ def _increments(session: Session, readings: Readings) -> Increments | None:
 def _noted(session: Session) -> dict[tuple[int, int], tuple[float, float]]:
     """Return the turns about z that the program measured while the session ran, with u, in degrees.
 
-    They serve for turns whose samples were not recorded. The keys are the indices of the dwells before and after.
-    The u includes the g-sensitivity.
+    They serve for turns whose samples were not recorded. The keys are the indices of the dwells before and
+    after. The u includes the g-sensitivity.
     """
     dwells = session.facts.get("dwells") or []
     number = {entry["attempt"]: k for k, entry in enumerate(dwells)}
