@@ -1,7 +1,8 @@
 """The screen of a session, and its dialogs.
 
-The screen shows a `BenchState`, and passes the operator's keys to the runner in its thread. The dialogs are
-for guards, offers, the end, a note, and help; all work by keys alone.
+The screen shows a `BenchState`, and passes the operator's keys to the session's runner in its thread.
+Dialogs ask the questions of guards (checks of a dwell), offer repetitions or more positions, ask if the
+session is to end, take a note, and show help. All of them work by keys alone.
 """
 
 from __future__ import annotations
