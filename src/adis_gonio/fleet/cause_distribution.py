@@ -96,10 +96,10 @@ def means_of(
 def _sizes(population: Population, others: Sequence[ChosenCause], part: ChosenCause) -> Floats:
     """Return the factors (d,) that convert the scaled amplitudes of a cause to the unit of each column.
 
-    Scaled amplitudes are in typical standard uncertainties. If they are relative to each session's own
-    uncertainty, the factor is the median of this uncertainty over the affected sessions, because the
-    sessions of one stage may be much noisier than the rest. `part` is the cause, `others` are the other
-    causes in the model.
+    A scaled amplitude is in units of the typical standard uncertainty over all sessions. If amplitudes are
+    relative to each session's own uncertainty, the factor is the median of this uncertainty over the
+    affected sessions, because the sessions of one stage may be much noisier than the rest. `part` is the
+    cause, `others` are the other causes in the model.
     """
     units, index = population.units, list(part.candidate.index)
     typical = units.typical[index]
@@ -119,9 +119,9 @@ def _sizes(population: Population, others: Sequence[ChosenCause], part: ChosenCa
 def _uncertainty(population: Population, others: Sequence[ChosenCause], part: ChosenCause) -> Floats | None:
     """Return the standard uncertainty of the mean amplitudes (d,) of a cause.
 
-    It is a multiple of the typical standard uncertainty of one session. Returns None if the mean is fixed
-    at zero, or if the likelihood has no maximum in it. `part` is the cause, `others` are the other causes
-    in the model.
+    Its unit is the typical standard uncertainty of one session. Returns None if the mean is fixed at zero,
+    or if the likelihood has no maximum as a function of the mean. `part` is the cause, `others` are the
+    other causes in the model.
     """
     start = part.amplitudes
     at = parameters_of(start)

@@ -58,7 +58,7 @@ class ControlChart(JsonRecord):
         sessions up to the signal into two means (Pignatiello and Samuel, J. Qual. Technol. 33, 2001); None
         without a signal.
     k, h : float
-        Slack and limit of the CUSUM.
+        Slack and limit of the CUSUM, in standard deviations.
     """
 
     document_keys = (

@@ -106,8 +106,8 @@ def _parameters(summary: Summary) -> Section:
 def _histogram(one: QuantitySummary, values: Floats) -> Figure | None:
     """Plot a histogram of one quantity over the sessions; None for fewer than five sessions.
 
-    `values` (n,) are the values of the quantity, NaN where unknown. The curve is the distribution that a
-    single true value with the median u would give.
+    `values` (n,) are the values of the quantity, NaN where unknown. The curve is the normal distribution of
+    the values if all sessions had one true value and the median standard uncertainty.
     """
     x = values[np.isfinite(values)]
     spread = one.distribution

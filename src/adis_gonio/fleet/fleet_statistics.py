@@ -333,8 +333,8 @@ def robust_z(values: Floats, u: Floats) -> tuple[Floats, float]:
     """Return the robust z (n,) of values, and their median.
 
     z is the distance of each value from the median divided by √(τ² + u²), with the standard uncertainties
-    `u` (n,). The scatter τ is such that the median distance is as in a normal distribution; it is 0 if u
-    alone explains the distances.
+    `u` (n,). The scatter τ is chosen so that the median of |z| is 0.67, as in a normal distribution. It is
+    practically 0 if u alone explains the distances.
     """
     centre = float(np.median(values))
     away = np.abs(values - centre)
@@ -449,8 +449,8 @@ def _stepwise(
     """Test each group against the rest, remove the most outlying group, and repeat without it.
 
     `values` (n,) are compared by their group `code` (n,). `score` returns z and p-value of each group,
-    `middle` the figure of a group that is reported. `kind` and `quantity` name the kind of group and the
-    compared quantity.
+    `middle` the figure that is reported for the values of a group, such as their median. `kind` and
+    `quantity` name the kind of group and the compared quantity.
     """
 
     def find(level: float) -> list[Test]:

@@ -244,9 +244,10 @@ def _quantities(table: Table) -> list[str]:
 def _u_in_groups(table: Table, name: str, group: Codes | None = None) -> Floats:
     """Return the standard uncertainties (n,) of the values of a quantity; NaN if a session states none.
 
-    They are for comparisons within each group of sessions: the influence of the stage that a group shares
-    is left out. `group` (n,) is the group of each session, a negative number for a group of one session;
-    None makes all sessions one group.
+    They are for comparisons of sessions within a group. If all sessions of a group have the certificate of
+    one stage, its errors are left out, since they change all values of the group together. `group` (n,) is
+    the group of each session, a negative number for a group of one session; None makes all sessions one
+    group.
     """
     if name == _RMS:
         return np.full(len(table[name]), np.nan)

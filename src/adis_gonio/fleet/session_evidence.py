@@ -174,7 +174,7 @@ class _Part(NamedTerm):
         object.__setattr__(self, "_chosen", chosen)
 
     def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """Return the basis functions of the chosen amplitudes, one for each index of the array's last axis.
+        """Return the basis functions of the chosen amplitudes, along the last axis of the result.
 
         `ideal` are the readings of ideal axes, `conditions` the covariates of the effect.
         """
@@ -370,8 +370,8 @@ def evidence_of(session: Session, result: TraceResult | None = None) -> SessionE
         The session.
     result : TraceResult, optional
         Trace of the session; None without a trace. Dwells that the trace found slipped or outlying are
-        excluded, the scatter that it found is added to the noise, and and the fitted amplitudes of the
-        effects that it found are added to the evidence for these effects.
+        excluded, the scatter that it found is added to the noise, and the fitted amplitudes of the effects
+        that it found are added to the evidence for these effects.
 
     Raises
     ------

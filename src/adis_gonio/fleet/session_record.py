@@ -91,7 +91,7 @@ class SessionRecord(JsonRecord):
     plan : str or None
         Name of the plan; None for a CSV.
     when : str or None
-        Begin of the session (UTC, ISO 8601); None for a CSV.
+        Start of the session (UTC, ISO 8601); None for a CSV.
     simulated : bool or None
         True if a simulator made the readings.
     dwells : int or None

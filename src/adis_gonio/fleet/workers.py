@@ -280,12 +280,14 @@ class Cluster:
                 return record
 
     def _threads(self) -> int:
-        """Return the number of sessions that the cluster can compute at once, looked up from time to time.
+        """Return the number of sessions that the cluster can compute at once.
+
+        The scheduler is asked at most every `_LOOK_S` seconds.
 
         Raises
         ------
         FleetError
-            The cluster has had no worker for too long.
+            The cluster has had no worker for longer than `alone_s`.
         """
         now = time.monotonic()
         if now - self._looked >= _LOOK_S:

@@ -17,8 +17,8 @@ all axes together, so D has three angles and not six.
 
 A `Measurement` contains these equations together with the unknown *attitude* of each dwell: `PlanarTurn`
 and `FreeAttitude` for accelerometers, `MeanRate` for gyros, other subclasses for other readings. Fit and
-trace take all facts about a kind of readings from its object: its unit, its size, its stimuli. Angles are
-in radians inside; results are stated in `BaseParameter.unit`.
+trace take all properties of a kind of readings from this object, such as the unit and the typical size.
+Angles are in radians inside; results are stated in `BaseParameter.unit`.
 
 Gyros are right-handed about the drawn axes, in the frame of the accelerometers, and read in °/s::
 
@@ -75,7 +75,7 @@ class BaseParameter:
     name : str
         Name of the parameter, such as `scale_x`.
     unit : str
-        Unit in results: `deg` (radians inside), `1`, or the measurement's own.
+        Unit in results: `deg` (computations use rad), `1`, or `Measurement.unit`.
     nominal : float
         Value of a perfect sensor, in natural units (rad, 1).
     spread : float
@@ -234,7 +234,7 @@ class Measurement(ABC):
 
     @abstractmethod
     def calibrated(self, base: Floats, reading: Floats) -> Floats:
-        """Return the calibrated output for readings (n, axes); accelerometers: in local gravity."""
+        """Return the calibrated output (n, axes) for readings: gravity in local gravity, or °/s."""
 
     @property
     def planar(self) -> bool:
@@ -405,7 +405,10 @@ class FreeAttitude(Measurement):
     def begin(
         self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
     ) -> tuple[Floats, Floats]:
-        """Return starting values: one gain for all axes without skews, (6,), and directions (n, 3)."""
+        """Return starting values of the base parameters (6,) and of the unit vectors of gravity (n, 3).
+
+        The gains of all axes are equal, and the skews are 0.
+        """
         length = np.linalg.norm(reading, axis=1, keepdims=True)
         gain = float(length.mean()) / self.gravity_mg
         return np.array([gain, gain, gain, 0.0, 0.0, 0.0]), reading / length
@@ -445,10 +448,12 @@ class FreeAttitude(Measurement):
     def visible(self, reading: Floats, declared: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return for each base parameter (6,) True if the poses determine it.
 
-        A parameter counts as determined if its effect on the norms of the readings is at least `SEEN`.
+        A parameter counts as determined if its effect on the norms of the readings, as rms over the poses,
+        is at least `SEEN`.
 
-        The norm of a reading changes by u_i² with a gain, u_i u_j with a skew and u_i with a bias, for the
-        unit vector u of gravity.
+        With u the unit vector of gravity, the relative change of the norm is u_i² per unit of a gain, u_i
+        u_j per unit of a skew, and u_i per unit of a bias. For a skew only the part counts that gains,
+        biases and other skews cannot imitate.
         """
         unit = reading / np.maximum(np.linalg.norm(reading, axis=1, keepdims=True), 1e-300)
         seen = np.zeros(6, dtype=bool)
@@ -555,7 +560,8 @@ class SessionOrigin:
 class JointMeasurement(Measurement):
     """Measurement of dwells of several sessions, which share parameters of the part.
 
-    A parameter without a prior (the start angle) belongs to its session, any other to its part.
+    A parameter without a prior (the start angle) has a value for each session; any other parameter has one
+    value for each part, common to all its sessions.
 
     Attributes
     ----------
@@ -609,21 +615,21 @@ class JointMeasurement(Measurement):
 
     @property
     def size(self) -> float:
-        """Typical size of a reading: that of the first session."""
+        """Typical size of a reading, from the first session."""
         return self.models[0].size
 
     @cached_property
     def _each(self) -> list[tuple[Measurement, NDArray[np.intp], NDArray[np.intp]]]:
-        """Model, numbers of its dwells and numbers (p,) of its parameters, for each session with dwells."""
+        """Model, indices of the dwells and indices (p,) of the parameters, for each session with dwells."""
         each = [(m, np.flatnonzero(self.session == k), self.numbers[k]) for k, m in enumerate(self.models)]
         return [one for one in each if len(one[1])]
 
     @cached_property
     def _groups(self) -> list[tuple[Measurement, NDArray[np.intp], NDArray[np.intp]]]:
-        """Like `_each`, with as few groups of dwells as possible.
+        """Model, indices of dwells and indices of parameters, for groups of dwells computed together.
 
-        A plane needs one group: its numbers of parameters (p, n) differ by dwell. In space a group has
-        sessions with equal parameters.
+        In the plane all dwells are one group, with the indices (p, n) of the parameters of each dwell. In
+        space a group has all sessions with the same parameters, whose indices are (p,).
         """
         kinds = [
             (model, () if self.planar else tuple(own))
@@ -663,7 +669,10 @@ class JointMeasurement(Measurement):
     def begin(
         self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
     ) -> tuple[Floats, Floats]:
-        """Return starting values: the mean over the sessions of a part, and the attitude of each dwell."""
+        """Return starting values of the base parameters (p,) and of the attitude of each dwell.
+
+        A parameter common to several sessions has the mean of the starting values of these sessions.
+        """
         total, count, attitudes = np.zeros(len(self.parameters)), np.zeros(len(self.parameters)), []
         for model, rows, own in self._each:
             some = reading[rows], turn_rad[rows], declared[rows], conditions.rows(rows)
@@ -674,7 +683,10 @@ class JointMeasurement(Measurement):
         return np.where(count > 0, total / np.maximum(count, 1), self.nominal), self._joined(attitudes)
 
     def _joined(self, parts: Sequence[tuple[NDArray[np.intp], Floats]]) -> Floats:
-        """Return arrays of the sessions' dwells, given with their numbers, as one array of all dwells."""
+        """Join arrays of some dwells each to one array of all dwells.
+
+        `parts` are pairs: the indices of the dwells, and the array with a row for each of them.
+        """
         out = np.zeros((len(self.session), *parts[0][1].shape[1:]))
         for rows, own in parts:
             out[rows] = own

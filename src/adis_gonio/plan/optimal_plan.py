@@ -1,15 +1,17 @@
 """The best plan for a number of positions, and the fewest positions for a tolerance.
 
-A search exchanges candidate positions to improve a criterion, computed from the information matrix.
+A search exchanges candidate positions to increase a criterion, computed from the information matrix of the
+plan.
 
-The information M (p, p) is on start angle, gains, Δφ and biases in natural units (1 rad, 1, local
-gravity), then on the amplitudes of the possible effects, each in its typical size on a bench, with the
-prior of `advice` (`TYPICALS` of them) about zero. V = M⁻¹ is the covariance, V_b its part of the base
-model.
+The information matrix M (p, p) has rows for start angle, gains, Δφ and biases in natural units (1 rad, 1,
+local gravity), then for the amplitudes of the possible effects, each in units of its typical size on a
+bench. An amplitude has a prior about zero with a standard deviation of `TYPICALS` of these units. V = M⁻¹
+is the covariance, V_b its block of start angle, gains, Δφ and biases, and V_ee the variance of one
+amplitude.
 
 | name | maximised | known as |
 |---|---|---|
-| `angle` | −max over the turn of ln gᵀ V_b g, g the slope of the shown angle | G-optimality |
+| `angle` | −max over the turn of ln gᵀ V_b g, g the gradient of the calibrated angle | G-optimality |
 | `parameters` | −ln det V_b, divided by the number of parameters | D-optimality; D_s with effects |
 | `tell-apart` | min over amplitudes of ln(1/V_ee − 1/prior²), plus their mean/100 | maximin D_s, s = 1 |
 
@@ -162,9 +164,12 @@ class Criterion:
         return np.asarray(np.sqrt(np.maximum(1 / variance - self.precision[self.base :], 0.0)))
 
     def figure(self, information: Floats) -> float:
-        """Return the quantity by which the criterion judges a plan, in its unit, not as a score.
+        """Return the quantity by which the criterion judges a plan, for people instead of as a score.
 
-        `information` (p, p) is its information matrix, which includes the prior.
+        It is the largest u of the angle in degrees, the generalised u of the b base parameters (root of the
+        determinant of their covariance, to the power 1/b, in natural units), or the least number of
+        standard uncertainties by which an effect of typical size is detected. `information` (p, p) is the
+        plan's information matrix, which includes the prior.
         """
         stack = information[None]
         if self.name == "angle":
@@ -250,9 +255,10 @@ class Candidates:
     def exchanged(self, choice: Choice, dwell: int) -> Floats:
         """Return the information matrices (m, p, p) of the plans with one dwell moved to each position.
 
-        `choice` is the present plan, `dwell` the index of the moved dwell. With correlated readings the
-        information is the sum of the information of all other readings and the information of this reading
-        given the others: with B = C_ir C_rr⁻¹, (J_i − B J_r)ᵀ (C_ii − B C_ri)⁻¹ (J_i − B J_r).
+        `choice` is the present plan, `dwell` the index of the moved dwell. The information of the plan is
+        the information of the readings r of all other dwells plus the information of the readings i of this
+        dwell, given r. With the Jacobian J and the covariance C of the readings, and B = C_ir C_rr⁻¹, the
+        latter is (J_i − B J_r)ᵀ (C_ii − B C_ri)⁻¹ (J_i − B J_r).
         """
         n, p = self.dwells, self.columns.shape[3]
         rows = self.columns[np.arange(n), choice].reshape(2 * n, p)
@@ -392,7 +398,9 @@ def _refuse_hidden(term: NamedTerm, base: Floats, columns: Floats) -> None:
 def search(
     ground: Candidates, criterion: Criterion, starts: Sequence[Choice], rng: np.random.Generator
 ) -> SearchedPlan:
-    """Return the best plan reached from several starts, in ascending or descending order if as good.
+    """Return the plan with the highest score that a search reaches from several starting plans.
+
+    Its positions are put in ascending or descending order if the score remains the same within `SIMPLER`.
 
     Parameters
     ----------
@@ -438,7 +446,7 @@ class SearchedPlan:
         return bool((np.diff(self._ground.angle_deg[choice]) == 0).any())
 
     def improve(self, rng: np.random.Generator) -> None:
-        """Exchange positions and swap dwells until the score stays."""
+        """Exchange positions and swap dwells until the score no longer rises."""
         for _ in range(_MOST_SWEEPS):
             before = self.score
             self._exchange(rng)
@@ -495,8 +503,8 @@ class Gain(JsonRecord):
         The other plan's `figure` divided by the figure of the best plan (for `tell-apart` the inverse);
         above 1 if the best plan is better.
     u : dict of str to float
-        Ratio of standard uncertainties, after the other plan to after the best plan, for each parameter and
-        the angle.
+        For each parameter and the angle: standard uncertainty with the other plan divided by standard
+        uncertainty with the best plan.
     """
 
     over: str = field(metadata=HIDDEN)
@@ -675,8 +683,8 @@ def _starts(ground: Candidates, positions: int, rng: np.random.Generator) -> lis
 def _gain(ours: Prediction, figure: float, other: Plan, ground: Candidates, criterion: Criterion) -> Gain:
     """Compare the best plan with another plan: ratio of the criterion and of each uncertainty.
 
-    `ours` is the prediction for the best plan, `figure` its criterion. The criterion of the other plan is
-    computed at the nearest angles of the grid.
+    `ours` is the prediction for the best plan, and `figure` the quantity by which the criterion judges it
+    (`Criterion.figure`). This quantity of the other plan is computed at the nearest angles of the grid.
     """
     theirs = criterion.figure(ground.information(ground.nearest(other)))
     reach = predict_uncertainty(other, ours.bench)
@@ -731,8 +739,9 @@ def _decides(reach: PlanUncertainty, tolerance: Tolerance) -> bool:
 def _fewest_interleaved(bench: Bench, tolerance: Tolerance) -> int:
     """Return the smallest number of interleaved positions that can show conformity, by bisection.
 
-    In one slow turn, more positions can be worse than fewer: the 1/f noise of a longer session has the
-    period of the turn. Interleaved positions avoid that.
+    Interleaved positions follow each other in steps of about 0.38 turns (`interleaved_plan`). With
+    positions in ascending order more can be worse than fewer: the 1/f noise of a longer session resembles
+    an error with the period of the turn.
     """
 
     def decides(count: int) -> bool:

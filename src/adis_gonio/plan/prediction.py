@@ -1,15 +1,15 @@
 """Prediction of a session on a bench: its uncertainties and the effects that it detects.
 
 The expected readings of a plan are readings of an ideal sensor, with the covariance that would be computed
-from a real session. White noise of σ per sample has the spectral density σ² at frequency zero, filtered
-or not, because the chip's filter passes zero unchanged: a mean of n samples has the variance σ²/n. The
-converter's step (`quantized_means`) and the 1/f noise that dwells have and share (`flicker_parts`) add to
-it.
+from a real session. White noise of σ per sample has the spectral density σ² at frequency zero, filtered or
+not, because the chip's filter passes zero unchanged: a mean of n samples has the variance σ²/n. Two
+variances are added to it: by the converter's step (`quantized_means`), and by 1/f noise, which is partly
+common to all dwells (`flicker_parts`).
 
 The expected readings go through `fit` itself, so that a predicted uncertainty equals the uncertainty that
 the fit of such a session states. With few positions the result depends on the errors of the stage: with
-four positions, for example, a misalignment Δφ changes the gains by Δφ²/2, which matters if the fixture is
-wide. Then the prediction is the median over sessions with random errors of the stage.
+four positions, for example, a misalignment Δφ changes the gains by Δφ²/2, which matters if the declared
+angles are very uncertain. Then the prediction is the median over sessions with random errors of the stage.
 """
 
 from __future__ import annotations
@@ -276,8 +276,9 @@ class PlanUncertainty:
     parameters : dict of str to Value
         Parameters that the plan determines.
     angle, angle_worst : Value
-        Angle in degrees that the calibrated goniometer shows, for a reading as long as a dwell: u as root
-        mean square over the turn, and u at the worst angle. No u if the plan does not determine the angle.
+        Angle in degrees that the calibrated goniometer shows for a reading as long as a dwell. The u of
+        `angle` is the root mean square over the turn, the u of `angle_worst` is the largest. Both u are
+        None if the plan does not determine the angle.
     fitted_deg : float
         Part of u of `angle_worst` from the fitted parameters, which a better plan can lower; NaN if the
         angle is not determined.
@@ -368,7 +369,7 @@ class Sight(JsonRecord):
 class Prediction:
     """Prediction for a session with a plan on a bench: uncertainties and detectable effects.
 
-    They are `reach` and `sight`.
+    `reach` has the uncertainties, `sight` the detectable effects.
     """
 
     plan: Plan
@@ -508,8 +509,8 @@ def predict_sight(readings: Readings) -> Sight:
 
     The detectable amplitude is the one that a trace would find in 90 of 100 sessions, in addition to the
     start angle, gains, Δφ and biases. Two effects are not distinguished if one of them, at its detectable
-    amplitude, differs by less than `LEAST_SEPARATION` standard uncertainties from the other's best
-    imitation; the advice of a trace uses this limit for a measurement that is worth while.
+    amplitude, differs by less than `LEAST_SEPARATION` standard uncertainties from the best imitation by the
+    other effect.
 
     Parameters
     ----------

@@ -120,7 +120,7 @@ def _sentence(group: Sequence[NextDwell]) -> str:
 
 
 def _faint(group: Sequence[NextDwell]) -> str:
-    """Return the sentence for hypotheses that a single dwell cannot separate: repeat some positions."""
+    """Return the advice to repeat some positions, for hypotheses that no single dwell separates."""
     what = list(dict.fromkeys(place(m) for m in group))
     where = _joined(what, "; " if any("," in w for w in what) else ", ")
     names = _joined(list(dict.fromkeys(name for m in group for name in _varying(m))), ", ")
@@ -161,7 +161,8 @@ def _by_hand(
     remedies : mapping of str to str
         Action by effect.
     alone : bool
-        True if the model has no attitude to choose: also confirm an effect whose group has no named rival.
+        True if the readings have no attitude that a further dwell could change. If no rival in a group has
+        an action, the action for the effect in the model is then returned.
     """
     to_do: dict[str, list[str]] = {}
     for names in confounded:

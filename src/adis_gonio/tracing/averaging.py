@@ -3,8 +3,8 @@
 It is seldom certain which formula is right, and if none is right a smooth function is closer. Models with
 the named effects of the chosen model are fitted, with formulas or Gaussian processes as their unnamed part.
 The corrected model adds the mean of these unnamed parts, weighted by their evidence (Hoeting, Madigan,
-Raftery and Volinsky, Bayesian model averaging, Statistical Science 14, 1999). The *report* shows the
-formula of the best one.
+Raftery and Volinsky, Bayesian model averaging, Statistical Science 14, 1999). The *report* shows only the
+function with the largest weight.
 """
 
 from __future__ import annotations
@@ -29,7 +29,9 @@ Member = tuple[float, NamelessTerm, Floats]
 
 @dataclass(frozen=True)
 class RidgeSolution:
-    """Fit of one averaged alternative (a member) together with the base model and the named terms.
+    """Fit of one member of an average: base model, named terms, and the unnamed terms of this member.
+
+    The members are the alternatives (formulas, Gaussian processes) over which the average is taken.
 
     Attributes
     ----------
@@ -56,8 +58,8 @@ class RidgeSolution:
     def columns(self, there: Fit, width: int) -> Floats:
         """Return the whitened columns (rows, p) of base model, named terms and this member's terms.
 
-        They are for the dwells of the fit `there`; the first `width` columns of its Jacobian belong to base
-        model and named terms.
+        `there` is a fit to the dwells for which the columns are computed. The first `width` columns of its
+        Jacobian belong to the base model and the named terms.
         """
         own = [there.white(there.candidate(term)) for term in self.terms]
         return np.concatenate([there.jacobian[:, :width], *own], axis=1)
@@ -82,7 +84,7 @@ class AveragedTerm(NamelessTerm):
         return max(self.members, key=lambda member: member[0])[1].form
 
     def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Return the members' mean contribution to the readings or to the angle, by their weights."""
+        """Return the weighted mean of the members' contributions to the readings or to the angle."""
         parts = [weight * term.added(own, ideal, conditions) for weight, term, own in self.members]
         total: Floats = np.sum(parts, axis=0)
         return total
@@ -95,7 +97,9 @@ class AveragedTerm(NamelessTerm):
 
 @dataclass(frozen=True)
 class AveragedFit(Fit):
-    """Fit of a model with averaged unnamed functions; its u includes the differences between these.
+    """Fit of a model with averaged unnamed functions.
+
+    Its standard uncertainties include the differences between these functions.
 
     Attributes
     ----------
@@ -134,9 +138,10 @@ class AveragedFit(Fit):
         return mixed_covariance(stated, width + self.data.axes, self.inflation)
 
     def carried(self, there: Fit) -> Floats:
-        """Return a root (rows, k) of the covariance of the predicted whitened readings of dwells.
+        """Return a root (rows, k) of the covariance of predicted whitened readings.
 
-        `there` is the fit on these dwells. The covariance includes the uncertainty of each member and the
+        `there` is a fit with the dwells to predict. The covariance is the root times its transpose, in
+        units of the noise variance times `inflation`. It includes the uncertainty of each member and the
         differences between members.
         """
         width = len(self.values.parameters)
@@ -158,8 +163,8 @@ class Averaged:
     Attributes
     ----------
     fit : Fit
-        Named terms, then at most one averaged term at the angle and one at the readings. Base and named
-        terms were refitted with them.
+        Fit with the named terms, then at most two averaged terms: one changes the angle, one the readings.
+        The base and named parameters were fitted again with these averaged terms.
     smooth : NamelessTerm
         The most probable Gaussian process among the averaged functions.
     weight : float
@@ -182,12 +187,12 @@ class Averaged:
 def average(selection: Selection, candidates: Sequence[Process] | None = None) -> Averaged | None:
     """Return a model with the mean of unnamed functions in addition to the named effects of a selection.
 
-    None if the named effects explain the readings.
+    The result is None if no unnamed function is needed to explain the readings.
 
     The candidates (formulas and Gaussian processes) are first weighed with the measured noise. If their
-    mean does not agree with this noise, they are weighed again with the larger noise that the best formula
-    leaves. This is not done first, because with the larger noise a wrong formula may outweigh the right
-    process.
+    mean does not agree with this noise, they are weighed again with a larger noise, which explains the
+    residual of the best formula. The measured noise comes first, because with the larger noise a wrong
+    formula may outweigh the right process.
 
     Parameters
     ----------
@@ -259,8 +264,8 @@ def _named_columns(fit: Fit) -> list[Floats]:
 def _covered_by_process(term: NamelessTerm, covered: set[tuple[Where, tuple[str, ...]]]) -> bool:
     """Return True if an unnamed term approximates a function that a Gaussian process also describes.
 
-    `covered` has the place and covariates of each process. Both fit the readings equally well, but outside
-    their range a polynomial diverges.
+    `covered` has the place and covariates of each process. Such a term is omitted: it is a polynomial,
+    which fits the readings as well as the process but diverges outside their range.
     """
     return term.basis.approximates and (term.where, term.covariates) in covered
 
@@ -324,7 +329,7 @@ def mixed_covariance(
     """Return the covariance (width, width) of the first `width` values of the members' fits.
 
     It contains the uncertainty within each member and the differences between members, both in units of the
-    noise variance times `inflation`. A member of `solutions` is the weight of a model and its fit; the
+    noise variance times `inflation`. Each entry of `solutions` is the weight of a member and its fit; the
     weights add up to 1.
     """
     mean = np.sum([weight * one.values[:width] for weight, one in solutions], axis=0)
@@ -339,7 +344,7 @@ def _members(solutions: Sequence[tuple[float, RidgeSolution]], fit: Fit, width: 
     """Return each unnamed term of the fitted members, with the weight of its member and its amplitudes.
 
     `width` is the number of base and named parameters, which come first in the values of a member. Each
-    member of `solutions` has its weight.
+    entry of `solutions` is the weight of a member and its fit. `fit` is the fit of the chosen model.
     """
     members: list[Member] = []
     for weight, one in solutions:

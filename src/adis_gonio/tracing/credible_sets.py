@@ -7,11 +7,12 @@ Credible sets
     covariates that replaces two names therefore counts against both. The votes for all forms of a name
     (axes, shapes, dwells) are added. The set is the smallest one with 95 % of the votes, as in SuSiE for
     correlated variables (Wang, Sarkar, Carbonetto and Stephens, J. R. Stat. Soc. B 82, 2020). Unnamed
-    functions compete on equal terms.
+    functions count in the same way as names.
 
-    If a model contains a name and an unnamed function of related covariates, the name may be a piece of the
-    unknown cause, so the model votes for the function. If the function is an average over processes, the
-    vote is divided by their probability.
+    If a model contains a name and an unnamed function of related covariates, the name may describe only a
+    part of an unnamed cause, so the model votes for the function. If an average replaces the unnamed
+    functions, a share of the votes for the name goes to the Gaussian process of the average. The share is
+    the total probability of the processes in the average.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ def judge(selection: Selection, averaged: Averaged | None = None) -> Names:
 
     A name is accepted if the models that contain it have most of the posterior (`certain`), and the model
     has no unnamed term with covariates of the kind of this name (slow, or dependent on the position). With
-    such a term the name may be a piece of the unknown cause.
+    such a term the name may describe only a part of an unnamed cause.
 
     Parameters
     ----------
@@ -92,8 +93,8 @@ def judge(selection: Selection, averaged: Averaged | None = None) -> Names:
 def unknown_of(selection: Selection, averaged: Averaged | None) -> list[NamelessTerm]:
     """Return the unnamed terms that may be the cause instead of a name.
 
-    They are the terms of the chosen model or, if it has none, the process with which `averaged` replaces
-    them.
+    They are the unnamed terms of the chosen model. If the model has none, the result is the most probable
+    Gaussian process of `averaged`, or empty if `averaged` is None.
     """
     terms = [selection.problem.terms[k] for k in selection.verdict.best]
     own = [term for term in terms if isinstance(term, NamelessTerm)]
@@ -101,7 +102,7 @@ def unknown_of(selection: Selection, averaged: Averaged | None) -> list[Nameless
 
 
 def related(term: Term, unknown: Term) -> bool:
-    """Return True if a named and an unnamed term may be pieces of a single cause.
+    """Return True if a named and an unnamed term may describe parts of a single cause.
 
     This is possible if their covariates are of one kind (slow, or dependent on the position). `term` is
     the named term, `unknown` the unnamed one.
@@ -196,14 +197,16 @@ def credible_sets(selection: Selection, averaged: Averaged | None = None) -> tup
 
 
 def merge_by_function(sets: Sequence[CredibleSet], likelier: Mapping[str, str]) -> tuple[CredibleSet, ...]:
-    """Merge the sets of named causes that are more probably pieces of one unnamed function: keep the first.
+    """Keep one set for named causes that one unnamed function explains with higher probability.
+
+    It is the first set among the sets of these causes.
 
     Parameters
     ----------
     sets : sequence of CredibleSet
         Sets of all causes.
     likelier : mapping of str to str
-        For each of these named causes, the unnamed function; causes that are not in it keep their sets.
+        For each of these named causes, the unnamed function. All other causes keep their sets.
     """
     leads = [likelier.get(one.cause, one.cause) for one in sets]
     return tuple(one for k, one in enumerate(sets) if leads[k] not in leads[:k])
@@ -347,9 +350,10 @@ class _Place:
         return {word: whole * share / sum(part.values()) for word, share in part.items()}
 
     def _explained(self, fresh: Sequence[int], kept: Sequence[int]) -> float:
-        """Return the share (0 to 1) of the cause's contribution that some terms reproduce.
+        """Return the share (0 to 1) of the cause's contribution that some terms of a model reproduce.
 
-        The terms are those numbered in `fresh` and `kept`.
+        `fresh` are the numbers of the terms whose cause the chosen model lacks, `kept` the numbers of the
+        other terms.
         """
         basis, _ = span(self.problem, [*fresh, *kept])
         return float(((basis.T @ self.added) ** 2).sum())

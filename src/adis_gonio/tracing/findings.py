@@ -164,9 +164,10 @@ def unnamed_of(
 ) -> Unnamed | None:
     """Return the unnamed part of the result: structure in the readings that no named effect explains.
 
-    It consists of the model's unnamed terms or of the average that replaces them; None without both. Its
-    probability is the probability of the least probable function, as in the credible sets, by the
-    posterior of `judged` if given. `averaged` is this average.
+    It consists of the model's unnamed terms or, if there are none, of the average `averaged`. The result is
+    None without both. If there are several unnamed terms, its probability is the smallest of their
+    probabilities, computed as in the credible sets. `judged` has the posterior for this, by default
+    `selection`.
     """
     from scipy.special import chdtrc
 
@@ -327,10 +328,10 @@ def notes_of(selection: Selection, scatter: Scatter | None) -> tuple[str, ...]:
 
 
 def excesses(fits: Sequence[Fit], figures: Sequence[ErrorFigures]) -> list[float]:
-    """Return for each nested model by how much its χ² exceeds its degrees of freedom.
+    """Return the excess of each nested model: its χ² minus its degrees of freedom, at least 0.
 
-    If the noise is unknown, the squared residual is used instead. `fits` are the nested models, `figures`
-    their errors.
+    If the noise is unknown, the excess is the mean square of the residual. `fits` are the nested models,
+    `figures` their errors.
     """
     if any(figure.chi2_per_dof is None for figure in figures):
         return [figure.residual_rms**2 for figure in figures]
@@ -366,8 +367,8 @@ def with_shares(found: Sequence[Finding], of_step: dict[str, float]) -> tuple[Fi
 def unnamed_with_share(unnamed: Unnamed | None, of_step: dict[str, float]) -> Unnamed | None:
     """Return the unnamed part (None if there is none) with its share of the base model's excess χ².
 
-    If no step added an unnamed term, the share is limited to the part that the steps leave unexplained.
-    `of_step` are the shares of all effects.
+    If no step added an unnamed term, `unnamed` keeps its share, but at most the part that the steps leave
+    unexplained. `of_step` are the shares of all effects.
     """
     if unnamed is None:
         return None
@@ -416,8 +417,8 @@ class Mixture:
 def base_mixture(selection: Selection) -> Mixture:
     """Return the base parameters in each probable model (minus the reported ones) with the models' weights.
 
-    If an average replaces the unnamed functions, its covariance contains their spread. Models with the
-    names of the chosen model then count as the chosen model.
+    If an average replaces the unnamed functions, the covariance of its fit already contains the differences
+    between them. Models with the named effects of the chosen model then have the reported values.
     """
     problem, fit = selection.problem, selection.fit
     each = posterior(selection.found)
@@ -637,9 +638,10 @@ def detectable(
 
 
 def _lengths(problem: LinearProblem, term: int, basis: np.ndarray) -> list[float]:
-    """Return the change of the readings per unit of each amplitude of a term that the model cannot make.
+    """Return the length of the part of each column of a term that the model cannot reproduce.
 
-    It is the length of the whitened column after projection off the base model and `basis`.
+    A column is the change of the whitened readings by one unit of an amplitude. It is projected off the
+    base model and off `basis`, orthonormal columns of the model. `term` is the number of the term.
     """
     # Columns by amplitude = block · back⁺; `back` maps block coefficients to amplitudes.
     back = problem.back[term]

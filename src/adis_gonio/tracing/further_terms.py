@@ -45,7 +45,8 @@ class Scored:
     Attributes
     ----------
     fit : Fit
-        The model at its amplitudes in the linear problem, or its fit if the trace has made one.
+        Fit of the model if the trace has made one; otherwise the model with its amplitudes in the linear
+        problem.
     log_evidence : float
         Log evidence relative to the base model, in nats.
     chosen : bool
@@ -88,8 +89,9 @@ class Bought:
 def best_by_terms(selection: Selection, nested: Sequence[Fit]) -> tuple[Scored, ...]:
     """Return the best scored model of each number of terms; the chosen model is the best of its number.
 
-    A model of more terms than the chosen one has to predict other readings: two terms of one axis each are
-    not a further term if the chosen model has one term of both axes. `nested` are the fits of the trace.
+    A model with more terms than the chosen one counts only if it predicts other readings. For example, two
+    terms for one axis each predict nothing new if the chosen model has one term for both axes. `nested` are
+    the fits of the trace.
     """
     found, chosen, problem = selection.found, tuple(sorted(selection.verdict.best)), selection.found.problem
     by_size: dict[int, list[Model]] = defaultdict(list)
@@ -118,7 +120,7 @@ def best_by_terms(selection: Selection, nested: Sequence[Fit]) -> tuple[Scored, 
 def bought_by_terms(
     models: Sequence[Scored], fold: Fold, checking: Readings | None = None
 ) -> tuple[Bought, ...]:
-    """Return the held-out errors of the best models of each number of terms; empty if not measurable.
+    """Return the held-out errors of the best models of each number of terms; empty if no dwell is held out.
 
     `fold` has the residuals that the trace has computed in its folds. `checking` are the check dwells,
     which are then the held-out dwells. A dwell counts if the chosen model is determined without it.
@@ -156,7 +158,11 @@ def bought_by_terms(
 def _left_out(
     fits: Sequence[Fit], chosen: int, fold: Fold, checking: Readings | None
 ) -> list[list[HeldOut]]:
-    """Return the residuals of each fit on the held-out dwells, with its terms kept; empty lists if none."""
+    """Return the residuals of each fit on the held-out dwells; empty lists if no dwell can be held out.
+
+    The terms of a fit are kept, and their values are fitted again without the held-out dwells. `chosen` is
+    the index of the chosen model.
+    """
     if checking is not None:
         return [[residuals_on(fit, checking)] for fit in fits]
     if leaves_too_few(fits[-1]):

@@ -113,7 +113,7 @@ class _Made:
 
 
 def nameless_terms(data: Readings) -> list[NamelessTerm]:
-    """Return all unnamed candidate terms of a session, each with its prior probability as cost."""
+    """Return all unnamed candidate terms of a session; the cost of each is −ln of its prior probability."""
     made = list(_bases(data))
     weight = {m.family: 1.0 if m.family in COMMON else limits.family_weight for m in made}
     total = sum(weight[family] for family in sorted(weight))
@@ -499,7 +499,10 @@ class _Course:
             yield _formula(self.family, form, columns)
 
     def polynomials(self, levels: int) -> Iterator[_Made]:
-        """Yield polynomials of the covariate, of degrees below its number `levels` of values."""
+        """Yield polynomials of the covariate.
+
+        Their degrees are less than `levels`, the number of values of the covariate in the session.
+        """
         for degree in (2, 3, 4, 5, 6, 8):
             if degree < levels:
                 form = f"a smooth function of {self.family} (degree {degree})"

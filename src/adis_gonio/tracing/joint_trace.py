@@ -6,7 +6,8 @@ effect to all sessions or to groups of them, by evidence (`adis_gonio.tracing.sh
 
     sessions → readings, one by one → stack → screening → trace → share of each session
 
-A session's part is its `serial`, and its stage is its `stage`. Sessions that do not state one share it.
+The field `serial` of a session identifies its part, the field `stage` its stage. All sessions without a
+`serial` count as sessions of one part, and all sessions without a `stage` as sessions on one stage.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ class SessionShare(JsonRecord):
         Log likelihood in nats that its readings add for each cause of the model.
     alone : mapping of str to float
         Effects that its readings alone would show, with their probabilities; unnamed functions begin with
-        `unnamed:`. The candidates are those that scored well in the joint trace.
+        `unnamed:`. The candidates are the terms that scored well in the joint trace.
     heldout_before_mg, heldout_after_mg : float or None
         Held-out error of its dwells by the base model and by the joint model, if a fifth of all dwells is
         left out in turn.
@@ -228,7 +229,11 @@ class JointRun(TraceRun):
         return tuple(out)
 
     def _alone(self, rows: NDArray[np.bool_]) -> dict[str, float]:
-        """Return the probable effects of one session alone, from candidates that scored well in all."""
+        """Return the causes that one session alone would show, with their probabilities.
+
+        `rows` (n,) is the mask of its dwells. The candidates are the terms that scored well in the joint
+        trace.
+        """
         own = replace(self.measured.rows(rows), fitted=None)
         whole = [
             term
@@ -279,11 +284,11 @@ def owner_of(term: Term, *, several: bool) -> str:
 
 
 def screen(data: Readings, terms: Sequence[Term], max_terms: int) -> list[Term]:
-    """Return the candidates that may matter, since a full search of all sessions' candidates is long.
+    """Return the most promising candidates, since a search with all candidates takes long.
 
-    A model of up to `max_terms` terms grows from the bias by the best term each time. Kept are the
-    candidates that would improve any of these models most, the best of each effect on its axes, and every
-    bias.
+    Beginning with a bias, the best term is added to the model up to `max_terms` times. The function keeps
+    the `limits.screened` candidates that would improve any of these models most, the best candidate of each
+    effect on each combination of axes, and every bias.
     """
     begun = Fit.begin(data).refit()
     free = [term for term in terms if term.constant and term.prior_sd is None]

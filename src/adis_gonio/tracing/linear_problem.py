@@ -58,7 +58,8 @@ class LinearProblem:
     inflation : float
         Factor on the noise variance contained in `prior`.
     joint : bool
-        True for readings of several sessions, of which only a search of limited size scores pairs of names.
+        True for readings of several sessions. The search then adds pairs of named terms only if these have
+        at most `limits.paired` columns.
     """
 
     terms: tuple[Term, ...]
@@ -251,9 +252,10 @@ class LinearProblem:
 def _gains_of_wide_blocks(z: Floats, inside: Floats, first: NDArray[np.intp]) -> Floats:
     """Return the decrease of χ² (…, M) by each added term, computed by systems of the size k of the model.
 
-    By Woodbury's identity the inverse needs only (1 + ε) 1 − AAᵀ. `z` (…, P) are the products of all
-    columns with the residual, `inside` (k, …, P) with the model's basis; `first` (M,) are the first
-    columns of the blocks. For models with fewer columns than the blocks.
+    By Woodbury's identity only the matrix (1 + ε) 1 − AAᵀ, (k, k), is inverted for each term, with its
+    columns A of `inside` and ε = `limits.independent`. `z` (…, P) are the products of all columns with the
+    residual, `inside` (k, …, P) with the model's basis; `first` (M,) are the first columns of the blocks.
+    The function is for models with fewer columns than the blocks.
     """
     k, start = len(inside), int(first[0])
     z, inside, first = z[..., start:], inside[..., start:], first - start

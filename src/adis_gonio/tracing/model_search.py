@@ -12,15 +12,15 @@ Score of a model
     keeps the family-wise error rate at 1 %.
 
 Search
-    A model's neighbours are all models that it becomes without up to two of its terms, with or without a
-    bias in addition, and then with up to one term of any kind or two named terms. They contain every model
-    with a term added, dropped or exchanged, with two terms merged into one, with a term split into two
-    names, and with a function replaced by a bias and two names. When the search ends, all neighbours of its
-    best model have been scored, and none has a higher score. (A time limit ends it earlier; scores far
-    below the best are not stored.) The search starts at the best single terms and at the best
-    model of names alone, scores the neighbours of the best model, and repeats this for each better model.
-    The nearest neighbours of a few other good models are scored too, for the posterior. Each set of terms
-    is one model, so the search cannot cycle.
+    The neighbours of a model are made in two steps. First up to two of its terms are removed, and a bias
+    may be added. Then up to one term of any kind, or two named terms, are added. The neighbours contain
+    every model with a term added, dropped or exchanged, with two terms merged into one, with a term split
+    into two names, and with a function replaced by a bias and two names. When the search ends, all
+    neighbours of its best model have been scored, and none has a higher score. (A time limit ends it
+    earlier; scores far below the best are not stored.) The search starts at the best single terms and at
+    the best model of names alone, scores the neighbours of the best model, and repeats this for each better
+    model. The nearest neighbours of a few other good models are scored too, for the posterior. Each set of
+    terms is one model, so the search cannot cycle.
 
 Posterior
     Scores are log evidences, so models near the best have posterior odds. Models with equal predictions in
@@ -67,7 +67,8 @@ class Search:
         Log evidence of each model minus that of the base model (score 0); a model is a sorted
         tuple of term numbers.
     promise : (M,) float
-        Largest rise of the score that each term brought to any model that was extended by every term.
+        Largest rise of the score by each term, over all models to which the search added every term in
+        turn.
     """
 
     problem: LinearProblem
@@ -142,7 +143,7 @@ def search(
 class _Joining:
     """Terms that may extend models: all terms or the named ones, with a cache of products of columns.
 
-    `number` are their numbers among all terms; `opened` are the models that each of them has extended.
+    `number` are their numbers among all terms; `opened` are the models that they have already extended.
     """
 
     def __init__(self, problem: LinearProblem, number: NDArray[np.intp]) -> None:
@@ -343,7 +344,8 @@ class ModelPosterior:
 def posterior(found: Search) -> dict[Model, float]:
     """Return the posterior probability of each model with a score near the best, the most probable first.
 
-    Models with equal predictions are counted separately.
+    Near is at most `limits.weighed` nats below the best, for at most `limits.compared` models. Models with
+    equal predictions are counted separately.
     """
     near = found.near(limits.weighed)
     ranked = sorted(near, key=lambda m: -near[m])[: limits.compared]

@@ -73,9 +73,11 @@ def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
 def _shared(term: NamedTerm, data: Readings) -> list[NamedTerm]:
     """Return a term with one amplitude for all sessions, and with amplitudes of each group of sessions.
 
-    They share the prior of the term. Base parameters are the part's, so that only a bias can differ between
-    its sessions: by a scatter of unknown size, of which a grid of sizes is tried. The start of a session
-    changes an effect that time drives; another effect rarely differs between sessions.
+    These forms share the prior of the term. An effect of a single dwell, and an effect that the base model
+    contains, have only the first form; a bias has all. A bias that differs from session to session is
+    normally distributed, with a standard deviation from a grid, since its size is unknown. Other effects
+    rarely differ from session to session and get a small prior for it, unless time drives them: the start
+    of a session changes such an effect.
     """
     kind, found = type(term.effect), [term]
     driven = "time" in kind.covariates or any(need.endswith("_history") for need in kind.needs)
@@ -154,8 +156,8 @@ def _options(kind: type[Effect], data: Readings) -> list[dict[str, int]]:
 def cycles_shown(angle_rad: Floats, most: int | None = None) -> list[int]:
     """Return the numbers of cycles per turn, at least three, that these angles distinguish from each other.
 
-    Each number, up to `most` (by default the limit of the trace), is also distinguished from a constant
-    and from fewer cycles.
+    The numbers go up to `most`, by default the limit of the trace. The angles also distinguish each of them
+    from a constant and from one or two cycles.
     """
     most = limits.most_cycles if most is None else most
     one = of_one_phase(np.arange(2 * most + 1), angle_rad)
@@ -169,8 +171,8 @@ def cycles_shown(angle_rad: Floats, most: int | None = None) -> list[int]:
 def _grid(parameter: Parameter, data: Readings) -> list[float]:
     """Return the values to try for a shape parameter: a grid of time constants, or its typical value.
 
-    Time constants range from the spacing of the dwells to 1.5 times the length of a session;
-    a slower course is a bias of the session.
+    Time constants range from the spacing of the dwells to 1.5 times the length of a session. With a longer
+    time constant the contribution is nearly constant, like a bias.
     """
     if parameter.unit != "s":
         return [parameter.typical]

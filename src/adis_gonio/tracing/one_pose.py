@@ -127,7 +127,7 @@ class _Noise:
     kind : str
         `white noise`, `a random walk` or `1/f noise`.
     readings : (R, n, axes) float
-        Whitened averages of the readings, with their mean removed, as from all columns.
+        Whitened averages of the readings. A constant was projected off these averages and off all columns.
     design : (R, n, P) float
         Whitened averages of the columns of all forms.
     steps : (R, n, n − 1) float
@@ -328,7 +328,7 @@ def _problem(readings: Floats, conditions: Conditions) -> tuple[_Problem, tuple[
 
 
 def _course(name: str, tau_s: float, conditions: Conditions) -> Floats:
-    """Return the course (n,) of an effect: its contribution at each sample for unit amplitude.
+    """Return the contribution (n,) of an effect to each sample for unit amplitude.
 
     `tau_s` is the time constant in s.
     """

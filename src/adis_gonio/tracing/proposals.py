@@ -1,13 +1,14 @@
 """Choice of further measurements that distinguish the remaining hypotheses, by expected information.
 
-Each hypothesis is a model with a Gaussian posterior of its parameters. Its prior is twice as wide as the
+Each hypothesis is a model with a Gaussian posterior of its parameters. The prior is twice as wide as the
 effects that benches show, so a parameter that the session does not determine is uncertain, but not absurd.
-About the fit it predicts the whitened readings of an imagined dwell as N(μ, 1 + R Rᵀ). The expected
-information of a set of dwells about the true hypothesis is estimated by its lower bound from pairwise
-Bhattacharyya distances B (Kolchinsky and Tracey, Entropy 19:361, 2017), −Σᵢ wᵢ ln Σⱼ wⱼ exp(−Bᵢⱼ) in nats.
-The bound is exact if predictions are either equal or do not overlap, and it never exceeds the information
-to be gained, even if an extrapolation is wild. Dwells are added one by one, each given the dwells before
-it, by information per effort.
+With the model linearised about the fit, the hypothesis predicts the whitened readings of an imagined dwell
+as N(μ, 1 + R Rᵀ), with R Rᵀ from the uncertainty of the parameters. The expected information of a set of
+dwells about the true hypothesis is estimated by its lower bound from pairwise Bhattacharyya distances B
+(Kolchinsky and Tracey, Entropy 19:361, 2017), −Σᵢ wᵢ ln Σⱼ wⱼ exp(−Bᵢⱼ) in nats, with the probabilities wᵢ
+of the hypotheses. The bound is exact if predictions are either equal or do not overlap, and it never
+exceeds the information to be gained, even if an extrapolation is wild. Dwells are added one by one, each
+given the dwells before it, by information per effort.
 
 The design answers two questions: which of the probable models is true (`decide`), and whether an effect is
 present that this session could not have shown (`cover`).
@@ -76,7 +77,7 @@ class ImaginedDwell:
     direction : tuple of float or None
         In space: direction of gravity in the sensor; None in a plane.
     approach : int
-        +1 from below, −1 from above; 0 does not matter.
+        Direction from which the angle is to be reached: +1 from below, −1 from above, 0 from either.
     wait_s : float
         Waiting time in addition to the usual time between two dwells.
     temperature_c, supply_v : float or None
@@ -121,7 +122,7 @@ class Hypothesis:
     shift, root : (p,), (p, p) float
         Posterior mean minus the fitted parameters, and a root of the posterior covariance.
     chi2 : float
-        χ² of the residual plus χ² of the departure from the prior.
+        χ² of the residual plus χ² of the parameters with respect to their prior.
     """
 
     labels: tuple[str, ...]
@@ -205,8 +206,9 @@ def _labels(model: Sequence[Term]) -> tuple[str, ...]:
 def _rivals(selection: Selection) -> list[Hypothesis]:
     """Return the chosen model and the best model of each other probable set of names, as hypotheses.
 
-    Together they have most of the posterior probability. An adequate model has rivals that contain it: with
-    few dwells an effect can be too faint to be found and yet as probable as its absence.
+    Together they have the share `COVERED` of the posterior probability, unless this needs more than
+    `MOST_RIVALS` models. A model with one effect more than an adequate model may be among them: with few
+    dwells an effect can be too faint to be found and yet as probable as its absence.
     """
     found, problem = selection.found, selection.problem
     near = found.near(7.0)
@@ -470,9 +472,11 @@ def _separated_pair(
 ) -> tuple[int, int] | None:
     """Return the two hypotheses that a dwell separates best; None if it separates no pair.
 
-    The more probable hypothesis is first. `apart` (K, K) are the expected separations, `least` is the
-    smallest in standard uncertainties; `conditions` is True if the dwell needs another temperature or
-    supply. `weights` are the probabilities of the hypotheses.
+    The more probable hypothesis of the pair is first. `weights` (K,) are the probabilities of the
+    hypotheses, the chosen model first; a pair with the chosen model has priority. `apart` (K, K) are the
+    expected separations as χ², and a pair counts as separated from `least` standard uncertainties on.
+    `conditions` is True if the dwell needs another temperature or supply; both hypotheses must then have at
+    least the share `WORTH_CONDITIONS` of the largest probability.
     """
     both = np.maximum(apart, apart.T)
     likely = np.sqrt(np.outer(weights, weights)) * (both >= least**2)
@@ -710,7 +714,8 @@ def _imagined(
 def _warmed(c: Conditions, n: int, wanted: float | None) -> Floats | None:
     """Return the temperatures (n, 3) of the three dies after their mean has changed to `wanted` in °C.
 
-    None if they were not recorded.
+    The result is None if `wanted` is None, or if the session has no temperatures of the three dies. n is
+    the number of imagined dwells.
     """
     if c.temperatures_c is None or c.temperature_c is None or wanted is None:
         return None

@@ -46,8 +46,8 @@ class Scatter:
     kind : {"reading_scatter", "fixture_scatter"}
         Quantity that scatters: the reading, or the angle of the part in its fixture.
     value, u : float
-        Standard deviation of a reading on each axis in its unit, or of an angle in degrees, and its
-        standard uncertainty.
+        Standard deviation of the scatter, and its standard uncertainty: of a reading on each axis in the
+        unit of the readings, or of an angle in degrees.
     declared : float
         Standard uncertainty measured within the dwells, or stated for the fixture, in `unit`.
     log_odds : float
@@ -160,10 +160,11 @@ def _evidence_of_processes(selection: Selection) -> float:
 def _fit_component(
     data: Readings, kind: Kind, selection: Selection, terms: Sequence[Term], max_effects: int
 ) -> tuple[float, Selection | None]:
-    """Return the size of one kind of scatter and the model selected with it; (0, None) if it is small.
+    """Return the size of one kind of scatter and the model selected with it.
 
-    Size and model are determined alternately, twice. `terms` are the candidate terms; `max_effects` is the
-    largest number of terms of the model.
+    The result is (0, None) if the size is at most `limits.scatter_ratio` times the measured standard
+    uncertainty. Size and model are determined alternately, twice. `terms` are the candidate terms;
+    `max_effects` is the largest number of terms of the model.
     """
     bias = [term for term in selection.terms if term.constant]
     kept = selection.fit.with_terms(bias, [selection.fit.value_of(term) for term in bias])

@@ -61,7 +61,11 @@ class Selection(ComputedOnce):
         return self.fit.terms
 
     def promising(self, terms: Sequence[Term]) -> list[Term]:
-        """Return those of `terms` that scored well, and the best one for each name and its axes."""
+        """Return the promising terms among `terms`.
+
+        They are the `limits.fold_active` terms that raised the score of any model most, the terms of the
+        chosen model, and the best term of each effect on each combination of axes.
+        """
         candidates = self.problem.terms
         ranked = [candidates[k] for k in np.argsort(-self.found.promise)]
         active = {term.label for term in ranked[: limits.fold_active]}
@@ -76,7 +80,7 @@ class Selection(ComputedOnce):
     def without_functions(self, refuted: Sequence[Term]) -> Selection:
         """Return a selection of the best model without unnamed functions of the refuted terms' covariates.
 
-        Held-out dwells have contradicted these functions (`refuted`).
+        `refuted` are unnamed functions that make the prediction of held-out dwells worse.
         """
         gone = {term.covariates for term in refuted}
         terms = self.problem.terms

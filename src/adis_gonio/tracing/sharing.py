@@ -40,7 +40,10 @@ class Sharing:
 
 
 def sharings(origins: Sequence[SessionOrigin]) -> list[Sharing]:
-    """List the groupings of sessions that differ from each other and from all sessions in one group."""
+    """List the groupings of sessions by stage, by part, and by session.
+
+    A grouping is omitted if it has only one group, or the groups of an earlier grouping.
+    """
     found: list[Sharing] = []
     for by, names in (
         ("stage", [one.stage for one in origins]),

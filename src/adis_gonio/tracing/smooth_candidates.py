@@ -1,10 +1,10 @@
 """Smooth candidates: Gaussian processes in covariates, for a residual that follows no formula.
 
-A Gaussian process with kernel k is a linear term with one column for each feature of its kernel,
-φ(u)·φ(u′) = k(u, u′), and a normal prior on the amplitudes (Rasmussen and Williams, Gaussian Processes for
-Machine Learning, 2006, sections 2.1 and 5.4). Evidence chooses its length and amplitude, so it bends only
-as much as the readings require. Outside their range it returns to a straight line, while a polynomial
-diverges.
+A Gaussian process with kernel k is a linear term with one column for each feature of its kernel, φ(u)·φ(u′)
+= k(u, u′), and a normal prior on the amplitudes (Rasmussen and Williams, Gaussian Processes for Machine
+Learning, 2006, sections 2.1 and 5.4). The evidence chooses the length scale and the amplitude of the
+process, so it bends only as much as the readings require. Outside the range of the readings it returns to a
+straight line, while a polynomial diverges.
 """
 
 from __future__ import annotations
@@ -196,8 +196,8 @@ def _inducing(low: float, high: float, length: float) -> Callable[[Floats], Floa
 def _line(get: Get, seen: Floats, length: float) -> Get:
     """Return basis functions for a constant, a line and the kernel exp(−½ Δ²/ℓ²) of a covariate.
 
-    `get` returns the covariate, `seen` are its fitted values, ℓ is `length` in units of their range. The
-    covariate is clipped shortly beyond this range.
+    `get` returns the covariate, `seen` are its values in the fitted dwells, ℓ is `length` in units of their
+    range. The covariate is clipped shortly beyond this range.
     """
     low, size = float(seen.min()), float(np.ptp(seen))
     curve = _inducing(-_BEYOND, 1 + _BEYOND, length)

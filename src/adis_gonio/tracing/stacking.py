@@ -62,7 +62,11 @@ def stack(each: Sequence[Readings], origins: Sequence[SessionOrigin]) -> Reading
 
 
 def _conditions(each: Sequence[Conditions]) -> Conditions:
-    """Join conditions; dwells are numbered on over the sessions, and histories follow on one clock."""
+    """Join the conditions of several sessions.
+
+    The order of the dwells is counted through all sessions, and histories (such as temperatures over time)
+    are put on one common clock. A condition that a session did not record is dropped.
+    """
     lengths = [len(one) for one in each]
     session = np.repeat(np.arange(float(len(each))), lengths)
     made: dict[str, Any] = {}
@@ -84,9 +88,12 @@ def _conditions(each: Sequence[Conditions]) -> Conditions:
 
 
 def _modes(each: Sequence[Readings], origins: Sequence[SessionOrigin]) -> Floats | None:
-    """Join the shared noise of sessions: modes (n, axes, k) of each session, then those of the stages.
+    """Join the modes (n, axes, k) of the noise that the dwells of each session share; None without modes.
 
-    Sessions on one stage with equally many modes of its certificate share these modes.
+    A mode is an independent error that acts on several readings. The modes of the sessions come first, then
+    the modes of the certificates of their stages.
+
+    Sessions on one stage share the modes of its certificate, if they have equally many.
     """
     n, axes = sum(len(one) for one in each), each[0].axes
     blocks: dict[tuple[str, int | str, int], Floats] = {}

@@ -220,8 +220,8 @@ class TraceRun:
     Attributes
     ----------
     data, measured : Readings
-        All readings, with dwell-to-dwell scatter in their noise if there is any; readings without check
-        dwells, with the measured noise.
+        `data` has the readings of all dwells; their noise includes the dwell-to-dwell scatter, if there is
+        any. `measured` has the readings without check dwells, with the measured noise.
     terms, missing : list of Term, mapping of str to str
         Candidate terms; for each effect that is not a candidate, the reason.
     selection, scatter : Selection, Scatter or None
@@ -369,7 +369,7 @@ class TraceRun:
     def shorten(self) -> None:
         """Cut the model to the longest nested model with a held-out error that is not worse.
 
-        Not worse means hardly larger than the held-out error of any shorter model.
+        Not worse means at most `limits.worse` times the held-out error of any shorter model.
         """
         least, unit = len(self.forced), self.measured.model.unit
         reported = reported_errors(self.figures[least:]) if self.checking is None else None
@@ -469,7 +469,10 @@ class TraceRun:
         )
 
     def advice(self, selection: Selection) -> tuple[tuple[str, ...], tuple[NextDwell, ...]]:
-        """Return advice and measurements for the next session, given the selection with its adequacy."""
+        """Return advice for the next session, as sentences and as proposed dwells.
+
+        `selection` has the chosen model, and states if it is adequate.
+        """
         from adis_gonio.tracing.advice import advise
 
         return advise(self.data, selection, self.terms, self.names.confounded)

@@ -166,7 +166,7 @@ class _Columns:
         """Name, value, unit and gradient (p,) or (p + axes,) of each collected parameter."""
 
     def _gain(self, axis: int) -> tuple[float, Floats]:
-        """Return the factor on an axis' scale by terms that depend on time alone, at mid-session.
+        """Return the factor by which terms that depend on time alone change an axis' gain at mid-session.
 
         The second result is its gradient by all parameters of the fit.
         """

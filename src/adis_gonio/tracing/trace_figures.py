@@ -38,8 +38,8 @@ class Panel:
         (°C), temperature_rate (°C/min), temperature_lag (°C), supply (V), approach (+1, −1), reading_x …
         (g), variance (mg²).
     quantity : str
-        residual_x, residual_y, residual_z, or norm (in space), in mg; angle in degrees: angle computed
-        from the reading minus the declared angle.
+        residual_x, residual_y, residual_z: residual of an axis in mg; norm (in space): residual along
+        gravity in mg; angle: angle computed from the reading minus the declared angle, in degrees.
     x : (n,) float
         Values of the covariate.
     before, after : (n,) float
@@ -200,7 +200,8 @@ def _values(conditions: Conditions, data: Readings, name: str) -> Floats | None:
 def _lag(data: Readings, after: Fit) -> Floats:
     """Return the temperature of the fitted lagging element minus the die's temperature, (n,) in °C.
 
-    NaN if the model has no such element.
+    An effect of a model may belong to an element of the sensor whose temperature lags behind the die. The
+    result is NaN if the model `after` has no such effect.
     """
     for term, values in zip(after.terms, after.values.terms, strict=True):
         if isinstance(term, NamedTerm) and term.effect.shown_over == "temperature_lag":
@@ -238,7 +239,7 @@ def _panel(checking: Readings | None, covariate: str, quantity: str, before: Fit
 
 
 def view_residual(fit: Fit, quantity: str, others: Readings | None = None) -> Floats:
-    """Return the residual (n,) of an axis, of the norm or of the angle in degrees.
+    """Return the residual (n,) of an axis, along gravity (`norm`), or of the angle in degrees.
 
     It is for the fitted dwells, or for the dwells of `others` if given. `quantity` is named as in
     `Panel.quantity`.
@@ -261,7 +262,7 @@ def _along(data: Readings) -> Floats:
 
 
 def view_uncertainty(fit: Fit, quantity: str) -> Floats:
-    """Return the standard uncertainty (n,) of the residual of an axis, the norm or the angle.
+    """Return the standard uncertainty (n,) of the residual of an axis, along gravity, or of the angle.
 
     `quantity` is named as in `Panel.quantity`.
     """

@@ -167,7 +167,7 @@ class NextDwell(JsonRecord):
     direction : tuple of 3 float or None
         In space: reading of an ideal sensor there, in units of local gravity; None in a plane.
     approach : {1, -1, 0}
-        Direction from which the angle is to be reached, +1 from below, -1 from above; 0 does not matter.
+        Direction from which the angle is to be reached: +1 from below, -1 from above, 0 from either.
     wait_s : float
         Waiting time before the dwell, in addition to the usual time between two dwells.
     temperature_c, supply_v : float or None

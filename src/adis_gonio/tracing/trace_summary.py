@@ -379,7 +379,7 @@ def open_names(result: TraceResult) -> list[str]:
 
 
 def unnamed(result: TraceResult) -> str:
-    """Describe the unnamed part: its form, the share of the excess χ² that it explains, and p.
+    """Describe the unnamed part: its form, the share of the excess χ² that it explains, and its p-value.
 
     The text is empty if there is no unnamed part.
     """

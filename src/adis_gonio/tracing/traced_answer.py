@@ -119,16 +119,17 @@ def answer_with_trace(result: FitResult, trace: TraceResult | None, *, own: bool
     Parameters
     ----------
     result : FitResult
-        Result of any method.
+        Result of the fit by any method.
     trace : TraceResult, optional
         Trace of the fitted session.
     own : bool
-        Show this result instead of the result of the recommended method.
+        True shows `result`, False the result of the recommended method.
 
     Returns
     -------
     Answer
-        A `TracedAnswer` if the trace added effects and its model predicts as well as the best method.
+        A `TracedAnswer` if the trace added effects and its model predicts as well as the best method;
+        otherwise the answer of the fit.
     """
     plain = Answer.of(result, own=own)
     comparison = plain.comparison
@@ -178,7 +179,10 @@ def _confirmed(recommended: Recommendation, trace: TraceResult) -> Recommendatio
 
 
 def _of_trace(session: Readings, trace: TraceResult) -> DwellPrediction | None:
-    """Return each dwell's prediction by the traced model refitted without it; None if the axes differ."""
+    """Return the prediction of each dwell by the traced model, which is refitted without this dwell.
+
+    The result is None if fit and trace, both in space, use different numbers of axes.
+    """
     final = trace.fits[-1]
     if not session.planar and not final.data.planar and final.data.axes != session.axes:
         return None
@@ -213,7 +217,8 @@ def _reason(
 def shown_angle(traced: TraceResult, error_deg: float) -> Value:
     """Return an angle error in degrees with the standard uncertainty of an angle by the traced model.
 
-    The uncertainty is the root mean square over the dwells; None if an average replaces parameters.
+    `error_deg` is the angle error. The uncertainty is the root mean square over the dwells. It is None if
+    an average over unnamed functions replaces parameters of the model.
     """
     final = traced.fits[-1]
     covariance = _covariance(final)
@@ -229,9 +234,10 @@ def shown_angle(traced: TraceResult, error_deg: float) -> Value:
 def budgets_of_trace(traced: TraceResult, values: Mapping[str, Value]) -> dict[str, tuple[BudgetRow, ...]]:
     """Return the uncertainty budgets of `delta_k`, `delta_phi` and `angle` by the traced model.
 
-    They are the budgets of these `values`. The part of u that is not explained by the sources of the
-    readings is assigned to the choice of the model: a residual larger than the noise, and other models of
-    equal probability.
+    `values` are the values of these quantities; a value without u has no budget. The result is empty for
+    attitudes in space, and if an average over unnamed functions replaces parameters of the model. The part
+    of u that is not explained by the sources of the readings is assigned to the choice of the model: a
+    residual larger than the noise, and other models of equal probability.
     """
     final = traced.fits[-1]
     covariance = _covariance(final)

@@ -77,8 +77,9 @@ def unknown_features(fit: Fit) -> Floats:
 def likeliest_size(problem: LinearProblem, model: Model, features: Floats) -> float:
     """Return the size of the unknown cause with the greatest restricted likelihood, of the sizes to try.
 
-    The size is a standard deviation in standard uncertainties of a reading, in addition to a model. The
-    unknown cause has the unit covariance F Fᵀ of `features` F.
+    The size is the standard deviation of the unknown cause, in standard uncertainties of a reading. The
+    unknown cause acts in addition to the terms of `model`. At size 1 it has the covariance F Fᵀ of
+    `features` F.
     """
     basis, residual = span(problem, model)
     rest = features - basis @ (basis.T @ features)

@@ -95,7 +95,8 @@ def rms(residual: Floats, by_axis: bool) -> float:
 def folds(data: Readings) -> dict[str, list[NDArray[np.bool_]]]:
     """Return the possible designs of holding out dwells: for each name, the masks (n,) of its folds.
 
-    Of several sessions dwells are left out, and no blocks: a whole session is a block.
+    Several sessions have only one design, folds of shuffled dwells, since a block of time would be a whole
+    session.
     """
     n = len(data)
     count = min(limits.folds, n) if n > limits.alone else n
@@ -168,11 +169,13 @@ def determined(
 ) -> NDArray[np.bool_]:
     """Return a mask (n,) of the dwells that the dwells of the other folds can predict.
 
-    `masks` (n,) are the dwells of each fold. The prediction is by the base model and biases.
+    `masks` (n,) are the dwells of each fold. The prediction is by the base model, a bias of each axis, and
+    the terms `beside`.
 
-    With whitened columns X, the prediction of held-out rows has covariance 1 + X_b (X₋bᵀ X₋b)⁻¹ X_bᵀ in
-    units of the noise. A dwell counts up to a variance of four. Beyond that its error shows that the fit
-    has never seen the axis, and not that the model is wrong.
+    With the whitened columns X_b of the held-out rows and X₋b of the other rows, the prediction of the
+    held-out rows has covariance 1 + X_b (X₋bᵀ X₋b)⁻¹ X_bᵀ in units of the noise. A dwell counts up to a
+    variance of four. An error with a larger variance shows that the other dwells do not determine the
+    reading, and not that the model is wrong.
 
     Parameters
     ----------
@@ -256,12 +259,12 @@ def drop_unpredicted(
 ) -> dict[str, NDArray[np.bool_]]:
     """Remove from masks of counted dwells those that a model chosen without them does not determine.
 
-    `counts` has the mask (n,) of the dwells that count, by design of the held-out folds; `anew` has the
-    residuals under models that were chosen again without each fold, with a mark for the dwells that those
-    models determine. If the quarter of a turn that shows an effect is left out, or a fifth of a few poses,
-    another effect may be chosen that fits the rest equally well. Its covariance shows that the missing
-    dwells are undetermined by many mg. A design with less than a third of its dwells remaining is dropped,
-    unless all designs are.
+    `counts` has the mask (n,) of the dwells that count, by design of the folds. `anew` has the residuals
+    under models that were chosen again without each fold; `HeldOut.predicted` marks the dwells that these
+    models determine. If the dwells that show an effect are left out, such as a quarter of a turn, another
+    effect may be chosen that fits the other dwells equally well. Its covariance shows that the left-out
+    dwells are undetermined by many mg. A design with less than a third of the dwells remaining is dropped,
+    unless this drops all designs.
     """
     out = {}
     for name, own in counts.items():
@@ -474,7 +477,11 @@ def _parameters(fit: Fit) -> int:
 
 
 def leaves_too_few(fit: Fit) -> bool:
-    """Return True if too few dwells would remain to choose a model when some dwells are held out."""
+    """Return True if too few dwells would remain to choose a model when some dwells are held out.
+
+    This is so with fewer than `limits.least_choice` dwells, or if there are fewer equations than parameters
+    without one dwell.
+    """
     rows = (len(fit.data) - 1) * fit.data.equations_each
     return len(fit.data) < limits.least_choice or rows < _parameters(fit)
 
@@ -540,7 +547,8 @@ def rms_deg(turned: list[Floats]) -> float | None:
 def reject_unchecked(names: Names, selection: Selection) -> Names:
     """Reject all names but the bias if the model leaves too few readings to check it.
 
-    Such a model would fit any data. A bias is accepted: every sensor has one, so it needs no proof.
+    Too few are fewer than `limits.least_checks` degrees of freedom. Such a model would fit any data. A bias
+    is accepted: every sensor has one, so it needs no proof.
     """
     dof = selection.fit.dof
     if dof >= limits.least_checks:
@@ -551,9 +559,9 @@ def reject_unchecked(names: Names, selection: Selection) -> Names:
 
 
 def reject_names(names: Names, reasons: dict[str, str]) -> Names:
-    """Return the names without those in `reasons` among the accepted ones.
+    """Return the names with the accepted names in `reasons` moved to the confounded names.
 
-    The rejected names are then listed as `confounded`.
+    Each moved name is a group of its own in `Names.confounded`.
     """
     more = tuple((name,) for name in reasons if name in names.accepted)
     accepted = tuple(name for name in names.accepted if name not in reasons)
@@ -563,9 +571,9 @@ def reject_names(names: Names, reasons: dict[str, str]) -> Names:
 def longest_acceptable(errors: Sequence[float | None], most: int, least: int = 0) -> int:
     """Return the number of terms of the longest nested model with a held-out error that is not worse.
 
-    Not worse means hardly larger than the error of any shorter model. `errors` are the held-out errors, the
-    base model first; at least `least` and at most `most` terms are allowed. The result is `most` if an
-    error is None.
+    Not worse means at most `limits.worse` times the error of any shorter model. `errors` are the held-out
+    errors, the base model first; at least `least` and at most `most` terms are allowed. The result is
+    `most` if an error is None.
     """
     known = [error for error in errors if error is not None]
     if len(known) < len(errors):
@@ -600,7 +608,8 @@ def never_worse(
 ) -> tuple[int, Names, dict[str, str]]:
     """Find the longest nested model whose held-out error is hardly larger than any shorter model's.
 
-    `unit` is the unit of the errors in the reasons; the first `least` terms are always kept.
+    Hardly larger means at most `limits.worse` times as large. `unit` is the unit of the errors in the
+    reasons; the first `least` terms are always kept.
 
     Parameters
     ----------
@@ -638,9 +647,9 @@ def disagreement_p_value(fit: Fit, others: Readings, inflation: float = 1.0) -> 
     """Return the p-value of the residuals of held-out dwells under a fitted model.
 
     `others` are the held-out dwells, `inflation` is the factor on their noise variance. The predicted
-    reading has the covariance 1 + X C Xᵀ, from its noise and from the parameters' covariance C (Cook and
-    Weisberg, Residuals and Influence in Regression, 1982, chapter 2). Noise that dwells share is treated
-    as independent noise of each dwell.
+    reading has the covariance 1 + X C Xᵀ, from its noise and from the covariance C of the parameters with
+    whitened columns X (Cook and Weisberg, Residuals and Influence in Regression, 1982, chapter 2). Noise
+    that dwells share is treated as independent noise of each dwell.
     """
     alone = replace(others, own_covariance=others.covariance, slow=None)
     there = fit.on(alone)

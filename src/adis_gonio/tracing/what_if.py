@@ -163,7 +163,7 @@ class AskedModel:
         return cls(terms, names, only)
 
     def candidates(self, data: Readings, terms: Sequence[Term], max_effects: int) -> tuple[list[Term], int]:
-        """Return the candidates that this request makes of `terms`, and the largest number of terms.
+        """Apply the request to `terms`; return the resulting candidates and the largest number of terms.
 
         Raises
         ------
@@ -188,8 +188,8 @@ FREE = AskedModel()
 def forced_terms(data: Readings, texts: Sequence[str]) -> list[NamedTerm]:
     """Return the terms that texts such as `quadratic:x` name, each marked as forced.
 
-    Of the variants that a text leaves open (degree, dwell, time constant) the most probable is chosen,
-    given the terms before it and a bias.
+    If a text leaves the form open (degree, dwell, time constant), the most probable form is chosen, given
+    the terms before it and a bias.
     """
     named, missing = named_terms(data)
     about = Fit.begin(data).refit()

@@ -49,7 +49,7 @@ BUILT_IN: dict[str, type[Effect]] = {
 
 
 def catalogue(part: str | None = None) -> dict[str, type[Effect]]:
-    """Classes of all installed effects by name: built-in effects, then effects of other packages.
+    """Return the classes of all installed effects by name, first the built-in effects.
 
     Parameters
     ----------
@@ -59,8 +59,8 @@ def catalogue(part: str | None = None) -> dict[str, type[Effect]]:
     Raises
     ------
     UsageError
-        An entry point cannot be loaded, is no effect, differs in name from the effect, names no covariate
-        or an unknown one, or repeats a name.
+        An entry point of another package cannot be loaded, is no effect, differs in name from its effect,
+        or has a name that exists; or its effect declares no covariates or an unknown covariate.
     """
     found = dict(BUILT_IN)
     for point in _installed(tuple(sys.path)):
@@ -145,9 +145,10 @@ def _kind(name: str) -> type[Effect]:
 def parse_effect(text: str, axes: Sequence[str] = ("x", "y")) -> tuple[Effect, Floats]:
     """Return an effect and its parameter values from the text of a command-line option.
 
-    Without values, as in `quadratic`, all parameters have their typical size. `quadratic:k2_x=2.5` sets
-    the named parameters; other amplitudes are zero, shapes (such as time constants) stay typical. Choices
-    belong to this list: `position_slip:dwell=3,slip=0.1`. A parameter of the z axis adds that axis.
+    Without values, as in `quadratic`, all parameters have their typical size. `quadratic:k2_x=2.5` sets the
+    named parameters; other amplitudes are zero, shapes (such as time constants) stay typical. Choices are
+    given in the same list, such as `dwell` in `position_slip:dwell=3,slip=0.1`. A parameter of the z axis
+    adds z to the axes of the effect.
 
     Parameters
     ----------

@@ -4,8 +4,8 @@ An effect states its name, its parameters with units and bounds, the term that i
 derivative, the covariates that it needs, and its cause in one sentence. Its docstring has a paragraph
 `Formula:` with the term, in which i is an axis, p another axis and a_i the reading of axis i in mg, and a
 paragraph `Separated by:` with the effects that change the readings alike and the measurement that separates
-them; `scripts/effects_page.py` prints both. Simulation and fit use one object of the effect, both with rows
-of arrays: the simulation calls it for single samples, the fit for whole readings.
+them; `scripts/effects_page.py` prints both. Simulation and fit use the same classes. Each row of an array
+is a single sample in the simulation, and a reading (the mean of a dwell) in the fit.
 
 Place of an effect in the model
     `Enters.ATTITUDE`: the effect turns the sensor against the stage (an angle in the plane, added to the
@@ -18,10 +18,11 @@ Units
     Readings are in mg (thousandths of the standard gravity) for an effect of the accelerometers, in °/s for
     an effect of the gyros (`Effect.parts`); angles in radians, parameters in `Parameter.unit`.
 
-Families share their equations: linear in their parameters, or amplitudes of one common time course. An
-effect of a family gives its basis function once; value and derivative both follow from it. Sums are
-written out, because a matrix product may round differently for another number of rows, and a simulation
-must give the same samples however the times are grouped into calls.
+Effects with equations of one form have a common base class. In one form the term is linear in all
+parameters; in the other it is an amplitude for each axis times a common function of time. A subclass
+defines only the basis functions or the function of time, from which the base class computes the term and
+its derivative. Sums are written out, because a matrix product may round differently for another number of
+rows, and a simulation must give the same samples however the times are grouped into calls.
 
 Another package adds an effect by an entry point of group `adis_gonio.effects`.
 """
@@ -268,7 +269,7 @@ class Conditions:
 
     @cached_property
     def _late(self) -> dict[tuple[str, int | None, float], tuple[Floats, Floats]]:
-        """Cache of the results of `late` by its arguments, since a search repeats few time constants."""
+        """Results of `late` by its arguments, since a search repeats the same few time constants."""
         return {}
 
     def late(self, history: str, axis: int | None, tau_s: float) -> tuple[Floats, Floats]:
@@ -302,8 +303,9 @@ class Conditions:
 class Effect(ABC):
     """Base class of all effects; an effect is immutable, and its parameter values are passed in.
 
-    A subclass sets the class attributes below. Fields other than `axes` are choices: whole
-    numbers that no gradient can find, such as the number of the dwell that slipped.
+    A subclass sets the class attributes below. Fields other than `axes` are choices: whole numbers that a
+    fit cannot estimate, such as the number of the dwell that slipped. A search tries their values one by
+    one.
 
     Attributes
     ----------
@@ -380,7 +382,10 @@ class Effect(ABC):
 
     @classmethod
     def of_part(cls, part: str) -> type[Effect] | None:
-        """Return the class of the effect for one part of the sensor; None if this part does not show it."""
+        """Return the class of the effect for a part of the sensor; None if the effect does not occur there.
+
+        `part` is `accelerometer` or `gyro`.
+        """
         return cls if part in cls.parts else None
 
     @property
@@ -447,9 +452,10 @@ class Effect(ABC):
     def defaults(
         self, given: Mapping[str, float] | None = None, others: Literal["typical", "zero"] = "typical"
     ) -> Floats:
-        """Return the parameter values in order: as `given` by name (None: none), else typical.
+        """Return the values of all parameters in order; a value that is not given is typical.
 
-        With others="zero", amplitudes that are not given are zero instead.
+        `given` has values by name of the parameter. With others="zero", an amplitude that is not given is
+        zero, and only a shape parameter (such as a time constant) is typical.
 
         Raises
         ------
@@ -474,7 +480,10 @@ class Effect(ABC):
         )
 
     def columns_of(self, readings: Floats) -> list[int]:
-        """Return the columns of `axes` in readings (n, 2) or (n, 3); `UsageError` if z is not recorded."""
+        """Return the column numbers of `axes` in readings (n, 2) or (n, 3).
+
+        It raises `UsageError` if z is one of the axes and was not recorded.
+        """
         columns = [AXES.index(axis) for axis in self.axes]
         if columns and max(columns) >= readings.shape[1]:
             raise UsageError(f"{self.name} acts on {', '.join(self.axes)}, but z was not recorded")
@@ -557,9 +566,9 @@ class LinearAxisEffect(LinearEffect):
 class CrossEffect(LinearEffect):
     """Base class of effects that add Σ_p value_ip · basis(a_i, a_p, conditions) to the reading of axis i.
 
-    p are the other axes and a the ideal readings. In the plane (`axes` without z) each of x and y has the
-    other as its partner; with z each axis has two partners. Names of parameters end in both letters,
-    `name_ip`.
+    The sum is over the other axes p, and a are the ideal readings in mg. In the plane (`axes` without z)
+    each of x and y has the other as its partner; with z each axis has two partners. Names of parameters end
+    in both letters, `name_ip`.
     """
 
     coefficient: ClassVar[Parameter]
@@ -576,7 +585,10 @@ class CrossEffect(LinearEffect):
 
     @abstractmethod
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
-        """Return the basis function (n,) from the ideal readings in mg along and across an axis."""
+        """Return the basis function (n,) of an axis and one of the other axes.
+
+        `own_mg` and `across_mg` are the ideal readings (n,) of the axis and of the other axis, in mg.
+        """
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Return the derivative of the readings (n, axes, p): basis functions, whatever the `values`."""
@@ -591,10 +603,11 @@ class CrossEffect(LinearEffect):
 
 @dataclass(frozen=True)
 class CourseEffect(AxisEffect):
-    """Base class of effects that add value_i · course(shape) to the reading of axis i.
+    """Base class of effects that add an amplitude times a function of time to the reading of each axis.
 
-    There is one amplitude per axis, and one shape parameter (such as a time constant) for all axes. A
-    course is a function of time or another condition, (n,) for n dwells.
+    The term of axis i is value_i · course(shape), with one amplitude value_i for each axis and one shape
+    parameter (such as a time constant) for all axes. A course is a function of time or of another
+    condition, with a value for each of n dwells.
     """
 
     amplitude: ClassVar[Parameter]
@@ -606,15 +619,15 @@ class CourseEffect(AxisEffect):
         return (*by_letters((self.amplitude,), self.axes), self.shape)
 
     def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
-        """Return the course (n,) that all axes share, and its derivative (n,) by the shape parameter."""
+        """Return the function of time (n,) that all axes share, and its derivative (n,) by `shape`."""
         raise NotImplementedError
 
     def courses(self, shape: float, ideal: Floats, conditions: Conditions) -> list[tuple[Floats, Floats]]:
-        """Return for each axis in `axes` its course (n,) and the derivative (n,) by the shape parameter."""
+        """Return for each axis its function of time (n,), and the derivative (n,) by `shape`."""
         return [self.course(shape, conditions)] * len(self.axes)
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Return the terms added to the readings: amplitude times course, (n, axes) in their unit."""
+        """Return the terms added to the readings: amplitude times `course`, (n, axes) in their unit."""
         added = np.zeros(ideal.shape)
         courses = self.courses(float(values[-1]), ideal, conditions)
         for value, column, (course, _) in zip(values[:-1], self.columns_of(ideal), courses, strict=True):

@@ -112,12 +112,13 @@ def formula_effect(text: str, unit: str) -> FormulaEffect:
         `COVARIATES_OF_FORMULAS`, numbers, pi, + - * / **, and sin, cos (of radians), exp, log, sqrt, abs,
         sign, min, max.
     unit : str
-        Unit of the readings, which the amplitude has for a formula without unit.
+        Unit of the readings. It is also stated as the unit of the amplitude, as for a dimensionless
+        expression.
 
     Raises
     ------
     UsageError
-        Another text; the message has the place of the error.
+        `text` is no such formula; the message has the place of the error.
     """
     if len(text) > _MOST_CHARACTERS:
         raise UsageError(f"formula '{text[:20]}…' has {len(text)} characters: at most {_MOST_CHARACTERS}")
@@ -150,13 +151,13 @@ def formula_effect(text: str, unit: str) -> FormulaEffect:
 
 
 class _Source:
-    """The text of a formula, whose expression begins at a character, with the names found in it."""
+    """Translator of a formula: its text, the start of the expression, and the covariates found in it."""
 
     def __init__(self, text: str, begin: int) -> None:
         self.text, self.begin, self.names = text, begin, dict[str, None]()
 
     def parsed(self) -> ast.expr:
-        """Return the tree of the expression."""
+        """Parse the expression and return its syntax tree."""
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
@@ -167,7 +168,10 @@ class _Source:
             raise self.error("this cannot be parsed", 0) from None
 
     def error(self, why: str, place: int | ast.AST) -> UsageError:
-        """Return the error with its reason and place: a character of the expression, or a node."""
+        """Return the error to raise for the reason `why`, with the number of the character in its message.
+
+        `place` is the index of the character in the expression, or the node of the syntax tree.
+        """
         if isinstance(place, ast.AST):
             # Nodes count bytes of UTF-8.
             before = self.text[self.begin :].encode()[: getattr(place, "col_offset", 0)]
@@ -175,7 +179,7 @@ class _Source:
         return UsageError(f"formula '{self.text}': {why} (character {self.begin + place + 1})")
 
     def translated(self, node: ast.expr) -> Column:
-        """Return the function that computes a node of the tree."""
+        """Return the function that computes the value of a node of the syntax tree."""
         match node:
             case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
                 return self.constant(node, number)
@@ -196,7 +200,7 @@ class _Source:
         raise self.error(f"'{ast.unparse(node)}' is not allowed: {allowed}", node)
 
     def constant(self, node: ast.expr, number: float) -> Column:
-        """Return the function of a constant number."""
+        """Return the function that computes a constant: it returns `number`."""
         try:
             value = np.float64(number)
         except OverflowError:
@@ -204,7 +208,7 @@ class _Source:
         return lambda ideal, conditions: np.asarray(value)
 
     def called(self, node: ast.expr, name: str, arguments: list[ast.expr]) -> Column:
-        """Return the function of a call, such as `sin(t)` or `max(gx, 0)`."""
+        """Return the function that computes a call in the expression, such as `sin(t)` or `max(gx, 0)`."""
         if name in _FUNCTIONS and len(arguments) == 1:
             return self.applied(_FUNCTIONS[name], arguments[0])
         if name in _OF_SEVERAL and len(arguments) > 1:
@@ -216,7 +220,7 @@ class _Source:
         raise self.error(f"no function is called '{name}'{_known(name)}", node)
 
     def applied(self, function: Callable[..., Any], *nodes: ast.expr) -> Column:
-        """Return a function of the values of other nodes."""
+        """Return the function that applies `function` to the values of the nodes."""
         parts = [self.translated(node) for node in nodes]
         return lambda ideal, conditions: function(*(part(ideal, conditions) for part in parts))
 

@@ -1,8 +1,8 @@
 """Effects of the gyros: terms that a mean rate of turn contains in addition to the zero rate.
 
 Readings are in °/s, forces are the readings of the accelerometers in g, Ω are the true rates of turn about
-the axes of the accelerometers. Sizes are estimates; the sheet of the siblings gives a g-sensitivity of 0.05
-°/s/g and a supply sensitivity of 0.25 °/s/V.
+the axes of the accelerometers. Typical sizes are estimates, except two from the data sheet of the sibling
+sensors: a g-sensitivity of 0.05 °/s/g and a supply sensitivity of 0.25 °/s/V.
 """
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ class GSensitivity(LinearAxisEffect):
 
     Formula: ω_i += g_sensitivity_ix · f_x + g_sensitivity_iy · f_y + g_sensitivity_iz · f_z
 
-    Separated by: With poses in one order force is time: repeat the first poses last. `g2_sensitivity` does
-    not change its sign with the force.
+    Separated by: If each pose is visited once, a change with the force may equal a change with time: repeat
+    the first poses last. `g2_sensitivity` does not change its sign with the force.
 
     Attributes
     ----------
@@ -120,12 +120,13 @@ class GSensitivity(LinearAxisEffect):
 class G2Sensitivity(LinearAxisEffect):
     """The squared force along one axis shifts the zero rate.
 
-    At rest the three squares add up to 1 g², so each axis of the force is a choice of its own.
+    At rest the squares of the three components of the force add up to 1 g² and cannot all be distinguished
+    from the zero rate. An effect therefore has only one axis of the force.
 
     Formula: ω_i += g2_sensitivity_ij · f_j², j the axis `force`
 
-    Separated by: At rest the three squares add up to 1, so one looks like minus the two others: use poses
-    between the axes, or vibration.
+    Separated by: At rest the three squares add up to 1 g², so one square looks like minus the sum of the
+    two others: use poses between the axes, or vibration.
 
     Attributes
     ----------
@@ -268,8 +269,8 @@ class GyroDrift(LinearAxisEffect):
 
     Formula: ω_i += gyro_drift_i · t/60, or gyro_step_i · number of the dwell (`steps` 1)
 
-    Separated by: With poses in one order time is force: repeat the first poses last. For
-    `gyro_bias_temperature` let the temperature fall.
+    Separated by: If each pose is visited once, a change with time may equal a change with the force: repeat
+    the first poses last. For `gyro_bias_temperature` let the temperature fall.
 
     Attributes
     ----------
@@ -306,8 +307,8 @@ class GyroWarmUp(WarmUp):
 
     Formula: ω_i += gyro_warm_up_i · exp(−t/τ), t from the session's start
 
-    Separated by: In less than τ it looks like `gyro_drift`, with a thermometer like
-    `gyro_bias_temperature`: switch off and on within the session.
+    Separated by: In a session shorter than τ it looks like `gyro_drift`, and if the temperature is recorded
+    like `gyro_bias_temperature`: switch off and on within the session.
     """
 
     name = "gyro_warm_up"

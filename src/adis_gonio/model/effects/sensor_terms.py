@@ -4,8 +4,9 @@ The static terms have the order of the model equation of IEEE Std 1293: E/K1 = K
 + K_ip a_i a_p + K_pp a_p² + δ a_p. All typical sizes are estimates. The data sheet of the siblings gives
 non-orthogonality ±0.25° and nonlinearity ±0.2 % of full scale (3.4 mg at 1.7 g, hence K3 ≈ 0.7 mg/g³).
 Estimates for the ADIS16354: 0.5 mg/°C and 40 ppm/°C like its better sibling; self-heating of a few degrees
-with a time constant of minutes; a gain that changes with the supply a hundred times less than in a fully
-ratiometric sensor (1/5 V, 200 000 ppm/V), and changes with time at 1 g as much as the bias.
+with a time constant of minutes; a gain that changes with the supply a hundred times less than the gain of a
+fully ratiometric sensor (which changes by 200 000 ppm/V at 5 V); a drift of the gain that changes a reading
+of 1 g as much as the drift of the bias.
 """
 
 from __future__ import annotations
@@ -140,8 +141,9 @@ class Quadratic(LinearAxisEffect):
 
     Formula: a_i += k2_i · (a_i/1000)²
 
-    Separated by: In one plane it equals `cross_quadratic` of opposite sign plus a bias: leave the plane.
-    `asymmetry` has a fourth harmonic (9 positions); for `stage_eccentricity` remount by 180°.
+    Separated by: In one plane it equals `cross_quadratic` of opposite sign plus a bias: use positions out
+    of the plane. `asymmetry` also has a fourth harmonic, which 9 positions show; for `stage_eccentricity`
+    remount the part by 180°.
     """
 
     name = "quadratic"
@@ -163,8 +165,8 @@ class Cubic(LinearAxisEffect):
 
     Formula: a_i += k3_i · (a_i/1000)³
 
-    Separated by: It has a third harmonic (7 positions). `stage_ellipticity` has it on both axes: remount by
-    90°, and only the stage's term changes its sign.
+    Separated by: It has a third harmonic, which 7 positions show. `stage_ellipticity` has it on both axes:
+    remount by 90°, and only the stage's term changes its sign.
     """
 
     name = "cubic"
@@ -185,7 +187,8 @@ class Asymmetry(LinearAxisEffect):
 
     Formula: a_i += asymmetry_i · |a_i|/1000
 
-    Separated by: Few positions take it for `quadratic`: add readings near zero, where |a| has its kink.
+    Separated by: With few positions it looks like `quadratic`: add readings near zero, where |a| has its
+    kink.
     """
 
     name = "asymmetry"
@@ -322,9 +325,9 @@ class ScaleTemperature(LinearAxisEffect):
 class MisalignmentTemperature(CrossEffect):
     """The direction of an axis follows the temperature of the die.
 
-    In the plane a misalignment of both axes is the misalignment of one axis and a turn of the whole part. A
-    part that turns with its mount is not misaligned, so a candidate of the trace misaligns one axis; two
-    candidates represent both.
+    In the plane, misalignments of x and y together equal a misalignment of one axis and a turn of the whole
+    part, which its mount may cause. A candidate of the trace therefore has one misaligned axis; if both are
+    misaligned, the trace adds two candidates.
 
     Formula: a_i += misalignment_tempco_ip · (T − 25 °C) · a_p (angle in radians)
 
@@ -420,8 +423,9 @@ class BiasDrift(LinearAxisEffect):
 
     Formula: a_i += drift_i · t/60, t from the session's start
 
-    Separated by: With positions in one order, time is angle: repeat positions in another order. For
-    `bias_temperature` let the temperature fall; for `warm_up` measure longer.
+    Separated by: If each position is visited once, a change with time may equal a change with the angle:
+    repeat positions in another order. For `bias_temperature` let the temperature fall; for `warm_up`
+    measure longer.
     """
 
     name = "bias_drift"
@@ -461,8 +465,8 @@ class WarmUp(CourseEffect):
 
     Formula: a_i += warm_up_i · exp(−t/τ), t from the session's start
 
-    Separated by: In less than τ it looks like `bias_drift`, with a thermometer like `bias_temperature`:
-    switch off and on within the session.
+    Separated by: In a session shorter than τ it looks like `bias_drift`, and if the temperature is recorded
+    like `bias_temperature`: switch off and on within the session.
     """
 
     name = "warm_up"

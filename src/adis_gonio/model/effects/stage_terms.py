@@ -1,10 +1,11 @@
 """Effects of the stage, of the approach to a position, of single dwells, and of samples within dwells.
 
-The terms of the stage turn the sensor: they are angles, added to ψ = α − θ, and appear in a reading
-multiplied by its tangential slope. If the sensor is remounted by an angle on the table, and readings at the
-same direction of gravity in the sensor are compared, the sensor's terms are unchanged, but a term of the
-stage with n cycles a turn has advanced by n times that angle. One cycle therefore changes its sign by a
-remounting of 180° (the reversal pair that separates table and sensor), two cycles need 90°.
+The terms of the stage turn the sensor. They are angles, added to ψ = α − θ (start angle minus angle of the
+stage), and change a reading in proportion to its derivative by this angle. Remounting the sensor on the
+table, turned by an angle, separates stage and sensor: if readings with the same direction of gravity in the
+sensor are compared, the sensor's terms are unchanged, but the phase of a term of the stage with n cycles a
+turn has advanced by n times that angle. One cycle therefore changes its sign by a remounting of 180° (the
+reversal pair that separates table and sensor), two cycles need 90°.
 """
 
 from __future__ import annotations
@@ -47,18 +48,19 @@ It allows phases to scatter by 1.4 mrad, as by rounded angles."""
 
 
 def alike(cycles: int, others: int, angle_rad: Floats) -> bool:
-    """Return True if waves with `cycles` and `others` cycles per turn differ only in phase at these angles.
+    """Return True if m cycles per turn cannot be distinguished from n cycles at the angles of a session.
 
-    If the phase of e^{i(m ∓ n)θ} is constant over the angles, m cycles are an alias of n cycles. A constant
-    has 0 cycles.
+    m is `cycles` and n is `others`; 0 cycles are a constant. At these angles θ, sine and cosine of mθ are
+    then combinations of sine and cosine of nθ. This is so if the phase of e^{i(m ∓ n)θ} is constant over
+    the angles, for one of the two signs.
     """
     return bool(of_one_phase(np.array([cycles - others, cycles + others]), angle_rad).any())
 
 
 def of_one_phase(cycles: NDArray[np.int_], angle_rad: Floats) -> NDArray[np.bool_]:
-    """Return for each number of cycles per turn (m,) if its wave has one phase at all the angles.
+    """Return for each number of cycles per turn (m,) if its phase is equal at all angles.
 
-    `angle_rad` (n,) are the angles.
+    `angle_rad` (n,) are the angles θ. The phase of c cycles is cθ, without whole turns.
     """
     length = np.abs(np.exp(1j * cycles[:, None] * angle_rad).mean(axis=1))
     return np.asarray(length > 1 - _SAME_PHASE)
@@ -132,8 +134,9 @@ class StagePeriodic(StageEffect):
 
     Notes
     -----
-    At N equally spaced angles n, N − n, N + n, … cycles a turn give equal columns: a session shows n up to
-    N/2, and a number that is found may be any number that folds to it (`alike`).
+    At N equally spaced angles, errors with n, N − n, N + n, … cycles a turn cannot be distinguished
+    (`alike`). A session therefore shows only numbers up to N/2, and a number that is found stands for all
+    of these.
     """
 
     cycles: int = 3
@@ -244,12 +247,12 @@ class Hysteresis(LinearAxisEffect):
 class Creep(CourseEffect):
     """Part of the response to a load is late, so that the reading creeps after each change of the load.
 
-    With τ da_late/dt = a − a_late, and a_late = a at the beginning of the session, the term is
-    creep_i (a_late − a) per g: after a change of the load by Δa the reading lacks creep·Δa, and the lack
-    decays with τ. It is zero under a constant load, so that it does not compete with the gain. A gain
-    that changes with the load itself is `quadratic` or `cubic`; a gain that drifts *after* loading is this.
-    `settling` is equal in every dwell and ends within it; `hysteresis` depends only on the direction of the
-    last move.
+    With τ da_late/dt = a − a_late, and a_late = a at the beginning of the session, the term is creep_i
+    (a_late − a) per g: after a change of the load by Δa the reading lacks creep·Δa, and the lack decays
+    with τ. It is zero under a constant load, so that it does not compete with the gain. A gain that changes
+    with the load itself is `quadratic` or `cubic`; a gain that drifts *after* a change of the load is
+    `creep`. `settling` is equal in every dwell and ends within it; `hysteresis` depends only on the
+    direction of the last move.
 
     Formula: a_i += creep_i · (a_late,i − a_i)/1000, τ da_late,i/dt = a_i − a_late,i
 
@@ -286,9 +289,9 @@ class AxisTilt(Effect):
         a_xy becomes (a_xy/ρ)(ρ cos ε − a_z sin ε),  a_z becomes a_z cos ε + ρ sin ε:
 
     a rotation that keeps the modulus. The in-plane angle does not depend on ε: both axes lose the fraction
-    ε²/2 of their gain (0.15 mg at 1°), which is `gravity` or a common `scale`; only z shows ε in first
-    order (17.5 mg at 1°). A part mounted with an axis tilted by λ out of the plane of rotation also reads G
-    sin ε · λ, a constant, which is `bias`. x and y alone therefore cannot identify it.
+    ε²/2 of their gain (0.15 mg at 1°), which looks like `gravity` or a common `scale`. Only z shows ε in
+    first order (17.5 mg at 1°). A part mounted with an axis tilted by λ out of the plane of rotation also
+    reads G sin ε · λ, a constant, which looks like `bias`. x and y alone therefore cannot identify it.
 
     Formula: a_x, a_y += (cos ε − 1) a_x, a_y; a_z += ρ sin ε (for a_z = 0), ρ² = a_x² + a_y²
 
@@ -484,8 +487,9 @@ class NoiseChange(SampleEffect):
 class Settling(CourseEffect):
     """Each dwell begins with an exponential decay of equal amplitude and time constant.
 
-    For readings of equally long dwells it is a constant, so it is searched within the dwells: rows of
-    `Conditions` are then samples. The mean of exp(−t/τ) over a dwell is not exp(−mean t/τ).
+    In the means of equally long dwells it is a constant. The trace therefore looks for it in the samples of
+    the dwells, with a row of `Conditions` for each sample. The mean of exp(−t/τ) over a dwell is not
+    exp(−mean t/τ).
 
     Formula: a_i += settling_i · exp(−t/τ), t from the end of the move
 

@@ -101,7 +101,7 @@ def _regressors(samples: Samples) -> Floats:
 def grid(samples: Samples, usable: Usable) -> list[float | None]:
     """Return the time constants in s to try; None in the list stands for a straight line.
 
-    `usable` (d,) is True for the dwells that are long enough.
+    `usable` (d,) is True for the dwells with at least `LEAST_SAMPLES` samples.
     """
     lengths = [float(samples.elapsed_s(k)[-1]) for k in np.flatnonzero(usable).tolist()]
     longest = float(np.median(lengths))
@@ -119,8 +119,8 @@ def _course(elapsed_s: Floats, tau: float | None) -> Floats:
 def projections(samples: Samples, usable: Usable, tau: float | None) -> tuple[Floats, Floats]:
     """Return the projections (d, axes) of the samples of each dwell on a course, and its norms (d,).
 
-    `usable` (d,) is True for the dwells that are long enough; `tau` is a time constant in s, None for a
-    line. A projection is the amplitude of the course times its norm.
+    `usable` (d,) is True for the dwells with at least `LEAST_SAMPLES` samples; `tau` is a time constant in
+    s, None for a line. A projection is the amplitude of the course times its norm.
     """
     z, norm = np.zeros((len(samples), samples.axes)), np.zeros(len(samples))
     for k in np.flatnonzero(usable).tolist():
@@ -135,7 +135,7 @@ def projections(samples: Samples, usable: Usable, tau: float | None) -> tuple[Fl
 def _best(samples: Samples, usable: Usable) -> _Candidate | None:
     """Return the significant course that explains most variance; None if no course is significant.
 
-    `usable` (d,) is True for the dwells that are long enough.
+    `usable` (d,) is True for the dwells with at least `LEAST_SAMPLES` samples.
     """
     taus = grid(samples, usable)
     kinds = _regressors(samples)
@@ -232,7 +232,7 @@ def _fit_course(samples: Samples, usable: Usable, best: _Candidate) -> tuple[Wit
 def _significant_axes(samples: Samples, usable: Usable, best: _Candidate) -> list[int]:
     """Return the axes with the course: the axis of `best`, and other axes on which it is significant.
 
-    `usable` (d,) is True for the dwells that are long enough.
+    `usable` (d,) is True for the dwells with at least `LEAST_SAMPLES` samples.
     """
     z, norm = projections(samples, usable, best.tau)
     g = norm[:, None] * _regressors(samples)[int(best.by_move)]

@@ -79,7 +79,8 @@ class _Look:
     stretch : (d, axes) float
         Length of the stretches in samples.
     unit : (d, axes) float
-        Scale of the samples in mg: their scatter on an axis on which it differs between dwells, else 1.
+        Divisor of the samples in mg: the scatter of the dwell on an axis whose scatter differs between
+        dwells, otherwise 1.
     """
 
     place: Floats
@@ -221,9 +222,11 @@ def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) 
 def _without_outliers(squares: Floats, weight: Floats) -> tuple[Floats, Floats]:
     """Return the mean squared differences of dwells and their weights, with weight 0 for outliers.
 
-    Outliers are far above the other dwells. With a coarse converter many dwells have no difference at all,
-    so the upper quartile is the reference. If more than a few dwells are far above it, none is excluded.
-    `squares` and `weight` (d,) are these mean squares and weights.
+    A dwell is an outlier if its mean square has a probability below `_RARE`, by a χ² distribution scaled to
+    the upper quartile of the dwells. (The median would be too small with a coarse converter, since many
+    dwells then have no difference at all.) No dwell is excluded if there are fewer than `_LEAST_DWELLS`
+    dwells, or if the share of outliers exceeds `_FEW`. `squares` and `weight` (d,) are these mean squares
+    and weights.
     """
     use = weight > 0
     if use.sum() < _LEAST_DWELLS:
@@ -239,10 +242,11 @@ def _without_outliers(squares: Floats, weight: Floats) -> tuple[Floats, Floats]:
 def _independent(nominal: Floats, squares: Floats) -> Floats:
     """Return the effective number (d,) of independent differences in each dwell, at most `nominal`.
 
-    It is limited by the scatter of the dwells' mean squared differences (d,).
+    `squares` (d,) are the mean squared differences of the dwells. The more they scatter from dwell to
+    dwell, the smaller is the number.
 
-    The differences are of the means of two neighbouring stretches of samples; the sensor's filter
-    correlates them if it is longer than a stretch. The median absolute deviation of the mean squares is
+    A difference is between the means of two neighbouring stretches of samples. A sensor filter that is
+    longer than a stretch correlates the differences. The median absolute deviation of the mean squares is
     used, so that a few unusual dwells do not matter.
     """
     use = np.isfinite(squares) & (nominal > 0)

@@ -15,11 +15,11 @@ Saturation
     Samples that accumulate at an extreme value (`Readings.converter`). The p-value is the probability of
     this many samples at the extreme rather than one value inside, if both were equally probable.
 Quantization
-    A step that the noise does not dither: the error of the means by quantization,
-    q²/(2π²)·Σ exp(−4π²k²σ²/q²)/k², exceeds the error by noise, in all dwells together. The p-value is the
-    probability that noise with equal errors scatters as little as the samples. If only every second, third,
-    … code occurs, bits are lost. This is reported for any scatter, with the probability that this many
-    differences share a divisor by chance.
+    A converter step q that noise of standard deviation σ does not dither: the error of the means by
+    quantization, q²/(2π²)·Σ exp(−4π²k²σ²/q²)/k², exceeds the error by noise, in all dwells together. The
+    p-value is the probability that noise with equal errors scatters as little as the samples. If only every
+    second, third, … code occurs, bits are lost. This is reported for any scatter, with the probability that
+    this many differences share a divisor by chance.
 """
 
 from __future__ import annotations
@@ -71,8 +71,8 @@ def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding
     scatter : (d, axes) float
         Standard deviation of single samples in each dwell.
     reach : int
-        Number of samples over which neighbours are correlated; a spike before the sensor's filter has this
-        width.
+        Number of samples over which neighbours are correlated; the sensor's filter spreads a spike over
+        this width.
     """
     total = int(samples.counts.sum()) * samples.axes
     limit = -float(special.ndtri(FOUND_WITHIN / (2 * total * SEARCHES)))
@@ -261,7 +261,7 @@ def _tail(lengths: NDArray[np.intp]) -> tuple[float, float]:
 
 
 def saturation(session: Session, data: Readings) -> WithinFinding | None:
-    """Return the finding on the ends of the sensor's range that samples reached; None if no sample has."""
+    """Return the finding on samples at the ends of the sensor's range; None without such samples."""
     if data.converter is None or not data.converter.limits:
         return None
     limits = data.converter.limits

@@ -10,10 +10,10 @@ Order of the searches
 Rule for `found`
     A finding counts among `TraceResult.found` if it has the form of a named effect (`tone`, `settling`,
     `noise_change`, `saturation`, `quantization`), if its probability reaches the threshold of any cause
-    (`certain`), if it occurs in at least `_CLAIMED_DWELLS` dwells (a limit in one), and if the dwells were
-    recorded as such. If dwells were cut out of a continuous recording, a finding may be a hand that places
-    the part, so it remains a remark. `explains` is 0: the finding adds nothing to the model of the
-    readings.
+    (`certain`), if it occurs in at least `_CLAIMED_DWELLS` dwells (for a limit of the range one dwell
+    suffices), and if each dwell was recorded by itself. If dwells were cut out of a continuous recording, a
+    finding may come from a hand that places the part, so it remains a remark. `explains` is 0: the finding
+    adds nothing to the model of the readings.
 
 Probability
     The tests need no model of an effect, so there is a p-value but no likelihood. If an effect is
@@ -106,7 +106,11 @@ def with_second_pass(session: Session, data: Readings, result: TraceResult) -> T
 
 
 def counts_as_found(finding: WithinFinding) -> bool:
-    """Return True if a finding inside the dwells is certain enough to count in `TraceResult.found`."""
+    """Return True if a finding inside the dwells is certain enough to count in `TraceResult.found`.
+
+    It must be a named effect with a probability of at least `limits.certain`, in at least `_CLAIMED_DWELLS`
+    dwells (for a limit of the range in one).
+    """
     return (
         finding.effect is not None
         and probability(finding.p_value) >= limits.certain
@@ -167,8 +171,10 @@ def _of_single_dwells(data: Readings, result: TraceResult) -> list[str]:
 def _deviating_dwells(data: Readings, result: TraceResult) -> tuple[list[str], list[str]]:
     """Return advice and notes on dwells that the final model fits far worse than the others.
 
-    Their squared whitened residual is compared with the median over all dwells, but at least with the
-    measured noise, at 1 % for all dwells together.
+    The squared whitened residual of such a dwell is improbable for a χ² distribution that is scaled to the
+    median over all dwells, but at least to the measured noise. The probability of reporting any dwell by
+    chance is 1 %. Both lists are empty if the share of such dwells exceeds `_MOST_OUT`, since the model is
+    then not adequate.
     """
     if not result.fits or len(result.fits[-1].data) < _CLAIMED_DWELLS or not data.noise_known:
         return [], []
@@ -329,9 +335,9 @@ def _noise_change(samples: Samples, density: Density | None) -> Detectable:
 def _joining(quiet: Floats, away: float) -> float:
     """Return the variance in mg² of white noise that raises the level of half of the dwells by `away` nats.
 
-    `quiet` (points,) is the spectral density without it. The level of a dwell is relative to the density
-    of all dwells, which the added noise changes too. It is infinite if no variance raises the level so
-    much.
+    `quiet` (points,) is the spectral density without the added noise. The level of a dwell is its mean
+    power in units of the density of all dwells, which the added noise changes too. The result is infinite
+    if no variance raises the level so much.
     """
     middle = len(quiet) // 2, (len(quiet) - 1) // 2
 

@@ -11,7 +11,8 @@ Search
     Times between samples may vary: frequency and amplitude are fitted at the times of the samples. At a
     sampling rate f_s, a line at f may be a vibration at f or at any k f_s ± f, k = 1, 2, …. Above half of
     the rate a vibration appears as an alias, and a filter after the sampling treats it like f. A finding
-    lists all these frequencies up to `HIGHEST_HZ`. Amplitudes are those behind the filter of the sensor.
+    lists all these frequencies up to `HIGHEST_HZ`. A stated amplitude is the amplitude behind the filter of
+    the sensor.
 
 Density
     The periodogram of each dwell (line removed, Hann's taper, zero-padded to twice its length) is divided
@@ -255,9 +256,9 @@ def _amplitudes(
 def _sizes(squares: Floats, noise: Floats, excess: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Return a line's amplitude on each axis (axes,), its standard uncertainty and its significance.
 
-    `squares` (d, axes) are the squared amplitudes in each dwell, `noise` is the part of them that noise
-    adds on average, `excess` is their ratio. Noise and a change of the line's strength both appear in the
-    scatter of the squares over dwells.
+    `squares` (d, axes) are the squared amplitudes in each dwell, `noise` is the mean squared amplitude of
+    noise alone, and `excess` is `squares` divided by `noise`. Noise and a change of the line's strength
+    both appear in the scatter of the squares over dwells.
     """
     d = len(squares)
     weight = 1 / noise
@@ -375,9 +376,9 @@ class Density:
     def effective(self) -> Floats:
         """Effective number (axes,) of independent dwells in the mean spectrum of all dwells.
 
-        The average over this many independent spectra would scatter about the density as much as the mean
-        spectrum does; it is at most the number of dwells. The density of the noise itself is the reference,
-        since the limit for a line scatters too.
+        An average over this many independent spectra would scatter about `base` as much as the mean
+        spectrum of the dwells does. The number is at least 1 and at most the number of dwells. `bound` is
+        not the reference, since it scatters too.
         """
         part = self.searched
         pooled = (self.power[:, part] / self.level[:, None, :]).mean(axis=0) / self.base[part]

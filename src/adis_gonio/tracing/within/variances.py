@@ -81,7 +81,10 @@ class Levels:
         return float(special.chdtrc(d - 1, max(statistic, 0.0)))
 
     def changed(self) -> float:
-        """Return the p-value of the t-test for a single change of the level, at the best of all dwells."""
+        """Return the p-value of the t-test for a single change of the level, at the most significant place.
+
+        All places between two dwells are tried, and the p-value is corrected for their number.
+        """
         d = len(self.level)
         p = 1.0
         for cut in range(1, d):
@@ -188,9 +191,10 @@ def _ratio_p(one: Levels, other: Levels) -> float:
 
 
 def _best_cut(levels: list[Levels]) -> int | None:
-    """Return the index of the first dwell after the best single increase of the noise; None without one.
+    """Return the index of the first dwell after a single increase of the noise; None without an increase.
 
-    The best place is found by least squares over all axes.
+    The place is found by least squares of the log levels over all axes. The result is None if the noise
+    does not increase there on every axis.
     """
     best: tuple[float, int] | None = None
     for cut in range(1, len(levels[0].level)):
@@ -262,10 +266,10 @@ def _joined(
 ) -> Value:
     """Return the standard deviation in mg of the noise that was added at a change of the noise.
 
-    `quiet` and `loud` (d,) are the dwells before and after the change. The value follows from the variance
-    of the samples or, if white noise describes the change of the spectrum better than the spectrum of the
-    noise does, from the spectrum: behind a long filter the variance hardly changes. `own` are the
-    variances and levels on this axis.
+    `quiet` and `loud` (d,) are the dwells before and after the change. If the change of the spectrum
+    resembles white noise more than the noise of the dwells, the value follows from the spectrum, because
+    behind a long filter the variance hardly changes. Otherwise it follows from the change of the variance
+    of the samples. `own` are the variances and levels on this axis.
     """
     base = density.base[density.searched, axis]
     power = density.power[:, density.searched, axis] / base
