@@ -70,11 +70,11 @@ def fit(
     part : {"accelerometer", "gyro"}
         Part of the sensor; gyros have one method, `gyro`.
     accelerometers : Calibration, optional
-        With `part="gyro"`: calibration of this sensor's accelerometers, for the directions of axes
-        (`fit_gyro`).
+        Only for `part="gyro"`: calibration of the accelerometers of this sensor, for directions of
+        gravity that the session does not determine.
     gyros : GyroCalibration or path, optional
-        For poses in space between which the sensor was turned: calibration of its gyros from another
-        session, or a file for `load_gyro_calibration`.
+        Calibration of the sensor's gyros from another session, or its file (see `load_gyro_calibration`).
+        It is used for a session of poses in space that recorded the turns between the poses.
 
     Raises
     ------
@@ -118,8 +118,8 @@ def trace(
     part : {"accelerometer", "gyro"}
         Part of the sensor that is traced.
     include, exclude : str or sequence of str
-        Terms that every model has, such as `quadratic:x` or `mine_x = (T - 25)**2 * gx`, and names of
-        effects that no model has.
+        `include` has terms that every tried model contains, such as `quadratic:x` or
+        `mine_x = (T - 25)**2 * gx`. `exclude` has names of effects that no tried model contains.
     only : bool
         True: the model has the terms of `include` and no other.
 
@@ -142,7 +142,8 @@ def _load_gyros(
 ) -> GyroCalibration | None:
     """Return a gyro calibration, read from its file if a path is given; None if None is given.
 
-    `session` is the session that uses the calibration; its own file raises `UsageError`.
+    `session` is the session that uses the calibration. The file of this session raises `UsageError`,
+    because the calibration has to come from another session.
     """
     if not isinstance(given, str | PathLike):
         return given

@@ -60,7 +60,7 @@ Question = events.PositionAsked | events.GuardRaised | events.RepetitionOffered 
 
 
 def answers_to(question: Question) -> dict[str, BenchKey]:
-    """Return the possible answers to a question: keys by name of the answer, in the order of the list."""
+    """Return the keys of the possible answers to a question, by name of the answer, in their order."""
     match question:
         case events.PositionAsked():
             possible = {"repeat": question.can_repeat, "undo": question.can_undo}
@@ -114,9 +114,10 @@ Level = Literal["said", "warned"]
 
 
 def lines_about(event: events.Event) -> list[tuple[str, Level]]:
-    """Return the lines about an event that stay in view, each with its level, `said` or `warned`.
+    """Return the lines that tell the operator about an event and remain on the screen.
 
-    The list is empty for an event without news.
+    Each line has a level: `said` for information, `warned` for a warning. The list is empty for an event
+    that only updates the display, such as the progress of a dwell.
     """
     match event:
         case events.Started():
@@ -144,9 +145,9 @@ def lines_about(event: events.Event) -> list[tuple[str, Level]]:
 
 
 def _course(event: events.Event) -> list[tuple[str, Level]]:
-    """Return the lines about an event in the progress of the session, each with its level.
+    """Return the lines about an interruption, problem, note, withdrawn dwell or end of the session.
 
-    The list is empty for other events.
+    Each line has its level, `said` or `warned`. The list is empty for other events.
     """
     match event:
         case events.DwellInterrupted() if not event.guarded:
@@ -183,9 +184,10 @@ def configuration_lines(event: events.Configured) -> list[str]:
 
 
 def turn_text(turn: events.TurnMeasured | None) -> str:
-    """Return a text on the turn since the last position: requested, by the gyro ± U (95 %), and by gravity.
+    """Return a text with the turn since the last position in degrees.
 
-    The text is a dash if `turn` is None.
+    It has the requested turn, the turn that the gyros measured with its expanded uncertainty U (95 %), and
+    the turn that follows from gravity, as far as each is known. The text is a dash if `turn` is None.
     """
     if turn is None:
         return "–"
@@ -199,9 +201,9 @@ def turn_text(turn: events.TurnMeasured | None) -> str:
 
 
 def running_values(running: events.Running) -> list[str]:
-    """Return texts of ΔK and Δφ from the dwells so far, each ± U (95 %); empty if none is known.
+    """Return a text for each of ΔK and Δφ that the dwells so far determine, with ± U (95 %).
 
-    `running` is the event with the parameters so far.
+    `running` is the event with the parameters so far. The list is empty if neither is determined.
     """
     known: Mapping[str, Any] = running.parameters
     return [
@@ -212,9 +214,10 @@ def running_values(running: events.Running) -> list[str]:
 
 
 def lines_of_result(event: events.Event) -> list[tuple[str, Level]]:
-    """Return lines about the last turn and the result so far, which the screen shows next to the messages.
+    """Return a line about the measured turn or the parameters so far, if the event contains them.
 
-    The list is empty for other events.
+    The line has the level `said`. The list is empty for other events. The bench screen shows this
+    information in fields of its own instead.
     """
     if isinstance(event, events.TurnMeasured):
         return [(f"last turn: {turn_text(event)}", "said")]
@@ -223,7 +226,7 @@ def lines_of_result(event: events.Event) -> list[tuple[str, Level]]:
 
 
 def position_count(question: events.PositionAsked) -> str:
-    """Return a text with the number of the position asked for and the remaining time of the session."""
+    """Return a text such as `3 of 8 (about 5 min left)` for the position that the operator is asked for."""
     minutes = round(question.time_left_s / 60)
     left = f" (about {format_duration(60 * minutes)} left)" if minutes else ""
     return f"{question.number} of {question.total}{left}"

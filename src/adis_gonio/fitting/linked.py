@@ -49,7 +49,7 @@ they have converged."""
 
 @dataclass(frozen=True)
 class LinkReport:
-    """Effect on a fit of the links: turns between poses that the gyros measured.
+    """Effect that links (turns between poses that the gyros measured) have on a fit.
 
     Attributes
     ----------
@@ -70,8 +70,8 @@ class LinkReport:
         Median ratio of u with links to u without links, over the parameters that both fits determine; None
         without links or such a parameter.
     missed_deg : float
-        Standard uncertainty of a turn about each axis because the samples miss fast motion; 0 if their
-        noise has more effect.
+        Standard uncertainty in degrees of a turn about each axis because of lost samples and motion between
+        samples; 0 if the noise of the samples contributes more.
     """
 
     used: int
@@ -265,7 +265,8 @@ def _ends(links: Links, position: NDArray[np.intp], link: int) -> tuple[int, int
 def _near(links: Links, fit: Fit) -> NDArray[np.bool_]:
     """Return a mask (m,) of the links that agree roughly with gravity before and after their turn.
 
-    No parameters of the gyros could explain the disagreement of the others.
+    The other links are too wrong for any parameters of gyros and accelerometers to explain: they disagree
+    by more than `FAR_RAD` and by more than `FAR_SHARE` of the turn's angle.
     """
     attitude = fit.settled(4).values.attitude
     # Gravity before the turn, carried by the gyros, against gravity after it.

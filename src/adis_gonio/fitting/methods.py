@@ -1,13 +1,14 @@
 """Methods of a fit by name (`METHOD_TABLE`, `fit`), and the four that are closed forms.
 
 The closed forms are `paper`, `two-position`, `four-position` and `mmpm`. All but `paper` are one linear fit
-for each axis: by the theorem of addition
+for each axis, because by the addition theorem, with the declared angle θ,
 U_x = A_x cos θ + B_x sin θ + b_x with A_x = K_x G cos α, B_x = K_x G sin α, and
 U_y = A_y cos θ + B_y sin θ + b_y with A_y = K_y G sin(α + Δφ), B_y = −K_y G cos(α + Δφ).
-With 0° and 90° and no bias this is the closed form Δφ = atan2(U_y1, −U_y2) − atan2(U_x2, U_x1); with
-0/90/180/270° it takes the differences of opposite positions, free of bias; with nine or more it is the
-least squares with declared angles (MMPM, which trusts them). Its covariance propagates the noise of the
-readings and the fixture's uncertainty alike, although the fit itself gives no weight to either.
+With 0° and 90° and no bias this is the closed form Δφ = atan2(U_y1, −U_y2) − atan2(U_x2, U_x1). With 0°,
+90°, 180° and 270° the differences of opposite positions are used, which are free of bias. With nine or more
+angles the fit is by least squares, and the declared angles are taken as exact (`mmpm`). The fits do not
+weight the readings, but the covariance of their results contains the noise of the readings and the
+fixture's uncertainty.
 """
 
 from __future__ import annotations
@@ -178,18 +179,20 @@ def refit_two(method: str, readings: Readings, made: Origin) -> Fit:
 
 
 def fit_paper(readings: Readings) -> FitResult:
-    """Fit the method `paper`: equations 5 to 12 as printed, which divide the reading of Y by ΔK first.
+    """Fit the method `paper`: equations 5 to 12 as printed, which first correct the readings of Y by ΔK.
 
-    ΔK = U_x1/(−U_y2) − 1, a = U_y1(1 + ΔK)/U_x1, b = U_y2(1 + ΔK)/U_x2, sin Δφ = (1 + ab)/(a + b).
+    With the readings U_x1, U_y1 at 0° and U_x2, U_y2 at 90°, ΔK = U_x1/(−U_y2) − 1, a = U_y1(1 + ΔK)/U_x1,
+    b = U_y2(1 + ΔK)/U_x2 and sin Δφ = (1 + ab)/(a + b).
 
     Raises
     ------
     FitError
         If 0° or 90° is missing.
     SingularError
-        α is near 45°, where a + b vanishes: the noise-free answer is Δφ/cos(2α + Δφ). The method fails if
-        Δφ and the uncertainty of 2α + Δφ together exceed a fifth of the distance from that pole, because
-        the quotient is then not linear in either and no uncertainty is valid.
+        The start angle α is near 45°, where a + b vanishes, because the result without noise is Δφ/cos(2α +
+        Δφ). The method fails if Δφ and the uncertainty of 2α + Δφ together exceed a fifth of |cos(2α +
+        Δφ)|: the result is then not linear in either, and no uncertainty is valid. It also fails if a
+        reading in a denominator is nearly zero.
     """
     chosen, weights = _grouped(readings, "paper", (0, 90))
     exact = _linear(chosen, weights, bias=False)

@@ -208,8 +208,8 @@ def _student(rng: np.random.Generator, dof: float) -> float:
 def _students(rng: np.random.Generator, dof: Floats, estimate: Any) -> Floats:
     """Return random factors (n, axes) that turn normal variables into variables with Student's t.
 
-    `dof` (n, axes) are degrees of freedom. `estimate` (n, axes) numbers the estimate behind each variance;
-    variances from one estimate get one factor.
+    `dof` (n, axes) are the degrees of freedom of the variance of each variable. `estimate` (n, axes) has
+    equal numbers for variances that come from one estimate; these variables get one common factor.
     """
     factor = np.ones(estimate.shape)
     for number in np.unique(estimate[np.isfinite(dof)]):

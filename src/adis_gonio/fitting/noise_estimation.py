@@ -5,12 +5,12 @@
   model. The unknown noise is then chosen so that the remaining readings scatter about the prediction of
   that fit as expected. It is never smaller than the noise of the known readings, so that a reading that
   agrees by chance cannot dominate the fit.
-* A fixture without a stated uncertainty: the σ_f of greatest restricted likelihood, if there is redundancy.
+* A fixture without a stated uncertainty: the standard deviation σ_f of the declared angles is estimated by
+  restricted maximum likelihood, if the residual has at least two degrees of freedom.
 * A residual that the noise within the dwells does not explain (χ² above its 99.9 % quantile): the model
-lacks
-  an effect. An extra standard deviation is added to every reading, again such that χ² equals its degrees of
-  freedom (Mandel and Paule 1970). It keeps the intervals valid and limits the weight of the quietest dwell.
-  The reported χ² is computed with the measured noise, so that the misfit remains visible.
+  lacks an effect. An extra standard deviation is added to every reading, again such that χ² equals its
+  degrees of freedom (Mandel and Paule 1970). It keeps the intervals valid and limits the weight of the
+  quietest dwell. The reported χ² is computed with the measured noise, so that the misfit remains visible.
 """
 
 from __future__ import annotations
@@ -145,9 +145,10 @@ def _without_noise(readings: Readings) -> Settled:
 def _settle_unknown(readings: Readings, first: Settled) -> Settled:
     """Estimate the noise of readings that state none, by their residuals against the other readings.
 
-    `first` is a fit of the other readings. χ² of all readings minus χ² of the known ones is (y − ŷ)ᵀ(S +
-    P)⁻¹(y − ŷ) with the unstated noise S of the readings y and the covariance P of their prediction ŷ. Its
-    mean is the number of equations that they add.
+    `first` is a fit of the other readings, which have a known noise. The unknown readings y increase χ² of
+    this fit by (y − ŷ)ᵀ(S + P)⁻¹(y − ŷ), with their unknown noise S, their prediction ŷ by the other
+    readings, and the covariance P of ŷ. The estimate is the S at which this increase equals its mean, the
+    number of equations that the readings y add; it is at least the noise of the other readings.
     """
     determination = determine(first.noise.applied(readings))
     added = determination.dof - first.dof
@@ -177,10 +178,8 @@ def _settle_unknown(readings: Readings, first: Settled) -> Settled:
 def state_noise(readings: Readings) -> Readings:
     """Return the readings with an estimated noise for each reading that states none.
 
-    The estimate needs other readings with a known noise.
-
-    `settle` estimates the noise from the dwells that may be fitted. If no reading states its noise, or too
-    few for a test of the model, the readings are returned unchanged.
+    `settle` makes the estimate from the dwells that may be fitted. It needs other readings with a known
+    noise: if there are none, or too few for a test of the model, the readings are returned unchanged.
     """
     training = readings.training
     if training.noise_known or not training.known.any():

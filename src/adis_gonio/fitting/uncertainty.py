@@ -165,7 +165,7 @@ class Unseen:
     biases : tuple of int
         Axes (0 for X) of the biases that were taken as zero.
     skews : tuple of int
-        Indices of these skews among the base parameters.
+        Indices, among the base parameters, of the skews that were taken as zero.
     """
 
     biases: tuple[int, ...] = ()
@@ -639,8 +639,8 @@ class BudgetRow(JsonRecord):
     u, unit : float or None, str
         Standard uncertainty of the source itself and its unit; `u` is None if unknown.
     sensitivity : float or None
-        Contribution per u of the source; for a source with independent values in dwells, the root of the
-        sum of squares. None if u is unknown or zero.
+        `contribution` divided by `u` of the source. For a source with an independent error in each dwell it
+        is the root of the sum of the squared sensitivities to each. None if `u` is unknown or zero.
     contribution : float
         Standard uncertainty of the quantity from this source, in the unit of the quantity.
     dof : float
@@ -712,8 +712,8 @@ def missing_effects(fit: Fit) -> Floats:
     Parameters
     ----------
     fit : Fit
-        Fit of the model that does not describe the session, on readings with a noise that includes the
-        scatter of the residual: unstructured scatter is the alternative explanation.
+        Fit of the incomplete model. The noise of its readings has to include the scatter of the residual,
+        so that random scatter is considered as the alternative to missing effects.
     """
     columns = np.concatenate([*_columns(fit), np.zeros((*fit.data.mean.shape, 0))], axis=2)
     white = fit.white(columns)
@@ -819,8 +819,8 @@ class ShownAngle:
     def at_dwells(cls, fit: Fit) -> ShownAngle:
         """Return the derivatives of the calibrated angle at the dwells of a planar fit.
 
-        They are by all parameters of the fit (base parameters, then the values of terms) and by the
-        reading.
+        They are the derivatives with respect to all parameters of the fit (base parameters, then the values
+        of terms) and with respect to the reading.
         """
         psi = fit.values.base[0] + fit.turn_rad + fit.values.attitude
         slope = _by_reading(fit, psi)

@@ -1,4 +1,4 @@
-"""The contract of a bus that carries 16-bit SPI frames, in prose first.
+"""The contract of a bus that carries 16-bit SPI frames: first this text, then the classes.
 
 Unit of work
     A *batch of frames*. A frame is one 16-bit word, shifted MSB first in SPI mode 3 (CPOL 1, CPHA 1)
@@ -6,15 +6,16 @@ Unit of work
     its own; a batch is never one long transfer and never a byte string.
 Replies
     `exchange(frames)` returns one reply a frame: the 16 bits shifted *out* during that frame. The bus
-    knows nothing of pipelining, of registers or of units: those are the sensor's.
+    knows neither registers nor units, nor that the chip replies one frame late: the driver of the sensor
+    knows them.
 Who waits
     The bus. Between frames it keeps chip select high for at least `SpiTiming.stall_us`, starts frames
     at least `period_us` apart and never clocks faster than `clock_hz`; this also applies between the last
     frame of one batch and the first frame of the next. Slower is always allowed.
 Timing is configuration
-    `configure(timing)` sets it once and returns what the bus will do; calls carry no delays. A bus
-    that cannot keep a timing, such as a clock below its slowest, raises `UsageError` and leaves the old
-    one in force.
+    `configure(timing)` sets the timing and returns the timing that the bus achieves. Other calls have no
+    arguments for delays. A bus that cannot keep a timing, such as a clock below its slowest, raises
+    `UsageError` and leaves the old timing in force.
 Bit 14
     is zero in every frame of this family. A batch with a frame outside 0…0xFFFF or with bit 14 set is
     refused whole (`UsageError`) before anything is sent.
@@ -30,7 +31,8 @@ Time
     `now_s()` is the bus's own monotonic clock and `sleep_s()` waits on it. A simulated bus has a
     virtual clock: waiting costs nothing, and drivers must wait by the bus, never by `time.sleep`.
 Optional capabilities
-    are a set; a driver asks `Capability.STREAM in bus.capabilities` and can live without any of them.
+    are members of the set `bus.capabilities`. A driver checks, for instance, if `Capability.STREAM` is in
+    this set, and also works on a bus without optional capabilities.
 """
 
 from __future__ import annotations

@@ -14,9 +14,10 @@ A frame is one bulk WriteRead of two bytes. Requests are described in AN792; eve
 and either returns their meaning or raises `ProtocolError`.
 
 Timing
-    The chip selects, clocks and deselects within a command; the host keeps stall and period: it sends the
-    next command only when both have passed since the last reply arrived, which is later than the rise of
-    CS. A command is therefore never queued behind another, which the chip would not survive. A frame takes
+    Within one command the chip lowers CS (chip select), clocks the frame and raises CS. The host keeps
+    stall and period (see `SpiTiming`): it sends the next command only when stall and period have passed
+    since the last reply arrived, which is later than the rise of CS. Two commands are therefore never
+    queued in the chip, which could not handle them. A frame takes
     one bulk transfer each way: 500 frames a second if each transfer waits for its own USB frame (1 ms),
     4000 if both together take 0.25 ms. These are bounds; none was measured.
 Errors

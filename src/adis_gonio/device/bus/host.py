@@ -259,7 +259,8 @@ class UsbBus(HostBus):
     def _note_failure(self, error: BaseException) -> bool:
         """Note the recovery that is needed after a frame failed with `error`.
 
-        Return True if the recovery can be done now.
+        Return True if the recovery can be done at once, False if it has to wait until the bus is used
+        again.
         """
 
     @abstractmethod

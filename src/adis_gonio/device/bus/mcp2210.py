@@ -15,18 +15,19 @@ A frame is one SPI transaction of two bytes. Reports have 64 bytes each way, lit
 takes any bytes and either returns their meaning or raises `ProtocolError`.
 
 Timing
-    The chip drives CS around every transaction; its own delays have steps of 100 µs and lie within the
-    CS-low time, so they are zero. The host keeps stall and period: it sends a transfer only when both have
-    passed since the answer that reported the end of the last frame, which is later than the rise of CS. A
-    frame takes two commands, start and fetch. A command is a report each way. The maker's sibling MCP2221
-    exchanges 500 reports a second at xHCI controllers and 333 at EHCI (EasyMCP2221, "USB speed limits"): at
-    most 167 to 250 frames a second, for any clock. A fetch with the answer "not yet" (engine started, or
+    The chip drives CS (chip select) around every transaction. Its own delays have steps of 100 µs and lie
+    within the time in which CS is low, so they are set to zero. The host keeps stall and period (see
+    `SpiTiming`): it sends a transfer only when stall and period have passed since the answer that reported
+    the end of the last frame, which is later than the rise of CS. A frame takes two commands, start and
+    fetch. A command is a report each way. The similar MCP2221 of the same maker exchanges 500 reports a
+    second at xHCI controllers and 333 at EHCI (EasyMCP2221, "USB speed limits"). This would allow at most
+    167 to 250 frames a second, at any SPI clock. A fetch with the answer "not yet" (engine started, or
     status 0xF8) costs one more command.
 Errors
-    HID answers arrive in order and carry the code of their command. After any failure the transfer is
-    cancelled, and answers are discarded up to the answer to a mark with a unique number, so that a late
-    answer, even to an earlier cancel, is never used for another command. A transfer that was refused (busy,
-    stuck engine) has clocked nothing and is tried once more; a transfer that was accepted is never
+    HID answers arrive in order and carry the code of their command. After any failure the host cancels the
+    transfer and sends a mark, a harmless report with a unique number. It discards all answers up to the
+    answer to the mark, so that a late answer is never used for another command. A transfer that was refused
+    (busy, stuck engine) has clocked nothing and is tried once more; a transfer that was accepted is never
     repeated. If the device does not take a report, nothing more is sent to it until the bus is used again.
 Writes
     A write of hidapi has no time-out: on hidraw the kernel waits 5 s for a device that takes nothing, on
@@ -384,7 +385,7 @@ class TimedWrites:
         return int(self._device.set_nonblocking(on))
 
     def close(self) -> None:
-        """Close the device after a running write has ended, since hidapi frees the memory that it uses."""
+        """Close the device after a running write has ended, because hidapi then frees its memory."""
         self._thread.shutdown(wait=False)
         if self._last is None or wait([self._last], LONGEST_WRITE_S).done:
             self._device.close()
@@ -695,7 +696,7 @@ def _serial(board: dict[str, Any]) -> str:
 
 
 def _node(path: str) -> str:
-    """Return the device file of a hidapi path: the path itself, or for libusb the node of its USB port."""
+    """Return the device file of a hidapi path: the path itself, or for libusb the file of its USB port."""
     if path.startswith("/"):
         return path
     from pathlib import Path

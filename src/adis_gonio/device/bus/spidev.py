@@ -5,23 +5,24 @@
 | `reset_gpio` | the chip's RST: name of a GPIO line, such as `GPIO17`, or `gpiochip0:17` | none |
 | `cs_high_us` | time for which the kernel keeps CS high within a message | 10 |
 
-Many frames are one ioctl if the kernel can keep the stall; otherwise each frame is one. The structures
-follow the kernel (linux/spi/spidev.h, linux/gpio.h), with pointers of 64 bits on all systems.
+A whole batch of frames is sent by one ioctl if the kernel can keep the stall (the pause between two
+frames); otherwise each frame is sent by an ioctl of its own. The structures follow the kernel
+(linux/spi/spidev.h, linux/gpio.h), with pointers of 64 bits on all systems.
 
 Timing
-    Within a message the kernel raises CS between transfers with `cs_change`, and keeps it high for 10 µs;
-    `delay_usecs` comes *before* the rise and so cannot lengthen the stall, and spidev passes on no other
-    delay. 10 µs are enough for the chip's fast mode (9 µs). In this mode the whole batch is one
-    SPI_IOC_MESSAGE; the clock keeps the frame period: it is so slow that 16 clocks and the 10 µs fill the
-    period, and CS rises right after the last clock, as required by the chip's sleep command. For a longer
-    stall (normal mode: 75 µs) every frame is its own message and the host waits in between. If the device
-    tree lengthens the time (`spi-cs-inactive-delay-ns`), set `cs_high_us` and batches are one message in
-    normal mode too.
+    A message (SPI_IOC_MESSAGE) has one or more transfers. Between two transfers with `cs_change` the kernel
+    raises CS (chip select) and keeps it high for 10 µs. The field `delay_usecs` acts *before* the rise, so
+    that it cannot lengthen the stall, and spidev passes on no other delay. In the chip's fast mode, which
+    needs a stall of 9 µs, the whole batch is one message. The clock is then so slow that 16 clocks and the
+    10 µs fill the frame period. CS rises right after the last clock, as required by the chip's sleep
+    command. In normal mode, which needs a stall of 75 µs, each frame is a message and the host waits
+    between messages. If the device tree lengthens the 10 µs (`spi-cs-inactive-delay-ns`), set `cs_high_us`
+    to the longer time; if it is at least 75 µs, batches are one message in normal mode too.
 Sizes
-    A message has at most 511 transfers because of the size field of its number, and fewer if the driver's
-    buffer (`bufsiz`, 4096 bytes) is short, since newer kernels round each transfer up to a cache line. A
-    message that is too long is refused before anything is clocked (EMSGSIZE); it is then sent in halves,
-    and the host keeps the stall between them.
+    A message has at most 511 transfers because of the size field of the ioctl's number, and fewer if the
+    driver's buffer (`bufsiz`, 4096 bytes) is short, since newer kernels round each transfer up to a cache
+    line. A message that is too long is refused before anything is clocked (EMSGSIZE); it is then sent in
+    halves, and the host keeps the stall between them.
 Errors
     An ioctl has no time-out; the kernel's controller drivers have their own.
 """
@@ -267,10 +268,11 @@ class SpidevBus(host.HostBus):
         return SpiTiming(float(int(self._clock_for(timing))), timing.stall_us, timing.period_us)
 
     def _clock_for(self, timing: SpiTiming) -> float:
-        """Return the clock in Hz that makes frames in one kernel message as long as the period of `timing`.
+        """Return the SPI clock in Hz at which a frame takes as long as the frame period of `timing`.
 
-        A slower clock fills the period, so that no wait by the host is needed. It is the requested clock if
-        this cannot work: the kernel cannot keep the stall, or the clock would be below `SLOWEST_HZ`.
+        The frames of one kernel message then keep the period without waits by the host. If the kernel
+        cannot keep the stall of `timing`, or this clock would be faster than requested or below
+        `SLOWEST_HZ`, the requested clock is returned.
         """
         if timing.stall_us > self._cs_high_us:
             return timing.clock_hz

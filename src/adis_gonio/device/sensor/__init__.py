@@ -1,4 +1,4 @@
-"""The sensor: registers, variants, frames, decoding and the driver. Knows no bridge."""
+"""The sensor: registers, variants, frames, decoding and the driver, independent of the bridge."""
 
 from adis_gonio.device.sensor.driver import DEFAULT_SCAN, Adis16354, Quantity, open_sensor
 from adis_gonio.device.sensor.registers import REGISTERS, VARIANTS, Register, Variant

@@ -1,14 +1,14 @@
 """The driver: registers, configuration, scans and commands of an ADIS16354 over any bus.
 
-Rules that it keeps
+Rules that the driver keeps
     * Only methods that write send frames with the write bit; `stream` may enable data-ready while it runs,
     unless `leave_registers` is set.
     * Every write is read back, and a flash update is proved by the endurance counter.
     * The bus's clock follows SMPL_PRD, and is slow if the mode is not known.
     * After a reset, restore, self-test or flash update nothing is sent until the sensor has recovered.
-    * Silence, a wrong variant and faults in STATUS are errors, not data.
+    * A silent chip, a wrong variant, and a flash update that failed according to STATUS raise errors.
 
-Registers are put back and verified, also after an error or an interruption.
+`Undo` restores changed registers and verifies them, also after an error or an interruption.
 """
 
 from __future__ import annotations

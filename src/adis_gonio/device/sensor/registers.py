@@ -3,8 +3,8 @@
 The table of variants has all differences between the parts of the family, one row for each part. The
 register table of the ADIS16350 family has one row for each register. Functions make read and write frames.
 
-Sources: DS is the data sheet of the ADIS16350/ADIS16355, Rev. B. The confidence rates the validity of a row
-for the ADIS16354 (`CONFIDENCES`).
+Sources: DS is the data sheet of the ADIS16350/ADIS16355, Rev. B. A letter from A to D is the
+confidence that a statement is valid for the ADIS16354: A is the highest, D an estimate (`CONFIDENCES`).
 
 A frame is bit 15 write, bit 14 zero, bits 13:8 byte address, bits 7:0 data (DS, A). Replies are pipelined:
 the word of frame k is shifted out during frame k + 1. Only `write_frames` sets the write bit.
@@ -499,9 +499,9 @@ class Variant:
         return 1000.0 / self.accel_mg_per_lsb
 
     def lsb(self, kind: Kind, gyro_range_dps: int = 300) -> tuple[float, float, str]:
-        """Return for a kind of register: size of an LSB, value at number zero, and unit.
+        """Return the scale of a kind of register: value of an LSB, value of the number 0, and unit.
 
-        The value in the unit is `zero + lsb * number`. `gyro_range_dps` matters only for gyros.
+        The value in this unit is `zero + lsb * number`. `gyro_range_dps` matters only for gyros.
         """
         if kind is Kind.GYRO:
             return GYRO_LSB_DPS[gyro_range_dps], 0.0, "°/s"

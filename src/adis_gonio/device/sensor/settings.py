@@ -515,8 +515,8 @@ class ScanBlock:
     missed : (n,) int or None
         Number of missed updates just before each scan; None if unknown.
     dropped : int
-        Number of omitted scans, in which a word lacked ND, so that the edge that started the scan was not
-        an update.
+        Number of scans that were left out because a word in them was not new (bit ND clear): the
+        data-ready edge that started such a scan was no update.
     """
 
     registers: tuple[str, ...]

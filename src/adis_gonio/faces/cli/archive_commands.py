@@ -31,8 +31,9 @@ _MOST_ROWS = 40
 def _indexed(
     places: Sequence[Path], index_path: Path | None, *, trace: bool
 ) -> Iterator[tuple[Store, Scan]]:
-    """Open the index file, add all sessions in the folders, and report problems of the index file.
+    """Context with the open index of sessions, to which all sessions in the folders were added.
 
+    It yields the index and the result of the search in the folders, and prints problems of the index file.
     `places` are the folders (none: the current one); `index_path` is None for the usual place of the index;
     `trace` is True if new sessions are also traced.
     """
@@ -49,9 +50,10 @@ def _indexed(
 
 
 def _records_of(store: Store, serial: str) -> list[SessionRecord]:
-    """Return the records of a sensor, sorted by time.
+    """Return the records of the sessions of a sensor, sorted by time.
 
-    Raises `UsageError` with similar serial numbers if the sensor has no session.
+    It also reports files with the same samples, and sensors with a similar serial number. Raises
+    `UsageError` with similar serial numbers if the sensor has no session.
     """
     from adis_gonio.fleet.sensor_history import alike, known_serial
 
@@ -314,9 +316,9 @@ def fleet_command(
 
 @contextmanager
 def _journal(path: Path | None) -> Iterator[Store]:
-    """Open the store in which results are kept as they come; after Ctrl-C, report their number.
+    """Context with the open store that keeps each result at once; after Ctrl-C it reports their number.
 
-    `path` is its file; None keeps the results in memory.
+    `path` is the file of the store; None keeps the results in memory.
     """
     from adis_gonio.fleet.store import IN_MEMORY, Store
 

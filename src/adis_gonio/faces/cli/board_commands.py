@@ -258,7 +258,11 @@ def _undo(writer: OffsetWriter, *, yes: bool) -> dict[str, Any]:
 
 
 def _ask_to_write(writer: OffsetWriter, plan: WritePlan) -> str:
-    """Ask the operator if the plan is to be carried out; return `write`, `back` (restore) or `leave`."""
+    """Ask the operator if the plan is to be carried out, and return the decision.
+
+    It is `write` (carry out the plan), `back` (restore the old offsets after an unfinished write) or
+    `leave` (change nothing). A plan without changes gives `write` without a question.
+    """
     if writer.standing().registers == "half":
         question = "An earlier write was not finished: finish it (f), set it back (b), or leave it (Enter)"
         return {"f": "write", "b": "back"}.get(_prompt(question)[:1], "leave")

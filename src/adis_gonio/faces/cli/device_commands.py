@@ -290,8 +290,9 @@ def _tell_mark(rows: list[tuple[Register, Any]]) -> None:
 def _show_registers(
     rows: list[tuple[Register, Any]], wanted: Mapping[str, OffsetWord], *, fields: bool, as_json: bool
 ) -> None:
-    """Show registers with their physical values; None means that a register was not read.
+    """Show registers with their contents as numbers and as physical values.
 
+    `rows` has each register with its content as a `Quantity`, or None if the register was not read.
     `wanted` has the offsets of a calibration by register name; `fields` also shows the bit fields.
     `as_json` prints a JSON document instead of a table.
     """

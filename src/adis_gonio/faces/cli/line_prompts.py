@@ -58,7 +58,8 @@ class Lines:
     def next(self, *, wait: bool) -> str | None:
         """Return the next line of standard input, or None if `wait` is false and no line has arrived.
 
-        Without a file descriptor that can be polled, it always waits. `EOFError` follows the last line.
+        It always waits if standard input has no file descriptor that can be polled. It raises `EOFError`
+        after the last line.
         """
         if self._file is None:
             line = sys.stdin.readline()
@@ -79,7 +80,7 @@ class Lines:
 
 @dataclass
 class _Question:
-    """A question that waits for an answer: its text, the action of each key, and if it also takes notes."""
+    """A question that waits for an answer: its text, the action of each key, and if notes may be typed."""
 
     text: str
     keys: Actions
@@ -149,7 +150,7 @@ class PlainBench:
     # -- questions --------------------------------------------------------------------------------
 
     def _ask(self, event: events.Event) -> None:
-        """Ask the operator a question, if the event is one."""
+        """Ask the operator the question of an event; do nothing if the event contains no question."""
         match event:
             case events.PositionAsked() if not self._auto:
                 self._ask_position(event)
@@ -193,7 +194,7 @@ class PlainBench:
             self._say(f"    {line}")
 
     def _put(self, text: str, question: words.Question) -> None:
-        """Open a question of the runner, shown as `text`, with the keys of its answers."""
+        """Show a question of the session runner as `text` with its keys, and accept answers to it."""
 
         def answering(name: str) -> Callable[[], None]:
             return lambda: self._runner.answer(name)
@@ -210,10 +211,11 @@ class PlainBench:
         self._open(f"{text} ({shown})", keys, takes_notes=not offers)
 
     def _open(self, text: str, keys: Actions, *, takes_notes: bool = True, wait: bool = False) -> None:
-        """Open a question with the text `text` and the action of each key.
+        """Show the question `text`, and accept its answers; `keys` has the action of each key.
 
-        The answer is waited for if `wait` is set or the sensor's clock is simulated. A replayed recording
-        gives its own answers. If `takes_notes` is set, the operator may also type notes.
+        The method waits for the answer if `wait` is True or the sensor's clock is simulated. In the replay
+        of a recording it only prints the text, because the recording has the answers. If `takes_notes` is
+        True, the operator may also type notes.
         """
         if self._runner.replayed:
             self._say(text)
@@ -259,7 +261,10 @@ class PlainBench:
         self._prompt(question.text)
 
     def _obey(self, line: str, key: str, rest: str, question: _Question) -> None:
-        """Carry out a line that is no answer: a note, a drawing, help, or a move of a simulated part.
+        """Carry out a line that is no answer to the question.
+
+        The line may give a note, request a drawing or help, or move a simulated part; any other line gives
+        a message.
 
         `key` is the first word of the line, `rest` the remaining text.
         """
@@ -281,7 +286,10 @@ class PlainBench:
             self._say(f"  '{line}' is no answer: press Enter, or one of {known} (? lists them)")
 
     def _rest_of(self, text: str, asked: str) -> str:
-        """Return the text that follows a key on its line; if it is empty, prompt for it by `asked`."""
+        """Return `text`, the text after a key on its line.
+
+        If it is empty, show the prompt `asked` and return the next line of standard input.
+        """
         if text:
             return text
         self._prompt(asked)
@@ -348,7 +356,7 @@ def _progress_of(
 ) -> tuple[str, str, float | None, float | None]:
     """Return the content of the progress line: activity, note, elapsed time in s and total length in s.
 
-    Both times are None while the runner waits for stillness.
+    The elapsed time and the length are None while the runner waits until the part is still.
     """
     if isinstance(event, events.Watching):
         note = f"spread {max(event.spread_mg):.2f} mg"

@@ -161,7 +161,7 @@ def file(*names: str, help: str, **more: Any) -> Option[Any]:
 
 
 def check_session_name(path: Path) -> None:
-    """Raise `UsageError` if the ending of a session file is the ending of another format."""
+    """Raise `UsageError` if a new session file has the ending of another format, such as `.csv`."""
     from adis_gonio.base.output import ends_in
 
     if ends_in(path, ".csv", ".gz", ".json", ".html", ".svg", ".xml", ".h", ".txt", ".parquet"):
@@ -417,9 +417,9 @@ def tolerance(help: str) -> Option[Any]:
 
 
 def overrides(function: F) -> F:
-    """Decorate a command with the options that correct the statements of a session file.
+    """Decorate a command with the options that replace statements of a session file, such as `--gravity`.
 
-    The command gets their values as one argument, `overrides`.
+    The command gets the values of these options as one argument, `overrides`.
     """
 
     @wraps(function)
@@ -443,7 +443,7 @@ def overrides(function: F) -> F:
 
 
 def measuring_settings(*, rate_hz: float | None, **more: Any) -> Settings:
-    """Make the settings of a session; `rate_hz` is the value of `--rate`, None for the fastest rate.
+    """Make the `Settings` of a session at a sample rate in Hz; None takes the fastest rate.
 
     `more` are further fields of the settings.
     """
@@ -454,7 +454,7 @@ def measuring_settings(*, rate_hz: float | None, **more: Any) -> Settings:
 
 
 def load(path: Path, overrides: Overrides) -> Session:
-    """Load a session from a file, with corrections of the file's statements by `overrides`.
+    """Load a session from a file; `overrides` replaces statements of the file, such as local gravity.
 
     Progress is shown on standard error if loading takes long.
     """

@@ -241,7 +241,10 @@ def _setting_rows() -> list[tuple[str, str]]:
 
 
 class _Date(click.DateTime):
-    """A date of the command line; a date in another form is refused with its ISO 8601 form."""
+    """Parameter type of click for a date in ISO 8601 form.
+
+    The error message for a date in another common form gives the same date in ISO 8601 form.
+    """
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Convert a text to a `datetime`."""
@@ -355,9 +358,9 @@ def simulate_command(*, output: Path, date: datetime | None, **options: Any) -> 
 
 
 def _simulate_twin(path: Path, output: Path, seed: int) -> None:
-    """Simulate the digital twin of a session and write it as a samples CSV.
+    """Simulate a session with the parameters and effects that a trace finds in the session at `path`.
 
-    `seed` is the seed of the random numbers.
+    This digital twin is written as a samples CSV. `seed` is the seed of its random numbers.
     """
     from adis_gonio.base.budget import current
     from adis_gonio.handover.digital_twin import simulate_like

@@ -163,9 +163,9 @@ def print_json(document: Any) -> None:
 
 
 def report_times_s() -> Iterator[float]:
-    """Yield the times in s since the begin of the work at which progress is logged.
+    """Yield the times, in s since the begin of a computation, at which its progress is logged.
 
-    The intervals grow.
+    The intervals between them grow.
     """
     yield from (1.0, 10.0, 30.0, 60.0, 120.0)
     yield from (300.0 * k for k in count(1))

@@ -114,9 +114,10 @@ def _find_codec(name: str) -> codecs.CodecInfo | None:
 
 
 class Interrupt:
-    """Context in which Ctrl-C sets `asked` to True and interrupts the work only inside `waiting`.
+    """Context in which the first Ctrl-C only sets `asked` to True, so that the present step can end.
 
-    A second Ctrl-C always interrupts. In a thread that gets no signals, nothing changes.
+    Inside `waiting`, the first Ctrl-C also raises `KeyboardInterrupt`. A second Ctrl-C always raises it. In
+    a thread other than the main thread the context does nothing.
     """
 
     def __init__(self) -> None:
@@ -135,7 +136,7 @@ class Interrupt:
 
     @contextmanager
     def waiting(self) -> Iterator[None]:
-        """Context in which Ctrl-C may interrupt a step; the step must leave no partial result.
+        """Context for a step that Ctrl-C may interrupt because it then leaves no partial result.
 
         Raises
         ------
@@ -167,11 +168,11 @@ class Interrupt:
 
 
 class RepeatedInterrupt:
-    """Context that raises Ctrl-C again every `AGAIN_S` seconds until the block ends.
+    """Context that after Ctrl-C raises `KeyboardInterrupt` every `AGAIN_S` seconds until the block ends.
 
-    Python loses the exception of a signal handler if the caller cannot pass it on, for example the import
-    of a compiled module or a destructor; the work would then run to its end. Use it only for work without
-    steps to undo, because a second Ctrl-C would interrupt the undoing.
+    A single exception may be lost, because some code discards it, for example a destructor or the import of
+    a compiled module. The work would then run to its end. Use this context only for work that needs no
+    cleanup, because the next exception would interrupt the cleanup.
     """
 
     AGAIN_S = 0.5

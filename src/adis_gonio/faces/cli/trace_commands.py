@@ -219,7 +219,7 @@ _ERRORS = {
 
 
 def loop_lines(summary: Mapping[str, Any]) -> list[str]:
-    """Describe the model after a round of further positions, in at most two lines.
+    """Return at most two lines about the model after a round of positions that the trace had proposed.
 
     Parameters
     ----------
@@ -238,7 +238,7 @@ def loop_lines(summary: Mapping[str, Any]) -> list[str]:
 
 
 def print_loop(session: Session, result: TraceResult) -> None:
-    """Show the result before and after the further positions that the trace proposed, and why it ended.
+    """Show the trace before and after the positions that it proposed, and why no more were measured.
 
     Nothing is printed if the trace proposed no position.
     """
@@ -288,7 +288,11 @@ def _join(names: list[str]) -> str:
 
 
 def _confounded_groups(summary: Mapping[str, Any]) -> str:
-    """Return the first groups of effects that the session cannot distinguish, one per line."""
+    """Return the groups of effects that the session cannot distinguish, one group per line.
+
+    `summary` is a summary of a trace. At most `_MOST_GROUPS` groups are listed, and the number of the
+    others.
+    """
     from adis_gonio.model.effects import catalogue
 
     known = catalogue()
@@ -369,7 +373,11 @@ def _report_page(
 
 
 def _twin_sections(session: Session, traced: TraceResult) -> list[Section]:
-    """Return the section of the report on the digital twin, as a list; empty if no twin is possible."""
+    """Return the section of the report that compares the session with its digital twin.
+
+    The twin is a simulation of the session with the traced model. The list has one section, or none if the
+    trace has no model of the session.
+    """
     from adis_gonio.handover.digital_twin import twin_section
     from adis_gonio.page.document import Section
 

@@ -1,9 +1,10 @@
 """The sensor as an IIO device: its channels and attributes, and the samples of its buffers.
 
-One thread reads the sensor, and a hub distributes its scans to the open buffers of many clients. The thread
-streams while a client listens, and runs jobs in between. A bus that streams takes no other exchange, so a
-job ends the stream, runs, and the stream begins again. `state` and `newest` therefore keep the values of
-the attributes, so that reading them needs no job during a stream.
+One thread, the `Sampler`, reads the sensor, and a `Hub` distributes its scans to the open buffers of many
+clients. The thread streams while a client has a buffer open. Other access to the sensor is a job, which the
+thread runs between two scans. A bus that streams takes no other exchange, so the stream ends before a job
+and begins again after it. `Sampler` therefore keeps the values of the attributes in `state` and `newest`,
+so that reading them needs no job during a stream.
 
 The channels, their attributes, the XML and the format of scans need no sensor; `SensorState` contains the
 values of the attributes. Units as in Linux' IIO ABI: m/s², rad/s, milli-degree Celsius, millivolt; value =
@@ -440,12 +441,15 @@ class Channel:
 
     @property
     def label(self) -> str:
-        """Suffix of the channel's name in file names of the kernel; empty for most channels."""
+        """Suffix that file names of the Linux kernel add to the channel's name; empty for most channels."""
         return _LABELS.get(self.register.name, "") if self.register else ""
 
     @property
     def format(self) -> str:
-        """Format of a sample as IIO describes it; the sign is already extended to 16 bits."""
+        """Format of a sample in IIO's notation, such as `le:s14/16>>0`.
+
+        The sign of a sample is already extended to 16 bits.
+        """
         if self.register is None:
             return "le:S64/64>>0"
         return f"le:{'s' if self.register.signed else 'u'}{self.register.bits}/16>>0"
@@ -471,9 +475,9 @@ class Channel:
         return tuple(names)
 
     def filename(self, attribute: str) -> str:
-        """Return the name of the file in which the kernel would have an attribute of the channel.
+        """Return the name of the file in which the Linux kernel would have an attribute of the channel.
 
-        All axes of a kind share the attributes of the filter.
+        The attributes of the filter have the same file for all axes of a kind, such as acceleration.
         """
         stem = self.id + (f"_{self.label}" if self.label else "")
         if attribute.startswith("filter"):
@@ -497,7 +501,7 @@ class ServedDevice:
     names : sequence of str
         Output registers in the order of the scan.
     description : str
-        Description of the context.
+        Text that describes the IIO context (the server and its devices) to a client.
 
     Raises
     ------
@@ -601,7 +605,9 @@ class ServedDevice:
 
 
 def filter_for(frequency_hz: float, state: SensorState) -> int:
-    """Return the filter size M with the nearest −3 dB frequency, on a logarithmic scale.
+    """Return the filter size M whose −3 dB frequency is nearest to `frequency_hz` on a logarithmic scale.
+
+    `state` has the sample rate, on which the −3 dB frequencies depend.
 
     Raises
     ------

@@ -1,7 +1,8 @@
 """The screen of a session, and its dialogs.
 
-The screen shows a `BenchState`, and passes the operator's keys to the runner in its thread. The dialogs are
-for guards, offers, the end, a note, and help; all work by keys alone.
+The screen shows a `BenchState`, and passes the operator's keys to the session's runner in its thread.
+Dialogs ask the questions of guards (checks of a dwell), offer repetitions or more positions, ask if the
+session is to end, take a note, and show help. All of them work by keys alone.
 """
 
 from __future__ import annotations
@@ -188,7 +189,7 @@ class HelpDialog(_Finishing[None]):
 
 
 def guard_dialog(event: events.GuardRaised) -> Dialog:
-    """Make the dialog for the question of a guard, with its measured numbers."""
+    """Make the dialog for the question of a guard (a check of a dwell), with the numbers it measured."""
     heading = f"{event.position}: {event.kind.replace('_', ' ')}"
     rows = [format_measured(name, value) for name, value in event.values.items()]
     return Dialog(heading, event.message, words.answers_to(event), event.default, rows)

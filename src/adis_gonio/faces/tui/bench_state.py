@@ -82,20 +82,22 @@ class BenchState:
     span : Span or None
         Progress of a dwell or wait; None during other activities.
     angle_deg, target_deg : float or None
-        Live angle, counted along the stage's turn since `here` (if the turn was not watched, see
-        `lost_way`, within half a turn of the target), and the angle asked for, in degrees; None if unknown.
+        Live angle and requested angle on the stage's scale, in degrees; None if unknown. The live angle
+        counts full turns since the last dwell, so that it may exceed 360°. If the turn was not watched (see
+        `lost_way`), the live angle is the one within 180° of the requested angle.
     tolerance_deg : float or None
-        Distance from the target within which the sensor has arrived, estimated from the dwells so far; None
-        during a dwell and before the first.
+        Largest distance in degrees between live and requested angle at which the sensor counts as arrived,
+        estimated from the dwells so far; None during a dwell and before the first dwell.
     spread_mg, limit_mg : float or None
-        Spread of the readings and the limit below which the part is still, for the axis with the largest
-        ratio of both; None if unknown.
+        Spread of the readings in mg, and the limit below which the part counts as still, for the axis with
+        the largest ratio of spread to limit; None if unknown.
     waits_for : str
         Event for which the session waits, as text.
     turn : TurnMeasured or None
         The last turn between positions; None before the first.
     whole, turned : TurnProgress or None, TurnDone or None
-        The whole turns on a table in progress, and the last completed ones; None if there are none.
+        Progress of the present whole turns on a table, and result of the last completed ones; None if there
+        are none.
     range_dps : float
         Range of the gyros in °/s.
     running : Running or None
@@ -183,13 +185,16 @@ class BenchState:
 
     @property
     def lost_way(self) -> bool:
-        """True if the sensor may have turned since the last dwell without being followed."""
+        """True if the live angle did not follow all turns of the sensor since the last dwell."""
         here = self.here
         return here is not None and here.angle_deg is not None and self._turned_deg is None
 
     @property
     def passes(self) -> bool:
-        """True if the sensor is at the requested angle, but must approach it from the other side."""
+        """True if the last dwell was at the requested angle, but reached it from the other side.
+
+        The sensor then has to pass the angle and turn back to it.
+        """
         asked, here = self.position, self.here
         if asked is None or here is None or not isinstance(self.question, events.PositionAsked):
             return False
@@ -311,9 +316,10 @@ class BenchState:
         self.spread_mg, self.limit_mg = max(pairs, key=lambda pair: pair[0] / pair[1])
 
     def _along(self, angle_deg: float | None) -> float | None:
-        """Convert an angle within ±180° to the angle counted along the turn since the last dwell.
+        """Convert a live angle, known up to whole turns, to an angle that counts on since the last dwell.
 
-        The angle is returned unchanged if the turn was not followed, and None if it is None.
+        Successive angles must differ by less than 180°. The angle is returned unchanged if the turn since
+        the last dwell was not followed. The result is None if `angle_deg` is None.
         """
         if angle_deg is None or self._turned_deg is None:
             return angle_deg

@@ -76,7 +76,9 @@ def title(state: BenchState) -> str:
 
 
 def _place_name(position: Position, *, on_table: bool) -> str:
-    """Return the short name of a position in the list, with its side of approach and its use.
+    """Return the short name of a position in the list, such as `90° from above check`.
+
+    The words are added if the position is approached from above, and if it is a check dwell.
 
     `on_table` is True in a session of whole turns on a table.
     """
@@ -96,7 +98,7 @@ def _place_name(position: Position, *, on_table: bool) -> str:
 
 
 def plan_rows(state: BenchState, height: int) -> list[tuple[str, str]]:
-    """Return the rows of the list of positions, each with the name of its mark.
+    """Return the rows of the list of positions, each as its text and the name of its state, such as `done`.
 
     The list has at most `height` rows, around the current position.
     """
@@ -213,7 +215,7 @@ def too_fast(state: BenchState) -> bool:
 
 
 def waiting(state: BenchState, silence_s: float = 0.0) -> str:
-    """Return the line that names the event for which the session waits.
+    """Return the line that names the event for which the session waits, or the pause or activity.
 
     Parameters
     ----------
@@ -233,7 +235,10 @@ def waiting(state: BenchState, silence_s: float = 0.0) -> str:
 
 
 def progress(state: BenchState, width: int) -> str:
-    """Return the line with elapsed time and length of a dwell or wait, and a bar; empty without one."""
+    """Return the line with elapsed time and length of a dwell or wait, and a bar.
+
+    The line is empty during other activities. It is at most `width` characters long.
+    """
     if state.span is None:
         return ""
     span = state.span
@@ -290,7 +295,9 @@ def _running(running: events.Running | None) -> str:
 
 
 def surroundings(state: BenchState, width: int, silence_s: float = 0.0) -> list[str]:
-    """Return the lines about temperature, lost scans, data rate and URL.
+    """Return the lines about temperature, lost scans, sample rate and URL.
+
+    A further line gives a warning if the last event came more than `SILENT_S` seconds ago.
 
     Parameters
     ----------

@@ -15,10 +15,12 @@ flicker F       1                   1/(4 ln 2 · f)
 walk K          τ/3                 1/(2πf)²
 ==============  ==================  ======================
 
-F is the floor of the Allan deviation, 0.664 times the standard's B. The likelihood works in the basis of
-the DCT-II without its first vector. In this basis white noise and a random walk of any mean are exactly
-independent, because its vectors are the eigenvectors of the differences' normal matrix. The correlations of
-flicker are at most 0.12, the correlations of the squares in the likelihood 0.015.
+F is the smallest value of the Allan deviation, 0.664 times the coefficient B of the standard. The
+likelihood uses the DCT-II coefficients of a record without the first one, its mean. The vectors of this
+transform are the eigenvectors of the normal matrix of differences, so the coefficients of white noise and
+of a random walk of any mean are exactly independent. The coefficients of flicker noise have correlations of
+at most 0.12, which are neglected; their squares, which enter the likelihood, have correlations of at most
+0.015.
 
 The variance of the Allan deviation follows from the fitted noise of the record (its variogram), not from an
 assumed kind: for Gaussian noise Var σ̂² = 2/M² Σ (M − |l|) R(l)², with R the autocovariance of the M

@@ -2,20 +2,22 @@
 
 **Density at zero.** The mean of n samples has the variance S(0)/n, with S the (two-sided, per sample)
 spectral density. σ²/n is wrong if neighbouring samples are correlated, and the chip's Bartlett filter
-correlates up to 127 of them. Batch means need batches that are long against the correlation and leave few
-degrees of freedom. Here the periodograms of all dwells are pooled, and their logarithm is fitted near zero
-by a polynomial in f² (Heidelberger and Welch 1981 use a quadratic; here by the Whittle likelihood: each
-ordinate is exponentially distributed about S). The data choose the band and the order: of all bands (halved
-from the Nyquist frequency down) and orders for which one or two further terms bring no gain (likelihood
-ratio, 25 %), the one with the smallest variance at zero wins. White noise uses the whole band, which is the
-textbook σ²/n with all its degrees of freedom; filtered noise uses only the flat part at low frequencies.
+correlates up to 127 of them. Means of batches are no alternative: batches that are long against the
+correlation leave few degrees of freedom. Here the periodograms of all dwells are pooled, and their
+logarithm is fitted near zero by a polynomial in f². Heidelberger and Welch (1981) use a quadratic; here the
+fit is by the Whittle likelihood, in which each ordinate is exponentially distributed about S. The data
+choose the band and the order. Bands are halved from the Nyquist frequency down. An order is sufficient if
+one or two further terms bring no gain (likelihood ratio, 25 %). Of all bands with a sufficient order, the
+band with the smallest variance at zero is used. For white noise this is the whole band, which gives the
+textbook σ²/n with all its degrees of freedom; for filtered noise it is only the flat part at low
+frequencies.
 
 **1/f noise** would be followed by the polynomial of a narrow band, and be taken for noise that averaging
 lowers. A polynomial plus h/f is therefore fitted as well, and is used if it fits better than one or two
-further terms. Density that rises towards zero faster than the polynomial is looked for in the three lowest
-ordinates of every dwell: their excess, read as 1/f noise, gives a floor that averaging does not lower. If
-1/f noise is so strong that the polynomial has followed it down to the lowest ordinates (their slope is that
-of a power and not of a filter), all of the density there is read as 1/f noise.
+further terms. In the three lowest ordinates of every dwell, the density may rise towards zero faster than
+the polynomial. This excess, taken as 1/f noise, gives a part of the variance that averaging does not lower.
+If 1/f noise is so strong that the polynomial has followed it down to the lowest ordinates (their slope is
+then the slope of a power and not of a filter), the whole density there is taken as 1/f noise.
 
 **Covariance of means under 1/f noise.** Noise of the one-sided spectrum h/f has an Allan variance of 2 h ln
 2 at every averaging time, and below its corner an autocovariance of constant − h ln|t|. The mean of ln|t −

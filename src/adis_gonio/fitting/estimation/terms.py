@@ -366,7 +366,8 @@ class NamelessTerm(Term):
     def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
         """Return the derivative by the amplitudes: the basis functions applied to each axis or the angle.
 
-        Amplitudes are in the readings' unit (for a scale error, at full stimulus) or in mrad.
+        Amplitudes are in the unit of the readings or, for the angle, in mrad. For a scale error or
+        misalignment they are per unit of the stimulus (1 g for accelerometers).
         """
         if self.where == "angle":
             return self.tangent_rad * self.basis.over(conditions)

@@ -1,12 +1,13 @@
 """Method `gyro`: weighted least squares for zero rates, g-sensitivity, scale factors and directions.
 
-The model is the gyros' base model (`MeanRate`) with the effects of a physical calibration:
-`g_sensitivity` if poses show it, `gyro_scale` and `gyro_misalignment` if turns show them. If poses come in
-order, a drift of the zero rate imitates a g-sensitivity: the model without a drift and the models with one
-of `DRIFTS` predict left-out dwells, the best one is stated, and u includes the difference to the others by
-their odds. A parameter that the intervals do not determine is fixed at the value of a perfect gyro, and the
-result reports it. A result states gains and misalignments as K and D of rate = K D ω, however large they
-are.
+The model is the gyros' base model (`MeanRate`) with the effects of a physical calibration: `g_sensitivity`
+if poses show it, `gyro_scale` and `gyro_misalignment` if turns show them. If the force along an axis
+changes steadily in the order of the poses, a drift of the zero rate imitates a g-sensitivity. Models with
+and without a drift (`DRIFTS`) are therefore compared by their prediction of left-out dwells. The result is
+that of the best model, and its u includes the differences to the other models, weighted by their odds. A
+parameter that the dwells and turns do not determine is fixed at the value of a perfect gyro and is listed
+in the result. A result states gains and misalignments as the scale factors K and directions D in rate = K D
+ω, with the true rate of turn ω, however large the errors are.
 
 The directions D of the gyros (rows, in the accelerometers' frame) are a rotation of the whole triad and the
 misalignment of the three axes with one another: D = S R with a symmetric S (polar decomposition). The
@@ -412,16 +413,17 @@ def _with(word: str) -> str:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A fitted model, and the parameters that it states.
+    """A fitted model, with the parameters that a result by this model reports.
 
     Attributes
     ----------
     model : _Model
         The model.
     inflation : mapping
-        As `_inflation` returns it.
+        Factor on the noise variance of each gyro and its degrees of freedom, by axis (`_inflation`).
     names, values, covariance : sequence of str, (p,) float, (p, p) float
-        Determined parameters of a calibration, with u by the residual. Zero rates are means over dwells.
+        Names, values and covariance of the determined parameters. The covariance follows the residual if it
+        is larger than the noise. If the model has a drift, a zero rate is its mean over the dwells.
     all_values : mapping of str to float
         Values by name, also of parameters fixed at perfect gyros.
     """
@@ -572,7 +574,7 @@ def _gyro_of(name: str) -> str:
 
 
 def _natural(names: Sequence[str]) -> Floats:
-    """Return the factor (p,) from the unit of `LIMIT` to each parameter's: degrees per rad, or 1."""
+    """Return the factor (p,) from the unit of `LIMIT` to the unit of each parameter: 180/π or 1."""
     return np.array([math.degrees(1.0) if "misalignment" in name else 1.0 for name in names])
 
 
@@ -590,8 +592,8 @@ def _covariance(fit: Fit, free: NDArray[np.bool_]) -> Floats:
 def _inflation(model: _Model) -> dict[str, tuple[float, float]]:
     """Return the factor on the noise variance of each gyro that explains its residual, with its dof.
 
-    The factor is 1 if the residual agrees with the measured noise. The second number are the factor's
-    degrees of freedom.
+    The keys are the axes. Each entry is the factor and its degrees of freedom. The factor is 1 if the
+    residual agrees with the measured noise.
     """
     data, fit = model.data, model.fit
     out = {}
@@ -650,8 +652,9 @@ def gains_and_directions(names: Sequence[str], values: Floats) -> Floats:
 
     `values` (p,) are all parameters; the others are unchanged.
 
-    A gyro that adds e Ω_i + Σ sin m_p Ω_p − (1 − c) Ω_i, c² = 1 − Σ sin² m_p, to Ω_i has the row (c + e,
-    sin m_p, …) of K D. K is the length of this row, and its direction has the misalignments.
+    Gyro i with the fitted scale error e and misalignments m_p towards the other axes p reads (c + e) Ω_i +
+    Σ sin m_p Ω_p, with the true rates Ω and c² = 1 − Σ sin² m_p. The length of the vector (c + e, sin m_p,
+    …) is its scale factor K, and the direction of this vector gives its misalignments.
     """
     out = values.copy()
     at = {name: k for k, name in enumerate(names)}
@@ -699,9 +702,10 @@ def _left_out(model: _Model) -> Floats | None:
 def _odds(errors: Mapping[str, Floats]) -> dict[str, float]:
     """Return the odds of each model against the model that predicts best, from their errors (n, 3).
 
-    The predictive density of a dwell is normal with the root mean square of the model's errors. The sum of
-    its logarithm over the dwells and its standard error from their scatter (Vehtari et al. 2017, Statistics
-    and Computing 27, 1413) give the probability that the other model predicts better.
+    The predictive density of a dwell is normal, with the root mean square of the model's errors as standard
+    deviation. The logarithms of the densities are added over the dwells. The difference of the sums of two
+    models, with its standard error from the scatter between dwells, gives the probability that the other
+    model predicts better (Vehtari et al. 2017, Statistics and Computing 27, 1413).
     """
     from scipy.special import ndtr
 
@@ -757,7 +761,8 @@ def _drifting(
 ) -> list[str]:
     """Return warnings of a drift in the best model, and of g-sensitivities that a drift may imitate.
 
-    `covariance` (p, p) has the uncertainty of the choice of the model, `errors` are the held-out ones.
+    `covariance` (p, p) of the parameters includes the uncertainty of the choice of the model. `errors` are
+    the errors (n, 3) with which each model predicts left-out dwells, by name of the model.
     """
     warnings = []
     order = "in this order of poses force cannot be fully separated from a"

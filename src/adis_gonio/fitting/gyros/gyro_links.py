@@ -1,15 +1,15 @@
 """Rotations of the sensor between two poses, measured by its gyros, with their full uncertainty.
 
-The zero rate over a turn is the mean of the two adjacent dwells, and its g-sensitivity follows the
-accelerometers while the part turns. The uncertainty of the rotation has these parts:
+The zero rate of a gyro during a turn is taken as its mean rate in the two adjacent dwells, plus its
+g-sensitivity times the change of the accelerometers' readings during the turn. The uncertainty of the
+rotation has these parts:
 
 * white noise of the samples and of the means of both dwells, and the error of bridges over lost scans;
 * motion that is faster than the samples show (`turn_integration.Aliasing`), such as a knock;
-* 1/f noise: the distance of the zero rate over the turn from that mean, by the covariance of the three
-  intervals;
+* 1/f noise: the difference between the zero rate during the turn and its mean in both dwells;
 * the rotation of the earth: its share in the zero rate changes with the attitude;
-* errors that all links share: gains and directions of the gyros (`GyroPrior`), the g-sensitivity as the
-  dwells of the session leave it, and the asymmetry of the gains.
+* errors that all links share: gains and directions of the gyros (`GyroPrior`), their g-sensitivity with its
+  uncertainty after the dwells of the session, and the change of a gain with the sign of the rate.
 
 Two neighbouring links share the dwell between them. Links that are farther apart count as independent,
 because slow noise cancels in the zero rate minus the mean of its neighbours.
@@ -64,7 +64,7 @@ class GyroPrior:
     """Prior of the parameters of three gyros, from a data sheet or a calibration.
 
     The 21 parameters are the matrix of gains and directions (9), the g-sensitivity (9) and the asymmetry of
-    the gains (3).
+    the gains (3), which is their relative change with the sign of the rate.
 
     Attributes
     ----------
@@ -88,8 +88,9 @@ class GyroPrior:
     def of_sheet(cls, sensor: str) -> GyroPrior:
         """Make the prior of perfect gyros, with rectangular distributions within data-sheet limits.
 
-        Gains and misalignments of each gyro are independent. The whole triad is rotated against the triad
-        of the accelerometers: the direction of each in the package is equally uncertain.
+        Gains and misalignments of each gyro are independent. In addition the triad of the gyros is rotated
+        as a whole against the triad of the accelerometers, because the direction of each triad in the
+        package is uncertain by the same limit.
         """
         values = np.concatenate([np.eye(3).ravel(), np.zeros(turn_integration.PARAMETERS - 9)])
         gain, per_g = UNKNOWN_GAIN, UNKNOWN_G_DPS
@@ -176,8 +177,8 @@ class Leg:
     positions : (int, int)
         Numbers of the dwells before and after the turn.
     time_s, rate_dps, force_g, size_dps : (n,), then (n, 3) float
-        Samples: rates minus the mean zero rate of both dwells, force minus its mean in both, and |rate|
-        without the noise of the samples.
+        Samples of the turn: times; rates minus the mean rate in both dwells; force minus its mean in both
+        dwells; and absolute rates with reduced noise (of means over short blocks of samples).
     zero_dps2 : (3,) float
         Variance of the zero rate that was subtracted.
     missing_rad2 : (3, 3) float
@@ -225,9 +226,10 @@ class GyroLinks:
 
     @property
     def missed_deg(self) -> float:
-        """Standard uncertainty of a turn about each axis, rms over the turns, because samples miss motion.
+        """Standard uncertainty of a turn in degrees because of lost samples and motion between samples.
 
-        Zero if the noise of the samples has more effect.
+        It is for each axis, as root mean square over the turns. Zero if the noise of the samples
+        contributes more to the uncertainty.
         """
         missed = sum(float(np.trace(leg.missing_rad2)) for leg in self.legs)
         squares = sum(float((np.diff(leg.time_s) ** 2).sum()) for leg in self.legs)
@@ -236,9 +238,11 @@ class GyroLinks:
 
     @cached_property
     def _wander(self) -> tuple[Floats, Floats]:
-        """Effect of 1/f noise on the angle of each turn, for an Allan variance of 1.
+        """Variance and covariance of the zero rates of the turns by 1/f noise with an Allan variance of 1.
 
-        It is the variance (m,) for each turn, and its covariance (m,) with the next turn.
+        The zero rate of a turn is estimated by the mean of the two adjacent dwells. The results are the
+        variance (m,) of the error of each estimate, and its covariance (m,) with the error of the next
+        turn.
         """
         own, following = np.zeros(len(self.legs)), np.zeros(len(self.legs))
         for k, leg in enumerate(self.legs):

@@ -1,9 +1,10 @@
 """Readings of the gyros: mean rates over dwells and turns, with the true rotation of the sensor.
 
-Nothing rotates in a dwell, and a turn counts if its true rotation is known (`turn_integration`). Both are
-means over time. Everything linear in the rate (gain, direction of the axis, zero rate, g-sensitivity)
-depends on the mean alone, however uneven a hand turns. The mean of |rate| (`abs_dps`) is kept for the
-asymmetry of the gain, which is not linear. Turns beyond the range are refused.
+In a dwell the true rate is zero. A turn is used if its true rotation is known (`turn_integration`). A
+reading of a dwell or turn is a mean over time. All effects that are linear in the rate (gain, direction of
+the axis, zero rate, g-sensitivity) depend on this mean alone, however uneven a hand turns. The asymmetry of
+the gain, its change with the sign of the rate, is not linear; the mean of |rate| is kept for it
+(`abs_dps`). Turns beyond the range of the gyros are refused.
 
 The noise of a mean is the spectral density at frequency zero of the samples in the dwells, divided by the
 number of samples (as for the accelerometers, `estimation.spectrum`). Dwells add the error of quantization,
@@ -332,9 +333,10 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
 
 
 def _consecutive(turns: Sequence[Turn]) -> dict[int, int]:
-    """Return, by the dwell in which a turn ends, the number of whole turns in the row it belongs to.
+    """Return the number of whole turns in a row of which each turn is one, by the dwell in which it ends.
 
-    Whole turns in a row have no other move between them and share the error of the direction of their axis.
+    Turns are in a row if each begins in the dwell in which the turn before ended. They share the error of
+    the direction of their axis. The number is 1 for a turn without a declared angle.
     """
     consecutive = {turn.position: 1 for turn in turns}
     group: list[int] = []
@@ -390,7 +392,7 @@ def _interval_of_turn(
 ) -> _Interval | str:
     """Return mean rates during a turn as a row of the table, or the reason why the turn gives none.
 
-    `consecutive` is the number of whole turns in a row to which the turn belongs.
+    `consecutive` is the number of directly successive whole turns of which the turn is one.
     """
     before, after = (rests.dwells[rests.by_position[k]] for k in (turn.before, turn.position))
     path = turn_integration.path_between(session, turn, before, after)
@@ -440,7 +442,7 @@ def _declared(
     """Return the true rotation by a declared angle about the vertical, or why it is unknown.
 
     `declared_deg` is the angle, `delay_s` the delay of the sensor's filter, and `consecutive` the number of
-    whole turns in a row.
+    directly successive whole turns of which this turn is one.
     """
     steady, covariance = turn_integration.steady_force(
         path, integral.begin_s + delay_s, integral.end_s + delay_s

@@ -27,16 +27,18 @@ asymmetry a give ω = A⁻¹ (m − z − a |m − z|), hence ε = ∫ Φ(t₁, 
 True rotation of the sensor between two dwells, as a rotation vector in the accelerometers' frame.
 
 Gravity on both sides
-    If the axis is not upright, the rotation is the angle between the two directions of gravity about the
-    axis, up to whole turns, and the gyro counts these. On a stage (plane xy) the axis is z of the frame,
-    and ψ decreases as the part turns forward; declared angles improve ψ by the fixture's uncertainty. In
-    space the axis is the gyro's own, so the angle about it is measured and its direction is not.
+    If the axis is not vertical, the rotation is the angle about the axis between the two directions of
+    gravity, plus whole turns, which the gyro counts. On a stage (plane xy) the axis is z of the frame, and
+    the angle ψ of gravity to X decreases as the part turns forward. Declared angles, with the fixture's
+    uncertainty, improve ψ. In space the axis is taken from the gyros themselves, so that the angle about it
+    is measured and its direction is not.
 Declared angle
     On a level table the axis is vertical, and gravity does not depend on the angle. The operator declares
-    it: from a mark back to the mark the rotation is a whole number of turns, which is exact up to the error
-    of meeting the mark. The gyro counts the turns beyond the declared angle. Along the axis the
-    accelerometers' reading is constant during the turn: they read c + a cos θ + b sin θ (the table's tilt)
-    + d ω² + e dω/dt (a part away from the axis), c along it.
+    the angle. From a mark back to the mark the rotation is a whole number of turns, which is exact up to
+    the error of setting the mark. The gyro counts the whole turns beyond the declared angle. The direction
+    of the axis is the constant part c of the accelerometers' reading during the turn, which is c + a cos θ
+    + b sin θ + d ω² + e dω/dt. The table's tilt causes a and b, the distance of the part from the axis
+    causes d and e.
 
 A rotation vector equals the integral of the rate if the axis is constant in the part, as on a stage and
 on a table. In space a turn about an axis that wanders by more than `STRAIGHT` allows is refused.
@@ -44,9 +46,10 @@ on a table. In space a turn about an axis that wanders by more than `STRAIGHT` a
 Directions of gravity by the accelerometers of a session, the reference of turns, with their uncertainty.
 
 Gains, skews and biases are taken from a fit of the same session if it determines them, else from a
-calibration of the part, else from a perfect triad with the spread of the family. An error of one of these
-nine parameters changes the directions of all turns of a session at once, in its own way: a bias of Y adds
-the same amount to the misalignments in every turn about X, and nothing in turns about Y.
+calibration of the part, else from a perfect triad with the uncertainty expected of this family of sensors.
+An error of one of these nine parameters changes the directions of all turns of a session at once, in its
+own way. For example, a bias of Y adds the same amount to the misalignments in every turn about X, and
+nothing in turns about Y.
 """
 
 from __future__ import annotations
@@ -106,17 +109,20 @@ _LEAST_BRIDGES = 8
 class Aliasing:
     """Error of an integral of sampled rates by motion that is faster than the samples show.
 
-    The spectrum of a sum of n samples is that of the motion, folded at the sampling frequency F, so the sum
-    times the period T errs by the spectrum at F, 2F, …: with a density K f^−p there, the variance is
-    V = 2 K T^p ζ(p). The sum E(h) over a turn of the squared second differences of samples h apart is
-    another mean of this density, with E(2)/E(1) = 2^(p−1) = r, and V = T² E(1) ζ(1−p)/(r − 4): E(1)/24 for
-    steps of the rate (p = 2), E(1)/480 for kinks (p = 4), E(1)/6 for white noise (p → 1). E is counted
-    above its value by the noise at rest, and r comes from all turns of a session.
+    Sampling with the period T folds the spectrum of the motion at the sampling frequency F = 1/T. The
+    integral, T times the sum of the samples, is therefore wrong by the spectrum of the motion at F, 2F, ….
+    The motion has there an assumed density K f^−p, which gives the error of the integral the variance V = 2
+    K T^p ζ(p).
+
+    The samples show K and p by their second differences. E(h) is the sum of the squared second differences
+    of samples h apart over a turn, minus its value by the noise at rest. With r = E(2)/E(1) = 2^(p−1), the
+    variance is V = T² E(1) ζ(1−p)/(r − 4). It is T² E(1)/24 for steps of the rate (p = 2), T² E(1)/480 for
+    kinks (p = 4) and T² E(1)/6 for white noise (p → 1). The ratio r comes from all turns of a session.
 
     Attributes
     ----------
     share : float
-        V/(T² E(1)); 0 without turns.
+        V/(T² E(1)), the same for all turns; 0 without turns.
     rest_dps2 : float
         Mean square of the second difference of a gyro's samples at rest.
     """
@@ -150,7 +156,7 @@ class Aliasing:
         return cls(float(reflected / (2 ** (p - 1) - 4)), still[0])
 
     def covariance(self, time_s: Floats, rate_dps: Floats, period_s: float) -> Floats:
-        """Return the covariance (3, 3) in deg² that it adds to the integral of rates (n, 3)."""
+        """Return the covariance (3, 3) in deg² that fast motion adds to the integral of rates (n, 3)."""
         ahead = _second_differences(time_s, rate_dps, 1, period_s)
         size, axes = np.linalg.eigh(ahead.T @ ahead - len(ahead) * self.rest_dps2 * np.eye(3))
         return np.asarray(self.share * period_s**2 * (axes * np.maximum(size, 0.0)) @ axes.T)
@@ -192,7 +198,7 @@ class Sampling:
 
     @property
     def delay_s(self) -> float:
-        """Delay in s of the chip's filter, N − 1 samples with N = 2^m."""
+        """Delay in s of the chip's filter: N − 1 samples with N = 2^M."""
         return float((2**self.filter_m - 1) * self.period_s)
 
     @property
@@ -241,7 +247,7 @@ class Integral:
     covariance_deg2 : (3, 3) float
         Covariance of `angle_deg` from noise, aliasing and bridged gaps, without changes of the zero rate.
     bridged_deg2 : float
-        Its trace from bridged gaps alone.
+        Part of the trace of `covariance_deg2` that comes from bridged gaps.
     turned_deg : (3,) float
         Integral of the rates minus the mean zero rate of both dwells; it serves to count turns and to find
         the axis.
@@ -740,8 +746,8 @@ def reference_as_declared(
         Covariance of the direction of `steady` by errors of this turn alone; its component along the
         direction does not count.
     consecutive : int
-        Number of declared turns in a row. One ends where the next begins, so an error of the mark between
-        them is in both, and twice in their difference.
+        Number of directly successive declared turns of which this turn is one. Each ends at the mark where
+        the next begins, so that an error of setting that mark changes both turns, with opposite signs.
     """
     up = -steady / np.linalg.norm(steady)
     seen = float(up @ integral.turned_deg)

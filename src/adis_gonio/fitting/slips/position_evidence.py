@@ -6,7 +6,10 @@ positions and readings beyond their stated uncertainty is averaged over a grid. 
 g-sensitivity and the fixture are therefore nuisance parameters of one likelihood, and none of them is a
 threshold.
 
-`Detectability` is the smallest error that a session shows.
+The ordinary errors of a session are its errors without any fault: scatter of the set positions, scatter of
+the readings beyond their noise, effects of the catalogue and slow changes (`ScatterPoint`).
+
+`Detectability` computes the smallest fault that a session would show.
 """
 
 from __future__ import annotations
@@ -74,7 +77,9 @@ class ScatterPoint:
 
 
 def scatters(fixture_rad: float | None) -> list[ScatterPoint]:
-    """Return possible standard deviations of the ordinary errors, as a grid with prior probabilities.
+    """Return a grid of possible standard deviations of the errors that a session without a fault has.
+
+    Each point of the grid has its prior probability.
 
     `fixture_rad` is the stated standard uncertainty of a declared angle; None if it is not stated.
     """
@@ -133,9 +138,10 @@ class KnownFaults:
 
 @dataclass(frozen=True)
 class Whitened:
-    """Rows of the linear model, scaled to unit covariance for one grid point of the ordinary errors.
+    """Rows of the linear model, scaled to unit covariance under one assumption on the ordinary errors.
 
-    The sizes of the known faults are free.
+    The assumption is one point of the grid over which probabilities are averaged. The sizes of the known
+    faults are free.
 
     Attributes
     ----------
@@ -227,8 +233,8 @@ class Weighed:
     none : float
         ln of the probability that there is no further fault, not normalized.
     named : mapping of (int, Name) to float
-        Logarithm of such a probability for each pair of a fault, by its index, and one of its possible
-        names.
+        ln of the probability, not normalized, of each possible fault under each of its possible names. A
+        key is the index of the fault and the name.
     scatter : ScatterPoint
         Most probable assumption on the ordinary errors, under the most probable fault or none.
     """
@@ -249,7 +255,7 @@ class Weighed:
     def best(self) -> int | None:
         """Index of the fault that is most probable in total over its names.
 
-        None if no fault is more probable than none.
+        None if no fault is more probable than the absence of a further fault.
         """
         whole: dict[int, float] = {}
         for (k, _), value in self.named.items():
@@ -343,12 +349,11 @@ def _of_name(pattern: Pattern, name: Name, moments: Floats) -> Floats:
 
 
 def _pushes(vv: Floats, vz: Floats, ww: Floats, wz: Floats, vw: Floats) -> Floats:
-    """Return the gain in log likelihood if the amplitudes of two faults are free instead of zero.
+    """Return the gain in log likelihood if the two amplitudes of a fault are free instead of zero.
 
-    It is averaged over several prior standard deviations of the amplitudes.
-
-    The arguments are scalar products: `vw` is v · w, and so on, with the change v and w of the whitened
-    readings by each amplitude, and the whitened residual z.
+    The vectors v and w are the changes of the whitened rows per unit of each amplitude, and z is the
+    whitened residual. The arguments are scalar products of them: `vw` is v · w, and so on. The likelihood
+    is averaged over several prior standard deviations of the amplitudes.
     """
     inverse = (1000.0 / np.array(PUSH_MG)[:, None]) ** 2
     # Two by two normal equations for each prior size, solved by hand.
@@ -371,7 +376,7 @@ _DRAWN = 200
 class Detectability:
     """Finds the smallest detectable error of each position by simulated sessions.
 
-    Faults of several sizes are added to the session, from which the accepted faults are removed.
+    The accepted faults are removed from the session, and faults of several sizes are added.
 
     Attributes
     ----------

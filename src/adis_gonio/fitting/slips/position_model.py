@@ -85,7 +85,7 @@ class Halts:
     turned_rad: float
 
     def log_odds(self, error_rad: Floats, u_rad: Floats) -> Floats:
-        """Return the log likelihood ratio (g,) of a slip in this turn to none, by where the sensor rested.
+        """Return the log likelihood ratio (g,) of a slip in this turn to no slip, given the rests in it.
 
         Parameters
         ----------
@@ -455,10 +455,11 @@ def _turns(angles: Angles) -> tuple[NDArray[np.intp], Floats, Floats, Floats]:
 
 
 def _effect_columns(angles: Angles, near: _Local) -> tuple[Floats, Floats, Floats]:
-    """Return derivatives by each effect of the catalogue that may act in addition.
+    """Return the derivatives of the readings and angles by the amplitudes of the catalogue's effects.
 
-    They are columns (n, 2, q) in mg of effects on readings, and columns (n, r) of effects on the angle ψ.
-    The third result is the prior size (q + r,) of each effect.
+    Effects of the base model, effects within a dwell and effects whose conditions are not recorded are left
+    out. The results are columns (n, 2, q) in mg for q effects on the readings, columns (n, r) in rad for r
+    effects on the angle ψ, and the prior standard deviation (q + r,) of each amplitude.
     """
     conditions = _by_gravity(angles.conditions, near, angles)
     added: list[Floats] = []

@@ -100,9 +100,9 @@ class PositionFinding:
     declared_deg : float or None
         Declared angle; None if there is none.
     gravity_deg, gyro_deg : Angle or None
-        Angle of the part by its reading with the session's own calibration, and by the turn from the dwell
-        before; the second is None without a gyro. Calibration and neighbours are without the accepted
-        faults.
+        Angle of the part by its reading with the session's own calibration, and by the gyro's turn from the
+        dwell before; the second is None without a gyro. The accepted faults are removed from the
+        calibration and from the dwell before.
     angle_deg : Angle
         Angle of the part by gravity and gyro together.
     error_deg : Angle
@@ -305,9 +305,11 @@ class Diagnosis:
 
 
 def diagnose(angles: Angles) -> Diagnosis:
-    """Compute the probability of every fault at every position, and report the certain faults.
+    """Compute the probability of every fault at every position, and report the probable faults.
 
-    The faults are listed in `position_model`. Too few or too many dwells give no findings.
+    A fault is reported if its probability is at least `CERTAIN`. The kinds of faults are listed in
+    `position_model`. There are no findings with fewer than `LEAST` declared angles (one less with a gyro)
+    or more than `LARGEST` dwells.
     """
     declared = int(np.isfinite(angles.declared_rad).sum())
     watched = angles.turns is not None and bool(np.isfinite(angles.turns.angle_rad).any())
@@ -686,9 +688,10 @@ def _increments(session: Session, readings: Readings) -> Increments | None:
 
 
 def _noted(session: Session) -> dict[tuple[int, int], tuple[float, float]]:
-    """Return turns about z that were noted while the session ran, with u, in degrees.
+    """Return the turns about z that the program measured while the session ran, with u, in degrees.
 
-    The keys are the indices of the dwells before and after. The u includes the g-sensitivity.
+    They serve for turns whose samples were not recorded. The keys are the indices of the dwells before and
+    after. The u includes the g-sensitivity.
     """
     dwells = session.facts.get("dwells") or []
     number = {entry["attempt"]: k for k, entry in enumerate(dwells)}

@@ -7,10 +7,11 @@ too. A reply with another id is late and is discarded.
 The firmware keeps the timing and runs the streams. Batches longer than its limit are sent in several
 requests; the firmware keeps stall and period between them.
 
-A map converts the clock of the firmware to the clock of the host. A packet cannot arrive before it was
-sent, so the earliest arrivals of a period lie on the true line; a straight line through them gives offset
-and rate of the firmware's clock (a ceramic resonator is off by up to 0.5 %). Times that were returned never
-change: the map bends towards the line and has no jumps.
+A `ClockMap` converts times of the firmware's clock to the clock of the host. The delay of a packet varies,
+but is never negative. The packets with the smallest delay in each second therefore show the true relation
+of the clocks, and a straight line fitted to them gives offset and rate of the firmware's clock (a ceramic
+resonator is off by up to 0.5 %). If the line changes, later times approach it gradually, so that converted
+times have no jumps.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The wire protocol of the project's firmware: packets of header, body and CRC-32 in COBS.
 
-The receiver never fails on invalid bytes. No input or output here: bytes in, packets out
-(firmware_proto/PROTOCOL.md).
+The package converts packets to bytes and bytes to packets (firmware_proto/PROTOCOL.md), without input or
+output. Invalid bytes never raise an error in the receiver.
 """
 
 from __future__ import annotations
