@@ -187,7 +187,7 @@ class JointRun(TraceRun):
         return (), ()
 
     def finished(self) -> TraceResult:
-        """Return the result of a completed trace, with the sessions' shares and the owners of the causes."""
+        """Return the result of a completed trace, with the sessions' shares and the causes' owners."""
         result = super().finished()
         several = len({origin.part for origin in self.data.model.origins}) > 1
         causes = [one.cause for one in self.sets]

@@ -88,7 +88,7 @@ class _Look:
     difference_mg: Floats
     """Later minus earlier mean (d, axes) in mg."""
     noise: list[tuple[Floats, Floats]]
-    """For each scale: lengths of its stretches (d,), and standard deviations (d, axes) of its differences."""
+    """For each scale: lengths of stretches (d,), and standard deviations (d, axes) of its differences."""
     unit: Floats
 
     def u_mg(self, dwell: int, axis: int, stretch: float) -> float:
@@ -178,7 +178,7 @@ def _scales(samples: Samples, unit: Floats, reach: int) -> list[_Scale]:
 
 
 def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) -> None:
-    """Test the differences on one scale; replace larger p-values in `p` (d, axes) by those of this scale.
+    """Test the differences on one scale; replace larger p-values in `p` (d, axes) by the values of this scale.
 
     `coarse` (d, axes) is the error of a mean by the converter's step, `tests` the number of tests; `look`
     gets the differences with the lowest p-values.
