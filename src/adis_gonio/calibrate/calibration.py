@@ -225,9 +225,10 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
     def _rises(
         self, function: Callable[[Floats], Floats], difference: Callable[[Floats, Floats], Floats]
     ) -> Floats:
-        """Return the changes (k, …) of a function of the parameters by one u of each of k causes.
+        """Return the changes (k, …) of a function of the parameters by one u of each independent cause.
 
-        The causes are independent. `difference` subtracts two results, such as angles on a circle.
+        The k causes are the principal axes of the parameters' covariance. `difference` subtracts two
+        results of the function, such as angles on a circle.
         """
         assert self.covariance is not None
         steps = STEP * _directions(self.covariance)

@@ -60,7 +60,7 @@ Question = events.PositionAsked | events.GuardRaised | events.RepetitionOffered 
 
 
 def answers_to(question: Question) -> dict[str, BenchKey]:
-    """Return the possible answers to a question: keys by name of the answer, in the order of the list."""
+    """Return the keys of the possible answers to a question, by name of the answer, in their order."""
     match question:
         case events.PositionAsked():
             possible = {"repeat": question.can_repeat, "undo": question.can_undo}

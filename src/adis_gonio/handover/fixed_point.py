@@ -121,7 +121,7 @@ class Polynomial:
     limit : float
         Largest magnitude of a reading in g or °/s.
     step, bias : tuple of float
-        Reading in g or °/s per integer, and bias (zero rate) in integers, of each axis.
+        Of each axis: size in g or °/s of one integer of a reading, and bias (zero rate) in these integers.
     monomials : tuple of Monomial
         Terms of all effects, with coefficients in g or °/s.
     matrix : (axes, axes) float
@@ -366,7 +366,7 @@ class FixedPoint:
     polynomial : Polynomial
         The calibration in floating point.
     step : tuple of Scaled
-        Reading per integer of each axis.
+        Size in g or °/s of one integer of a reading, for each axis.
     bias : tuple of int
         Bias of each axis in fixed point; more than 32 bits if the zero of a sensor with counts is far away.
     terms : tuple of FixedTerm

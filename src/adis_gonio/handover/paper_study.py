@@ -1,4 +1,4 @@
-"""The paper behind this program repeated with simulated sessions: its table 1, its figure 3, and a page.
+"""Repetition of the study in the paper behind this program (table 1, figure 3), with simulated sessions.
 
 | printed | read as |
 |---|---|
@@ -92,7 +92,7 @@ class TableRow:
 
     @property
     def quantity(self) -> str:
-        """Name of the row's quantity in `true_values`; one angle between X and Y belongs to both axes."""
+        """Name of the row's quantity in `true_values`; the rows of X and Y share the angle between them."""
         return self.key if self.key == "non_orthogonality" else f"{self.key}_{self.axis}"
 
 

@@ -38,7 +38,7 @@ class LiveAngle:
     Attributes
     ----------
     time_s : float
-        End of the span, since the first sample.
+        Time in s from the first sample to the end of the span.
     angle_deg : float
         Angle computed from the uncorrected readings, within ±180°.
     corrected_deg : float or None
@@ -48,7 +48,8 @@ class LiveAngle:
         Standard uncertainty of the corrected angle: by the noise of the newest samples, and by the
         calibration. Without a calibration by the noise alone. None if unknown, and with a single sample.
     still : bool or None
-        True if no axis varies by more than at rest; None until there are enough samples.
+        True if no axis varies by more than at rest, over a window of samples; None until the first window
+        is complete.
     spread_mg : float or None
         Largest standard deviation of an axis over the newest samples; None with a single sample.
     temperature_c : float or None
@@ -146,7 +147,8 @@ class AngleMeter:
     def restart(self) -> None:
         """Start again after a break of the link, which may have changed the angle and the sensor's clock.
 
-        Times continue, without the time of the break if the clock started again.
+        The times of the readings continue. If the sensor's clock started again, they do not include the
+        duration of the break.
         """
         self._waiting, self._kept = [], np.empty((0, 3))
         self._resume_s, self._first_s = self._last_s, None

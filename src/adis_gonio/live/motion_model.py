@@ -103,8 +103,8 @@ class GyroKnowledge:
     def of(cls, calibration: GyroCorrection | None, u: Mapping[str, float | None] | None) -> GyroKnowledge:
         """Make the knowledge of the gyros from a calibration and its standard uncertainties `u` by name.
 
-        Names are `gyro_bias_z`, `gyro_scale_z`, …; a missing one gets the uncertainty of an uncalibrated
-        gyro. None as calibration is an uncalibrated gyro.
+        Names are `gyro_bias_z`, `gyro_scale_z`, …; a missing parameter has the uncertainty of an
+        uncalibrated gyro. If `calibration` is None, the gyros are uncalibrated.
         """
         if calibration is None:
             return cls()

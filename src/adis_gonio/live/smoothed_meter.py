@@ -262,9 +262,9 @@ class AngleSmoother:
         self._restarted = True
 
     def _arrive(self, increment: Increment) -> None:
-        """Process the time step before `increment`, of which both neighbours are now known.
+        """Process the time step before `increment`, which is complete only when `increment` is known.
 
-        Both are needed for the change of rate.
+        The change of its rate of turn is computed from the steps before and after it.
         """
         if self._waiting is None:
             self._waiting = (increment, None)
@@ -405,7 +405,7 @@ class AngleSmoother:
         return at.increment.time_s - self._sensing.delay_s
 
     def _drift_deg(self, at: Turned) -> float:
-        """Return the standard deviation of an angle, in degrees, by slow 1/f noise outside the state."""
+        """Return the standard deviation of an angle, in degrees, by 1/f noise too slow for the state."""
         return math.degrees(slow_drift_mg(self._sensing.drift_mg) / max(abs(at.gravity), 1.0))
 
 

@@ -1,9 +1,9 @@
 """Measured data as plain records: samples, dwells, turns, sessions; local gravity. No files or devices.
 
 A *dwell* is the scans taken while the sensor is at rest in one *position*; a *session* is all dwells with
-their circumstances. A *turn* is the samples between two dwells; a samples CSV with positions has none, an
-archive has the samples before and after its dwells, a continuous recording has all. Files become sessions
-in `adis_gonio.record`; fits read them in `adis_gonio.fitting`.
+their circumstances. A *turn* is the samples between two dwells. A samples CSV with positions has no turns.
+An archive has some samples before and after each dwell, and a continuous recording has all samples. Files
+become sessions in `adis_gonio.record`; fits read them in `adis_gonio.fitting`.
 """
 
 from __future__ import annotations
@@ -179,8 +179,9 @@ class Turn(SampleSeries):
     temperatures_c : (n, 3) float or None
         Temperatures in °C of the three gyros' dies; None if not all three were recorded.
     turned_deg : float or None
-        Declared angle of the turn by a mark or a stop, about the vertical, positive counter-clockwise seen
-        from above; None if it is not declared.
+        Declared angle in degrees by which the part turned about the vertical from the dwell before to the
+        dwell after, as from mark to mark; positive counter-clockwise seen from above. None if it is not
+        declared.
     """
 
     before: int

@@ -11,7 +11,7 @@ amplitude.
 
 | name | maximised | known as |
 |---|---|---|
-| `angle` | −max over the turn of ln gᵀ V_b g, g the slope of the shown angle | G-optimality |
+| `angle` | −max over the turn of ln gᵀ V_b g, g the gradient of the calibrated angle | G-optimality |
 | `parameters` | −ln det V_b, divided by the number of parameters | D-optimality; D_s with effects |
 | `tell-apart` | min over amplitudes of ln(1/V_ee − 1/prior²), plus their mean/100 | maximin D_s, s = 1 |
 

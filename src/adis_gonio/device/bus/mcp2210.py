@@ -696,7 +696,7 @@ def _serial(board: dict[str, Any]) -> str:
 
 
 def _node(path: str) -> str:
-    """Return the device file of a hidapi path: the path itself, or for libusb the node of its USB port."""
+    """Return the device file of a hidapi path: the path itself, or for libusb the file of its USB port."""
     if path.startswith("/"):
         return path
     from pathlib import Path

@@ -250,7 +250,7 @@ def _show_result(session: Session, advisor: TraceAdvisor | None, *, complete: bo
 
 
 def _status(session: Session, *, complete: bool) -> int:
-    """Return the exit status, and report dwells that the operator kept although a guard objected.
+    """Return the exit status; report dwells that the operator kept although a guard (check) objected.
 
     The status is 0 if the session is complete without doubts, otherwise 1.
     """

@@ -80,7 +80,7 @@ class Lines:
 
 @dataclass
 class _Question:
-    """A question that waits for an answer: its text, the action of each key, and if it also takes notes."""
+    """A question that waits for an answer: its text, the action of each key, and if notes may be typed."""
 
     text: str
     keys: Actions

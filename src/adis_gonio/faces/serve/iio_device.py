@@ -501,7 +501,7 @@ class ServedDevice:
     names : sequence of str
         Output registers in the order of the scan.
     description : str
-        Description of the context.
+        Text that describes the IIO context (the server and its devices) to a client.
 
     Raises
     ------

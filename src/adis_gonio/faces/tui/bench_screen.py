@@ -189,7 +189,7 @@ class HelpDialog(_Finishing[None]):
 
 
 def guard_dialog(event: events.GuardRaised) -> Dialog:
-    """Make the dialog for the question of a guard, with its measured numbers."""
+    """Make the dialog for the question of a guard (a check of a dwell), with the numbers it measured."""
     heading = f"{event.position}: {event.kind.replace('_', ' ')}"
     rows = [format_measured(name, value) for name, value in event.values.items()]
     return Dialog(heading, event.message, words.answers_to(event), event.default, rows)

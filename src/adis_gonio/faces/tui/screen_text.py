@@ -98,7 +98,7 @@ def _place_name(position: Position, *, on_table: bool) -> str:
 
 
 def plan_rows(state: BenchState, height: int) -> list[tuple[str, str]]:
-    """Return the rows of the list of positions, each with the name of its mark.
+    """Return the rows of the list of positions, each as its text and the name of its state, such as `done`.
 
     The list has at most `height` rows, around the current position.
     """

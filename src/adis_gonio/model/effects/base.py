@@ -303,8 +303,9 @@ class Conditions:
 class Effect(ABC):
     """Base class of all effects; an effect is immutable, and its parameter values are passed in.
 
-    A subclass sets the class attributes below. Fields other than `axes` are choices: whole
-    numbers that no gradient can find, such as the number of the dwell that slipped.
+    A subclass sets the class attributes below. Fields other than `axes` are choices: whole numbers that a
+    fit cannot estimate, such as the number of the dwell that slipped. A search tries their values one by
+    one.
 
     Attributes
     ----------

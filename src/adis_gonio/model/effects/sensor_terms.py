@@ -4,8 +4,9 @@ The static terms have the order of the model equation of IEEE Std 1293: E/K1 = K
 + K_ip a_i a_p + K_pp a_p² + δ a_p. All typical sizes are estimates. The data sheet of the siblings gives
 non-orthogonality ±0.25° and nonlinearity ±0.2 % of full scale (3.4 mg at 1.7 g, hence K3 ≈ 0.7 mg/g³).
 Estimates for the ADIS16354: 0.5 mg/°C and 40 ppm/°C like its better sibling; self-heating of a few degrees
-with a time constant of minutes; a gain that changes with the supply a hundred times less than in a fully
-ratiometric sensor (1/5 V, 200 000 ppm/V), and changes with time at 1 g as much as the bias.
+with a time constant of minutes; a gain that changes with the supply a hundred times less than the gain of a
+fully ratiometric sensor (which changes by 200 000 ppm/V at 5 V); a drift of the gain that changes a reading
+of 1 g as much as the drift of the bias.
 """
 
 from __future__ import annotations
@@ -140,8 +141,9 @@ class Quadratic(LinearAxisEffect):
 
     Formula: a_i += k2_i · (a_i/1000)²
 
-    Separated by: In one plane it equals `cross_quadratic` of opposite sign plus a bias: leave the plane.
-    `asymmetry` has a fourth harmonic (9 positions); for `stage_eccentricity` remount by 180°.
+    Separated by: In one plane it equals `cross_quadratic` of opposite sign plus a bias: use positions out
+    of the plane. `asymmetry` also has a fourth harmonic, which 9 positions show; for `stage_eccentricity`
+    remount the part by 180°.
     """
 
     name = "quadratic"
@@ -163,8 +165,8 @@ class Cubic(LinearAxisEffect):
 
     Formula: a_i += k3_i · (a_i/1000)³
 
-    Separated by: It has a third harmonic (7 positions). `stage_ellipticity` has it on both axes: remount by
-    90°, and only the stage's term changes its sign.
+    Separated by: It has a third harmonic, which 7 positions show. `stage_ellipticity` has it on both axes:
+    remount by 90°, and only the stage's term changes its sign.
     """
 
     name = "cubic"

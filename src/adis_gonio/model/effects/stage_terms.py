@@ -289,9 +289,9 @@ class AxisTilt(Effect):
         a_xy becomes (a_xy/ρ)(ρ cos ε − a_z sin ε),  a_z becomes a_z cos ε + ρ sin ε:
 
     a rotation that keeps the modulus. The in-plane angle does not depend on ε: both axes lose the fraction
-    ε²/2 of their gain (0.15 mg at 1°), which is `gravity` or a common `scale`; only z shows ε in first
-    order (17.5 mg at 1°). A part mounted with an axis tilted by λ out of the plane of rotation also reads G
-    sin ε · λ, a constant, which is `bias`. x and y alone therefore cannot identify it.
+    ε²/2 of their gain (0.15 mg at 1°), which looks like `gravity` or a common `scale`. Only z shows ε in
+    first order (17.5 mg at 1°). A part mounted with an axis tilted by λ out of the plane of rotation also
+    reads G sin ε · λ, a constant, which looks like `bias`. x and y alone therefore cannot identify it.
 
     Formula: a_x, a_y += (cos ε − 1) a_x, a_y; a_z += ρ sin ε (for a_z = 0), ρ² = a_x² + a_y²
 
