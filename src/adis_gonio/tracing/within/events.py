@@ -178,7 +178,7 @@ def _scales(samples: Samples, unit: Floats, reach: int) -> list[_Scale]:
 
 
 def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) -> None:
-    """Test the differences on one scale; replace larger p-values in `p` (d, axes) by the values of this scale.
+    """Test the differences on one scale; lower the larger p-values in `p` (d, axes) to its values.
 
     `coarse` (d, axes) is the error of a mean by the converter's step, `tests` the number of tests; `look`
     gets the differences with the lowest p-values.
