@@ -338,7 +338,7 @@ def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
     Raises
     ------
     DataError
-        A dwell is too short to show noise, or the session has one pose only.
+        No dwell has more than eight samples, or the session has one pose only.
     """
     if len(session.dwells) < 2:
         raise DataError("a twin needs a session of several positions")
