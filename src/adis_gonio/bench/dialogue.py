@@ -180,16 +180,19 @@ class Questions:
         self._scanned: list[Block] = []
 
     def take_scanned(self) -> list[Block]:
-        """Return the scans read during the last question as one block in a list; empty if none were kept.
+        """Return the scans read during the last question, as a list with one block.
 
-        Scans are kept if turns are recorded. They are one block, because many short blocks would make the
-        file half as large again.
+        The list is empty if no scans were kept: they are kept if turns are recorded. They are joined to one
+        block, because many short blocks would make the file half as large again.
         """
         seen, self._scanned = self._scanned, []
         return [join(seen)] if seen else []
 
     def _keep(self, block: Block) -> None:
-        """Keep a block of scans of a question if turns are recorded; drop scans older than `KEPT_S`."""
+        """Keep a block of scans that was read during a question, if turns are recorded.
+
+        Scans older than `KEPT_S` are dropped.
+        """
         if not self.bench.settings.turns or not len(block):
             return
         self._scanned.append(block)

@@ -137,7 +137,7 @@ class Watching(Event):
     spread_mg : Vector
         Standard deviation within the newest window in mg.
     angle_deg : float or None
-        Live angle by gravity in the sense of the stage; None for free attitudes.
+        Live angle by gravity, counted like the stage's angles; None for free attitudes.
     target_deg : float or None
         Requested angle; None if no angle is requested.
     limit_mg : Vector or None
@@ -178,7 +178,7 @@ class DwellProgress(Event):
     accel_mg, spread_mg : Vector
         Mean and standard deviation of the newest window in mg; the latter is None if it is not known.
     angle_deg : float or None
-        Live angle by gravity in the sense of the stage; None for free attitudes.
+        Live angle by gravity, counted like the stage's angles; None for free attitudes.
     target_deg : float or None
         Requested angle; None for free attitudes.
     limit_mg : Vector or None
@@ -310,7 +310,7 @@ class TurnMeasured(Event):
     place : int
         Index of the present position in the plan, from 0.
     asked_deg : float or None
-        Turn requested by the plan, in the sense of the stage; None for free attitudes.
+        Turn requested by the plan, counted like the stage's angles; None for free attitudes.
     gyro_deg, gyro_u_deg : float or None
         Integral of the gyro about the axis of rotation, and its standard uncertainty; None if the turn was
         not followed (the program moved the stage, or there is no gyro).
@@ -337,8 +337,9 @@ class TurnProgress(Event):
     samples, lost : int
         Number of samples so far, and of scans lost.
     turned_deg, rate_dps : float
-        Turn since the beginning, and rate over the last seconds (a free turn, by gravity) or the last block
-        (whole turns, by the gyros); counter-clockwise positive.
+        Turn since the beginning, and present rate, both counter-clockwise positive. The rate is a mean over
+        the last seconds of a free turn (measured by gravity), or over the last block of whole turns
+        (measured by the gyros).
     turn, turns : int
         Number of the present full turn, from 1, and number of full turns.
     rest_s : float

@@ -471,13 +471,13 @@ class PartPosition:
     Attributes
     ----------
     angle_deg : float or None
-        Declared angle in the sense of the stage; None for a dwell that was doubted and kept.
+        Declared angle, counted like the stage's angles; None for a dwell that was doubted and kept.
     mean_mg : (2 or more,) float
         Mean reading in mg.
     turn : GyroIntegral or None
         Turn by the gyros since the position before; None if it was not followed from there.
     approach : int
-        Direction from which the position was reached (+1 or −1), in the sense of the stage; 0 if unknown.
+        Sign of the change of the stage's angle before the position was reached (+1 or −1); 0 if unknown.
     """
 
     angle_deg: float | None

@@ -1,8 +1,8 @@
 """Recorder of gyro turns: on a level table, whole turns from a mark back to it, about each axis.
 
 With the X, the Y and the Z arrow up: a dwell, some whole turns counter-clockwise, a dwell, as many turns
-clockwise, a dwell, and another dwell with the arrow down. The way from one dwell to the next is recorded:
-an attempt with the reason `TURNED` has the scans of the turn, the dwell after it is a normal attempt. Each
+clockwise, a dwell, and another dwell with the arrow down. The turn between two dwells is recorded too: an
+attempt with the reason `TURNED` has the scans of the turn, the dwell after it is a normal attempt. Each
 turn is judged by the gyros as soon as the sensor rests again, so that a bad turn can be repeated at once. A
 kill loses only the unfinished turn; a resumed session asks for it again.
 """
@@ -219,7 +219,10 @@ class GyroTurnsRecorder(DwellRecorder):
         return join(archive.blocks(attempt, "dwell"))
 
     def _turn(self, place: int, wanted_deg: float) -> Generator[Event, None, bool]:
-        """Record a turn by `wanted_deg`; return True if the dwell after it can be recorded."""
+        """Record a turn by `wanted_deg` before the dwell of `place`.
+
+        Returns True if the dwell can be recorded then.
+        """
         before = place - 1
         if before not in self._ledger.done:
             message = "the rest before this turn was skipped, so that the zero rates are unknown"

@@ -368,9 +368,9 @@ class SessionBench:
         return max([since.total_seconds(), *ends]) - bus_s
 
     def checkpoint(self) -> None:
-        """Wait `CHECKPOINT_S`, so that all calls before it end before the time of the next record.
+        """Wait `CHECKPOINT_S` without frames, so that a simulated session can be resumed from this point.
 
-        A resumed simulation repeats the calls up to this time and continues there.
+        No frame then spans the time at which the resumed simulation continues.
         """
         self.source.sleep_s(CHECKPOINT_S)
 

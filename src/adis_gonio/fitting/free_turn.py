@@ -387,8 +387,8 @@ def drift_functions(time_s: Floats, length_s: float, floor: float, most: int) ->
     """Return functions of time (n, k) that describe a drift, and the prior variance (k,) of each.
 
     `time_s` (n,) are the times since the beginning of the recording, and `length_s` is its length. The
-    drift is 1/f noise with the Allan deviation `floor`. At most `most` functions are returned, and none if
-    `floor` is 0. Each function has the mean zero.
+    drift is 1/f noise with the Allan deviation `floor` in any unit; the variances are in this unit squared.
+    At most `most` functions are returned, and none if `floor` is 0. Each function has the mean zero.
 
     The functions are the principal components of the noise. Each is a sum of cosines with a whole number of
     half cycles in the recording. A density h/f has, up to a constant, the covariance −h ln|t − s| of two

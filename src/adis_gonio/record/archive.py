@@ -6,7 +6,7 @@
 | `runs` | one opening of the session by a program: the first, and one for each time it is resumed |
 | `records` | an event: registers read, a configuration, a plan, a problem, the end (JSON) |
 | `attempts` | one attempt at a dwell, complete or interrupted, with its times and the reason |
-| `blocks` | scans of an attempt: words (uint16), of a generic sensor values (float64); times (float64) |
+| `blocks` | scans of an attempt: words (uint16) or, of a generic sensor, values (float64); their times |
 | `moves` | a move of the stage by the program, at its time on the bus's clock |
 
 Every table refuses UPDATE and DELETE, so that no data is ever changed. Every row ends with a checksum of

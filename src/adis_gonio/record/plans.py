@@ -572,7 +572,7 @@ class Off:
     Attributes
     ----------
     off_deg : float
-        Angle by gravity minus the requested angle, within ±180°, in the sense of the stage.
+        Angle by gravity minus the requested angle, within ±180°, counted like the stage's angles.
     limit_deg : float
         Largest deviation of a good sensor in this fixture; infinite if it is not known yet.
     """

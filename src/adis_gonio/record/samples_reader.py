@@ -143,9 +143,10 @@ class SamplesTable:
             self._add(rows, lines)
 
     def _cells(self, number: int, line: str) -> list[str] | None:
-        """Return the cells of a row, as many as the header has; None if the row is incomplete or empty.
+        """Return the cells of a row, as many as the header has; None for an empty or incomplete row.
 
-        `number` is the line number. An incomplete or empty row is an error, unless only empty rows follow.
+        `number` is the line number. An empty or incomplete row is allowed only at the end of the file: a
+        later row with content raises an error that names it.
         """
         width, cells = self.head.width, list[str]()
         wrong, note = "", _cut_note(number)

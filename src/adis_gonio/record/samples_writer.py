@@ -96,8 +96,8 @@ def _all_rows(
 def _rows(names: list[str], columns: Mapping[str, NDArray[Any]]) -> Iterator[tuple[str, ...]]:
     """Yield rows as texts, one text for each named column.
 
-    `columns` has the values by name. A column that it lacks is left empty: samples between dwells have no
-    angle or approach.
+    `columns` has the values by name. A column that is not in `columns` is left empty: samples between
+    dwells have no angle or approach.
     """
     count, texts = len(columns["time_s"]), []
     for name in names:

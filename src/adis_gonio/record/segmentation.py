@@ -4,9 +4,9 @@ A window of samples is still if the standard deviation of every axis lies betwee
 `adis_gonio.record.stillness`. The noise of an axis is the median of the standard deviations in its quiet
 windows, which are windows with less than twice the 5 % quantile of all windows.
 
-Gyros detect a slow turn that the accelerations do not show, but a sensor held by hand moves far above their
-noise without harm. The limit of a gyro's standard deviation is therefore ten times its median in windows in
-which the accelerations are still.
+Gyros detect a slow turn that the accelerations do not show. A sensor that a hand holds still also turns, by
+far more than the noise of its gyros, which does no harm. The limit of a gyro's standard deviation is
+therefore ten times its median in windows in which the accelerations are still.
 
 Every run of still windows is trimmed by `TRIM_S` at both ends, which the hand may disturb, and kept if it
 lasts at least `LEAST_S`. A run is split at steps of its mean (a slip, or a slow turn).
@@ -168,9 +168,10 @@ def segment_pieces(read: Reading) -> tuple[list[slice], list[str]]:
 
 
 def _blocks(read: Reading, overlap: int) -> Iterator[tuple[int, Piece]]:
-    """Yield blocks of a recording, each with its first row and `overlap` rows of the next block.
+    """Yield overlapping blocks of a recording, each with the number of its first row.
 
-    All blocks but the last have `_BLOCK` more rows. A window of `overlap` + 1 rows is in one block only.
+    A block has `_BLOCK` rows, followed by the first `overlap` rows of the next block; the last block is
+    shorter. Each window of `overlap` + 1 rows is completely in one block, and only in one.
     """
     row, held = 0, None
     for piece in chain(read(), [None]):
@@ -215,9 +216,9 @@ class Quantiles:
         return float(self._count[0] / max(self._count.sum(), 1))
 
     def quantile(self, share: float, *, below: float = math.inf, with_zeros: bool = True) -> float:
-        """Return the value below which the fraction `share` (0 to 1) of the numbers up to `below` lies.
+        """Return the quantile for a fraction `share` (0 to 1) of the numbers up to `below`.
 
-        Zeros are included if `with_zeros`; infinity if there are no numbers.
+        Zeros are included if `with_zeros`. The result is infinity if there are no numbers.
         """
         mean = self._sum / np.maximum(self._count, 1)
         count = np.where(mean <= below, self._count, 0)
@@ -290,7 +291,10 @@ class _Range:
 
 
 def _extent(read: Reading) -> tuple[int, float, _Range, _Range | None]:
-    """Return the number of samples, their period in s (0 if unknown), and the ranges of both sensors."""
+    """Return the number of samples, their period in s, and the ranges of accelerations and rates.
+
+    The period is 0 if it is unknown, and the range of the rates is None without gyros.
+    """
     steps, latest_s, n = Quantiles(), math.nan, 0
     blocks: tuple[list[Floats], list[Floats]] = ([], [])
     first: tuple[list[Floats], list[Floats]] = ([], [])
@@ -314,7 +318,10 @@ def _extent(read: Reading) -> tuple[int, float, _Range, _Range | None]:
 
 @dataclass(frozen=True)
 class _Windows:
-    """All windows of `window` samples of a recording, with the ranges of its accelerations and rates."""
+    """All windows of `window` successive samples of a recording.
+
+    It has the ranges (minimum, maximum, mean, resolution) of the accelerations and rates.
+    """
 
     read: Reading
     window: int

@@ -87,10 +87,10 @@ def _between(
 ) -> Iterator[Block]:
     """Yield the scans from the end of the dwell `before` to the beginning of the dwell `after`, in order.
 
-    `stored` are all attempts of the session. Attempts in between (interrupted or repeated dwells) are
-    included with all their scans. Attempts of another run than that of `after` are left out, since they
-    belong to another stream of samples; this makes a gap. Whole turns begin and end at a mark: only the
-    last one counts.
+    `stored` are all attempts of the session. Interrupted or repeated dwells between the two dwells are
+    included with all their scans. Attempts of an earlier run than the run of `after` are left out, since
+    they belong to another stream of samples; this makes a gap. If whole turns were recorded between the
+    dwells, only the scans from the last one on are yielded, because each begins and ends at a mark.
     """
     between = [a for a in stored if before.number < a.number < after.number and a.run == after.run]
     whole = [k for k, attempt in enumerate(between) if attempt.reason == TURNED]

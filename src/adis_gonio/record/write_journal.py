@@ -5,7 +5,7 @@ written **before** an action (`planned`, `saving`) or **after** it (`written`, `
 `set-back`). A power cut therefore finds the journal at most one step behind the sensor, and the registers,
 ENDURANCE (the chip's counter of flash updates) and the journal together determine the state:
 
-| registers | after |
+| registers | explanation |
 |---|---|
 | old | a power cut before anything was saved (at power-on the sensor loads its flash copies), or an undo |
 | new | a write; in flash if ENDURANCE went up by one since `saving` |
@@ -153,9 +153,10 @@ def operations_of(session: Session, names: Sequence[str] = ACCEL_OFF) -> tuple[O
 
 
 def describe_writes(known: Sequence[Operation], recorded: Numbers) -> tuple[str, ...]:
-    """Return remarks on offsets written after the recording, one at most for accelerometers and for gyros.
+    """Return remarks on offsets that were written after the recording.
 
-    `known` are the operations of the journal, `recorded` the register contents during the recording.
+    There is at most one remark for the accelerometers and one for the gyros. `known` are the operations of
+    the journal, `recorded` the register contents during the recording.
     """
     own = [tuple(one for one in known if one.concerns(names)) for names in (ACCEL_OFF, GYRO_OFF)]
     said = (*_remarks(own[0], recorded, "biases"), *_remarks(own[1], recorded, "zero rates"))

@@ -1,14 +1,14 @@
-"""The simulated bus: a chip in a world behind the contract of `adis_gonio.device.bus`.
+"""The simulated bus: it has the interface of `adis_gonio.device.bus`, and a simulated chip behind it.
 
 Time is virtual: an exchange takes as long as its frames would take, and `sleep_s` and moves of the stage
 only advance the clock, so an hour's session runs in seconds. With `realtime` the bus follows the wall
 clock.
 
-The bus accepts every timing that is physically possible; the chip answers for frames that come too fast.
+The bus accepts every timing that is physically possible. If frames come too fast for the chip, the chip
+answers as a real chip is supposed to (see `adis_gonio.sim.chip`).
 
-Not simulated
-    Electrical faults, a bridge's own latency and buffers (a stream never overflows; edges are lost only
-    if the read list takes longer than the update period), the choice of the DIO line.
+Not simulated Electrical faults, a bridge's own latency and buffers (a stream never overflows; edges are
+lost only if the read list takes longer than the update period), the choice of the DIO line.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ The confidence is A to D, as in `docs/glossary.md`: D is an estimate.
 | word of a read | taken when chip select rises after the 16th clock | D |
 | reply after a write, a reset, a read of COMMAND or of a reserved address | 0x0000 | D |
 | stall too short | no answer until a hard reset; the data line floats | C |
-| frame during start-up, reset or factory restore | the same bad state | C |
+| frame during start-up, reset or factory restore | no answer until a hard reset, too | C |
 | clock outside the mode's range | not executed, reply XOR 0xA5A5, STATUS[3] | D |
 | frame period too short | executed, but its reply repeats the frame before, STATUS[3] | D |
 | frame of other than 16 bits | ignored, STATUS[3]; chip select without a clock is only ignored | B, C |
@@ -24,7 +24,7 @@ The confidence is A to D, as in `docs/glossary.md`: D is an estimate.
 | updates during a flash update, restore or self-test | none; they restart after it | D |
 | autonull | takes the filtered gyros of the last update, or a mean over `Electronics.autonull_s` | D |
 | precision autonull | mean of the unfiltered gyros over 30 s, or `Electronics.precision_autonull_s` | D |
-| content of either mean | the whole signal ahead of the offsets: gravity, warmth, earth, a hand | D |
+| content of either mean | a gyro's reading before the offset is added, with gravity, warmth and turns | D |
 | supply below 4.75 V at the last update before a flash update ends | nothing saved, STATUS[2] | D |
 | bit 14 of a frame, COMMAND's high byte | ignored | D |
 | waking | SLP_CNT reads 0 and the taps are empty | D |
@@ -655,7 +655,11 @@ class SimulatedChip:
         self._restart_sampling(self._until, empty=True)
 
     def _follow_registers(self) -> None:
-        """Act on registers that a frame, the chip or a fault has changed."""
+        """Make the simulation follow the present contents of the registers.
+
+        The settings of the filter and the ranges are taken over. If SMPL_PRD has changed, the updates
+        restart.
+        """
         self._sampler.configure(self._memory)
         if self._memory["SMPL_PRD"] != self._smpl_prd:
             self._restart_sampling(self._time_s, empty=True)

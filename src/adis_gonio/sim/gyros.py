@@ -2,8 +2,8 @@
 
 The convention is defined in `settings.GyroSettings`. The axis of a gyro is misaligned towards the axes of
 the gyros' frame (`gyro_misalignment_…`), and that frame is rotated against the frame of the accelerometers
-(`gyro_triad_…`); the truth has both rotations together, in the accelerometers' frame, in which a fit finds
-them.
+(`gyro_triad_…`). `GyroTriad.truth` has the sum of both rotations, relative to the accelerometers' frame, in
+which a fit finds them.
 
 Sources of the drawn errors: CHIP is the known data of the chip. Figures with confidence B are in the data
 sheet of its siblings and are used as the size of the error. Figures with confidence D are estimates for
@@ -178,10 +178,7 @@ class GyroTriad:
         return rate
 
     def _warming(self, time_s: Floats) -> Floats:
-        """Return the share (n,) of the warm-up offset that remains at n times in s.
-
-        It is 1 at power-on and decays to 0.
-        """
+        """Return the warm-up offset (n,) at n times in s, divided by the warm-up offset at power-on."""
         on_s = np.maximum(time_s + self._settings.powered_s, 0.0)
         return np.asarray(np.exp(-on_s / self._settings.gyro_warm_up_tau_s))
 

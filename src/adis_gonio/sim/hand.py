@@ -2,12 +2,12 @@
 
 Known facts about hands, and their model here
     A hand turns as far as the wrist goes, stops, takes a new grip and goes on: segments of 40 to 120°, each
-    with a minimum-jerk course (Flash & Hogan 1985), and pauses of 0.2 to 0.9 s between them. A slow
+    with a minimum-jerk profile (Flash & Hogan 1985), and pauses of 0.2 to 0.9 s between them. A slow
     movement is not even: submovements of 0.5 to 3 Hz change its speed by a tenth or two. Physiological
     tremor shakes the sensor at 8 to 12 Hz, but only while the hand holds it. A bearing's axis wobbles by
     hundredths of a degree, at one and two cycles a turn; a sensor held in the hand sways by degrees.
 
-    A movement to a mark is one grip or several, each a minimum-jerk course, with rests between them. The
+    A movement to a mark is one grip or several, each a minimum-jerk profile, with rests between them. The
     last grip misses the mark by a few hundredths of its length (Meyer et al. 1988), and after 0.1 to 0.4 s
     one or two small corrections of 0.3 to 0.6 s follow. If a mark must be reached from one side, the hand
     stops short of it and creeps up. No two movements are equally fast. A sensor held in the hand also
@@ -97,7 +97,8 @@ def minimum_jerk(time_s: Floats, begin_s: float, length_s: float, span: float) -
 def hold(time_s: Floats, length_s: float) -> Course:
     """Return the firmness of a grip at times (n,) in s, with two derivatives.
 
-    It is 1 while the hand holds and 0 otherwise. The hand takes hold at 0 s and lets go at `length_s`.
+    It rises smoothly from 0 to 1 after the hand takes hold at 0 s, and has fallen to 0 when the hand lets
+    go at `length_s`.
     """
     up, down = rise(time_s / RISE_S), rise((length_s - time_s) / RISE_S)
     scale = 1 / RISE_S

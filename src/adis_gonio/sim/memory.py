@@ -1,6 +1,7 @@
 """The registers of the simulated chip: words, flash copies, byte writes, and limits of the SPI port.
 
-The flash of a simulated sensor can be kept in a file, so that it outlives the process.
+The flash of a simulated sensor can be kept in a file, so that it outlives the process. The letters A to D
+after a figure are its confidence (see `docs/glossary.md`).
 """
 
 from __future__ import annotations

@@ -1,15 +1,19 @@
 """Conversion of analog inputs to output words: scaling, filter, offsets, limits, alarms, STATUS bits.
 
-Choices for behaviour of the chip that is not known (D): the filter works at a resolution of 1/1024 LSB and
-its output is rounded once; offsets are added after it; the filter is emptied if range or M changes; an
-illegal range acts as ±300 °/s, M = 7 as 6, and an M below the minimum of the range as this minimum;
-over-range means a sample beyond the nominal range. The compensations of MSC_CTRL[7:6] act on each sample
-ahead of the filter; the compensation of the gyros uses the readings of the chip's own accelerometers. Their
-size, the saturation of the gyros and the gains of the ranges are figures of `Electronics`. CHIP.md
-describes these functions but not how well they work, so all these figures are estimates (D).
+Some behaviour of the chip is not known. These are estimates (confidence D):
 
-The digital filter is a Bartlett window made of two cascaded boxcars (CHIP.md, A). Samples are integers in
-fixed point, so that sums are exact however a run of samples is divided.
+* the filter works at a resolution of 1/1024 LSB, and its output is rounded once;
+* offsets are added after the filter; the filter is emptied if range or M changes;
+* an illegal range acts as ±300 °/s, M = 7 as 6, and an M below the minimum of the range as this minimum;
+* over-range means a sample beyond the nominal range.
+
+The compensations of MSC_CTRL[7:6] act on each sample before the filter. The compensation of the gyros uses
+the readings of the chip's own accelerometers. `Electronics` has the size of the compensations, the
+saturation of the gyros and the gains of the ranges. CHIP.md describes these functions but not how well they
+work, so all these figures are estimates too.
+
+The digital filter is a Bartlett window made of two cascaded boxcars (CHIP.md, confidence A). Samples are
+integers in fixed point, so that sums are exact however a run of samples is divided.
 """
 
 from __future__ import annotations

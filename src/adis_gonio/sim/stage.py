@@ -79,11 +79,15 @@ def _zeros() -> Floats:
 class _Leg:
     """A move of the stage with the rest after it: in the plane by angles, in space by a turn about an axis.
 
-    Times are in s and angles in rad; `from_error_rad` and `to_error_rad` are the errors of the stage's
-    angle before and after the move, `order` is the number of the move, and `approach` the direction of its
-    end. `spatial` is true in space; while the sensor turns there by φ about `axis`, the direction of
-    gravity in its frame is `along` + cos φ `base` + sin φ `side`. `hand` and `by_hand` are movements by
-    hand; None if a motor moves the stage.
+    Times are in s and angles in rad. `from_rad` and `to_rad` are the declared angles before and after the
+    move, `from_error_rad` and `to_error_rad` the errors of these angles, and `previous_rad` is the declared
+    angle of the previous dwell. `order` is the number of the move, and `approach` the direction of its end.
+
+    `spatial` is True for a move in space. While it turns the sensor by φ about `axis`, the direction of
+    gravity in the sensor's frame is `along` + cos φ `base` + sin φ `side`; `turn_rad` is φ at the end.
+
+    `hand` is a free turn by hand, and `by_hand` a move by hand between two positions; None for any other
+    move.
     """
 
     start_s: float
@@ -407,7 +411,8 @@ class Stage:
     def _in_space(self, leg: _Leg, by_hand: HandMove | None) -> float:
         """Append a turn in space to the trajectory; return the time in s at which it ends.
 
-        `leg` is the turn without its end, `by_hand` the movement by hand, None for a motor.
+        `leg` is the turn, in which the end time is missing. `by_hand` is the movement by hand, None for a
+        motor.
         """
         end_s = leg.start_s + self._duration(leg.turn_rad, by_hand)
         self._append(replace(leg, end_s=end_s, by_hand=by_hand))

@@ -181,17 +181,29 @@ class World:
     def truth(self, time_s: Floats | None = None) -> dict[str, float]:
         """Return the true values of all hidden parameters, by the names that a fit uses.
 
-        `delta_k` (1), `delta_phi` (degree), `alpha` (degree), `scale_x…` (the gain, 1 is perfect),
-        `skew_xy…` (degree, 90° minus the angle between the axes), `bias_x…` (mg), `bias_temperature_x…`
-        (mg/°C), `scale_temperature_x…` (1/°C), `lever_x`, `lever_y` (mm), of the gyros `gyro_scale_x…` (the
-        gain about the accelerometer's axis), `gyro_scale_error_x…` (1, gain about the gyro's own axis minus
-        1), `gyro_misalignment_xy…` (degree, towards the axes of the accelerometers), `gyro_bias_x…` (°/s,
-        without the effect of gravity), `g_sensitivity_xy…` (°/s/g, `g_sensitivity_left_xy…` with
-        MSC_CTRL[7] set), `g2_sensitivity_xy…` (°/s/g²), `gyro_scale_temperature_x…` (1/°C),
-        `gyro_bias_temperature_x…` (°/s/°C), `gyro_asymmetry_x…` (1), `gyro_supply_x…` (°/s/V),
-        `gyro_warm_up_x…` (°/s at power-on) and `gyro_warm_up_tau` (s), `gyro_range_gain_150` and `…_75`
-        (1), `gyro_latency` (s, against the accelerometers), and the parameters of added effects as
-        `effect.parameter` in the effect's units.
+        | name | unit | value |
+        |---|---|---|
+        | `delta_k`, `delta_phi`, `alpha` | 1, degree, degree | base parameters of the plane |
+        | `scale_x…` | 1 | gain; 1 is perfect |
+        | `skew_xy…` | degree | 90° minus the angle between the axes |
+        | `bias_x…`, `bias_temperature_x…` | mg, mg/°C | bias and its temperature coefficient |
+        | `scale_temperature_x…` | 1/°C | temperature coefficient of the gain |
+        | `lever_x`, `lever_y` | mm | position relative to the stage's axis |
+        | `gyro_scale_x…` | 1 | gain of a gyro about the accelerometer's axis |
+        | `gyro_scale_error_x…` | 1 | gain about the gyro's own axis, minus 1 |
+        | `gyro_misalignment_xy…` | degree | towards the axes of the accelerometers |
+        | `gyro_bias_x…` | °/s | zero rate without the effect of gravity |
+        | `g_sensitivity_xy…` | °/s/g | effect of a force |
+        | `g_sensitivity_left_xy…` | °/s/g | remaining effect with MSC_CTRL[7] set |
+        | `g2_sensitivity_xy…` | °/s/g² | effect of a squared force |
+        | `gyro_scale_temperature_x…` | 1/°C | temperature coefficient of the gain |
+        | `gyro_bias_temperature_x…` | °/s/°C | temperature coefficient of the zero rate |
+        | `gyro_asymmetry_x…` | 1 | see `GyroSettings` |
+        | `gyro_supply_x…` | °/s/V | effect of the supply |
+        | `gyro_warm_up_x…`, `gyro_warm_up_tau` | °/s, s | offset at power-on, and its time constant |
+        | `gyro_range_gain_150`, `…_75` | 1 | gain in this range relative to ±300 °/s |
+        | `gyro_latency` | s | delay of the gyros relative to the accelerometers |
+        | `effect.parameter` | unit of the effect | parameters of added effects |
 
         Parameters
         ----------

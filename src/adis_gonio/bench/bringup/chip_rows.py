@@ -5,12 +5,12 @@ else". An observation is either a label (the alternative with which one event ag
 number for which each alternative predicts an interval). The prior probability of the table's statement
 follows from its confidence. Observations multiply:
 
-* labels: each event has the label of the alternative, but one in 10 000 differs (a bit error). If
+* labels: if an alternative is true, each event has its label, except one in 10 000 (a bit error). If
   something else is true, the events have unknown probabilities with a Dirichlet prior, so that a chip that
   does one thing each time is more probable than one that changes.
-* figures: uniform in the predicted interval, with a normal error. One figure in 10 000 may be anything. If
-  something else is true, an unknown share of the figures agrees with the table, and the others are uniform
-  over the row's range.
+* figures: if an alternative is true, a figure is uniform in the interval that it predicts, with a normal
+  error. One figure in 10 000 may be anything. If something else is true, an unknown share of the figures
+  agrees with the table, and the others are uniform over the row's range.
 """
 
 from __future__ import annotations
@@ -245,7 +245,7 @@ def _density(figure: RowFigure, name: str) -> float:
 def _more_recordings(
     names: Sequence[str], logs: Floats, figures: Sequence[RowFigure], recordings: int
 ) -> int | None:
-    """Return the number of further recordings that decide between the table and its named rivals.
+    """Return the number of further recordings that decide between the table and the other alternatives.
 
     All densities are taken as normal. The logarithm of the odds is then a random walk: its drift g for a
     recording is the sum of (difference of the means)² / 2 / variance over the figures, and its variance is
@@ -640,11 +640,11 @@ def _edge(chip: RecordedChip, _: Variant) -> Iterator[str]:
 
 
 def _rounding(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
-    """Yield two figures for each gyro and precision autonull, both in LSB of the offset registers.
+    """Yield two figures for each gyro and each precision autonull, in LSB of the offset registers.
 
-    The first is the remainder of the written offset after division by the LSB of the output. The second is
-    the remaining rate, positive in the direction of the bias before the autonull. A recording is used only
-    if its steps of the offsets show that these LSB are right.
+    The first figure is the remainder of the written offset after division by the LSB of the output. The
+    second is the remaining rate, positive in the direction of the bias before the autonull. A recording is
+    used only if its steps of the offsets show that these LSB are right.
     """
     steps = [figure.x for figure in _gyro_steps(chip, part)] or [1.0]
     nulls = [*chip.nulls, (len(chip.spans), "")] if abs(float(np.median(steps)) - 1) < 0.1 else []

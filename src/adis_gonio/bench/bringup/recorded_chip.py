@@ -285,7 +285,8 @@ class RecordedChip:
     nulls : list of (int, str)
         Index of the span after each autonull, and its command.
     edges : list of (k, n) int64
-        Words of scans of one register, each started at the first edge of the data-ready pulse.
+        Words of k scans that read one register n times, each started at the first edge of the data-ready
+        pulse.
     scans : list of (n, k) int64
         Words of scans of several output registers, one scan for each update.
     """
@@ -633,7 +634,7 @@ def _is_ready(frames: Integers, words: Integers) -> bool | None:
 
 
 def _in_batches(calls: Iterable[Call]) -> Iterator[Call]:
-    """Yield the calls of a recording, with single frames of a capture joined to batches."""
+    """Yield the calls of a recording; successive single frames of a capture are joined to one call."""
     waiting: list[Call] = []
 
     def joined() -> Iterator[Call]:

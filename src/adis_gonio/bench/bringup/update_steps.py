@@ -50,11 +50,12 @@ class Period:
 def measured_period(bench: BringupBench, expected_s: float, updates: int) -> Period | str:
     """Measure the period of the sample updates by the new-data flags (ND) of one register.
 
-    `expected_s` is the nominal period, `updates` the number of periods to measure. Returns the reason as
-    text if the period cannot be measured.
+    `expected_s` is the nominal period, `updates` the number of periods to measure. If the period cannot be
+    measured, the reason is returned as text.
 
-    The first read after an update carries ND, so that a span between ND flags is a whole number of periods,
-    with a uniform error of one read at either end: u = frame sqrt(1/6) / number of periods.
+    Only the first read after an update has ND set. The time between two such reads is therefore a whole
+    number of periods, with a uniform error of one read at either end: u = frame sqrt(1/6) / number of
+    periods, with the time of a frame.
     """
     _, frame_s = bench.repeated(_READ, 4)
     if frame_s > expected_s / 2.5:
@@ -89,7 +90,7 @@ def _by_clock(bench: BringupBench, expected_s: float, updates: int) -> Period | 
     """Measure the period of the sample updates by many short reads, timed by the clock of the bus.
 
     `expected_s` is the nominal period, `updates` the number of periods to measure. Each read finds at most
-    one update. Returns the reason as text if the period cannot be measured.
+    one update. If the period cannot be measured, the reason is returned as text.
     """
     first = last = 0.0
     count, longest = -1, 0.0

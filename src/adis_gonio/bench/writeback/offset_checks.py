@@ -185,10 +185,10 @@ def _means(scans: ScanBlock, now: Configuration) -> Rest:
 
 
 def _mean(values: Floats, lsb: float, now: Configuration) -> tuple[Floats, Floats, Floats]:
-    """Return means (3,) of samples (n, 3), their standard uncertainties, and deviations of a sample.
+    """Return the means (3,) of samples (n, 3), the standard uncertainties of the means, and the noise (3,).
 
-    The deviations (3,) are standard deviations; `lsb` is the step of the samples, `now` the sensor's
-    configuration.
+    The noise is the standard deviation of a single sample. `lsb` is the step of the samples, `now` the
+    sensor's configuration.
     """
     deviation = values.std(axis=0, ddof=1)
     # The filter does not reduce noise at the lowest frequencies: use the noise of unfiltered samples.
@@ -655,19 +655,18 @@ class Gyros:
         return Agreement("the write moved the gyros by", GYRO_NAMES, second - first, planned, u, "dps")
 
     def found(self, plan: WritePlan, rest: Rest) -> tuple[Floats, Floats] | None:
-        """Return the zero rates (3,) in °/s by a dwell, without the effect of force, and their u.
+        """Return the zero rates (3,) in °/s by a dwell, with their standard uncertainties (3,).
 
-        u is the standard uncertainty (3,) in °/s. `plan` is not used, and the result is never None.
+        The effect of force is removed. `plan` is not used, and the result is never None.
         """
         mean, u = rest.of_gyros
         force, of_force = self.by_force(rest)
         return mean - force, np.hypot(u, of_force)
 
     def zero(self, rest: Rest) -> tuple[Floats, Floats]:
-        """Return the zero rates (3,) in °/s that the session predicts for a dwell, and their uncertainties.
+        """Return the zero rates (3,) in °/s that the session predicts for a dwell, and their u.
 
-        The uncertainties are standard uncertainties (3,) in °/s. The zero rates are for the offsets during
-        the recording.
+        u is the standard uncertainty (3,) in °/s. The zero rates are for the offsets during the recording.
         """
         read = self.gyro.readings_of(
             np.zeros(3), rest.mean_mg / 1000, rest.temperatures_c, supply_v=rest.supply_v
@@ -682,9 +681,10 @@ class Gyros:
         return self.gyro.force_part(rest.mean_mg / 1000)
 
     def wander(self, rest: Rest) -> float:
-        """Return the standard uncertainty in °/s of a zero rate due to changes from the session to a dwell.
+        """Return the standard uncertainty in °/s by which a zero rate may have changed since the session.
 
-        The changes are drift in time, and temperature and supply if the calibration does not include them.
+        It comes from drift in time up to the dwell `rest`, and from the different temperature and supply of
+        the dwell if the calibration does not include their effect.
         """
         known, then = self.gyro.needs, (self.gyro.temperature_c, self.gyro.supply_v)
         warmer = 0.0 if then[0] is None else rest.temperature_c - then[0].mean

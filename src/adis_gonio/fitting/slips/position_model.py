@@ -147,8 +147,8 @@ class Increments:
         Integral of the rate minus its zero rate, in the direction of declared angles; NaN without a
         complete record of the turn.
     u_rad : (n - 1,) float
-        Standard uncertainty of the angle by noise and by the drift of the zero rate between the dwells;
-        without gain and g-sensitivity, which the turns share.
+        Standard uncertainty of the angle by noise and by the drift of the zero rate between the dwells.
+        Errors of the gain and the g-sensitivity are not included, because all turns share them.
     force_gs : (n - 1, 2) float
         Integral over the turn of the readings of X and Y minus their mean at rest, in g·s: a g-sensitivity
         of 1 rad/s/g changes the angle by this.
@@ -257,7 +257,7 @@ class Rows:
     noise : (2n + g, 2n + g) float
         Covariance of the rows from the noise of readings and gyro.
     reading : (2n + g, 2) float
-        Derivative of each row by its dwell's reading on each axis, which is in units of gravity.
+        Derivative of each row by the reading of its dwell on X and Y, with the reading in units of gravity.
     course : (n,) float
         Time of each dwell as a share of the session.
     declared_rad : (n,) float

@@ -120,8 +120,9 @@ class Rig:
 class BusContract(ABC):
     """Tests of the bus contract; a subclass has a name that begins with `Test` and implements `make`.
 
-    Tests of a capability that the bus lacks pass without a check, and so does the test of a clock limit if
-    the rig has none; another test proves that a missing capability is refused by name.
+    A test of a capability that the bus lacks passes without a check; another test proves that the bus
+    refuses this capability by name. The test of a clock limit passes without a check if the rig has no
+    limit.
     """
 
     @abstractmethod
@@ -428,7 +429,7 @@ def random_batches(rng: np.random.Generator, count: int) -> list[list[int]]:
 
 
 def assert_timing(frames: list[WireFrame], timing: SpiTiming, clock_from: int = 0) -> None:
-    """Assert that each frame keeps the stall and period of `timing` after the frame before it.
+    """Assert that the stall and the period before each frame are not shorter than those of `timing`.
 
     The SPI clock is checked from frame `clock_from` on.
     """

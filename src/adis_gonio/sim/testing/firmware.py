@@ -343,7 +343,7 @@ class SimulatedFirmware:
 
 @dataclass(eq=False)
 class _Stream:
-    """A running stream of scans; `scan` makes a scan when the firmware has passed its trigger.
+    """A running stream of scans, each started by a trigger (an edge of data-ready, or a period of time).
 
     The fields have the content of the request that started the stream; `begun_s` is the time of its start
     in s.
@@ -380,9 +380,9 @@ class _Stream:
         return None if first is None else first + (self.decimation - 1) * chip.update_period_s
 
     def scan(self, trigger_s: float) -> None:
-        """Make the scan of a trigger at `trigger_s`, and count the triggers that are missed during it.
+        """Make the scan that a trigger starts, and count the triggers that are missed during it.
 
-        The scan sends the read frames and an idle frame.
+        `trigger_s` is the time of the trigger in s. The scan sends the read frames and an idle frame.
         """
         firmware = self.firmware
         if trigger_s < self._blocked_s:
