@@ -47,7 +47,8 @@ class Answer:
     comparison : MethodComparison
         Comparison of all methods.
     recommended : Recommendation
-        Method and, if a trace ran and its model predicts as well, the effects that the trace found.
+        Recommended method. If a trace found effects and its model predicts left-out dwells as well as the
+        best method, it is `ml` with these effects.
     scores : mapping of str to Score
         Errors of each method on the same dwells, by the method's name.
     """
@@ -157,7 +158,7 @@ class Answer:
 
     @property
     def _excess(self) -> tuple[str, ...]:
-        """Sentence on an rms error of the angle above U; empty if it is below."""
+        """Sentence for the user if the rms error of the angle is larger than its U; otherwise empty."""
         angle = self.values.get("angle")
         if angle is None or angle.U is None or not angle.value > angle.U:
             return ()

@@ -264,9 +264,9 @@ class FitResult(ParameterTable):
     def shown_angle(self) -> Value | None:
         """Standard uncertainty of an angle that the calibrated sensor shows; None in space.
 
-        It is the root mean square over a turn, for a reading with the length of the session's dwells; the
-        `value` is NaN. There is no uncertainty if the noise is unknown, or if the session does not
-        determine a parameter that an angle needs.
+        It is the root mean square over a turn, for a reading that is averaged for as long as a dwell of the
+        session; the `value` is NaN. There is no uncertainty if the noise is unknown, or if the session does
+        not determine a parameter that an angle needs.
         """
         made = self.origin
         if made is None or not made.readings.planar:

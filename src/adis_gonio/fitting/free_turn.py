@@ -9,8 +9,8 @@ All parameters are estimated together from the samples of the whole recording. T
 
 U_x and U_y are the mean readings of the accelerometers in a window, and u_x and u_y are their readings as a
 share of gravity G. The rate of the turn is ω, the reading of gyro Z is g_z, and ' is the derivative by
-time. ⟨…⟩ is the mean over a window of the angles that the gyro shows within it, so that neither the length
-of the window nor an uneven turn distorts the result. Unknown are the gains K, the misalignment Δφ, the
+time. ⟨…⟩ is the mean over a window, in which the angle changes as the gyro shows; neither the length of the
+window nor an uneven turn therefore distorts the result. Unknown are the gains K, the misalignment Δφ, the
 biases b_x and b_y, the lever arm l in mm from the axis of the turn to the sensor, the gyro's gain s, zero
 rate b_g, g-sensitivity γ and delay τ, and slow drifts d with a 1/f spectrum, as their principal components.
 The priors hold for any part (`SENSOR_SPREAD`) and any bench (`LEVER_MM` …); the biases b_x and b_y have no
@@ -387,8 +387,8 @@ def drift_functions(time_s: Floats, length_s: float, floor: float, most: int) ->
     """Return functions of time (n, k) that describe a drift, and the prior variance (k,) of each.
 
     `time_s` (n,) are the times since the beginning of the recording, and `length_s` is its length. The
-    drift is 1/f noise with the Allan deviation `floor`. At most `most` functions are returned, and none if
-    `floor` is 0. Each function has the mean zero.
+    drift is 1/f noise with the Allan deviation `floor` in any unit; the variances are in this unit squared.
+    At most `most` functions are returned, and none if `floor` is 0. Each function has the mean zero.
 
     The functions are the principal components of the noise. Each is a sum of cosines with a whole number of
     half cycles in the recording. A density h/f has, up to a constant, the covariance −h ln|t − s| of two

@@ -55,7 +55,7 @@ class MethodComparison:
     failures : mapping of str to str
         Reasons why other methods give no result, by method.
     predictions : mapping of str to DwellPrediction
-        Errors of each method in the prediction of every dwell without this dwell in the fit.
+        Errors with which each method predicts every dwell by a fit without this dwell, by method.
     scores : mapping of str to Score
         Errors of each method on the dwells that all methods predict.
     recommended : Recommendation
@@ -309,7 +309,8 @@ def predicted(
     used : (n,) bool
         True for the dwells that `fit` used; `fit` predicts the others.
     again : callable
-        Fit without the rows for which its argument (n,) is True; its `FitError` gives NaN for these rows.
+        Function that repeats the fit without the dwells at which its argument (n,) is True. If it raises
+        `FitError`, the prediction errors of these dwells are NaN.
     """
     n = len(data)
     columns = 2 if data.planar else 1

@@ -738,9 +738,10 @@ class Method:
     fit : callable
         Fits `Readings` and returns a `FitResult`; raises `FitError` or `SingularError`.
     refit : callable
-        Repeats a fit on `Readings` of all or some of the dwells, which have the noise of an earlier result,
-        given the `Origin` of this result. It returns a `Fit`; raises `FitError`. Used to leave dwells out
-        in the comparison of methods, and for Monte Carlo trials.
+        Function of `Readings` and the `Origin` of an earlier result, which repeats the fit of that result
+        on these readings and returns a `Fit`; raises `FitError`. The readings are all or some of the
+        dwells, with the noise that the earlier result used. It serves to leave dwells out in the comparison
+        of methods, and for Monte Carlo trials.
     suits : callable
         Returns True if the session has the positions that the method needs.
     """

@@ -1,9 +1,11 @@
 """Uncertainty of fitted parameters: its sources, the budget, and the angle that a goniometer shows.
 
-**Sources.** A fit responds to a small change of its readings by R = ∂parameter/∂reading. A source of
-independent parts moves the readings by these parts, and so moves the parameters by the columns of
-F_s = R·parts; the covariance is Σ F_s F_sᵀ (JCGM 100:2008, 5.1.2 and 5.2). Each column carries the degrees
-of freedom of the estimate that it rests on, and columns of one estimate count as one (G.4.1).
+**Sources.** A small change of the readings changes the fitted parameters by R = ∂parameter/∂reading. A
+source of uncertainty has independent components. Each is a change of the readings by one standard
+uncertainty, and these changes are the columns of a matrix P_s. The source therefore changes the parameters
+by the columns of F_s = R P_s, and the covariance of the parameters is Σ F_s F_sᵀ over all sources (JCGM
+100:2008, 5.1.2 and 5.2). Each column has the degrees of freedom of the estimate of noise that it comes
+from, and columns from one estimate count as one (G.4.1).
 
 **Missing effects.** If the residual is larger than the noise, some effect is missing, and it also moves the
 fitted parameters. Each amplitude θ of the catalogue gets a normal prior about zero. Its standard deviation
@@ -84,7 +86,8 @@ class Source:
         Number of the estimate that each component's variance comes from; components with an equal number
         have a common error.
     reading_mg2 : (axes, axes) float
-        Covariance that the source alone gives a further reading with the length of a dwell of the session.
+        Covariance that the source alone gives a further reading, which is averaged for as long as a dwell
+        of the session.
     note : str
         Remark on the source.
     by_definition : bool

@@ -187,7 +187,7 @@ class Reach(JsonRecord):
         Smallest amplitude found with 90 % probability, by the share of affected sessions (`0.1`, `0.3`,
         `1`); None if no amplitude that was tried suffices.
     unit, parameter : str
-        Unit of the amplitude, and name of the parameter that it is.
+        Unit of the amplitude, and name of the parameter with this amplitude.
     """
 
     amplitude: Mapping[str, float | None]

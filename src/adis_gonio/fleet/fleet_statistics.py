@@ -249,7 +249,7 @@ class Test:
     quantity : str
         Name of the compared parameter, or `effect NAME`.
     z : float
-        Robust z of the group, or the normal deviate with the probability of its difference.
+        Robust z of the group (sensors), or the normal deviate that corresponds to the p-value.
     p_value : float
         Probability of at least this difference by chance: two-sided for parameters, one-sided (as many or
         more) for effects.

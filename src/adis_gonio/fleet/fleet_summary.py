@@ -156,7 +156,8 @@ class Summary:
     ----------
     sessions : mapping of str to int
         Number of sessions: all (`n`), with a result (`ok`), `failed`, `traced`, with an `adequate` model,
-        `doubted`; and number of sensors (`units`), `stages` and `operators`.
+        and with doubts about the result (`doubted`); and number of sensors (`units`), `stages` and
+        `operators`.
     failures : tuple of (str, str)
         Path of each failed session, and the reason.
     parameters : tuple of QuantitySummary

@@ -1,7 +1,7 @@
 """The store: the result of every session file by the file's digest, so that nothing is computed twice.
 
-The store is one SQLite file. `archive`, `history` and `due` keep it in the first folder, `fleet` as its
-journal.
+The store is one SQLite file. The commands `archive`, `history` and `due` keep it in the first given folder.
+The command `fleet` uses it as its journal.
 
 | table | a row is |
 |---|---|

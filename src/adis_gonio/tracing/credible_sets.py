@@ -119,7 +119,11 @@ def _kinds(covariates: Sequence[str]) -> set[bool]:
 
 
 def _replacements(selection: Selection) -> list[tuple[str, ...]]:
-    """Return groups of effects that the chosen model has and another probable model replaces by others."""
+    """Return groups of effects: of the chosen model, and of another probable model that replaces them.
+
+    A group has first the effects that only the chosen model contains, then the effects that the other model
+    contains instead.
+    """
     verdict = selection.verdict
     best = verdict.best
     top = verdict.weights.get(best, max(verdict.weights.values()))
@@ -252,7 +256,7 @@ def votes(
 
 
 def _count_votes(selection: Selection, cause: str) -> tuple[dict[str, float], float]:
-    """Return the sum of the models' votes for each possible name of a cause, and of the votes for none."""
+    """Return the sums of the models' votes: for each possible name of a cause, and for its absence."""
     near = selection.found.near(limits.voting)
     top = max(near.values())
     place = _Place.of(selection, cause)
@@ -383,9 +387,9 @@ def undecided(selection: Selection, count: int = 5) -> tuple[str, ...]:
     """Return at most `count` named effects that could explain the residual of a model that is not adequate.
 
     Each effect is added alone and tested by an F-test at 10 %. The noise is taken from the residual, since
-    the noise measured within the dwells does not explain it. If any effect passes, effects of similar
-    probability are included; the probabilities of all forms of a name (axes, shapes) are summed. The most
-    probable comes first. None of these names is accepted.
+    the noise measured within the dwells does not explain it. If any effect passes, the result has all
+    effects with at least 1/`limits.open_alike` of the largest probability; the probabilities of all forms
+    of a name (axes, shapes) are summed. The most probable comes first. None of these names is accepted.
     """
     from scipy.special import fdtrc
 

@@ -8,11 +8,11 @@ Share of each finding
 
 Uncertainty over all probable models
     The covariance of one model assumes that this model is right. In another model of equal probability an
-    effect may act on one axis only (its amplitude on the other axis is then zero) or may share its
-    direction with another effect, and models with equal predictions may differ by a gain. The stated u is
-    chosen so that value ± 1.96 u holds 95 % of the mixture of all probable models, each normal about its
-    own value (Hoeting, Madigan, Raftery and Volinsky, Bayesian model averaging, Statistical Science 14,
-    1999). The degrees of freedom of the noise are stated separately.
+    effect may act on one axis only (its amplitude on the other axis is then zero) or another effect may
+    explain a part of its contribution, and models with equal predictions may have different gains. The
+    stated u is chosen so that value ± 1.96 u holds 95 % of the mixture of all probable models, each normal
+    about its own value (Hoeting, Madigan, Raftery and Volinsky, Bayesian model averaging, Statistical
+    Science 14, 1999). The degrees of freedom of the noise are stated separately.
 
 Values at the middle of the session
     At the start of a session a bias is strongly correlated with a drift and with the amplitude of a
@@ -131,7 +131,7 @@ def finding_of(
 
 
 def differs_from_zero(finding: Finding) -> bool:
-    """Return True if at least one parameter of a finding differs from zero by more than its U."""
+    """Return True if a parameter of a finding differs from zero by more than its expanded uncertainty."""
     least = limits.significance / NORMAL_95
     halves = [(abs(v.value), v.U or 0.0) for v in finding.parameters.values() if v.u]
     return not halves or any(size > least * half for size, half in halves)

@@ -175,7 +175,10 @@ def _left_out(
 
 
 def next_term(bought: Sequence[Bought], unit: str) -> str:
-    """Return a sentence on one term more than the chosen model has; `unit` is the unit of the errors."""
+    """Return a sentence on the benefit of one more term than the chosen model has.
+
+    `unit` is the unit of the held-out errors.
+    """
     here = next(k for k, one in enumerate(bought) if one.chosen)
     terms = counted(len(bought[here].terms), "term")
     if here + 1 == len(bought):

@@ -49,7 +49,7 @@ GROUPS_LEFT_OUT = 10
 
 
 class SessionShare(JsonRecord):
-    """One session of a joint trace: its share of the evidence, and its own verdict.
+    """One session of a joint trace: its share of the evidence, and its result alone.
 
     The JSON document is one entry of `sessions`.
 
@@ -187,7 +187,7 @@ class JointRun(TraceRun):
         return (), ()
 
     def finished(self) -> TraceResult:
-        """Return the result of a completed trace, with the share of each session and the owners."""
+        """Return the result of a completed trace, with the sessions' shares and the causes' owners."""
         result = super().finished()
         several = len({origin.part for origin in self.data.model.origins}) > 1
         causes = [one.cause for one in self.sets]

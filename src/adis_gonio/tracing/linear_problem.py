@@ -52,7 +52,7 @@ class LinearProblem:
     cost, column_price : (M,) float
         −ln of each term's share of the prior, and the price of its columns: both lower the log evidence.
     hidden : tuple of Term
-        Candidates that the session cannot show, since their columns lie in the base model.
+        Candidates that the session cannot show, since the base model reproduces their columns.
     prior : tuple of (width, width) float
         Gram matrix of each block's prior rows, in units of the noise.
     inflation : float

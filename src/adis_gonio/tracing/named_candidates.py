@@ -28,7 +28,10 @@ def choices_of_axes(axes: Sequence[Any], most: int | None = None) -> list[tuple[
 
 
 def prior_weight(kind: type[Effect]) -> float:
-    """Return the prior weight of an effect by its group, relative to an effect without a group."""
+    """Return the prior weight of an effect relative to an ordinary effect.
+
+    Biases, curvatures and sensitivities to force are more common and have larger weights.
+    """
     constant, curvature, force = limits.bias_weight, limits.quadratic_weight, limits.g_weight
     return {"constant": constant, "curvature": curvature, "force": force}.get(kind.prior, 1.0)
 

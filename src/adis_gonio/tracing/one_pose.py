@@ -10,7 +10,7 @@ of time does not grow. Held-out blocks are used neither for the fit nor for the 
 constant. Inside a fold, degrees and time constants are averaged instead of chosen: each combination of them
 predicts the held-out blocks with a weight in proportion to its likelihood. This likelihood takes each block
 as one independent value, because neighbouring samples share slow noise. A choice of a single combination
-would depend mostly on the last time in which the temperature was constant.
+would depend mostly on the last period of constant temperature.
 
 All candidate columns form one design, and its normal equations are summed once for each block. Leaving out
 blocks is then a subtraction, and a combination of degree and time constant is a choice of rows and columns.

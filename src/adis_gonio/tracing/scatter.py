@@ -6,8 +6,8 @@ function of a covariate. Its size has the greatest restricted likelihood given t
 terms, and the whole session is traced again with it. Of two hypotheses, the one with the higher log
 evidence is used:
 
-* functions of covariates with the measured noise: L of the best model minus the price of its terms, or of
-  its names and the best smooth function;
+* functions of covariates with the measured noise: L minus the price of the terms, for the best model or
+  for its named terms together with the best smooth function;
 * functions of covariates with additional scatter: L of the best model with the scatter, minus the price of
   its terms and of the scatter.
 

@@ -247,8 +247,8 @@ def _search_with_noise(
 def _separate_bias(problem: LinearProblem, base: Fit, about: Fit) -> Callable[[], Fit] | None:
     """Return a function that fits a bias alone; None unless a bias explains nearly all of the excess χ².
 
-    The excess is the χ² of the base model beyond its degrees of freedom. `base` is the fit of the base
-    model; `about` is the fit at which `problem` is linearised.
+    Nearly all is the share `limits.mostly_bias`. The excess is the χ² of the base model beyond its degrees
+    of freedom. `base` is the fit of the base model; `about` is the fit at which `problem` is linearised.
     """
     constants = _mostly_bias(problem)
     if constants is not None:
@@ -260,7 +260,8 @@ def _separate_bias(problem: LinearProblem, base: Fit, about: Fit) -> Callable[[]
 def _mostly_bias(problem: LinearProblem) -> int | None:
     """Return the term number of the bias if it alone explains nearly all of the excess χ², else None.
 
-    The excess is the χ² of the base model beyond its degrees of freedom.
+    Nearly all is the share `limits.mostly_bias`. The excess is the χ² of the base model beyond its degrees
+    of freedom.
     """
     widest = _widest_bias(problem)
     if widest is None:

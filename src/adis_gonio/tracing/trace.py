@@ -321,7 +321,7 @@ class TraceRun:
                 break
 
     def nest(self, selection: Selection) -> None:
-        """Store a selection, and fit its nested models (one term more each) with held-out errors."""
+        """Store a selection, fit its nested models (each one term longer), and compute held-out errors."""
         self.selection = selection
         self.averaged = attempt(
             "the average of functions without a name",

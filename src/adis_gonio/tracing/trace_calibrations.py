@@ -226,7 +226,7 @@ class _Columns:
         return list(at)
 
     def effect(self, term: NamedTerm) -> EffectTerm:
-        """Add the parameters of an effect to the collection; return the effect with their names."""
+        """Add the parameters of an effect to the collection; return the effect with the parameter names."""
         index = self.fit.terms.index(term)
         start = self.fit.slice_of(index).start
         names = []

@@ -144,11 +144,12 @@ def predicted_dwells(
 ) -> dict[str, NDArray[np.bool_]]:
     """Return for each design of holding out dwells a mask (n,) of the dwells that count in the error.
 
-    `designs` has the masks of the folds by design, `model` the terms of the model. Under designs that
-    leave out whole ranges of angle or time, a dwell counts if the other dwells predict it by the base
-    model and the unnamed functions of the model. If a quarter of a turn is left out, the rest does not
-    determine a function with harmonics there; a jump seen only by its first dwell is not determined
-    without that dwell.
+    `designs` has the masks of the folds by design, `model` the terms of the model. In folds of shuffled
+    dwells every dwell counts. If the dwells about a body axis are left out together, a dwell counts only if
+    the other dwells predict it by the base model and the unnamed functions of the model. This also holds
+    for blocks of time if the model has unnamed functions. For example, if a quarter of a turn is left out,
+    the other dwells do not determine a function with harmonics there. A design in which less than a third
+    of the dwells count is omitted.
     """
     nameless = [term for term in model if term.name is None]
     every = np.ones(len(data), dtype=bool)

@@ -144,7 +144,7 @@ class Readings(ComputedOnce):
         Contribution of each of k independent modes of unit variance to the readings: the noise that dwells
         share (1/f noise, whose modes of different axes are independent). None without such noise.
     stage_modes : int
-        Number of the last modes of `slow` that are errors of the stage by its certificate.
+        Number of modes, the last ones of `slow`, that are errors of the stage by its certificate.
     quantization, flicker : (n, axes) float or None
         Parts of `own_covariance` from quantization and 1/f noise; None without them.
     flicker_shown : bool

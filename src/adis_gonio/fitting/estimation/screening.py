@@ -261,10 +261,10 @@ def is_lively(dwells: Sequence[Floats], steps: Floats) -> NDArray[np.bool_]:
 
 
 def piles(samples: Sequence[Floats], lively: NDArray[np.bool_]) -> Iterator[tuple[int, float, int]]:
-    """Return the extreme values at which samples (n, axes) pile up, as at a limit of the range.
+    """Yield the extreme values at which samples (n, axes) pile up, as at a limit of the range.
 
-    Each has its axis, the value, and the number of samples at the next value. Only axes that are `lively`
-    (axes,) are examined.
+    Each item is the number of the axis, the extreme value, and the number of samples at the value next to
+    it. `lively` (axes,) is True for the axes to examine.
     """
     for axis in np.flatnonzero(lively).tolist():
         columns = [rows[:, axis] for rows in samples]

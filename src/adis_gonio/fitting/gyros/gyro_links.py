@@ -262,7 +262,7 @@ class GyroLinks:
         Parameters
         ----------
         position : (n,) int
-            Numbers of the dwells of the readings; legs between other dwells are left out.
+            Numbers of the dwells of the readings; turns that begin or end in other dwells are left out.
         """
         place = {int(number): row for row, number in enumerate(position)}
         used = [k for k, leg in enumerate(self.legs) if all(p in place for p in leg.positions)]

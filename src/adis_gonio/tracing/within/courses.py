@@ -313,7 +313,7 @@ def _waiting_time(samples: Samples, amplitude: float, tau: float) -> float:
     """Return the time in s to wait until settling shifts a dwell's mean by only a third of its noise.
 
     `amplitude` is the largest amplitude of the settling in mg, `tau` its time constant in s. The noise of
-    the mean is computed as of white samples.
+    the mean is computed as for white noise.
     """
     sizes = []
     for k in range(len(samples)):

@@ -54,7 +54,7 @@ _POINTS = 300
 class _Scale:
     """Differences between the means of neighbouring stretches of samples, for one length of stretch.
 
-    On one of the scales the length is half of the dwell.
+    The length is a fixed number of samples or, on the last scale, half of each dwell.
     """
 
     differences: list[Floats]
@@ -88,7 +88,7 @@ class _Look:
     difference_mg: Floats
     """Later minus earlier mean (d, axes) in mg."""
     noise: list[tuple[Floats, Floats]]
-    """For each scale: lengths of the stretches (d,), and standard deviations (d, axes) in `unit`."""
+    """For each scale: lengths of stretches (d,), and standard deviations (d, axes) of its differences."""
     unit: Floats
 
     def u_mg(self, dwell: int, axis: int, stretch: float) -> float:
@@ -178,7 +178,7 @@ def _scales(samples: Samples, unit: Floats, reach: int) -> list[_Scale]:
 
 
 def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) -> None:
-    """Test the differences on one scale, and lower the p-values `p` (d, axes) where they are larger.
+    """Test the differences on one scale; lower the larger p-values in `p` (d, axes) to its values.
 
     `coarse` (d, axes) is the error of a mean by the converter's step, `tests` the number of tests; `look`
     gets the differences with the lowest p-values.

@@ -154,7 +154,8 @@ def deviation(rows: Floats, axis: int = 0) -> Floats:
 def scatter(samples: Samples) -> Floats:
     """Return the standard deviation of single samples in each dwell (d, axes).
 
-    Short dwells use the median over all dwells. The result is never below the rounding of the converter.
+    Dwells with fewer than `_LEAST_LEVEL` samples use the median over all dwells. The result is never below
+    the rounding of the converter.
     """
     own = np.array([deviation(rows) for rows in samples.values])
     plain = np.array([rows.std(axis=0) for rows in samples.values])

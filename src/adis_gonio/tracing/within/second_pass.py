@@ -358,7 +358,7 @@ def _joining(quiet: Floats, away: float) -> float:
 
 
 def _settling(samples: Samples) -> Detectable:
-    """Return the smallest amplitude of a settling of all dwells that the search would have found.
+    """Return the smallest amplitude of a settling, common to all dwells, that the search would have found.
 
     The time constant is the middle of the searched grid; the limit comes from the t-test over the dwells.
     """

@@ -345,8 +345,8 @@ class Density:
     power : (d, k, axes) float
         Periodograms in mg² (two-sided density per sample).
     level : (d, axes) float
-        Noise power of each dwell relative to `base`, at least the median over the dwells. The density of a
-        dwell is about `level · base`.
+        Noise power of each dwell relative to `base`; a value below the median over the dwells is replaced
+        by the median. The density of a dwell is about `level · base`.
     base : (k, axes) float
         Noise density from all dwells together, for a `level` of 1.
     bound : (k, axes) float
@@ -475,7 +475,7 @@ def _beside(pooled: Floats, searched: slice, each: float) -> Callable[[Floats, i
 
 
 def _gain(own: Floats, with_peak: Floats, without: Floats, peak: NDArray[np.bool_]) -> float:
-    """Return the log likelihood ratio of a peak in the spectrum: part of the noise's shape, or a line.
+    """Return the log likelihood ratio of two explanations of a peak: the shape of the noise, or a line.
 
     It is positive if a noise shape that was fitted with the peak (`with_peak`) describes the density `own`
     better than a shape fitted without it (`without`) plus a spectral line at the peak. `peak` is the mask

@@ -61,7 +61,7 @@ class Levels:
 
     @cached_property
     def course(self) -> Floats:
-        """Logarithm of each dwell's level, (d,), corrected for the bias of a logarithm."""
+        """Logarithm of each dwell's level, (d,), corrected for the mean logarithm of a χ² variable."""
         half = self.level_dof / 2
         return np.log(np.maximum(self.level, 1e-300)) - special.digamma(half) + np.log(half)
 
@@ -347,7 +347,7 @@ def _varying(
 
 
 def _rectification(levels: list[Levels]) -> str:
-    """Return the end of a sentence: different variances may show a rectification of vibration."""
+    """Return the end of a sentence, that different variances may show a rectification of vibration."""
     spread = max(float(np.ptp(own.variance)) for own in levels)
     return (
         f"; variances differ by up to {format_number(spread)} mg², in which a vibration_rectification could"
