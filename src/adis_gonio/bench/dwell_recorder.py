@@ -311,7 +311,9 @@ class DwellRecorder(Recorder):
         yield from self._complete(recording)
 
     def _gave_up(self, recording: Recording, reason: str, restarts: int) -> Guard | None:
-        """Return the guard that asks after `restarts` disturbances; None if the sensor never came to rest.
+        """Return the guard that asks the operator after `restarts` disturbances of a dwell.
+
+        `reason` is the last disturbance. Returns None if the sensor never came to rest.
 
         Raises
         ------
@@ -492,9 +494,10 @@ class DwellRecorder(Recorder):
             yield running
 
     def _note_turn(self, number: int) -> None:
-        """Record the turn by the gyros from the dwell before to the dwell of attempt `number`.
+        """Record the turn of the sensor since the previous dwell, as integrated from the gyros.
 
-        The turn cannot be computed from the archive, which lacks the samples during questions.
+        `number` is the attempt of the dwell after the turn. The turn cannot be computed from the archive,
+        which lacks the samples during questions.
         """
         judge, done = self._knowledge.judge, self._ledger.done
         watched = None if judge is None else judge.last_turn()

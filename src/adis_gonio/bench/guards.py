@@ -316,7 +316,8 @@ def stuck_guard(why: str) -> Guard:
 def judge_dwell(scans: Block, problems: Sequence[Problem]) -> list[Guard]:
     """Return the questions about a complete dwell: alarms, supply, and sudden changes of temperature.
 
-    `problems` are the problems found in the dwell; problems of other kinds give no question.
+    `problems` are the problems that were found in the dwell; only those of the kinds `supply` and `alarm`
+    give a question. Changes of temperature and supply are found in the scans.
     """
     guards = []
     kinds: dict[str, GuardKind] = {"supply": "supply", "alarm": "over_range"}

@@ -136,7 +136,7 @@ class GyroTurn(FollowedTurn):
         return f"no whole turn within {PATIENCE_S:.0f} s" if self.length_s >= PATIENCE_S else None
 
     def begin(self, bench: SessionBench) -> bool:
-        """Start the turn of the stage; return False if the stage cannot turn, so that a hand has to."""
+        """Start the turn of the stage; return False if the stage cannot turn and a hand has to."""
         move = bench.begin_turn(self.wanted_deg)
         self.moves += [] if move is None else [move]
         return move is not None

@@ -223,7 +223,7 @@ class IioStream(Closing):
     def _next(self) -> ValueBlock: ...
 
     def _stop(self) -> None:
-        """Stop the device, if the kind of stream needs that."""
+        """Stop the device; a kind of stream that need not stop it does nothing here."""
 
     def _values(self, numbers: Mapping[str, Any], time_s: Floats, lost: int) -> ValueBlock:
         channels = self._source.channels

@@ -88,7 +88,7 @@ class FollowedTurn(ABC):
 
     @abstractmethod
     def begin(self, bench: SessionBench) -> bool:
-        """Start the turn of the stage; return False if the stage cannot turn, so that a hand has to."""
+        """Start the turn of the stage; return False if the stage cannot turn and a hand has to."""
 
     @property
     @abstractmethod
@@ -310,7 +310,7 @@ class FreeTurn(FollowedTurn):
         self.rate_dps = (a1 - a0) / (t1 - t0) if t1 > t0 else 0.0
 
     def begin(self, bench: SessionBench) -> bool:
-        """Start the turn of the stage; return False if the stage cannot turn, so that a hand has to."""
+        """Start the turn of the stage; return False if the stage cannot turn and a hand has to."""
         if not isinstance(bench.stage, TurningStage):
             return False
         bench.stage.turn_freely(self.turns)

@@ -196,7 +196,7 @@ class Visiting:
     def _offer(self, offer: ExtensionOffered, wanted: bool) -> Generator[Event, None, Reply]:
         """Offer a longer plan and return the answer; an accepted plan is archived before the next position.
 
-        `wanted` is True if the offer is accepted without an operator.
+        `wanted` is True if the offer is to be accepted when there is no operator.
         """
         default = Reply.ACCEPT if wanted else Reply.DECLINE
         answer = yield from self._questions.ask(offer, {Reply.ACCEPT, Reply.DECLINE}, default)

@@ -318,7 +318,10 @@ class SessionBench:
         return move if self._carry_out(move) else None
 
     def begin_turn(self, turned_deg: float) -> Move | None:
-        """Start a turn of the stage about the vertical and return it; None if no stage can do it."""
+        """Start a turn of the stage about the vertical and return the move; None if the stage cannot do it.
+
+        `turned_deg` is the angle, positive counter-clockwise seen from above.
+        """
         move = Move(self.now_s, None, 0, turned_deg=turned_deg)
         return move if self._carry_out(move) else None
 
@@ -404,7 +407,8 @@ class SessionBench:
     def take_up(self, archive: ArchiveView, attempt: int) -> None:
         """Move a new simulated sensor to the position in which the archived attempt `attempt` left it.
 
-        Unlike `bring_world_to`, this is another power-on at another time, as on a real bench.
+        Only the last move is repeated, at the present time: the sensor was powered on anew, as on a real
+        bench. `bring_world_to` instead repeats all moves at their archived times.
         """
         for move in archive.moves_before(attempt)[-1:]:
             self._carry_out(move, watched=False)

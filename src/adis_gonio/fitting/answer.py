@@ -47,8 +47,8 @@ class Answer:
     comparison : MethodComparison
         Comparison of all methods.
     recommended : Recommendation
-        Recommended method. If a trace ran and its model predicts left-out dwells as well as this method,
-        the effects that the trace found are added.
+        Recommended method. If a trace found effects and its model predicts left-out dwells as well as the
+        best method, it is `ml` with these effects.
     scores : mapping of str to Score
         Errors of each method on the same dwells, by the method's name.
     """

@@ -9,8 +9,8 @@ All parameters are estimated together from the samples of the whole recording. T
 
 U_x and U_y are the mean readings of the accelerometers in a window, and u_x and u_y are their readings as a
 share of gravity G. The rate of the turn is ω, the reading of gyro Z is g_z, and ' is the derivative by
-time. ⟨…⟩ is the mean over a window of the angles that the gyro shows within it, so that neither the length
-of the window nor an uneven turn distorts the result. Unknown are the gains K, the misalignment Δφ, the
+time. ⟨…⟩ is the mean over a window, in which the angle changes as the gyro shows; neither the length of the
+window nor an uneven turn therefore distorts the result. Unknown are the gains K, the misalignment Δφ, the
 biases b_x and b_y, the lever arm l in mm from the axis of the turn to the sensor, the gyro's gain s, zero
 rate b_g, g-sensitivity γ and delay τ, and slow drifts d with a 1/f spectrum, as their principal components.
 The priors hold for any part (`SENSOR_SPREAD`) and any bench (`LEVER_MM` …); the biases b_x and b_y have no

@@ -313,7 +313,11 @@ def probable_gyros(fit: Fit, prior: GyroPrior) -> Floats:
 
 
 def _misclosure(fit: Fit) -> Floats:
-    """Return gravity after each link minus gravity before it, turned by the fitted gyros, (m, 2) in rad."""
+    """Return the disagreement (m, 2) in rad of each link with gravity.
+
+    It is the direction of gravity after the turn, minus the direction before it after the rotation by the
+    fitted gyros.
+    """
     rows = fit.link_rows
     assert rows is not None
     # The misclosure is relative to the prior; its offset leads back to the gyros of the linearisation.

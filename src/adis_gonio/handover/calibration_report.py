@@ -426,7 +426,8 @@ def errors_section(traced: TraceResult) -> Section:
 def steps_section(traced: TraceResult, views: Views) -> Section:
     """Return the section with a figure for each effect that the trace added.
 
-    The figure shows the residual before and after, against the covariate that explains it.
+    The figure shows the residual before and after the effect was added, against the covariate on which the
+    effect depends.
     """
     parts = []
     for number_, (step, view) in enumerate(zip(traced.steps, views.steps, strict=True), 1):

@@ -220,9 +220,9 @@ def _clean(text: str) -> str:
 
 
 def _named(parent: ET.Element, name: str, text: str, element: str = "name") -> ET.Element:
-    """Add a child element that begins with a name (or another text) in English, and return it.
+    """Add a child element to `parent` that begins with an element with an English text; return the child.
 
-    `name` is the tag of the child, `element` the tag of the element around `text`.
+    `name` is the tag of the child, `element` the tag of the element with the text.
     """
     child = _add(parent, name)
     _add(_add(child, element), "content", text)

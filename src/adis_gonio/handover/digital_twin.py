@@ -321,10 +321,11 @@ _REGISTERS = (*ACCEL_OUT, "XTEMP_OUT", "SUPPLY_OUT")
 
 @solvable
 def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
-    """Return a simulated session of the traced model, with its gyros if they are calibrated.
+    """Return a session simulated by a traced model, with gyros if the measured session calibrates them.
 
-    The sensor is read through the driver, frame by frame. If the session leaves too little time for a
-    move, the twin is later by the duration of the move.
+    The sensor is read through the driver, frame by frame. If the times of the measured session leave too
+    little time for a move of the stage, the later dwells of the simulated session are delayed by the
+    duration of the move.
 
     Parameters
     ----------
@@ -338,7 +339,7 @@ def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
     Raises
     ------
     DataError
-        A dwell is too short to show noise, or the session has one pose only.
+        No dwell has more than eight samples, or the session has one pose only.
     """
     if len(session.dwells) < 2:
         raise DataError("a twin needs a session of several positions")

@@ -166,7 +166,8 @@ def polynomial_of(calibration: Calibration) -> Polynomial:
     Raises
     ------
     FitError
-        An effect has no such form, effects are too large to be solved for, or gains are far from 1.
+        An effect has no such form; effects are too large for the iterative solution (1 g, or a slope of
+        0.5); or gains are so far from 1 that numbers would exceed the fixed point.
     """
     base, bias_mg = calibration.natural(calibration.values)
     axes = calibration.axes
@@ -252,8 +253,9 @@ def _products(factors: Iterable[str]) -> Iterator[tuple[str, ...]]:
 def _passes(monomials: tuple[Monomial, ...]) -> int:
     """Return the number of passes after which the iteration a ← free − Σ(a) has settled.
 
-    `free` is the reading without bias, Σ the sum of all terms. Each pass multiplies the error by at most
-    the largest slope of Σ within the range of readings.
+    `free` is the reading without bias, Σ the sum of all terms, and a the ideal reading that is sought. Each
+    pass multiplies the error of a by at most the largest slope of Σ within the range of readings. The
+    number is at most `MOST_PASSES`.
     """
     largest, slope = np.zeros(3), np.zeros(3)
     for one in monomials:
@@ -571,7 +573,8 @@ def rate_polynomial_of(calibration: Calibration, gyro: GyroCalibration) -> Polyn
     Raises
     ------
     FitError
-        The accelerometers are in counts of unknown scale, or gains are far from 1.
+        The accelerometers are in counts of unknown scale, or gains of the gyros are outside `LEAST_GAIN` to
+        `MOST_GAIN`.
     """
     polynomial = polynomial_of(calibration)
     if calibration.provenance.counts:

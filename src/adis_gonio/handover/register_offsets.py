@@ -112,7 +112,10 @@ def offset_words(calibration: Calibration) -> tuple[OffsetWord, ...]:
 
 
 def gyro_offset_words(gyro: GyroCalibration) -> tuple[OffsetWord, ...]:
-    """Return the offset register numbers that remove the gyros' zero rates; `FitError` if too large."""
+    """Return the numbers for the offset registers that remove the zero rates of the gyros.
+
+    It raises `FitError` if a number is beyond the range of its register.
+    """
     return tuple(
         OffsetWord.of(
             f"{axis.upper()}GYRO_OFF",

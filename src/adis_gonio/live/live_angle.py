@@ -397,7 +397,7 @@ def live_angles(
     Raises
     ------
     UsageError
-        The calibration belongs to another part; the lag `lag_s` is negative or too long.
+        The calibration belongs to another part; the lag `lag_s` is negative or above 10 s.
     """
     breaks, source = blocks.breaks, blocks.source
     meter = _meter(source, calibration, lag_s)

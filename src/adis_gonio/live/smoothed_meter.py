@@ -297,10 +297,10 @@ class AngleSmoother:
         self._done += 1
 
     def _doubt_calibration(self, state: StateEstimate) -> StateEstimate:
-        """Return the state, with the uncertainty of an uncalibrated gyro if its zero rate is implausible.
+        """Return the state, with larger uncertainties if its zero rate contradicts the gyros' calibration.
 
-        The uncertainty is increased only once, when the estimated zero rate contradicts the gyros'
-        calibration.
+        It contradicts if it is above `DOUBT` standard uncertainties that the calibration states for it. The
+        variances of an uncalibrated gyro are then added to the variances of the state, only once.
         """
         stated = self._gyros
         if self._doubted or stated.calibration is None or abs(state.mean[ZERO]) < DOUBT * stated.zero_dps:
@@ -529,8 +529,8 @@ class SmoothedMeter:
         """Check the calibration at rest: compare the length of the reading `mean_mg` with local gravity.
 
         `temperature_c` is None if the sensor reports none: the mean of the calibration's session is taken.
-        If the length contradicts the calibration, the error is added to the uncertainty of later angles,
-        with a note.
+        If the length differs from local gravity by more than the uncertainties allow, the difference is
+        added to the uncertainty of later angles, with a note.
         """
         calibration = self._calibration
         if calibration is None:

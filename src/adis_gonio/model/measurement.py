@@ -218,7 +218,8 @@ class Measurement(ABC):
     def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
         """Return the derivative of the ideal readings by the base parameters, (n, axes, p), per rad or 1.
 
-        It is taken at the attitudes of n dwells, rotated further by `turn_rad` (n,).
+        The unit is mg or °/s per rad for an angle, per 1 for a gain. The derivative is taken at the
+        attitudes of n dwells, rotated further by `turn_rad` (n,).
         """
 
     @abstractmethod
@@ -776,7 +777,7 @@ class MeanRate(Measurement):
         return np.asarray(conditions.force_g / np.maximum(length, 1e-12))
 
     def by_pose(self, conditions: Conditions) -> NDArray[np.bool_]:
-        """Return for each interval (n,) if it is at rest; a turn depends on scale factors too."""
+        """Return for each interval (n,) True if the sensor is at rest, False if it turns."""
         if conditions.rate_dps is None:
             return super().by_pose(conditions)
         return np.asarray(~conditions.rate_dps.any(axis=1))

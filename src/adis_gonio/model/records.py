@@ -276,7 +276,8 @@ class StageCurve:
         Raises
         ------
         UsageError
-            No angle is declared, or one lies between angles of the certificate that are too far apart.
+            No angle is declared, or one lies between two angles of the certificate that are more than
+            `WIDEST_STEP_DEG` apart.
         """
         declared = [angle % 360 for angle in angles_deg if angle is not None]
         if not declared:

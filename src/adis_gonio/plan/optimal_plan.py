@@ -602,7 +602,7 @@ def best_plan(
     Raises
     ------
     UsageError
-        An impossible number, criterion, grid or effect.
+        `positions`, `best`, `beware` or `grid_deg` has an impossible value.
     """
     if best not in get_args(Best):
         raise UsageError(f"best is '{best}': take {', '.join(get_args(Best))}")
@@ -770,7 +770,7 @@ def positions_in(bench: Bench, minutes: float) -> int:
     Raises
     ------
     UsageError
-        The time is too short for the fewest positions of a search, or too long for the most.
+        The time is too short for `LEAST` positions, or too long for `MOST` positions.
     """
     count = math.floor(60 * minutes / bench.each_s + 1e-9) if math.isfinite(minutes) else -1
     if LEAST <= count <= MOST:

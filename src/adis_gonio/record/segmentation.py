@@ -395,7 +395,7 @@ class _Runs:
         self._fed, self._last = self._fed + len(flags), bool(flags[-1])
 
     def found(self) -> Runs:
-        """Return the runs."""
+        """Return the runs of true flags, each as the numbers of its first and its last flag."""
         edges = [*self._edges, *[self._fed] * self._last]
         return [(first, after - 1) for first, after in zip(edges[::2], edges[1::2], strict=True)]
 

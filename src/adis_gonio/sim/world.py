@@ -381,10 +381,11 @@ class World:
         return moving
 
     def _by_places_mg(self, time_s: Floats, motion: Motion) -> Floats:
-        """Return the readings (n, 3) in mg that the positions of the accelerometers cause in a turn.
+        """Return the readings (n, 3) in mg that turns cause at the positions of the accelerometers.
 
-        Each reading is minus the acceleration of the accelerometer along its axis: ω × (ω × r) + dω/dt × r.
-        `motion` is the motion of the sensor at the times (n,) in s.
+        Each reading is minus the acceleration ω × (ω × r) + dω/dt × r along the axis of the accelerometer,
+        with its position r and the rate of turn ω. `motion` is the motion of the sensor at the times (n,)
+        in s.
         """
         rate = np.radians(motion.rate_dps)
         # Angular acceleration by central differences of the rate.

@@ -715,9 +715,10 @@ def _longest_run(blocks: Sequence[ScanBlock], count: int) -> ScanBlock:
 
 
 def writable() -> tuple[Register, ...]:
-    """Return the registers that are saved before any write and compared after it.
+    """Return the registers whose contents are saved before any write and compared after the bring-up.
 
-    SLP_CNT sends the sensor to sleep, and the levels of GPIO_CTRL follow the wires: no step writes them.
+    SLP_CNT and GPIO_CTRL are left out, because no step writes them: SLP_CNT sends the sensor to sleep, and
+    GPIO_CTRL has levels that follow the wires.
     """
     return tuple(
         row

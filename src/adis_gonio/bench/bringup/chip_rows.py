@@ -111,7 +111,10 @@ class ChipRow:
     logarithmic: bool = False
 
     def judge(self, observed: Sequence[Observation], recordings: int = 1) -> RowFinding:
-        """Compute the probabilities of the alternatives after the observations of some recordings."""
+        """Compute the probabilities of the alternatives after observations.
+
+        `recordings` is the number of recordings from which the observations come.
+        """
         names = (*self.alternatives, ELSE)
         prior = PRIOR[self.question.confidence]
         priors = np.array([prior, *[(1 - prior) / len(self.alternatives)] * len(self.alternatives)])
@@ -385,7 +388,11 @@ def _rises(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
 
 
 def _bursts(chip: RecordedChip) -> Iterator[tuple[RegisterSpan, float, np.ndarray, float]]:
-    """Yield consecutive reads of one register: span, time of a read in s, flags ND, nominal period in s."""
+    """Yield each series of consecutive reads of one register.
+
+    It is described by the span in which it lies, the time of one read in s, the flags ND (new data) of the
+    reads, and the nominal update period in s.
+    """
     for span in chip.spans:
         for runs in span.outputs.values():
             for times, words in runs:
@@ -427,7 +434,10 @@ _STEADY = 0.004
 
 
 def _due_periods(code: int) -> dict[str, float]:
-    """Return the logarithm of the period in s at a value of SMPL_PRD, for each alternative."""
+    """Return the natural logarithm of the sample period in s that each alternative predicts.
+
+    `code` is the value of SMPL_PRD.
+    """
     base, n = (FAST_BASE_S, SLOW_BASE_S)[code >> 7], code & 0x7F
     due = {"base × (N + 1)": base * (n + 1), "base × N": base * max(n, 1)}
     due |= {"bit 7 has no effect": FAST_BASE_S * (n + 1), _OTHER_BASE: base * (n + 1)}
@@ -437,8 +447,9 @@ def _due_periods(code: int) -> dict[str, float]:
 def _mean_u(part: Variant, rest: RestStatistics, columns: slice) -> float:
     """Return the standard uncertainty of the difference of two means of readings at rest, in LSB.
 
-    It comes from noise, flicker and rounding; `columns` chooses accelerometers or gyros. The bench may add
-    noise to the variant's.
+    It comes from noise, flicker and rounding. The noise is the measured noise in `rest` or the noise of the
+    variant `part`, whichever is larger, because the bench may add noise. `columns` chooses accelerometers
+    or gyros.
     """
     figures, gyros = part.performance, columns.start == 3
     lsb = part.lsb(Kind.GYRO if gyros else Kind.ACCEL, rest.dps)[0]
@@ -450,7 +461,7 @@ def _mean_u(part: Variant, rest: RestStatistics, columns: slice) -> float:
 def _offset_steps(
     outputs: Sequence[str], offsets: Sequence[str], columns: slice, rivals: Mapping[str, float]
 ) -> Figures:
-    """Return a function that yields steps of outputs divided by steps of their offset registers.
+    """Return a function that yields each change of an output divided by the change of its offset register.
 
     The function takes a recorded chip and its variant. `outputs` and `offsets` name the registers,
     `columns` chooses their axes, and `rivals` has the ratio that each alternative predicts.

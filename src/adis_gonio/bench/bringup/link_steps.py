@@ -427,9 +427,10 @@ class WhichPart(BringupStep):
 
 
 def _tolerance(part: Variant, warm_c: float) -> float:
-    """Return the relative standard deviation of |a| at rest among good sensors and places on Earth.
+    """Return the relative standard deviation of the magnitude of the accelerations at rest.
 
-    `warm_c` is the difference of the temperature from 25 °C.
+    It is over all good sensors of the variant and all places on Earth. `warm_c` is the difference of the
+    temperature from 25 °C.
     """
     figures = part.performance
     return float(

@@ -294,7 +294,10 @@ class FilterSteps(BringupStep):
     _scans = 2048
 
     def run(self, bench: BringupBench, found: StepResult) -> StepResult:
-        """Compare the variance at each M with the variance at M = 0 times the tabulated noise gain."""
+        """Compare the measured noise gain of the filter at each setting M with the tabulated noise gain.
+
+        The measured gain is the root of the variance at M divided by the variance at M = 0.
+        """
         lsb = bench.sensor.variant.accel_mg_per_lsb
         flicker = (bench.sensor.variant.performance.bias_instability_mg / lsb) ** 2
         variances, dofs = [], []

@@ -201,13 +201,13 @@ class _Edges:
 
     @property
     def usual(self) -> int:
-        """Most frequent number of the read, within a scan, that has the new-data flag (ND)."""
+        """Place within a scan, counted in reads, at which the flag ND (new data) is found most often."""
         values, counts = np.unique(self.position, return_counts=True)
         return int(values[np.argmax(counts)])
 
     @property
     def locked(self) -> float:
-        """Share of scans in which the read with the flag ND is within one read of the usual one.
+        """Share of scans in which the flag ND is found at the usual place, or one read before or after it.
 
         It is near 1 if the edges follow the updates.
         """
@@ -290,7 +290,10 @@ class DataReady(BringupStep):
         bench.bus.exchange_array(write_frames(_MISC, word & _MISC.write_mask, byte_mask=0x00FF))
 
     def _count(self, bench: BringupBench, period_s: float) -> tuple[float, int]:
-        """Count edges for some time; return the updates expected by `period_s`, and the edges."""
+        """Count data-ready edges for some time; return the expected number of updates, and the edges.
+
+        `period_s` is the period of the updates.
+        """
         bench.bus.read_event_counter()
         begin_s = bench.bus.now_s()
         bench.bus.sleep_s(max(0.5, 20 * period_s))

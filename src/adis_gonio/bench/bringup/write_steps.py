@@ -77,10 +77,11 @@ class Offset(BringupStep):
 
     @staticmethod
     def _behind_filter(bench: BringupBench, held: int, step: int, ratio: float) -> Answer:
-        """Test, with the longest filter, if a change of the offset appears at once or over 127 samples.
+        """Test if a change of an offset acts before or after the filter.
 
-        It is the offset of X: `held` is its number, `step` the change, and `ratio` the change of the output
-        for one LSB of the offset.
+        With the longest filter, a change before the filter appears in the output over 127 samples, and a
+        change after the filter at once. The offset is that of X: `held` is its present number, `step` the
+        change, and `ratio` the change of the output for one LSB of the offset.
         """
         sensor = bench.sensor
         sensor.write("SENS_AVG", sens_avg_word(300, _MOST_M))

@@ -348,7 +348,11 @@ class _FittedSensor:
         return self._propagated(left, self._fixture_u(angle_rad))
 
     def _base(self, values: Floats) -> Floats:
-        """Convert values of the fitted parameters to the parameters of the model, in natural units."""
+        """Convert values of the fitted parameters to the parameters of the model.
+
+        The result is in natural units (rad for angles, 1 for gains). Parameters that were not fitted have
+        their nominal value.
+        """
         held = dict(zip(self.known, values, strict=True))
         return np.array(
             [held[p.name] / p.per_natural if p.name in held else p.nominal for p in self.model.parameters]

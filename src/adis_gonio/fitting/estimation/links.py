@@ -77,7 +77,10 @@ class Links:
         )  # fmt: skip
 
     def rows(self, kept: NDArray[np.intp]) -> Links | None:
-        """Return the links between kept readings, with new row numbers; None without such a link."""
+        """Return the links between kept readings; None without such a link.
+
+        `kept` are the rows of these readings. The result has the numbers of the rows among the kept ones.
+        """
         # New number of each kept reading, −1 for the others.
         place = np.full(max(int(self.after.max()), int(kept.max(initial=0))) + 1, -1, dtype=np.intp)
         place[kept] = np.arange(len(kept))
@@ -112,6 +115,8 @@ class Links:
 @dataclass(frozen=True)
 class LinkRows:
     """Equations that links contribute to a fit, two for each link, linearised at given attitudes.
+
+    The symbols are those of the equations in the module's docstring.
 
     Attributes
     ----------

@@ -333,10 +333,11 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
 
 
 def _consecutive(turns: Sequence[Turn]) -> dict[int, int]:
-    """Return the number of whole turns in a row of which each turn is one, by the dwell in which it ends.
+    """Return, for each turn, the number of directly successive whole turns to which it belongs.
 
-    Turns are in a row if each begins in the dwell in which the turn before ended. They share the error of
-    the direction of their axis. The number is 1 for a turn without a declared angle.
+    The keys are the numbers of the dwells in which the turns end. Turns are directly successive if each
+    begins in the dwell in which the turn before ended. They share the error of the direction of their axis.
+    The number is 1 for a turn without a declared angle.
     """
     consecutive = {turn.position: 1 for turn in turns}
     group: list[int] = []

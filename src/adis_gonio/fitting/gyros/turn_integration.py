@@ -243,7 +243,7 @@ class Integral:
     begin_s, end_s : float
         Begin and end of the turn, with the filter's delay subtracted.
     angle_deg : (3,) float
-        Integral of the gyros' readings, with the zero rates.
+        Integral of the gyros' readings, from which the zero rates are not subtracted.
     covariance_deg2 : (3, 3) float
         Covariance of `angle_deg` from noise, aliasing and bridged gaps, without changes of the zero rate.
     bridged_deg2 : float

@@ -90,7 +90,7 @@ class Halts:
         Parameters
         ----------
         error_rad, u_rad : (g,) float
-            Sizes of the slip, and their standard uncertainties.
+            Possible sizes of the slip, and their standard uncertainties.
         """
         m = len(self.left_rad)
         if not m:
@@ -717,8 +717,8 @@ def _gyro(rows: Rows, zero: float) -> Iterator[Pattern]:
 def _any_size(estimate: Floats, u: Floats) -> Floats:
     """Return the log evidence of a slip of unknown size, from its estimated size and u in rad.
 
-    `estimate` and `u` (g,) are for g cases. Each order of magnitude of the slip is equally probable, up to
-    half a turn.
+    `estimate` and `u` (g,) are for g assumptions on the scatter of positions and readings. Each order of
+    magnitude of the slip is equally probable, up to half a turn.
     """
     # Density 1/size up to half a turn, constant below the least slip.
     size = np.maximum(np.maximum(np.abs(wrap_radians(estimate)), u), LEAST_SLIP_RAD)
@@ -737,8 +737,9 @@ def _slip_after_rests(halts: Halts, estimate: Floats, u: Floats) -> Floats:
 def _typing_error(listed_rad: Floats, declared_deg: float, estimate: Floats, u: Floats) -> Floats:
     """Return the log evidence of a wrongly typed angle, from the estimated error and its u in rad.
 
-    `estimate` and `u` (g,) are for g possible values of the other parameters. Three kinds of intended angle
-    compete: `declared_deg` plus one of the errors `listed_rad`; a whole number of degrees; any angle.
+    `estimate` and `u` (g,) are for g assumptions on the scatter of positions and readings. Three kinds of
+    intended angle compete: `declared_deg` plus one of the errors `listed_rad`; a whole number of degrees;
+    any angle.
     """
     spread = u * math.sqrt(2 * math.pi)
     # Mean over the list of Gaussians around each possible entry.

@@ -277,8 +277,8 @@ class Diagnosis:
     findings : tuple of PositionFinding
         Positions with an error, in their order.
     scatter_deg : float
-        Standard deviation of a position about its declared angle, without the findings; NaN if positions
-        were not examined.
+        Standard deviation of the positions that are not in `findings` about their declared angles; NaN if
+        positions were not examined.
     sight : Detectability or None
         Computes the detectable errors of each position; None if positions were not examined.
     """

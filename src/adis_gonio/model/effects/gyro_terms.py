@@ -1,4 +1,4 @@
-"""Effects of the gyros: terms that a mean rate of turn contains in addition to the zero rate.
+"""Effects of the gyros: terms of a reading in addition to the true rate and a constant zero rate.
 
 Readings are in °/s, forces are the readings of the accelerometers in g, Ω are the true rates of turn about
 the axes of the accelerometers. Typical sizes are estimates, except two from the data sheet of the sibling

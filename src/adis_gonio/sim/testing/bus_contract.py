@@ -1,8 +1,8 @@
 """The promises of every bus as a class of pytest tests: subclass `BusContract` and give it a `Rig`.
 
-A class `TestMyBus(BusContract)` with a method `make` is all that a package needs to prove its bus. The
-contract in prose is the text of `adis_gonio.device.bus.contract`; the name of a failing test names the
-sentence that the bus breaks.
+A package that adds a bus needs only a class `TestMyBus(BusContract)` with a method `make`. The text of
+`adis_gonio.device.bus.contract` describes the contract; the name of a failing test repeats the sentence of
+this text that the bus breaks.
 
 The rig connects the bus under test to a simulated chip that records all frames on its pins, so that replies
 and timing are judged by the wire and not by the reports of the bus.

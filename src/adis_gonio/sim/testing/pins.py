@@ -120,7 +120,7 @@ class ChipPins:
         selected: bool = True,
         start_s: float | None = None,
     ) -> bytes:
-        """Clock bytes to the chip during one low phase of chip select; return as many bytes.
+        """Clock bytes to the chip during one low phase of chip select; return the bytes that it sends.
 
         The transfer starts now, or at `start_s` if the bridge times its frames itself. `mode` is the SPI
         mode, `cs_hold_s` the time from the last clock to the rise of chip select; `selected` is False if
