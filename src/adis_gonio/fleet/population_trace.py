@@ -253,8 +253,8 @@ def trace_population(
 def _chosen(population: Population) -> tuple[list[SelectionStep], dict[str, str]]:
     """Select causes one by one until no further cause is probable.
 
-    Returns the selection steps, each with the most likely distribution of amplitudes, and the reason by
-    cause if the last step was rejected (otherwise no entry).
+    Returns the selection steps, each with the most likely distribution of amplitudes, and a mapping from
+    the cause of the last step to the reason if it was rejected, otherwise an empty mapping.
     """
     steps: list[SelectionStep] = []
     for _ in range(MOST_PARTS):

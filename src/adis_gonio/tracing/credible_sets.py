@@ -366,8 +366,9 @@ class _Place:
 def _may_be_piece(selection: Selection, cause: str, averaged: Averaged) -> bool:
     """Return True if a named cause of the best model may be part of an unnamed smooth function.
 
-    This is so if the average over unnamed functions is a Gaussian process, and the cause depends on its
-    covariates.
+    This is so if the chosen model has no unnamed term, so that the unnamed function is the Gaussian process
+    of `averaged`, and if the cause and the process have covariates of one kind (slow, or dependent on the
+    position).
     """
     terms = [selection.problem.terms[k] for k in selection.verdict.best]
     return any(

@@ -592,7 +592,8 @@ def detectable(
     `model` is the chosen model; `missing` has the reason of each effect that is not a candidate, and `part`
     is `accelerometer` or `gyro`. A column c of an effect, projected off base and model, has a score z ~
     N(|c| a, 1) for an amplitude a. The effect is added if z² > 2 × its price, hence a = (√(2 price) +
-    1.28)/|c|. The result is the worst of several axes and the median of several shapes or dwells.
+    1.28)/|c|, where 1.28 is the 90 % quantile of N(0, 1). The result is the worst of several axes and the
+    median of several shapes or dwells.
     """
     problem = found.problem
     inside = {problem.terms[k].name for k in model}

@@ -262,7 +262,7 @@ def _session(data: Readings) -> NDArray[np.intp]:
 
 
 def _sharing_note(origins: Sequence[SessionOrigin]) -> str:
-    """Return a sentence on the sessions that share a part or a stage, and the rule for it."""
+    """Return a sentence on the numbers of sessions, parts and stages, and on how these are identified."""
     parts, stages = ({getattr(one, name) for one in origins} for name in ("part", "stage"))
     unstated = " (sessions that do not state one share it)" if "" in parts | stages else ""
     return (

@@ -375,7 +375,9 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
 
 
 def project_off_base(base: Floats, columns: Floats, widths: NDArray[np.intp]) -> tuple[Floats, Floats]:
-    """Return the part of columns outside the span of the base model, scaled to length 1, and its lengths.
+    """Return the part of each column outside the base model, scaled to length 1, and its former length (P,).
+
+    A column that the base model reproduces becomes zero, and its length is stated as 1.
 
     Parameters
     ----------

@@ -419,7 +419,7 @@ class TraceResult(ParameterTable):
     def reference_temperature_c(self) -> float | None:
         """Temperature in °C at which the parameters are valid; None if it was not recorded.
 
-        It is 25 °C if the model contains an effect of temperature, else the mean of the dwells.
+        It is 25 °C if the model contains an effect of temperature, else the mean temperature of the dwells.
         """
         if any("temperature" in c for fit in self.fits[-1:] for term in fit.terms for c in term.covariates):
             return REFERENCE_C

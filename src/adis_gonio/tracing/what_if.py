@@ -341,7 +341,7 @@ def compare(free: TraceRun, asked: TraceRun, request: AskedModel) -> WhatIf:
 def _errors(free: TraceRun, asked: TraceRun) -> list[ErrorFigures]:
     """Return the errors of the base model, the best and the asked model, on the same held-out dwells.
 
-    Terms that were searched are chosen again in each fold, unless the model was shortened.
+    Terms that were searched are chosen again in each fold. If the model was shortened, its terms are kept.
     """
     figures = [free.figures[0], free.figures[-1], asked.figures[-1]]
     few = any(leaves_too_few(run.selection.fit) for run in (free, asked))

@@ -221,9 +221,9 @@ def look_within(samples: Samples) -> tuple[tuple[WithinFinding, ...], dict[str, 
 
 
 def correlation_reach(samples: Samples) -> int:
-    """Return the lag, in samples, beyond which the samples of a dwell are hardly correlated.
+    """Return the lag, in samples, beyond which the correlation of a dwell's samples is below a limit.
 
-    Hardly means less than `_CORRELATED`. The result is at most `_FARTHEST`.
+    The limit is `_CORRELATED`. The lag is at most `_FARTHEST`.
     """
     longest = min(_FARTHEST, int(samples.counts.max()) // 4)
     total = np.zeros(longest + 1)

@@ -110,8 +110,8 @@ def step_of(course: Floats, weight: Floats, cut: int) -> tuple[float, float]:
 def noise_change(samples: Samples, density: Density | None) -> WithinFinding | None:
     """Return the finding on a change of the samples' scatter from dwell to dwell; None without a change.
 
-    At least three dwells are needed. `density` is the noise density of the dwells, None if they are too
-    short.
+    At least three dwells are needed. `density` is the noise density of the dwells, None if no dwell is long
+    enough for a spectrum.
     """
     if density is None or len(density.dwells) < LEAST_DWELLS:
         return None
