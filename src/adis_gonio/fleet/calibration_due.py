@@ -197,10 +197,11 @@ def step(
     """Return the next calibration interval in days, the response and the verdict after one calibration.
 
     `interval_days` is the present interval, `elapsed_days` the time since the previous calibration, `error`
-    the error that the previous calibration had. An error that does not conform to the tolerance shortens
-    the interval (or the elapsed time if that is shorter). An error that conforms to the share `WITHIN` of
-    the tolerance lengthens the interval, if the share `ROUTINE` of the interval has passed. Otherwise the
-    interval is kept. `Stair` explains response and verdict. `limits` has the tolerance and the factors.
+    the error of the angle by the previous calibration. An error that does not conform to the tolerance
+    shortens the interval (or the elapsed time if that is shorter). An error that conforms to the share
+    `WITHIN` of the tolerance lengthens the interval, if the share `ROUTINE` of the interval has passed.
+    Otherwise the interval is kept. `Stair` explains response and verdict. `limits` has the tolerance and
+    the factors.
     """
     verdict, _ = limits.tolerance.verdict(error)
     if verdict == "fail":

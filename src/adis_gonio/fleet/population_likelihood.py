@@ -332,8 +332,8 @@ def inflations(evidence: Sequence[SessionEvidence]) -> Floats:
 def _moderated(ratio: Floats, dof: Floats) -> Floats:
     """Shrink the ratios χ²/ν (n,) of the sessions towards their common ratio.
 
-    The more the ratios scatter beyond the scatter of χ² itself, the less they are shrunk. A ratio that does
-    not belong to the common noise is returned unchanged. `dof` (n,) are the degrees of freedom ν.
+    The more the ratios scatter beyond the scatter of χ² itself, the less they are shrunk. A ratio that the
+    common ratio cannot explain is returned unchanged. `dof` (n,) are the degrees of freedom ν.
     """
     from scipy.stats import chi2
 

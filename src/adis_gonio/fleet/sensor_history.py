@@ -38,7 +38,7 @@ LISTED = (
 
 
 class Track(JsonRecord):
-    """Course of one quantity over those sessions of a sensor that determine it.
+    """Values of one quantity over time, from the sessions of a sensor that determine it.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ class Track(JsonRecord):
 
 @dataclass(frozen=True)
 class History:
-    """The sessions of one sensor over time, with the course of each quantity.
+    """The sessions of one sensor over time, with the values of each quantity.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class History:
     sessions : tuple of SessionRecord
         Sessions in the order of time.
     tracks : mapping of str to Track
-        Course of each quantity, by its name.
+        Values of each quantity over time, by its name.
     left_out : tuple of (SessionRecord, str)
         Sessions that are not used, without a date or with a doubtful result, and the reason.
     """

@@ -10,8 +10,8 @@ of a session.
 
 An effect of the catalogue has one column for each amplitude, axis by axis. Time constants are on one grid
 in seconds for all sessions, since a part's τ does not depend on the length of a session. Unnamed functions
-(courses in time, harmonics of gravity's direction in the sensor, dependence on the previous position) have
-columns too, so that a cause that the catalogue lacks is not given the nearest name. Bias and base
+(cosines of the time, harmonics of gravity's direction in the sensor, dependence on the previous position)
+have columns too, so that a cause that the catalogue lacks is not given the nearest name. Bias and base
 parameters have no columns, since every session has its own. Effects of one dwell have no columns either,
 since dwell 7 of one session is not dwell 7 of another.
 """
@@ -88,8 +88,8 @@ class Column:
     def weight(self) -> float:
         """Expected size of the amplitude relative to the first amplitude of its cause.
 
-        It is 1, except for an unnamed course in time: a random walk has an amplitude of cosine k in
-        proportion to 1/k.
+        It is 1, except for an unnamed function of time, a sum of cosines: in a random walk the amplitude of
+        cosine k is proportional to 1/k.
         """
         return 1.0 if self.named or self.cause != "time" else 1 / int(self.parameter.split("_")[0])
 

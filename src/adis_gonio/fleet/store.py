@@ -316,7 +316,8 @@ class Store:
     def found(self, job: Job, options: Options) -> SessionRecord | None:
         """Return the stored record of a job, with the present path of the file.
 
-        Return None if the job has to be computed, because there is no record or its options do not suffice.
+        Return None if the job has to be computed: there is no record, a requested trace is missing in it,
+        or the store is strict and the record was made with other options or another version.
         """
         row = self._connection.execute(
             "SELECT options, record FROM records WHERE sha256 = ?", (job.digest,)

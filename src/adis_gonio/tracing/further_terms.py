@@ -1,7 +1,7 @@
 """Gain by each further term of a model: evidence and held-out error against the number of terms.
 
 The search has scored models of every number of terms. The best one of each number is fitted again and
-predicts the held-out dwells with its terms kept. All models are compared on equal dwells.
+predicts the held-out dwells with its terms kept. All models are compared on the same dwells.
 """
 
 from __future__ import annotations

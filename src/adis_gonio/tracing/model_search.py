@@ -23,10 +23,11 @@ Search
     terms is one model, so the search cannot cycle.
 
 Posterior
-    Scores are log evidences, so models near the best have posterior odds. Models with equal predictions in
-    *this* session count as one model. Its representative is the simplest (fewest unnamed terms, fewest
-    columns, then the more common cause); the others are reported as its equivalents. A name is accepted if
-    the models that contain it have most of the posterior. Otherwise it is confounded with its replacements.
+    Scores are log evidences, so exp(score) gives the posterior odds of the models near the best. Models
+    with equal predictions in *this* session count as one model. Its representative is the simplest (fewest
+    unnamed terms, fewest columns, then the more common cause); the others are reported as its equivalents.
+    A name is accepted if the models that contain it have most of the posterior. Otherwise it is confounded
+    with its replacements.
 """
 
 from __future__ import annotations
@@ -235,8 +236,8 @@ class _Climb:
     def score_pairs(self, model: Model, *, start: bool = False) -> None:
         """Score all models that extend a model by two named terms.
 
-        At the start of a search (`start`) the best pairs are stored, later only pairs that score near the
-        best model.
+        Pairs that score at most `limits.window` nats below the best model are stored; at the start of a
+        search (`start`), at most this below the best pair.
         """
         found, problem, joining = self.found, self.found.problem, self.names
         if (
@@ -405,7 +406,10 @@ def _classes(found: Search, models: list[Model]) -> dict[Model, list[Model]]:
 
 
 def skeleton(found: Search, model: Model) -> Skeleton:
-    """Return the names and covariates in a model, which identify it regardless of axes and shapes."""
+    """Return the names of the effects in a model, and the covariates of its unnamed functions.
+
+    Models that differ only in axes or shapes have equal results.
+    """
     terms = [found.problem.terms[k] for k in model]
     return (
         tuple(sorted({term.name for term in terms if term.name is not None})),

@@ -421,7 +421,7 @@ class TraceRun:
 
     @property
     def functions_checked(self) -> bool:
-        """True if there are enough dwells to choose an unnamed function again without some of them."""
+        """True if there are at least `limits.least_choice` dwells, so that folds can check functions."""
         return len(self.measured) >= limits.least_choice
 
     @property
@@ -623,7 +623,10 @@ def correct_slips(data: Readings, positions: Diagnosis) -> Readings:
 
 
 def _large_slips(data: Readings, positions: Diagnosis) -> list[PositionFinding]:
-    """Return the slips that last for the later dwells and are too large for the linearised model."""
+    """Return the slips that last for the later dwells and are too large for the linearised model.
+
+    The criterion is in `_out_of_reach`.
+    """
     return [f for f in positions.findings if f.finding == "slipped" and _out_of_reach(data, f)]
 
 

@@ -123,10 +123,11 @@ def _may_hold_bias(term: Term, *, biased: bool) -> bool:
 
 
 def _refit_without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[Fit, float]:
-    """Refit a model without some of its terms but with a bias; return the fit and its noise factor.
+    """Refit a model with a bias, without the terms that may have absorbed a part of the bias.
 
-    The factor on the noise variance is at least `inflation`. If only named terms are removed from a model
-    with a bias, the fit is not changed.
+    Returned are the fit and its factor on the noise variance, at least `inflation`. `terms` are the terms
+    that the calibration cannot correct; `_may_hold_bias` selects those to remove. The fit stays unchanged
+    if there is no term to remove, or if the model has a bias and only named terms would be removed.
     """
     biased = any(term.constant for term in fit.terms)
     terms = [term for term in terms if _may_hold_bias(term, biased=biased)]

@@ -407,7 +407,7 @@ _OWNERS = {
 
 
 def session_shares(result: JointResult) -> list[str]:
-    """Describe each session's share of the evidence, its own verdict and its held-out errors."""
+    """Describe each session's share of the evidence, its result alone, and its held-out errors."""
     total = {
         cause: sum(one.evidence[cause] for one in result.sessions) for cause in result.sessions[0].evidence
     }

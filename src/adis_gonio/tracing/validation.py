@@ -2,8 +2,9 @@
 
 Held-out dwells are the `check` dwells or, without any, folds of dwells with the selection repeated inside
 each fold. A fold consists of whole dwells: every fifth dwell (shuffled); blocks of time, if positions
-repeat so that no block leaves a gap of angles; all dwells about one body axis. Plain leave-one-out is too
-optimistic if poses repeat, because another dwell of the same pose replaces the dwell that was left out.
+repeat so that no block leaves a gap of angles; or all dwells with gravity nearest to one end of a body
+axis. Plain leave-one-out is too optimistic if poses repeat, because another dwell of the same pose replaces
+the dwell that was left out.
 """
 
 from __future__ import annotations
@@ -117,8 +118,9 @@ def folds(data: Readings) -> dict[str, list[NDArray[np.bool_]]]:
 def masks_about_axes(data: Readings) -> list[NDArray[np.bool_]]:
     """Return masks (n,) of the dwells with gravity nearest to each end of each body axis.
 
-    In one plane the result is empty unless positions repeat. In a turn of different positions no dwell can
-    replace another, and leaving out a quarter of the turn makes a different session.
+    In one plane the result is empty unless positions repeat: at least half of the dwells need another dwell
+    within `limits.repeated_deg`. In a turn of different positions no dwell can replace another, and leaving
+    out a quarter of the turn makes a different session.
     """
     if data.planar:
         theta = data.conditions.angle_rad

@@ -128,7 +128,7 @@ class WhatIf(JsonRecord):
 
 @dataclass(frozen=True)
 class AskedModel:
-    """Terms that a user puts into every model, names that he excludes, and a closed set of candidates.
+    """A user's request for a trace: terms that every model has, and names that no model has.
 
     Attributes
     ----------

@@ -48,7 +48,7 @@ _ROUNDING_MG = 1e-9
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A course on one axis, with its test over all dwells.
+    """A time course (line or exponential) of the samples of one axis, with its test over all dwells.
 
     Attributes
     ----------
@@ -74,7 +74,10 @@ class _Candidate:
 
 
 def courses(samples: Samples, most: int = 2) -> tuple[list[WithinFinding], Samples]:
-    """Find at most `most` courses common to all dwells; return findings, and samples without them."""
+    """Find at most `most` time courses common to all dwells; return findings and samples without them.
+
+    A time course is a slope, or an exponential settling after each move.
+    """
     found: list[WithinFinding] = []
     while len(found) < most:
         usable = samples.counts >= LEAST_SAMPLES
@@ -89,7 +92,7 @@ def courses(samples: Samples, most: int = 2) -> tuple[list[WithinFinding], Sampl
 
 
 def _regressors(samples: Samples) -> Floats:
-    """Return the two factors to which a course's amplitude may be proportional, (2, d, axes).
+    """Return the two factors (2, d, axes) to which a slope or settling may be proportional.
 
     In each dwell and axis the first is 1, the second is the change of the axis's reading in g since the
     dwell before.
@@ -117,10 +120,11 @@ def _course(elapsed_s: Floats, tau: float | None) -> Floats:
 
 
 def projections(samples: Samples, usable: Usable, tau: float | None) -> tuple[Floats, Floats]:
-    """Return the projections (d, axes) of the samples of each dwell on a course, and its norms (d,).
+    """Return the projections (d, axes) of the samples of each dwell on a time course, and its norms (d,).
 
-    `usable` (d,) is True for the dwells with at least `LEAST_SAMPLES` samples; `tau` is a time constant in
-    s, None for a line. A projection is the amplitude of the course times its norm.
+    `usable` (d,) is True for the dwells with at least `LEAST_SAMPLES` samples. The course is an exponential
+    with the time constant `tau` in s, or a line if `tau` is None. A projection is the amplitude of the
+    course times its norm.
     """
     z, norm = np.zeros((len(samples), samples.axes)), np.zeros(len(samples))
     for k in np.flatnonzero(usable).tolist():
@@ -133,7 +137,7 @@ def projections(samples: Samples, usable: Usable, tau: float | None) -> tuple[Fl
 
 
 def _best(samples: Samples, usable: Usable) -> _Candidate | None:
-    """Return the significant course that explains most variance; None if no course is significant.
+    """Return the slope or settling that explains most variance; None if none is significant.
 
     `usable` (d,) is True for the dwells with at least `LEAST_SAMPLES` samples.
     """
@@ -230,7 +234,7 @@ def _fit_course(samples: Samples, usable: Usable, best: _Candidate) -> tuple[Wit
 
 
 def _significant_axes(samples: Samples, usable: Usable, best: _Candidate) -> list[int]:
-    """Return the axes with the course: the axis of `best`, and other axes on which it is significant.
+    """Return the axes with a slope or settling: the axis of `best`, and others on which it is significant.
 
     `usable` (d,) is True for the dwells with at least `LEAST_SAMPLES` samples.
     """
@@ -328,7 +332,7 @@ def _waiting_time(samples: Samples, amplitude: float, tau: float) -> float:
 def _view(
     samples: Samples, best: _Candidate, tau: float | None, slope: float, weight: Floats, dwells: list[int]
 ) -> View:
-    """Return the figure of a course: the mean over the dwells, in at most `_POINTS` points, and the fit.
+    """Return the figure of a slope or settling: mean over the dwells, in at most `_POINTS` points, and fit.
 
     `tau` is the time constant in s (None for a line), `slope` the fitted amplitude, `weight` (d,) the
     factor to which each dwell's amplitude is proportional.

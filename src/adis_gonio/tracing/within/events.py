@@ -92,9 +92,9 @@ class _Look:
     unit: Floats
 
     def u_mg(self, dwell: int, axis: int, stretch: float) -> float:
-        """Return the standard uncertainty in mg of the difference of two means over such stretches.
+        """Return the standard uncertainty in mg of the difference between the means of two stretches.
 
-        `stretch` is the length of each stretch in samples.
+        A stretch is a run of `stretch` samples. `dwell` and `axis` are indices.
         """
         best = min(self.noise, key=lambda one: abs(np.log(max(one[0][dwell], 1e-9) / stretch)))
         return float(best[1][dwell, axis] * np.sqrt(2 / max(best[0][dwell], 1.0)) * self.unit[dwell, axis])
@@ -106,7 +106,7 @@ def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFindin
     Parameters
     ----------
     samples : Samples
-        Samples without the courses that all dwells share.
+        Samples without the slopes and settling that all dwells share.
     unlike : list of int
         Axes on which the scatter differs between dwells; on these each dwell is scaled by its scatter.
     reach : int
@@ -260,7 +260,7 @@ def _independent(nominal: Floats, squares: Floats) -> Floats:
 
 
 def _describe(samples: Samples, k: int, axis: int, look: _Look) -> tuple[_Form, Place, Floats]:
-    """Return the form that describes a dwell best, its place and its course (n,) about the dwell's mean.
+    """Return the form that describes a dwell best, its place, and its values (n,) about the dwell's mean.
 
     If the form is not significant in the noise of its scale, the event is a disturbance of the length at
     which it was found. `k` and `axis` are the indices of dwell and axis.

@@ -1,11 +1,11 @@
 """The second pass of a trace: search the samples inside the dwells.
 
 Order of the searches
-    Spikes and stuck values, spectral lines, changes of the scatter, courses that all dwells share, events
-    in single dwells. Each finding is removed from the samples before the next search. Every test is
-    calibrated by the session's own noise of any spectrum. The probability of any finding in a session
-    without effects is at most `FOUND_WITHIN` for all tests together. The searches depend on the length of
-    a dwell: none for one sample, drift from 6 samples, spikes and lines from 32 samples.
+    Spikes and stuck values, spectral lines, changes of the scatter, slopes and settling that all dwells
+    share, events in single dwells. Each finding is removed from the samples before the next search. Every
+    test is calibrated by the session's own noise of any spectrum. The probability of any finding in a
+    session without effects is at most `FOUND_WITHIN` for all tests together. The searches depend on the
+    length of a dwell: none for one sample, drift from 6 samples, spikes and lines from 32 samples.
 
 Rule for `found`
     A finding counts among `TraceResult.found` if it has the form of a named effect (`tone`, `settling`,

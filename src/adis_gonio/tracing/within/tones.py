@@ -74,7 +74,7 @@ class _Peak:
 def tones(samples: Samples) -> tuple[list[WithinFinding], Samples, Density | None]:
     """Find spectral lines; return findings, the samples without the lines, and the remaining noise density.
 
-    The density is None if no dwell is long enough for a spectrum.
+    The density is None if no dwell has the `LEAST_SAMPLES` samples for a spectrum.
     """
     found: list[WithinFinding] = []
     density = density_of(samples)
@@ -337,7 +337,7 @@ class Density:
     Attributes
     ----------
     dwells : (d,) int
-        Indices of the dwells that are long enough for a spectrum.
+        Indices of the dwells with at least `LEAST_SAMPLES` samples.
     frequency : (k,) float
         Frequency in cycles per sample.
     searched : slice
