@@ -369,7 +369,7 @@ class TurnDone(Event):
     attempt : int
         Number of the attempt in the archive.
     turned_deg : float
-        Turn from the beginning to the end.
+        Angle from the beginning to the end, counter-clockwise positive.
     length_s : float
         Length of the recording in s.
     samples, lost : int

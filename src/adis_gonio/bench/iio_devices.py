@@ -168,8 +168,8 @@ def choose_channels(channels: Sequence[IioChannel], where: str) -> tuple[IioChan
 class BufferLayout:
     """Positions of the samples of enabled channels in a scan.
 
-    Samples are ordered by the index, and each begins at a multiple of its size; the size of a scan is a
-    multiple of its largest sample.
+    Samples are ordered by the index of their channel. Each begins at a multiple of its size, and the size
+    of a scan is a multiple of its largest sample.
 
     Attributes
     ----------

@@ -181,8 +181,8 @@ def die_temperatures(block: Block) -> Floats | None:
 def session_columns(block: Block) -> dict[str, Floats]:
     """Convert a block to the columns of a session: a mapping from a column's name to its values (n,).
 
-    Accelerations are in LSB, of a generic sensor in mg. Columns that the block lacks are left out, and so
-    are gyros of unknown range.
+    Accelerations are in LSB, or in mg for a generic sensor. Columns that the block lacks are left out, and
+    so are gyros of unknown range.
 
     Raises
     ------

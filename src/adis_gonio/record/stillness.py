@@ -112,7 +112,7 @@ class Look:
     mean_mg, spread_mg : (3,) float
         Mean and standard deviation of the samples in the window, in mg.
     shifted : bool
-        True if the window is quiet, but its mean has shifted since the dwell began.
+        True if the standard deviations are small, but the mean has shifted too much since the dwell began.
     """
 
     end: int
@@ -208,7 +208,7 @@ class StillnessWatch:
     limits : StillnessLimits
         Limits in mg, from the noise that `NoiseMeter` measured.
     noise_mg : (3,) float
-        This noise in mg, or the effect of quantization alone if that is larger.
+        The measured noise in mg, or the noise of quantization alone if that is larger.
     """
 
     def __init__(self, limits: StillnessLimits, noise_mg: Floats) -> None:

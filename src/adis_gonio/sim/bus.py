@@ -7,8 +7,9 @@ clock.
 The bus accepts every timing that is physically possible. If frames come too fast for the chip, the chip
 answers as a real chip is supposed to (see `adis_gonio.sim.chip`).
 
-Not simulated Electrical faults, a bridge's own latency and buffers (a stream never overflows; edges are
-lost only if the read list takes longer than the update period), the choice of the DIO line.
+Not simulated
+    Electrical faults, a bridge's own latency and buffers (a stream never overflows; edges are lost only
+    if the read list takes longer than the update period), the choice of the DIO line.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ Known facts about hands, and their model here
     turns about the vertical, and strays from the shortest way by degrees.
 
 All movements are sums of smooth functions with exact derivatives, so that rates and accelerations belong to
-the angle at every time. All figures are estimates (D).
+the angle at every time. All figures are estimates (confidence D).
 """
 
 from __future__ import annotations
@@ -86,9 +86,9 @@ def grips(turn_deg: float, rng: np.random.Generator) -> Floats:
 
 
 def minimum_jerk(time_s: Floats, begin_s: float, length_s: float, span: float) -> Course:
-    """Return a smooth movement by `span` at times (n,), with its first two derivatives.
+    """Return a smooth movement from 0 to `span` at times (n,) in s, with its first two derivatives.
 
-    It begins at `begin_s`, takes `length_s` and is at rest before and after (Flash & Hogan 1985).
+    The movement begins at `begin_s` and takes `length_s`, both in s (Flash & Hogan 1985).
     """
     value, first, second = rise((time_s - begin_s) / length_s)
     return span * value, span / length_s * first, span / length_s**2 * second

@@ -781,9 +781,9 @@ ROWS: tuple[ChipRow, ...] = (
 
 
 def judge_recordings(paths: Iterable[str | Path], part: Variant) -> tuple[RowFinding, ...]:
-    """Judge all rows by several recordings or captures of one sensor variant together.
+    """Judge all rows of the register table by recordings or captures of one sensor variant.
 
-    Each file counts as a separate power-on of a chip.
+    The files are judged together; each counts as a separate power-on of a chip.
 
     Raises
     ------
