@@ -377,7 +377,7 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
 def project_off_base(base: Floats, columns: Floats, widths: NDArray[np.intp]) -> tuple[Floats, Floats]:
     """Return the part of each column outside the base model, scaled to length 1, and its original length.
 
-    A column that the base model reproduces becomes zero, with 1 as its length. Shapes are (rows, P) and (P,).
+    A column that the base model reproduces becomes zero and has 1 as its length. The lengths are (P,).
 
     Parameters
     ----------
