@@ -448,9 +448,10 @@ class Turning:
         self._last_s, self._last = float(time_s[-1]), turning[-1]
 
     def turn(self) -> GyroIntegral | None:
-        """Return the angles turned since the last dwell; None if samples are missing.
+        """Return the angles turned since the last dwell; None if the turn is unknown.
 
-        They count as missing after a gap of more than `longest_gap_s`.
+        It is unknown after a gap of more than `longest_gap_s` between samples, without samples since the
+        dwell, and before the first dwell with gyros.
         """
         if self._bias is None or self._broken or not self._length_s:
             return None

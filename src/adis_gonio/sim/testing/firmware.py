@@ -148,7 +148,10 @@ class SimulatedFirmware:
                 self._packet(taken)
 
     def next_event_s(self) -> float | None:
-        """Return the time in s of the next scan of the running stream; None if no scan is due."""
+        """Return the time in s of the next trigger of the running stream.
+
+        Returns None if no stream runs, or if no data-ready edge follows.
+        """
         if self._stream is None:
             return None
         return self._stream.next_trigger_s()
