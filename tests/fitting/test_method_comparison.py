@@ -96,12 +96,13 @@ def test_the_reason_says_what_decided() -> None:
     errors = {"mmpm": np.full(8, 2e-3), "ml": np.full(8, 1e-3), "two-position": np.full(8, 1e-3)}
     best = chosen([result("two-position", bias=False), result("mmpm"), result("ml")], errors)
     assert best.why == (
-        "it determines the biases; it predicts the 8 dwells best, each left out of its fit (0.057° rms)"
+        "it determines the biases; it predicts the 8 dwells, each left out of its fit, with 0.057° rms, "
+        "the best"
     )
     several = chosen([result("mmpm"), result("ml")])
     assert several.why == (
-        "it predicts the 8 dwells as well as any, each left out of its fit (0.057° rms); no other "
-        "gives a smaller u of ΔK and Δφ"
+        "it predicts the 8 dwells, each left out of its fit, with 0.057° rms, and none is shown to predict "
+        "them better; no other gives a smaller u of ΔK and Δφ"
     )
     blind = chosen([result("paper", bias=False), result("two-position", bias=False)])
     assert blind.why.startswith("no method sees the biases in these positions, which are taken as zero; ")

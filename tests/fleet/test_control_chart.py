@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from adis_gonio.fleet.control_charts import between_neighbours, control_chart, cusum
 
@@ -24,13 +25,19 @@ def test_expected_values_are_predictions_by_all_sessions_before():
     rng = np.random.default_rng(3)
     value, u = rng.normal(5, 1, 9), rng.uniform(0.5, 2, 9)
     chart = control_chart(value, u)
-    sigma2 = u**2 + chart.between**2
     for n in range(1, 9):  # one by one, as on paper
+        others = [k for k in range(9) if k != n]
+        between = between_neighbours(value[others], u[others])
+        sigma2 = u**2 + between**2
+        # 0.62 degrees of freedom for each of the seven differences; only the scatter is estimated.
+        dof = 0.62 * 7 * (sigma2[n] / (between**2 + np.mean(u[others] ** 2))) ** 2 if between else np.inf
         mean = sum(value[i] / sigma2[i] for i in range(n)) / sum(1 / sigma2[i] for i in range(n))
         spread = (sigma2[n] + 1 / sum(1 / sigma2[i] for i in range(n))) ** 0.5
         assert chart.expected[n] == pytest.approx(mean)
-        assert chart.z[n] == pytest.approx((value[n] - mean) / spread)
-        assert (chart.low[n], chart.high[n]) == pytest.approx((mean - 3 * spread, mean + 3 * spread))
+        student = stats.norm if between == 0 else stats.t(dof)
+        assert chart.z[n] == pytest.approx(stats.norm.ppf(student.cdf((value[n] - mean) / spread)))
+        limit = spread * student.isf(stats.norm.sf(3))
+        assert (chart.low[n], chart.high[n]) == pytest.approx((mean - limit, mean + limit))
     assert np.isnan(chart.expected[0])
 
 
@@ -61,6 +68,24 @@ def test_a_step_is_signalled_and_dated_to_the_session_where_it_began():
 def test_one_session_far_off_is_outside_of_the_limits():
     value = np.array([0.0, 0.2, -0.1, 0.1, 9.0, 0.0, 0.1, -0.2, 0.0, 0.1, 0.0, 0.1])
     assert control_chart(value, np.full(12, 1.0)).outside == [4]
+
+
+@pytest.mark.parametrize("scatter", [1.0, 20.0])
+def test_a_bad_session_among_six_does_not_widen_its_own_limits(scatter: float) -> None:
+    rng = np.random.default_rng(7)
+    found = []
+    for _ in range(200):
+        value = rng.normal(0, scatter, 6)
+        value[4] += 40 * scatter
+        found.append(4 in control_chart(value, np.ones(6)).outside)
+    assert np.mean(found) > 0.95
+
+
+def test_scatter_between_few_sessions_is_not_called_outside() -> None:
+    rng = np.random.default_rng(8)
+    outside = [bool(control_chart(rng.normal(0, 3, 6), np.ones(6)).outside) for _ in range(1000)]
+    # Known scatter would give 1.3 %. It is estimated from four differences.
+    assert np.mean(outside) < 0.08
 
 
 def test_scatter_between_sessions_widens_the_limits():

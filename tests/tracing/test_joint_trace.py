@@ -200,3 +200,8 @@ def test_the_command_traces_several_files_as_one_model(tmp_path, capsys) -> None
     assert "Belongs to" in shown
     assert "Evidence of each session" in shown
     assert main(["trace", *paths, "--sensor-part", "gyro"]) == 2
+    copy = tmp_path / "copy.session"
+    copy.write_bytes((tmp_path / "one.session").read_bytes())
+    capsys.readouterr()
+    assert main(["trace", paths[0], str(copy)]) == 2
+    assert "same samples" in capsys.readouterr().err

@@ -197,9 +197,9 @@ def _why(
             if own.angle_rms_deg is not None
             else f"{own.residual_rms_mg:.2g} mg rms"
         )
-        how = "as well as any" if len(good) > 1 else "best"
+        how = "and none is shown to predict them better" if len(good) > 1 else "the best"
         reasons.append(
-            f"it predicts the {counted(own.dwells, 'dwell')} {how}, each left out of its fit ({error})"
+            f"it predicts the {counted(own.dwells, 'dwell')}, each left out of its fit, with {error}, {how}"
         )
     else:
         reasons.append("no dwell can be left out to compare the methods by")

@@ -34,6 +34,8 @@ SHEWHART = 3.0
 """Limit of Shewhart's chart in standard deviations, which gives one false alarm in 370 sessions."""
 _MOVING_RANGE = 2 / math.sqrt(math.pi)
 """Mean distance of two successive normal values, in their standard deviations (d₂ of two)."""
+_MOVING_RANGE_DOF = 0.62
+"""Effective degrees of freedom of a mean moving range, for each moving range (Palm and Wheeler, 1990)."""
 
 
 class ControlChart(JsonRecord):
@@ -48,7 +50,9 @@ class ControlChart(JsonRecord):
     low, high : (n,) float
         Shewhart's limits for this session.
     z : (n,) float
-        Difference of the value from `expected` in standard deviations.
+        Difference of the value from `expected` in standard deviations. They include the scatter between
+        the other sessions; if this is estimated from few sessions, z is the standard normal value that is
+        as improbable as Student's t.
     up, down : (n,) float
         The two sums of the CUSUM, in standard deviations; 0 at the first session.
     between : float
@@ -94,19 +98,33 @@ def control_chart(value: Floats, u: Floats) -> ControlChart:
 
     `value` (n,) and `u` (n,) are the values and their standard uncertainties, in order of time.
     """
-    between = between_neighbours(value, u)
-    variance = u**2 + between**2
-    weight = 1 / variance
-    # Weighted mean of all sessions before each session, and the variance of the difference.
-    total, summed = np.cumsum(weight)[:-1], np.cumsum(weight * value)[:-1]
-    expected = np.concatenate([[np.nan], summed / total])
-    sigma = np.sqrt(np.concatenate([[np.nan], variance[1:] + 1 / total]))
-    z = (value - expected) / sigma
+    from scipy.special import ndtr, ndtri, stdtr, stdtrit
+
+    expected, sigma = np.full(len(value), np.nan), np.full(len(value), np.nan)
+    dof = np.full(len(value), np.inf)
+    for k in range(1, len(value)):
+        # A session that is far off must not widen its own limits.
+        others = np.arange(len(value)) != k
+        between = between_neighbours(value[others], u[others])
+        variance = u**2 + between**2
+        weight = 1 / variance[:k]
+        expected[k] = np.average(value[:k], weights=weight)
+        sigma[k] = math.sqrt(variance[k] + 1 / weight.sum())
+        if between:
+            spread = between**2 + float((u[others] ** 2).mean())
+            dof[k] = _MOVING_RANGE_DOF * (len(value) - 2) * (variance[k] / spread) ** 2
+    t = (value - expected) / sigma
+    # Student's t as a standard normal value of equal probability, by the smaller tail.
+    z = np.copysign(ndtri(stdtr(dof, -np.abs(t))), t)
     up, down = cusum(z[1:])
-    low, high = expected - SHEWHART * sigma, expected + SHEWHART * sigma
+    limit = sigma * -stdtrit(dof, ndtr(-SHEWHART))
+    low, high = expected - limit, expected + limit
     up, down = np.concatenate([[0.0], up]), np.concatenate([[0.0], down])
+    between = between_neighbours(value, u)
     chart = ControlChart(expected, low, high, z, up, down, between)
-    return chart if chart.signal is None else replace(chart, since=_split(value, weight, chart.signal))
+    if chart.signal is None:
+        return chart
+    return replace(chart, since=_split(value, 1 / (u**2 + between**2), chart.signal))
 
 
 def _split(value: Floats, weight: Floats, last: int) -> int:

@@ -311,9 +311,19 @@ def headline(history: History) -> str:
         for name, track in history.tracks.items()
         if track.chart is not None and track.chart.signal is not None
     ]
+    outside = [
+        NAMES.get(name, name)
+        for name, track in history.tracks.items()
+        if track.chart is not None and track.chart.outside
+    ]
     parts = [counted(len(history.sessions), "session")]
     parts.append(f"drift in {', '.join(moving)}" if moving else "no drift shown")
-    parts.append(f"control chart signals {', '.join(signals)}" if signals else "control charts quiet")
+    if signals:
+        parts.append(f"control chart signals {', '.join(signals)}")
+    if outside:
+        parts.append(f"a session is outside the 3σ limits of {', '.join(outside)}")
+    if not signals and not outside:
+        parts.append("control charts quiet")
     return "; ".join(parts)
 
 

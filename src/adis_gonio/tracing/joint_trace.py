@@ -33,6 +33,7 @@ from adis_gonio.fitting.noise_estimation import state_noise
 from adis_gonio.fitting.slips.session_positions import failure_message, positions_of
 from adis_gonio.model.measurement import SessionOrigin
 from adis_gonio.model.records import Session
+from adis_gonio.record.provenance import digest_of
 from adis_gonio.tracing.credible_sets import cause_name, owners_of
 from adis_gonio.tracing.linear_problem import linearise, span
 from adis_gonio.tracing.model_search import price
@@ -126,8 +127,17 @@ def trace_sessions(
     DataError, FitError
         A session has no readings, or too few.
     UsageError
-        Fewer than two sessions, sessions that cannot be joined, or a time limit that is not positive.
+        Fewer than two sessions, two with the same samples, sessions that cannot be joined, or a time
+        limit that is not positive.
     """
+    first: dict[str, str] = {}
+    for one in sessions:
+        digest = digest_of(one)
+        if digest in first:
+            raise UsageError(
+                f"{one.source} holds the same samples as {first[digest]}: give only one of them"
+            )
+        first[digest] = one.source
     if len(sessions) < 2:
         raise UsageError("a joint trace needs two sessions or more; use `trace` for one session")
     if time_limit is not None and not time_limit > 0:

@@ -408,7 +408,7 @@ def choose_face(
     size = shutil.get_terminal_size()
     missing = ""
     if importlib.util.find_spec("textual") is None:
-        missing = f"the bench screen needs {install_extra('bench')}"
+        missing = f"the bench screen needs textual: {install_extra('bench')}"
     elif size.columns < LEAST_SIZE[0] or size.lines < LEAST_SIZE[1]:
         least = f"{LEAST_SIZE[0]} × {LEAST_SIZE[1]} characters"
         missing = f"the bench screen needs {least}, this terminal has {size.columns} × {size.lines}"
