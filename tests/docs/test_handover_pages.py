@@ -97,4 +97,6 @@ def test_the_page_on_python_runs_from_top_to_bottom(tmp_path, monkeypatch, capsy
     assert "give mg" in out
     shown = space["shown"]
     assert abs(float(shown.angle_deg) - 30.0) < max(0.2, 4 * float(shown.u_deg))
+    smoothed = space["smoothed"]
+    assert abs(float(smoothed.angle_deg) - 46.0) < 4 * float(smoothed.u_deg)
     assert space["gravity"].shape == (500, 2)

@@ -110,7 +110,7 @@ def readings_of(conditions: Conditions) -> Conditions:
     means = {
         field.name: by_dwell(getattr(conditions, field.name))
         for field in dataclasses.fields(conditions)
-        if not field.name.endswith("_history")
+        if not field.name.endswith("_history") and getattr(conditions, field.name) is not None
     }
     return Conditions(
         **means,

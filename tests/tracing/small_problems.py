@@ -109,6 +109,7 @@ def named(name: str | None, cost: float = 0.0, covariates: tuple[str, ...] = ())
         dwell=None,
         cost=cost,
         constant=constant,
+        prior_sd=None,
         forced=False,
     )
 
