@@ -13,10 +13,12 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
+
+from adis_gonio.base.errors import UsageError
 
 T = TypeVar("T")
 
@@ -95,6 +97,18 @@ def within(budget: Budget) -> Iterator[Budget]:
 def current() -> Budget:
     """Return the time limit of the surrounding `within` block, or an infinite one outside any block."""
     return _current.get() or Budget()
+
+
+@contextmanager
+def limited_to(seconds: float | None) -> Iterator[None]:
+    """Limit the time of a `with` block to some seconds; None adds no limit.
+
+    Raises `UsageError` if the number of seconds is not positive.
+    """
+    if seconds is not None and not seconds > 0:
+        raise UsageError(f"a time limit of {seconds:g} s: give a positive number of seconds")
+    with nullcontext() if seconds is None else within(current().limited(seconds)):
+        yield
 
 
 def spent() -> bool:

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats, solvable
-from adis_gonio.base.budget import current, with_progress, within
+from adis_gonio.base.budget import limited_to, with_progress
 from adis_gonio.base.errors import AdisGonioError, FitError, UsageError
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import counted
@@ -140,11 +140,7 @@ def trace_sessions(
         first[digest] = one.source
     if len(sessions) < 2:
         raise UsageError("a joint trace needs two sessions or more; use `trace` for one session")
-    if time_limit is not None and not time_limit > 0:
-        raise UsageError(f"a time limit of {time_limit:g} s: give a positive number of seconds")
-    if time_limit is None:
-        return trace_stacked([reduced(one) for one in sessions], origins_of(sessions), max_effects)
-    with within(current().limited(time_limit)):
+    with limited_to(time_limit):
         return trace_stacked([reduced(one) for one in sessions], origins_of(sessions), max_effects)
 
 

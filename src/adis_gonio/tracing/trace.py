@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from adis_gonio.base.arrays import solvable
-from adis_gonio.base.budget import attempt, current, spent, within
+from adis_gonio.base.budget import attempt, current, limited_to, spent
 from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.base.numbers import counted, format_p, format_percent, signed
 from adis_gonio.base.uncertainty import Detectable
@@ -139,13 +139,8 @@ def trace(
             f"{session.source or 'session'}: a free turn has no positions whose residuals a trace could"
             " follow; use fit, or measure positions (calibrate --plan tumble) and trace those"
         )
-    if time_limit is None:
+    with limited_to(time_limit):
         result = _trace(session, max_effects, part, request)
-    elif not time_limit > 0:
-        raise UsageError(f"a time limit of {time_limit:g} s: give a positive number of seconds")
-    else:
-        with within(current().limited(time_limit)):
-            result = _trace(session, max_effects, part, request)
     overrides = session.facts.get("overrides", {})
     return replace(result, provenance=provenance_of(session), overrides=overrides)
 
