@@ -41,7 +41,7 @@ def test_page_and_json_are_written_beside_each_other_and_say_the_same(tmp_path, 
     assert [answer["name"] for answer in document["answers"]] == [question.name for question in QUESTIONS]
     assert document["undone"]["verified"] is True
     for answer in document["answers"]:
-        assert answer["outcome"] in ("confirms", "contradicts", "measured", "not measured")
+        assert answer["outcome"] in ("confirms", "contradicts", "measured", "open", "not measured")
         assert answer["source"]
         assert answer["confidence"] in "ABCD?"
         for figure in answer["measured"]:

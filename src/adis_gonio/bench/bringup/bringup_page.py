@@ -84,9 +84,7 @@ def _figures(found: Bringup) -> Section:
 
 def _draw(curve: Curve) -> str:
     series = [
-        Series(curve.x, y, name, role="model", style="line")
-        if name == "filter"
-        else Series(curve.x, y, name, style="line" if curve.log else "points")
+        Series(curve.x, y, name, role="model" if name == "filter" else None, style="line")
         for name, y in curve.y.items()
     ]
     return plot(
@@ -95,8 +93,8 @@ def _draw(curve: Curve) -> str:
         curve.y_label,
         title=curve.name,
         description=curve.caption,
-        y_log=curve.log,
-        zero=not curve.log,
+        y_log=True,
+        zero=False,
     )
 
 

@@ -12,21 +12,24 @@ from typing import Any
 from adis_gonio.base import __version__
 from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.bench.bringup.bringup_step import (
+    FALSE_ALARM,
     QUESTIONS,
     AlarmBudget,
     Answer,
     Bringup,
     BringupBench,
+    BringupBus,
     BringupStep,
-    ClockCeiling,
     Outcome,
     Row,
     SideEffect,
     StepResult,
     writable,
 )
+from adis_gonio.bench.bringup.chip_rows import BY_QUESTION
 from adis_gonio.bench.bringup.link_steps import BitErrors, Health, Link, Timing, WhichPart
 from adis_gonio.bench.bringup.noise_steps import FilterSteps, Noise
+from adis_gonio.bench.bringup.recorded_chip import RecordedChip
 from adis_gonio.bench.bringup.update_steps import DataReady, Rate, SamplePeriods
 from adis_gonio.bench.bringup.write_steps import FlashCount, Offset, SelfTests, StatusBits
 from adis_gonio.device.bus import SpiBus
@@ -115,7 +118,7 @@ class _Run:
     def __init__(
         self, bus: SpiBus, variant: str | Variant, permission: Permission, tell: Callable[[Row], object]
     ) -> None:
-        self._bus = ClockCeiling(bus, NORMAL.clock_hz)
+        self._bus = BringupBus(bus, NORMAL.clock_hz)
         self._variant = variant
         self._permission = permission
         self._tell = tell
@@ -168,7 +171,8 @@ class _Run:
         try:
             if changes and self._undo is None:
                 self._undo = Undo(bench.sensor, writable())
-            return step.run(bench, StepResult())
+            bench.bus.calls.clear()
+            return judge_rows(bench, step, step.run(bench, StepResult()))
         except AdisGonioError as error:
             return StepResult().fault(f"could not be done: {error}")
         finally:
@@ -221,12 +225,39 @@ class _Run:
             undone=undone,
             undone_ok=not left,
             comparisons=self._budget.spent,
-            false_alarm=self._budget.total,
+            false_alarm=FALSE_ALARM,
             stopped=self._stopped,
         )
 
 
-def _bridge(bus: ClockCeiling) -> dict[str, Any]:
+def judge_rows(bench: BringupBench, step: BringupStep, found: StepResult) -> StepResult:
+    """Answer the open questions of a step by the rows of the register table; return its result `found`.
+
+    The rows are judged by the calls of the step. If the step gave no text, the rows also give its verdict:
+    a contradicted row is a difference from the table.
+    """
+    chip = RecordedChip(bench.bus.calls, bench.bus.edge_rises)
+    for name in step.settles:
+        if name in found.answers or name not in BY_QUESTION:
+            continue
+        finding = BY_QUESTION[name].judge([*BY_QUESTION[name].observe(chip, bench.sensor.variant)])
+        if finding.observations:
+            text = f"{finding.question.rstrip('?')}: {finding.best}"
+            if finding.outcome is Outcome.CONTRADICTS:
+                text += f", the table says {finding.table}"
+            figures = found.figures or finding.measured
+            found.answer(name, finding.outcome, f"{text} ({finding.seen})", *figures)
+    if not found.text:
+        answers = found.answers.values()
+        wrong = [one.text for one in answers if one.outcome is Outcome.CONTRADICTS]
+        if wrong:
+            return found.differs("; ".join(wrong))
+        texts = "; ".join(one.text for one in answers)
+        return found.ok(texts) if texts else found.not_measured("the replies do not show it on this bridge")
+    return found
+
+
+def _bridge(bus: BringupBus) -> dict[str, Any]:
     """Return facts about the bridge for the JSON document: bus, capabilities, limits, firmware."""
     inner = bus.inner
     facts: dict[str, Any] = {"bus": inner.kind, "capabilities": sorted(inner.capabilities)}

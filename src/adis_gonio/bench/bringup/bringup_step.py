@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.jsonable import INLINE, JsonRecord, key
 from adis_gonio.device.bus import Capability, SpiBus, SpiTiming, Words
-from adis_gonio.device.bus.forwarding import ForwardingBus
+from adis_gonio.device.bus.recording import Call, ObservedBus
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.registers import BY_NAME, EA, IDLE, VARIANTS, Register, register, registers
 from adis_gonio.device.sensor.scanning import PolledScans, ScanLayout, ScanStream
@@ -204,9 +204,7 @@ class Curve:
     x : sequence of float
         Abscissas of all curves.
     y : mapping of str to sequence of float
-        Ordinates of each curve by its name.
-    log : bool
-        True for a logarithmic y axis and lines; False for a linear axis and points.
+        Ordinates of each curve by its name, for a logarithmic axis.
     """
 
     name: str
@@ -215,7 +213,6 @@ class Curve:
     x: Sequence[float]
     y: Mapping[str, Sequence[float]]
     caption: str
-    log: bool = False
 
 
 def _plain(number: Number) -> Number:
@@ -271,20 +268,6 @@ class StepResult(JsonRecord, frozen=False):
     def check(self, question: str, holds: object, text: str, *figures: Measured) -> None:
         """Record the answer to a question: it confirms the table if `holds`, else contradicts it."""
         self.answer(question, Outcome.CONFIRMS if holds else Outcome.CONTRADICTS, text, *figures)
-
-    def settle(self, question: str, text: str, *, differs: bool) -> StepResult:
-        """Record all figures of the step as the answer to its only question, and end the step.
-
-        `question` is the question's name; `differs` is True if the answer contradicts the table. Returns
-        the result.
-        """
-        self.check(question, not differs, text, *self.figures)
-        return self.differs(text) if differs else self.ok(text)
-
-    def contradictions(self) -> str:
-        """Join the texts of the answers that contradict the table; empty if there are none."""
-        answers = self.answers.values()
-        return "; ".join(one.text for one in answers if one.outcome is Outcome.CONTRADICTS)
 
     def ok(self, text: str) -> StepResult:
         """End the step without a fault; `text` is its result in one sentence. Returns the result."""
@@ -420,18 +403,26 @@ class Bringup:
         }
 
 
-class ClockCeiling(ForwardingBus):
-    """A bus that forwards to another bus and limits the SPI clock to `ceiling_hz`.
+class BringupBus(ObservedBus):
+    """A bus that forwards to another bus, limits the SPI clock to `ceiling_hz` and keeps its calls.
 
     A new limit acts from the next `configure` on.
+
+    Attributes
+    ----------
+    ceiling_hz : float
+        Highest SPI clock in Hz.
+    calls : list of Call
+        Calls since the list was last cleared, in order.
     """
 
     def __init__(self, inner: SpiBus, ceiling_hz: float) -> None:
-        super().__init__(inner)
+        self.calls: list[Call] = []
+        super().__init__(inner, self.calls.append)
         self.ceiling_hz = ceiling_hz
 
     def _configure(self, timing: SpiTiming) -> SpiTiming:
-        return self.inner.configure(replace(timing, clock_hz=min(timing.clock_hz, self.ceiling_hz)))
+        return super()._configure(replace(timing, clock_hz=min(timing.clock_hz, self.ceiling_hz)))
 
 
 FALSE_ALARM = 1e-4
@@ -441,21 +432,15 @@ MOST_TESTS = 256
 
 
 class AlarmBudget:
-    """Divides the permitted probability of a false alarm among the comparisons of a bring-up.
+    """Divides `FALSE_ALARM` into equal parts, one for each of at most `MOST_TESTS` comparisons.
 
     Attributes
     ----------
-    total : float
-        Permitted probability of a false alarm in the whole bring-up.
-    tests : int
-        Largest number of comparisons; each has an equal part of the probability.
     spent : int
         Number of comparisons so far.
     """
 
-    def __init__(self, total: float = FALSE_ALARM, tests: int = MOST_TESTS) -> None:
-        self.total = total
-        self.tests = tests
+    def __init__(self) -> None:
         self.spent = 0
 
     def alpha(self) -> float:
@@ -466,10 +451,10 @@ class AlarmBudget:
         RuntimeError
             All comparisons are used up, which is an error of the program.
         """
-        if self.spent >= self.tests:
-            raise RuntimeError(f"more than {self.tests} comparisons: the false alarm rate does not hold")
+        if self.spent >= MOST_TESTS:
+            raise RuntimeError(f"more than {MOST_TESTS} comparisons: the false alarm rate does not hold")
         self.spent += 1
-        return self.total / self.tests
+        return FALSE_ALARM / MOST_TESTS
 
     def z(self) -> float:
         """Return the largest permitted deviation from an expected value, in standard uncertainties.
@@ -500,14 +485,14 @@ class AlarmBudget:
         return math.log(bins / self.alpha())
 
 
-def at_most(errors: int, trials: int, confidence: float = 0.95) -> float:
-    """Return the upper confidence limit of an error probability, from `errors` errors in `trials` trials.
+def at_most(errors: int, trials: int) -> float:
+    """Return the upper 95 % confidence limit of an error probability, from `errors` errors in `trials`.
 
     Source: Clopper and Pearson.
     """
     from scipy.special import betaincinv
 
-    return 1.0 if errors >= trials else float(betaincinv(errors + 1, trials - errors, confidence))
+    return 1.0 if errors >= trials else float(betaincinv(errors + 1, trials - errors, 0.95))
 
 
 Floats = NDArray[np.float64]
@@ -561,7 +546,9 @@ class BringupStep(ABC):
     def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Run the step, fill the result `found` and return it; `bench` has the sensor and earlier findings.
 
-        Raises `AdisGonioError` if the sensor or the bridge fails.
+        A step that ends without a text in `found` leaves the judgement to the rows of the register table
+        that answer its questions; the rows are compared with the calls of the step. Raises `AdisGonioError`
+        if the sensor or the bridge fails.
         """
 
 
@@ -571,8 +558,8 @@ class BringupBench:
 
     Attributes
     ----------
-    bus : ClockCeiling
-        The bus, with a limit of its clock.
+    bus : BringupBus
+        The bus, which limits its clock and keeps the calls of the present step.
     sensor : Adis16354
         The sensor.
     budget : AlarmBudget
@@ -583,8 +570,6 @@ class BringupBench:
         Reason why no further step can measure; empty while steps can.
     clock : float
         Measured period of the sample update divided by its nominal period; 1 if unknown.
-    clock_known : bool
-        True if `clock` was measured.
     data_ready : bool
         True if edges of data-ready were seen to follow the updates.
     supply_ok : bool
@@ -593,13 +578,12 @@ class BringupBench:
         Words of the constant registers by name, as read by the step `link`; empty before it.
     """
 
-    bus: ClockCeiling
+    bus: BringupBus
     sensor: Adis16354
     budget: AlarmBudget = field(default_factory=AlarmBudget)
     lends: bool = True
     blocked: str = ""
     clock: float = 1.0
-    clock_known: bool = False
     data_ready: bool = False
     supply_ok: bool = True
     constants: dict[str, int] = field(default_factory=dict)

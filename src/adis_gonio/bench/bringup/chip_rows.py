@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.bench.bringup.bringup_step import FALSE_ALARM, QUESTIONS, Outcome, Question
+from adis_gonio.bench.bringup.bringup_step import FALSE_ALARM, QUESTIONS, Measured, Outcome, Question
 from adis_gonio.bench.bringup.recorded_chip import SELF_TEST, RecordedChip, RegisterSpan, RestStatistics
 from adis_gonio.device.bus.capture import LogicCapture
 from adis_gonio.device.bus.recording import BusRecording
@@ -140,7 +140,12 @@ class ChipRow:
             self.question.name, self.question.text, names[0], self.question.source,
             self.question.confidence, outcome, max(chances, key=lambda name: chances[name]),
             len(observed), odds, alone, chances, self._described(labels, figures), more,
+            tuple(self._measured(number, figure) for number, figure in enumerate(figures, 1)),
         )  # fmt: skip
+
+    def _measured(self, number: int, figure: RowFigure) -> Measured:
+        value, scale = (math.exp(figure.x),) * 2 if self.logarithmic else (float(figure.x), 1.0)
+        return Measured(f"{self.question.name} {number}", value, self.unit or "1", scale * figure.u)
 
     def _described(self, labels: Counter[str], figures: Sequence[RowFigure]) -> str:
         parts = [f"{label}: {count}" for label, count in labels.most_common(3)]
@@ -178,6 +183,8 @@ class RowFinding(JsonRecord):
     more_recordings : int or None
         Number of further recordings with figures like these that decide an open row with 95 %; None if the
         row is not open, or if such figures do not distinguish the alternatives.
+    measured : tuple of Measured
+        The observed figures, in order.
     """
 
     name: str
@@ -193,6 +200,7 @@ class RowFinding(JsonRecord):
     probabilities: dict[str, float]
     seen: str
     more_recordings: int | None
+    measured: tuple[Measured, ...] = ()
 
 
 def _of_labels(names: Sequence[str], labels: Counter[str]) -> Floats:
@@ -778,6 +786,7 @@ ROWS: tuple[ChipRow, ...] = (
 )
 # fmt: on
 """Rows of the table in the order of the report."""
+BY_QUESTION = {row.question.name: row for row in ROWS}
 
 
 def judge_recordings(paths: Iterable[str | Path], part: Variant) -> tuple[RowFinding, ...]:

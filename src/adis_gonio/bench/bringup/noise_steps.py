@@ -186,7 +186,6 @@ class _Judged:
                 | {"filter": [float(p) for p in shape]},
                 "Spectra over the level that the variant's noise has without the filter, neighbouring bins"
                 " averaged, and the shape of the filter.",
-                log=True,
             ),
         )  # fmt: skip
 
@@ -294,38 +293,10 @@ class FilterSteps(BringupStep):
     _scans = 2048
 
     def run(self, bench: BringupBench, found: StepResult) -> StepResult:
-        """Compare the measured noise gain of the filter at each setting M with the tabulated noise gain.
-
-        The measured gain is the root of the variance at M divided by the variance at M = 0.
-        """
-        lsb = bench.sensor.variant.accel_mg_per_lsb
-        flicker = (bench.sensor.variant.performance.bias_instability_mg / lsb) ** 2
-        variances, dofs = [], []
+        """Read the accelerometers at rest with each setting M."""
         bench.sample_quickly()
         for m in range(7):
             bench.sensor.write("SENS_AVG", sens_avg_word(300, m))
-            configuration = bench.sensor.configuration()
-            bench.bus.sleep_s(configuration.settling_s)
-            block, whole = bench.scans(self._scans, ACCEL_OUT)
-            if not whole:
-                block = block.first(_FEW // 2)
-            numbers = block.numbers().astype(np.float64)
-            spacing = 1.0 if whole else float(np.mean(np.diff(block.time_s))) * configuration.sample_rate_hz
-            variances.append(np.maximum(numbers.var(axis=0, ddof=1) - 1 / 12, 1e-9))
-            dofs.append(degrees_of_freedom(len(block), m, spacing))
-        off: list[int] = []
-        reference, reference_dof = variances[0], 3 * dofs[0]
-        for m in range(1, 7):
-            # The three axes are taken together; flicker passes every filter.
-            unfiltered = float(np.sum(reference))
-            gain2 = (float(np.sum(variances[m])) - 3 * flicker) / unfiltered
-            relative_u = math.sqrt(2 / (3 * dofs[m]) + 2 / reference_dof)
-            gain = math.sqrt(max(gain2, 0.0))
-            expected = white_noise_gain(m)
-            found.measure(f"noise gain at M = {m}", gain, "1", gain * relative_u / 2, expected)
-            low, high = bench.budget.variance_ratio(2 / relative_u**2)
-            if not low <= gain2 / expected**2 <= high:
-                off.append(m)
-        gains = ", ".join(f"{figure.value:.3f}" for figure in found.figures)
-        end = f"not the table's at M = {', '.join(map(str, off))}" if off else "as the table says"
-        return found.settle("filter_gain", f"noise gains {gains} for M = 1 … 6, {end}", differs=bool(off))
+            bench.bus.sleep_s(bench.sensor.configuration().settling_s)
+            bench.scans(self._scans, ACCEL_OUT)
+        return found

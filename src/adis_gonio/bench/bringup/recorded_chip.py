@@ -244,7 +244,7 @@ def noise_color(powers: list[Floats], m: int) -> float:
             return 0.0
         levels += [band.mean() for band in np.array_split(power[used] / gain[used], BANDS)]
         independent += len(used) / BANDS / HANN_WIDTH
-    scatter = float(np.var(np.log(levels), ddof=1)) if powers else 0.0
+    scatter = float(np.var(np.log(np.maximum(levels, 1e-12)), ddof=1)) if powers else 0.0
     # Chance scatters the levels by 1 / independent, and this by chance up to about 2.5 times as much.
     return math.sqrt(scatter) if scatter * independent > 2.5 else 0.0
 

@@ -25,7 +25,13 @@ from adis_gonio.base.arrays import Floats, central_differences
 from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.jsonable import NAMED_BY_UNIT, OPTIONAL, JsonRecord
 from adis_gonio.base.numbers import format_fixed, signed
-from adis_gonio.bench.writeback.offset_plan import BIASES, UNITS, WritePlan, plan_gyro_offsets, plan_offsets
+from adis_gonio.bench.writeback.offset_plan import (
+    UNITS,
+    WritePlan,
+    plan_gyro_offsets,
+    plan_offsets,
+    recorded_offsets,
+)
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.registers import (
     ACCEL_OFF,
@@ -39,8 +45,8 @@ from adis_gonio.device.sensor.registers import (
 from adis_gonio.device.sensor.scanning import ScanStream
 from adis_gonio.device.sensor.settings import Configuration, ScanBlock, join, white_noise_gain
 from adis_gonio.fitting import fit
+from adis_gonio.fitting.fit_result import calibration_as_recorded
 from adis_gonio.model.effects.base import AXES
-from adis_gonio.model.measurement import FreeAttitude, PlanarTurn
 from adis_gonio.model.records import Session
 from adis_gonio.record.source import LEAST_SAMPLES
 from adis_gonio.record.stillness import NoiseMeter, StillnessWatch, limits_from_noise, window_samples
@@ -242,6 +248,17 @@ class Agreement(JsonRecord):
         """True if no difference exceeds `SIGMAS` standard uncertainties."""
         return bool((np.abs(self.off) <= SIGMAS).all())
 
+    @property
+    def excess(self) -> str:
+        """Text with the differences (measured minus expected) that exceed `SIGMAS` uncertainties."""
+        unit = UNITS[self.unit]
+        each = zip(self.names, self.measured - self.expected, self.u, self.off, strict=True)
+        return ", ".join(
+            f"{name} {signed(by, 3)} {unit} (u {u:.2g} {unit})"
+            for name, by, u, off in each
+            if abs(off) > SIGMAS
+        )
+
     def __str__(self) -> str:
         unit, places = UNITS[self.unit], 2 if self.unit == "mg" else 3
         figures = [
@@ -272,28 +289,18 @@ class _FittedSensor:
 
     def __init__(self, session: Session, result: FitResult, plan: WritePlan, rest: Rest) -> None:
         self.session, self.result, self.rest = session, result, rest
-        planar = session.plane == "xy"
-        self.model = PlanarTurn(session.gravity_mg) if planar else FreeAttitude(session.gravity_mg)
-        axes = AXES[: self.model.axes]
-        names = [*self.model.names, *(f"bias_{axis}" for axis in axes)]
-        # Skews and biases that a session did not show are zero in its fit.
-        self.known = [name for name in names if name in result]
-        missing = [name for name in names if name.startswith("scale") and name not in result]
-        if missing or result.covariance is None:
-            raise FitError(
-                f"{session.source}: the fit does not give {', '.join(missing) or 'uncertainties'}"
-            )
-        self.values = np.array([result[name].value for name in self.known])
-        order = [[e.name for e in result.parameters].index(name) for name in self.known]
-        self.covariance = np.asarray(result.covariance)[np.ix_(order, order)]
-        moved = {axis.axis: (axis.now - axis.recorded) * axis.lsb for axis in plan.axes}
-        self.moved_mg = np.array([moved.get(axis, 0.0) for axis in axes])
+        calibration = calibration_as_recorded(result)
+        if calibration.covariance is None:
+            raise FitError(f"{session.source}: the fit does not give uncertainties")
+        held = recorded_offsets(session) | plan.now
+        self.calibration = calibration.with_offsets([held[name] for name in ACCEL_OFF])
+        self.model = calibration.measurement
         # Standard uncertainty (axes,) of the dwell as a sample of the sensor that the session saw.
         then = [float(d.temperature_c.mean()) for d in session.dwells if d.temperature_c is not None]
         warmer = rest.temperature_c - float(np.mean(then)) if then else 0.0
         figures = variant(plan.variant).performance
         self.u_mg = np.hypot(
-            rest.u_mg[: len(axes)],
+            rest.u_mg[: calibration.axes],
             math.hypot(
                 math.sqrt(2) * figures.bias_instability_mg,
                 figures.bias_tempco_mg_per_c * warmer,
@@ -305,12 +312,13 @@ class _FittedSensor:
         """Compare the dwell's readings at a declared angle with the readings that the fit predicts."""
 
         def left(values: Floats, mean: Floats) -> Floats:
-            return np.asarray(mean[:2] - self._ideal_mg(values, angle_rad) - self._bias_mg(values))
+            ideal, bias = self._predicted_mg(values, angle_rad)
+            return np.asarray(mean[:2] - ideal - bias)
 
         value, u = self._propagated(left, self._fixture_u(angle_rad))
-        predicted = self._ideal_mg(self.values, angle_rad) + self._bias_mg(self.values)
+        predicted = self.rest.mean_mg[:2] - value
         where = f"readings at {math.degrees(angle_rad):g}° against the session"
-        return Agreement(where, ("X", "Y"), predicted + value, predicted, u)
+        return Agreement(where, ("X", "Y"), self.rest.mean_mg[:2], predicted, u)
 
     def by_length(self) -> Agreement:
         """Compare the magnitude of gravity, by the session's calibration, with local gravity.
@@ -323,8 +331,8 @@ class _FittedSensor:
         gravity = self.session.gravity_mg
 
         def length(values: Floats, mean: Floats) -> Floats:
-            free = (mean[: self.model.axes] - self._bias_mg(values))[None, :]
-            calibrated = self.model.calibrated(self._base(values), free)
+            base, bias = self.calibration.natural(values)
+            calibrated = self.model.calibrated(base, (mean[: self.model.axes] - bias)[None, :])
             return np.asarray(gravity * np.linalg.norm(calibrated, axis=1))
 
         value, u = self._propagated(length, np.zeros(1))
@@ -343,43 +351,26 @@ class _FittedSensor:
         """
 
         def left(values: Floats, mean: Floats) -> Floats:
-            return np.asarray(mean[:2] - self._ideal_mg(values, angle_rad))
+            return np.asarray(mean[:2] - self._predicted_mg(values, angle_rad)[0])
 
         return self._propagated(left, self._fixture_u(angle_rad))
 
-    def _base(self, values: Floats) -> Floats:
-        """Convert values of the fitted parameters to the parameters of the model.
+    def _predicted_mg(self, values: Floats, angle_rad: float) -> tuple[Floats, Floats]:
+        """Return the readings (2,) in mg by gravity alone at a declared angle, and the biases (2,) in mg.
 
-        The result is in natural units (rad for angles, 1 for gains). Parameters that were not fitted have
-        their nominal value.
+        `values` has the values of the calibration's parameters. The biases are those with the present
+        numbers in the offset registers.
         """
-        held = dict(zip(self.known, values, strict=True))
-        return np.array(
-            [held[p.name] / p.per_natural if p.name in held else p.nominal for p in self.model.parameters]
-        )
-
-    def _bias_mg(self, values: Floats) -> Floats:
-        """Return the biases (axes,) in mg with the present numbers in the offset registers.
-
-        `values` has a value for each fitted parameter of the model.
-        """
-        held = dict(zip(self.known, values, strict=True))
-        found = [held.get(name, 0.0) for name in BIASES[: self.model.axes]]
-        return np.asarray(np.array(found) + self.moved_mg)
-
-    def _ideal_mg(self, values: Floats, angle_rad: float) -> Floats:
-        """Return the readings (2,) in mg by gravity alone, without bias, at a declared angle.
-
-        `values` has a value for each fitted parameter of the model.
-        """
-        ideal: Floats = self.model.ideal(self._base(values), np.zeros(1), np.array([-angle_rad]))[0]
-        return ideal
+        base, bias = self.calibration.natural(values)
+        return self.model.ideal(base, np.zeros(1), np.array([-angle_rad]))[0], bias
 
     def _fixture_u(self, angle_rad: float) -> Floats:
         """Return the standard uncertainty (2,) in mg of predicted readings due to the declared angle."""
         more = SET_ANEW_U_DEG if self.session.fixture_sigma_deg is None else 0.0
         sigma = math.radians(math.hypot(self.result.fixture_sigma_deg or 0.0, more))
-        tangent = self.model.tangent(self._base(self.values), np.zeros(1), np.array([-angle_rad]))
+        tangent = self.model.tangent(
+            self.calibration.natural(self.calibration.values)[0], np.zeros(1), np.array([-angle_rad])
+        )
         return np.asarray(sigma * np.abs(tangent[0, :, 0]))
 
     def _propagated(
@@ -391,13 +382,14 @@ class _FittedSensor:
         the fitted parameters and the mean reading of the dwell. `more_u` (k,) is the standard uncertainty
         from the declared angle alone.
         """
-        mean = self.rest.mean_mg
-        by_parameter = _slopes(lambda v: function(v, mean), self.values)
-        by_reading = _slopes(lambda m: function(self.values, m), mean[: self.model.axes])
+        mean, values = self.rest.mean_mg, self.calibration.values
+        by_parameter = _slopes(lambda v: function(v, mean), values)
+        by_reading = _slopes(lambda m: function(values, m), mean[: self.model.axes])
         # Variances from the parameters, from the reading, and from the declared angle.
-        variance = np.einsum("kp,pq,kq->k", by_parameter, self.covariance, by_parameter)
+        covariance = np.asarray(self.calibration.covariance)
+        variance = np.einsum("kp,pq,kq->k", by_parameter, covariance, by_parameter)
         variance = variance + (by_reading**2) @ self.u_mg**2 + more_u**2
-        return function(self.values, mean), np.sqrt(variance)
+        return function(values, mean), np.sqrt(variance)
 
 
 def _slopes(function: Callable[[Floats], Floats], at: Floats) -> Floats:
@@ -410,118 +402,6 @@ def _slopes(function: Callable[[Floats], Floats], at: Floats) -> Floats:
 
 PRECISE_S = 30.0
 """Averaging time of a precision autonull in s (data sheet, A: about 30 s)."""
-
-
-class AutonullFound(JsonRecord):
-    """Zero rates (3,) of the gyros in °/s, as found by the chip's autonull and as predicted by the session.
-
-    Both are for the sensor at rest in its present pose, with the offsets during the recording.
-
-    Attributes
-    ----------
-    new : dict of str to int
-        Numbers that the chip wrote to its offset registers, by name.
-    chip_dps, u_chip_dps : (3,) float
-        Zero rates by the autonull, and their standard uncertainties.
-    session_dps, u_session_dps : (3,) float
-        Zero rates by the session, and their standard uncertainties.
-    force_dps : (3,) float
-        Contribution of force in this pose to the zero rates of the session.
-    """
-
-    document_keys = (
-        *("new", "chip_dps", "u_chip_dps", "session_dps", "u_session_dps", "force_dps", "off_dps", "u_dps"),
-        "agrees",
-    )
-
-    new: dict[str, int]
-    chip_dps: Floats
-    u_chip_dps: Floats
-    session_dps: Floats
-    u_session_dps: Floats
-    force_dps: Floats
-
-    @property
-    def off_dps(self) -> Floats:
-        """Differences (3,) in °/s: zero rates found by the chip minus zero rates of the session."""
-        return np.asarray(self.chip_dps - self.session_dps)
-
-    @property
-    def u_dps(self) -> Floats:
-        """Standard uncertainties (3,) of the differences in °/s."""
-        return np.hypot(self.u_chip_dps, self.u_session_dps)
-
-    @property
-    def agrees(self) -> bool:
-        """True if no gyro differs by more than `SIGMAS` standard uncertainties."""
-        return bool((np.abs(self.off_dps) <= SIGMAS * self.u_dps).all())
-
-    @property
-    def by(self) -> str:
-        """Text with the differences that exceed the limit, one for each gyro."""
-        return ", ".join(
-            f"{axis.upper()} {signed(off, 3)} °/s (u {u:.2g} °/s)"
-            for axis, off, u in zip(AXES, self.off_dps, self.u_dps, strict=True)
-            if abs(off) > SIGMAS * u
-        )
-
-    def __str__(self) -> str:
-        figures = [
-            f"{axis.upper()} {signed(c, 3)} °/s (u {uc:.2g}), session {signed(s, 3)} °/s"
-            f" (u {us:.2g}, {signed(f, 3)} by force)"
-            for axis, c, uc, s, us, f in zip(
-                AXES,
-                self.chip_dps,
-                self.u_chip_dps,
-                self.session_dps,
-                self.u_session_dps,
-                self.force_dps,
-                strict=True,
-            )
-        ]
-        return f"zero rates in this pose by the chip against the session: {'; '.join(figures)}"
-
-
-def compare_autonull(
-    part: Gyros, plan: WritePlan, rest: Rest, nulled: Numbers, samples: float | None
-) -> AutonullFound:
-    """Compare the chip's offsets with the session's zero rates in the pose of a dwell.
-
-    Parameters
-    ----------
-    part : Gyros
-        Gyros of the session.
-    plan : WritePlan
-        Plan of their offsets, which has the numbers during the recording.
-    rest : Rest
-        A dwell in this pose, with gyros.
-    nulled : mapping of str to int
-        Numbers that the chip wrote to its registers.
-    samples : float or None
-        Number of samples that a precision autonull averages; None for the quick autonull, which takes one
-        filtered sample.
-
-    Raises
-    ------
-    UsageError
-        The dwell has no gyros.
-    """
-    if rest.sample_dps is None or rest.u_dps is None:
-        raise UsageError("an autonull needs a dwell with gyros for comparison")
-    zero, u = part.zero(rest)
-    recorded = {axis.register: axis.recorded for axis in plan.axes}
-    lsb = plan.axes[0].lsb
-    chip = np.array([(recorded[name] - nulled[name]) * lsb for name in GYRO_OFF])
-    # White noise of a mean falls with the root of its length; the dwell before gives its size.
-    noise = rest.sample_dps if samples is None else rest.u_dps * np.sqrt(rest.samples / samples)
-    return AutonullFound(
-        dict(nulled),
-        chip,
-        np.sqrt(noise**2 + lsb**2 / 12),
-        zero,
-        np.hypot(u, part.wander(rest)),
-        part.by_force(rest)[0],
-    )
 
 
 GYRO_NAMES = tuple(axis.upper() for axis in AXES)
@@ -666,6 +546,42 @@ class Gyros:
         mean, u = rest.of_gyros
         force, of_force = self.by_force(rest)
         return mean - force, np.hypot(u, of_force)
+
+    def compare_autonull(
+        self, plan: WritePlan, rest: Rest, nulled: Numbers, samples: float | None
+    ) -> Agreement:
+        """Compare the zero rates found by the chip's autonull with the session's, in the pose of a dwell.
+
+        Both are for the offsets during the recording, and include the effect of force in this pose.
+
+        Parameters
+        ----------
+        plan : WritePlan
+            Plan of the offsets, which has the numbers during the recording.
+        rest : Rest
+            A dwell in this pose, with gyros.
+        nulled : mapping of str to int
+            Numbers that the chip wrote to its registers.
+        samples : float or None
+            Number of samples that a precision autonull averages; None for the quick autonull, which takes
+            one filtered sample.
+
+        Raises
+        ------
+        UsageError
+            The dwell has no gyros.
+        """
+        if rest.sample_dps is None or rest.u_dps is None:
+            raise UsageError("an autonull needs a dwell with gyros for comparison")
+        zero, u = self.zero(rest)
+        lsb = plan.axes[0].lsb
+        chip = np.array([(axis.recorded - nulled[axis.register]) * lsb for axis in plan.axes])
+        # White noise of a mean falls with the root of its length; the dwell before gives its size.
+        noise = rest.sample_dps if samples is None else rest.u_dps * np.sqrt(rest.samples / samples)
+        u = np.sqrt(noise**2 + lsb**2 / 12 + u**2 + self.wander(rest) ** 2)
+        force = ", ".join(signed(each, 3) for each in self.by_force(rest)[0].tolist())
+        what = f"zero rates in this pose by the chip against the session ({force} °/s of it by force)"
+        return Agreement(what, GYRO_NAMES, chip, zero, u, "dps")
 
     def zero(self, rest: Rest) -> tuple[Floats, Floats]:
         """Return the zero rates (3,) in °/s that the session predicts for a dwell, and their u.

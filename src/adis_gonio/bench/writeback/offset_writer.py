@@ -23,10 +23,8 @@ from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.bench.writeback.offset_checks import (
     PRECISE_S,
     Agreement,
-    AutonullFound,
     Gyros,
     Rest,
-    compare_autonull,
     measure,
     part_of,
 )
@@ -157,7 +155,7 @@ class WriteResult:
         rates (x, y, z). Empty if the angle is not known or no such dwell was recorded.
     unit : str
         Unit of the biases: `mg` or `dps`.
-    autonull : AutonullFound or None
+    autonull : Agreement or None
         Comparison of the chip's autonull with the session; None without an autonull.
     """
 
@@ -168,7 +166,7 @@ class WriteResult:
     bias: tuple[float, ...] = ()
     bias_u: tuple[float, ...] = ()
     unit: str = "mg"
-    autonull: AutonullFound | None = None
+    autonull: Agreement | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result in JSON form."""
@@ -409,12 +407,12 @@ class OffsetWriter:
                 journal.note(WriteStep.DONE)
         self.session = load(self.path)
         rate = self.sensor.configuration().sample_rate_hz
-        found = compare_autonull(part, plan, before, nulled, PRECISE_S * rate if precise else None)
+        found = part.compare_autonull(plan, before, nulled, PRECISE_S * rate if precise else None)
         self._tell(f"the chip's autonull gives {_format_numbers(nulled)}; {found}")
         if not found.agrees:
             undone = self.undo()
             raise VerifyError(
-                f"the chip's autonull is not kept: it differs from the session by {found.by};"
+                f"the chip's autonull is not kept: it differs from the session by {found.excess};"
                 f" {undone.standing.text}"
             )
         return replace(self._outcome(endurance, ((), ())), autonull=found)

@@ -6,7 +6,6 @@ from adis_gonio.device.sensor.scanning import ScanStream
 from adis_gonio.device.sensor.settings import (
     Alarm,
     Configuration,
-    ManualSelfTest,
     Offsets,
     ScanBlock,
     SelfTest,
@@ -15,7 +14,7 @@ from adis_gonio.device.sensor.settings import (
 )
 
 __all__ = [
-    "DEFAULT_SCAN", "REGISTERS", "VARIANTS", "Adis16354", "Alarm", "Configuration", "ManualSelfTest",
+    "DEFAULT_SCAN", "REGISTERS", "VARIANTS", "Adis16354", "Alarm", "Configuration",
     "Offsets", "Quantity", "Register", "ScanBlock", "ScanStream", "SelfTest", "Status", "Variant",
     "decode_numbers", "open_sensor",
 ]  # fmt: skip

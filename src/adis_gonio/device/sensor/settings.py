@@ -25,7 +25,6 @@ from adis_gonio.device.sensor.registers import (
     EA,
     GYRO_OUT,
     LEAST_M,
-    ND,
     RANGE_CODE,
     TEMP_OUT,
     Kind,
@@ -318,61 +317,6 @@ class SelfTest:
         )
 
 
-@dataclass(frozen=True)
-class ManualSelfTest:
-    """Result of the manual self-test: change of each mean output under a stimulus of either sign.
-
-    The gyros answer to both signs, the accelerometers to the positive sign only (data sheet p. 19,
-    confidence B). The size is not specified, so only presence and direction are judged.
-
-    Attributes
-    ----------
-    accel_positive_mg, accel_negative_mg : tuple of 3 float
-        Change of the mean accelerometer outputs (x, y, z) under the positive and the negative stimulus.
-    gyro_positive_dps, gyro_negative_dps : tuple of 3 float
-        Change of the mean gyro outputs (x, y, z) under the positive and the negative stimulus.
-    accel_noise_mg, gyro_noise_dps : tuple of 3 float
-        Standard deviation of a sample at rest; a change of the mean by four standard deviations is an
-        answer.
-    """
-
-    accel_positive_mg: tuple[float, float, float]
-    accel_negative_mg: tuple[float, float, float]
-    gyro_positive_dps: tuple[float, float, float]
-    gyro_negative_dps: tuple[float, float, float]
-    accel_noise_mg: tuple[float, float, float]
-    gyro_noise_dps: tuple[float, float, float]
-
-    @property
-    def passed(self) -> bool:
-        """True if each axis answers the stimulus as the data sheet states."""
-        return not self.failures
-
-    @property
-    def failures(self) -> tuple[str, ...]:
-        """Axes with a missing or wrong answer to the stimulus, one line of text each."""
-        found = []
-        for k, axis in enumerate("XYZ"):
-            most = 4 * self.accel_noise_mg[k]
-            if abs(self.accel_positive_mg[k]) <= most:
-                found.append(f"accelerometer {axis} does not answer to the positive stimulus")
-            if abs(self.accel_negative_mg[k]) > most:
-                found.append(f"accelerometer {axis} moves under the negative stimulus")
-        for k, axis in enumerate("XYZ"):
-            most = 4 * self.gyro_noise_dps[k]
-            up, down = self.gyro_positive_dps[k], self.gyro_negative_dps[k]
-            for value, sign in ((up, "positive"), (down, "negative")):
-                if abs(value) <= most:
-                    found.append(f"gyro {axis} does not answer to the {sign} stimulus")
-            if min(abs(up), abs(down)) > most and up * down > 0:
-                found.append(f"gyro {axis} moves the same way under both stimuli")
-        return tuple(found)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the result in JSON form."""
-        return asdict(self) | {"passed": self.passed, "failures": list(self.failures)}
-
-
 ALARM_SOURCES: dict[str, int] = {
     name: code
     for code, name in enumerate(
@@ -599,11 +543,6 @@ class ScanBlock:
     def supply_v(self) -> Floats:
         """Supply voltage (n,) in V."""
         return self.column("SUPPLY_OUT")
-
-    @property
-    def fresh(self) -> NDArray[np.bool_]:
-        """For each word (n, k): True if its flag ND marks data that had not been read before."""
-        return (self.words & ND).astype(bool)
 
     @property
     def alarm(self) -> NDArray[np.bool_]:
