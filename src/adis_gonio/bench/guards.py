@@ -109,11 +109,19 @@ def shorten_repeated(guard: Guard, times: int, said: set[str]) -> Guard:
     return replace(guard, message=message)
 
 
-@dataclass(frozen=True)
-class Reading:
-    """Angles of the sensor at rest in a position of the plane, which `judge_turn` compares.
+def judge_turn(
+    *,
+    asked_deg: float,
+    here_deg: float,
+    gravity_deg: float,
+    off: Off,
+    off_reversed: Off | None,
+    turn: GyroIntegral | None,
+    sense: int,
+) -> Guard | None:
+    """Check that the sensor was turned in the plane as requested; return None if it was.
 
-    Attributes
+    Parameters
     ----------
     asked_deg, here_deg : float
         Requested turn since the dwell before, and requested stage angle.
@@ -124,64 +132,45 @@ class Reading:
         the opposite sense; the latter is None if a dwell excludes the opposite sense.
     turn : GyroIntegral or None
         Turn measured by the gyros since the dwell before; None if it was not followed.
-    sense : int
-        1, or −1 in a reversed session (the stage counts angles the other way than the plan).
+    sense : {1, -1}
+        −1 in a reversed session (the stage counts angles the other way than the plan).
     """
-
-    asked_deg: float
-    here_deg: float
-    gravity_deg: float
-    off: Off
-    off_reversed: Off | None
-    turn: GyroIntegral | None
-    sense: int = 1
-
-
-def judge_turn(reading: Reading) -> Guard | None:
-    """Check that the sensor was turned in the plane as requested; return None if it was."""
-    if reading.off.allowed:
+    if off.allowed:
         return None
     values = {
-        "asked_deg": reading.asked_deg,
-        "gravity_deg": reading.gravity_deg,
-        "off_deg": reading.off.off_deg,
-        "limit_deg": reading.off.limit_deg,
+        "asked_deg": asked_deg,
+        "gravity_deg": gravity_deg,
+        "off_deg": off.off_deg,
+        "limit_deg": off.limit_deg,
     }
-    gyro, about = "", None
-    if reading.turn is not None:
-        along = reading.sense * float(reading.turn.angle_deg[2])
-        values |= {"gyro_deg": along, "gyro_u_deg": reading.turn.u_deg}
-        gyro = f", {format_uncertain(along, NORMAL_95 * reading.turn.u_deg, 'deg', sign=True)} by the gyro"
-        about = _other_axis(reading.turn)
-    if about is not None and reading.turn is not None:
-        x, y, z = (float(angle) for angle in reading.turn.angle_deg)
-        values |= {"gyro_x_deg": x, "gyro_y_deg": y, "gyro_z_deg": z}
-        message = (
-            f"turned about {about} (x {signed(x, 1)}°, y {signed(y, 1)}°,"
-            f" z {signed(z, 1)}° by the gyros); {signed(reading.asked_deg)}° about z was requested"
-        )
-        return Guard("wrong_axis", message, values, spoils=True)
-    seen = f"{signed(reading.gravity_deg, 2)}° by gravity{gyro}"
-    if abs(reading.gravity_deg) <= math.degrees(SHIFT_MG / 1000.0):
-        message = f"the part has not moved: {seen}; {signed(reading.asked_deg)}° was requested"
+    wanted = f"{signed(asked_deg)}°"
+    seen = f"{signed(gravity_deg, 2)}° by gravity"
+    if turn is not None:
+        along = sense * float(turn.angle_deg[2])
+        values |= {"gyro_deg": along, "gyro_u_deg": turn.u_deg}
+        seen += f", {format_uncertain(along, NORMAL_95 * turn.u_deg, 'deg', sign=True)} by the gyro"
+        if (about := _other_axis(turn)) is not None:
+            x, y, z = (float(angle) for angle in turn.angle_deg)
+            values |= {"gyro_x_deg": x, "gyro_y_deg": y, "gyro_z_deg": z}
+            message = (
+                f"turned about {about} (x {signed(x, 1)}°, y {signed(y, 1)}°,"
+                f" z {signed(z, 1)}° by the gyros); {wanted} about z was requested"
+            )
+            return Guard("wrong_axis", message, values, spoils=True)
+    if abs(gravity_deg) <= math.degrees(SHIFT_MG / 1000.0):
+        message = f"the part has not moved: {seen}; {wanted} was requested"
         return Guard("not_moved", message, values, spoils=True)
-    if abs(wrap_degrees(reading.gravity_deg + reading.asked_deg)) <= reading.off.limit_deg:
-        return _reversed(reading, values, seen)
+    if abs(wrap_degrees(gravity_deg + asked_deg)) <= off.limit_deg:
+        message, answers = f"turned the wrong way: {seen}; {wanted} was requested", RETAKE
+        if off_reversed is not None and off_reversed.allowed:
+            message += "; if the stage counts the other way, reverse the whole session"
+            answers = ("retake", "reverse", "keep", "skip")
+        return Guard("reversed", message, values, answers, spoils=True)
     message = (
-        f"{signed(reading.off.off_deg, 2)}° off {reading.here_deg:g}° ({seen},"
-        f" {signed(reading.asked_deg)}° requested); part and fixture explain"
-        f" {reading.off.limit_deg:.2f}° at most"
+        f"{signed(off.off_deg, 2)}° off {here_deg:g}° ({seen}, {wanted} requested);"
+        f" part and fixture explain {off.limit_deg:.2f}° at most"
     )
     return Guard("wrong_angle", message, values, spoils=True)
-
-
-def _reversed(reading: Reading, values: dict[str, float], seen: str) -> Guard:
-    message = f"turned the wrong way: {seen}; {signed(reading.asked_deg)}° was requested"
-    answers = RETAKE
-    if reading.off_reversed is not None and reading.off_reversed.allowed:
-        message += "; if the stage counts the other way, reverse the whole session"
-        answers = ("retake", "reverse", "keep", "skip")
-    return Guard("reversed", message, values, answers, spoils=True)
 
 
 def _other_axis(turn: GyroIntegral) -> str | None:
@@ -645,15 +634,13 @@ class Judge:
         self._turned = (turn, before.place)
         reversed_off = self._other.off(accel_mg, position.angle_deg) if self._may_be_reversed else None
         guard = judge_turn(
-            Reading(
-                self._asked_deg(position),
-                position.angle_deg,
-                turned_deg(before.mean_mg, accel_mg, self.sense),
-                self._expected.off(accel_mg, position.angle_deg),
-                reversed_off,
-                turn,
-                self.sense,
-            )
+            asked_deg=self._asked_deg(position),
+            here_deg=position.angle_deg,
+            gravity_deg=turned_deg(before.mean_mg, accel_mg, self.sense),
+            off=self._expected.off(accel_mg, position.angle_deg),
+            off_reversed=reversed_off,
+            turn=turn,
+            sense=self.sense,
         )
         positions = self._positions(position, accel_mg)
         return add_diagnosis(

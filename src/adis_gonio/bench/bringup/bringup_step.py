@@ -16,6 +16,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from itertools import pairwise
 from typing import Any, TypeVar
 
 import numpy as np
@@ -630,9 +631,13 @@ class BringupBench:
                 late = self.bus.now_s() - begin_s > LONGEST_S
                 if have >= count or (late and have >= FEWEST):
                     break
-        whole = join(blocks).first(count)
-        run = _longest_run(blocks, count)
-        return (run, True) if len(run) >= count // 2 else (whole, False)
+        scans = join(blocks)
+        begin, end = longest_run(scans.time_s, self.sensor.configuration().sample_period_s * self.clock)
+        if end - begin < count // 2:
+            return scans.first(count), False
+        cut = slice(begin, min(end, begin + count))
+        words, times = scans.words[cut], scans.time_s[cut]
+        return replace(scans, words=words, time_s=times, lost=0, missed=None), True
 
     def _stream(self, names: Sequence[str], block_scans: int) -> ScanStream:
         if self.lends and self.data_ready:
@@ -674,28 +679,13 @@ class BringupBench:
         self.bus.sleep_s(now.settling_s + count * now.sample_period_s)
 
 
-def _longest_run(blocks: Sequence[ScanBlock], count: int) -> ScanBlock:
-    """Return the longest run of scans without a missed update, at most `count` scans.
+def longest_run(times: Floats, step_s: float) -> tuple[int, int]:
+    """Return begin and end (exclusive) of the longest run of times (n,) in s without a gap.
 
-    A block with gaps at unknown places is not used.
+    A gap is a step of more than 1.5 times `step_s`.
     """
-    whole = join(blocks)
-    # Scans before which an update was missed.
-    breaks: list[int] = [0]
-    at = 0
-    for block in blocks:
-        if block.missed is not None:
-            breaks += [at + int(k) for k in np.flatnonzero(block.missed)]
-        elif block.lost:
-            breaks += range(at, at + len(block))
-        at += len(block)
-    breaks = sorted({*breaks, len(whole)})
-    lengths = np.diff(breaks)
-    if not len(lengths):
-        return whole.first(0)
-    best = int(np.argmax(lengths))
-    cut = slice(breaks[best], min(breaks[best + 1], breaks[best] + count))
-    return replace(whole, words=whole.words[cut], time_s=whole.time_s[cut], lost=0, missed=None)
+    ends = [0, *(np.flatnonzero(np.diff(times) > 1.5 * step_s) + 1), len(times)]
+    return max(pairwise(ends), key=lambda run: run[1] - run[0])
 
 
 def writable() -> tuple[Register, ...]:

@@ -233,7 +233,7 @@ class ObservedBus(ForwardingBus):
         helper = getattr(self.inner, name, None)
 
         def call(method: str, *arguments: Any) -> Any:
-            return self.observe(f"{name}.{method}", lambda: getattr(helper, method)(*arguments))
+            return self.forward(f"{name}.{method}", lambda: getattr(helper, method)(*arguments))
 
         return _stand_in(_describe(helper), call)
 
@@ -251,58 +251,23 @@ class ObservedBus(ForwardingBus):
         self._note(Call(0, "clock", now, now, result=now))
         return now
 
-    def sleep_s(self, seconds: float) -> None:
-        """Wait for some seconds on the clock of the inner bus; note the call."""
-        self.observe("sleep_s", lambda: self.inner.sleep_s(seconds), arguments=[float(seconds)])
-
-    def hard_reset(self) -> None:
-        """Reset the chip by the RST line of the inner bus; note the call."""
-        self.observe("hard_reset", self.inner.hard_reset)
-
-    def read_event_counter(self) -> int:
-        """Return the data-ready edges that the inner bus has counted since the last call; note them."""
-        return self.observe("read_event_counter", self.inner.read_event_counter)
-
-    def count_events(self) -> tuple[int, float]:
-        """Return the edges since the last call and the time in s from the inner bus; note both.
-
-        The edges are data-ready edges, the time is when they were counted.
-        """
-        return self.observe("count_events", self.inner.count_events)
-
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
-        """Start a stream of the read frames `frames` on the inner bus and note its blocks."""
+        """Start a stream of the read frames `frames` on the inner bus and note its blocks.
 
-        def start() -> FrameStream:
-            return self.inner.stream(frames, block_scans=block_scans)
+        A block of the stream holds about `block_scans` scans.
+        """
+        return _ObservedStream(self, super().stream(frames, block_scans=block_scans))
 
-        listed = np.array(frames, np.uint16)
-        started = self.observe("stream", start, lambda _: None, listed, [block_scans])
-        return _ObservedStream(self, started)
-
-    def _exchange(self, frames: Words) -> Words:
-        return self.observe("exchange", lambda: self.inner.exchange_array(frames), frames=frames)
-
-    def _configure(self, timing: SpiTiming) -> SpiTiming:
-        return self.observe(
-            "configure", lambda: self.inner.configure(timing), asdict, arguments=[asdict(timing)]
-        )
-
-    def _close(self) -> None:
-        self.observe("close", self.inner.close)
-
-    def observe(
+    def forward(
         self,
         name: str,
         action: Callable[[], T],
-        document: Callable[[T], Any] = lambda value: value,
         frames: Words | None = None,
         arguments: Sequence[Any] = (),
     ) -> T:
         """Run `action`, which calls the inner bus, and return its result; note the call under `name`.
 
-        `document` converts the result to the result of the noted `Call`; `frames` and `arguments` are
-        attributes of this call.
+        `frames` and `arguments` are attributes of the noted `Call`.
         """
         begin_s = self.inner.now_s()
         try:
@@ -310,7 +275,9 @@ class ObservedBus(ForwardingBus):
         except AdisGonioError as error:
             self._note(Call(0, name, begin_s, self.inner.now_s(), frames, arguments, error=error))
             raise
-        self._note(Call(0, name, begin_s, self.inner.now_s(), frames, arguments, document(result)))
+        noted: Any = None if isinstance(result, FrameStream) else result
+        noted = asdict(noted) if isinstance(noted, SpiTiming) else noted
+        self._note(Call(0, name, begin_s, self.inner.now_s(), frames, arguments, noted))
         return result
 
 
@@ -322,13 +289,13 @@ class _ObservedStream(FrameStream):
         self._closed = False
 
     def __next__(self) -> FrameBlock:
-        return self._bus.observe("block", lambda: next(self._inner))
+        return self._bus.forward("block", lambda: next(self._inner))
 
     def close(self) -> None:
         """Stop the stream and free the bus; may be called twice."""
         if not self._closed:
             self._closed = True
-            self._bus.observe("end_stream", self._inner.close)
+            self._bus.forward("end_stream", self._inner.close)
 
 
 class RecordingBus(ObservedBus):

@@ -762,6 +762,9 @@ class SerialBus(HostBus):
             self._lost_session = True
             raise
         self._renew()
+        return self._ask_once(request, reply, runs_s)
+
+    def _ask_once(self, request: Body, reply: type[B], runs_s: float = 0.0) -> B:
         try:
             return self._link.request(request, reply, runs_s)
         except RefusedError as refused:
@@ -771,11 +774,6 @@ class SerialBus(HostBus):
         """Open a new session with the firmware and set the SPI timing again, which the hello resets."""
         self.firmware = self._link.hello(AGAIN_S)
         timing = self.timing
-        request = wire.ConfigureRequest(
-            int(timing.clock_hz), math.ceil(timing.stall_us), math.ceil(timing.period_us)
-        )
-        try:
-            self._link.request(request, wire.ConfigureReply)
-        except RefusedError as refused:
-            raise ProtocolError(f"{self.url}: {refused}") from refused
+        stall, period = math.ceil(timing.stall_us), math.ceil(timing.period_us)
+        self._ask_once(wire.ConfigureRequest(int(timing.clock_hz), stall, period), wire.ConfigureReply)
         self._lost_session = False
