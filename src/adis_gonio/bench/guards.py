@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -55,6 +55,12 @@ It is ten times the fastest self-heating by the data sheet (5 °C in one minute)
 """
 SUPPLY_STEP_V = 0.05
 """Largest change of the supply in V within a second of a good dwell: a tenth of the specified range."""
+
+_STEPS: tuple[tuple[Literal["temperature", "supply"], str, str, float], ...] = (
+    ("temperature", "temp_c", "°C", TEMPERATURE_STEP_C),
+    ("supply", "supply_v", "V", SUPPLY_STEP_V),
+)
+"""Conditions that may step within a dwell: kind, column of a session, unit, largest change in a second."""
 
 RETAKE: tuple[str, ...] = ("retake", "keep", "skip")
 
@@ -318,23 +324,17 @@ def judge_dwell(scans: Block, problems: Sequence[Problem]) -> list[Guard]:
         alarms = 0 if scans.alarm is None else int(scans.alarm.sum())
         guards.append(Guard(kinds[found[0].kind], message, {"scans": float(alarms)}))
     columns = session_columns(scans)
-    if "temp_c" in columns:
-        step = greatest_step(scans.time_s, columns["temp_c"])
-        if step > TEMPERATURE_STEP_C:
+    for kind, column, unit, limit in _STEPS:
+        if column not in columns or (kind == "supply" and guards):
+            continue
+        step = greatest_step(scans.time_s, columns[column])
+        if step > limit:
             message = (
-                f"the temperature has stepped by {step:.2g} °C within the dwell"
-                f" (at most {TEMPERATURE_STEP_C:g} °C a second)"
+                f"the {kind} has stepped by {step:.2g} {unit} within the dwell"
+                f" (at most {limit:g} {unit} a second)"
             )
-            values = {"step_c": step, "limit_c": TEMPERATURE_STEP_C}
-            guards.append(Guard("temperature", message, values))
-    if "supply_v" in columns and not guards:
-        step = greatest_step(scans.time_s, columns["supply_v"])
-        if step > SUPPLY_STEP_V:
-            message = (
-                f"the supply has stepped by {step:.2g} V within the dwell"
-                f" (at most {SUPPLY_STEP_V:g} V a second)"
-            )
-            guards.append(Guard("supply", message, {"step_v": step, "limit_v": SUPPLY_STEP_V}))
+            name = column.rpartition("_")[2]
+            guards.append(Guard(kind, message, {f"step_{name}": step, f"limit_{name}": limit}))
     return guards
 
 

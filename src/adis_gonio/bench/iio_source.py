@@ -170,10 +170,6 @@ class IioSource(SampleSource):
 
     def samples(self, settings: Settings, block_samples: int) -> IioStream:
         """Start a stream of samples in blocks of `block_samples`; the settings have no effect on it."""
-        return self.stream(block_samples)
-
-    def stream(self, block_samples: int) -> IioStream:
-        """Start a stream of samples in blocks of `block_samples`."""
         if block_samples < 1:
             raise UsageError(f"block_samples is {block_samples}: take 1 or more")
         if not self.measuring.buffered:

@@ -164,7 +164,7 @@ def test_where_every_clock_has_errors_nothing_more_is_judged():
     found = bring_up(Board(clean_hz=20e3, bit_errors=0.01).open(6), permission=ALL)
     assert found.accused in (("bit errors",), ("link",))
     rest = found.rows[3:]
-    assert all(row.result.verdict is Verdict.NOT_MEASURED for row in rest)
+    assert all(row.verdict is Verdict.NOT_MEASURED for row in rest)
 
 
 def test_a_silent_axis_is_named():

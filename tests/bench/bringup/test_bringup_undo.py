@@ -66,7 +66,7 @@ def test_without_permission_nothing_but_data_ready_is_written():
     found = bring_up(bus)
     assert {frame >> 8 & 0x3F for frame in writes} == {0x34}, "the low byte of MSC_CTRL"
     assert registers_of(bus) == before
-    left = [row.name for row in found.rows if row.result.verdict is Verdict.NOT_MEASURED]
+    left = [row.name for row in found.rows if row.verdict is Verdict.NOT_MEASURED]
     assert left == [step.name for step in STEPS if step.question]
     assert "--allow-writes" in found.row("offset").text
 

@@ -12,7 +12,7 @@ from adis_gonio.bench.bringup.bringup_step import (
     Curve,
     Measured,
     Outcome,
-    Row,
+    StepResult,
     Verdict,
 )
 from adis_gonio.page.document import Figure, Section, Series, Table, plot, render
@@ -33,10 +33,8 @@ def build_page(found: Bringup) -> str:
 
 
 def _summary(found: Bringup) -> Section:
-    rows = [(row.name, row.result.verdict, _plain(row.result.text)) for row in found.rows]
-    strong = [
-        k for k, row in enumerate(found.rows) if row.result.verdict in (Verdict.FAULT, Verdict.DIFFERS)
-    ]
+    rows = [(row.name, row.verdict, _plain(row.text)) for row in found.rows]
+    strong = [k for k, row in enumerate(found.rows) if row.verdict in (Verdict.FAULT, Verdict.DIFFERS)]
     return Section(
         "Results",
         words=(found.headline, f"Writes: {found.undone}."),
@@ -74,7 +72,7 @@ def _figures(found: Bringup) -> Section:
         drawn = [
             Figure(_draw(curve), curve.caption)
             for row in found.rows
-            for curve in row.result.curves
+            for curve in row.curves
             if len(curve.x)
         ]
     except NotInstalledError as error:  # the page is useful without figures
@@ -101,14 +99,14 @@ def _draw(curve: Curve) -> str:
 def _details(found: Bringup) -> Section:
     return Section(
         "The steps",
-        parts=[_detail(row) for row in found.rows if row.result.verdict is not Verdict.NOT_MEASURED],
+        parts=[_detail(row) for row in found.rows if row.verdict is not Verdict.NOT_MEASURED],
     )
 
 
-def _detail(row: Row) -> Section:
+def _detail(row: StepResult) -> Section:
     rows = [
         (figure.name, _value(figure), "" if figure.expected is None else _number(figure.expected, figure))
-        for figure in row.result.figures
+        for figure in row.figures
     ]
     table = Table(("figure", "value", "expected"), rows, numeric=(1, 2))
     return Section(

@@ -21,7 +21,6 @@ from adis_gonio.bench.bringup.bringup_step import (
     BringupBus,
     BringupStep,
     Outcome,
-    Row,
     SideEffect,
     StepResult,
     writable,
@@ -84,7 +83,7 @@ def bring_up(
     *,
     variant: str | Variant = "adis16354",
     permission: Permission = Permission(),
-    tell: Callable[[Row], object] = lambda row: None,
+    tell: Callable[[StepResult], object] = lambda row: None,
     steps: tuple[BringupStep, ...] = STEPS,
 ) -> Bringup:
     """Check a new board by the bring-up steps, and return the results.
@@ -116,14 +115,18 @@ class _Run:
     """A bring-up in progress: runs the steps and collects their results."""
 
     def __init__(
-        self, bus: SpiBus, variant: str | Variant, permission: Permission, tell: Callable[[Row], object]
+        self,
+        bus: SpiBus,
+        variant: str | Variant,
+        permission: Permission,
+        tell: Callable[[StepResult], object],
     ) -> None:
         self._bus = BringupBus(bus, NORMAL.clock_hz)
         self._variant = variant
         self._permission = permission
         self._tell = tell
         self._budget = AlarmBudget()
-        self._rows: list[Row] = []
+        self._rows: list[StepResult] = []
         self._answers: dict[str, Answer] = {}
         self._bench: BringupBench | None = None
         self._undo: Undo | None = None
@@ -139,15 +142,15 @@ class _Run:
             except AdisGonioError as error:
                 failure = str(error)
         for step in steps:
-            result = StepResult().not_measured("stopped by the operator")
+            result = new_result(step).not_measured("stopped by the operator")
             with self._until_stopped():
                 if self._bench is not None and not self._stopped:
                     result = self._one(self._bench, step)
                 elif failure:
-                    result = StepResult().not_measured("the link does not work")
-                    result = result if self._rows else StepResult().fault(failure)
+                    result = new_result(step).not_measured("the link does not work")
+                    result = result if self._rows else new_result(step).fault(failure)
             with self._until_stopped():
-                self._add(step, result)
+                self._add(result, step.settles)
         if self._undo is not None:
             with self._until_stopped():
                 self._undo.put_back()  # again, since an interruption may have come during the first time
@@ -164,17 +167,17 @@ class _Run:
     def _one(self, bench: BringupBench, step: BringupStep) -> StepResult:
         refusal = bench.blocked or self._refusal(step)
         if refusal:
-            return StepResult().not_measured(refusal)
+            return new_result(step).not_measured(refusal)
         if step.effect in (SideEffect.WRITES, SideEffect.FLASH) and not self._permission.ask(step.question):
-            return StepResult().not_measured("the answer to its question was no")
+            return new_result(step).not_measured("the answer to its question was no")
         changes = step.effect is not SideEffect.READS
         try:
             if changes and self._undo is None:
                 self._undo = Undo(bench.sensor, writable())
             bench.bus.calls.clear()
-            return judge_rows(bench, step, step.run(bench, StepResult()))
+            return judge_rows(bench, step, step.run(bench, new_result(step)))
         except AdisGonioError as error:
-            return StepResult().fault(f"could not be done: {error}")
+            return new_result(step).fault(f"could not be done: {error}")
         finally:
             if changes and self._undo is not None:
                 try:
@@ -190,14 +193,12 @@ class _Run:
             return "it writes the flash once; --allow-writes --flash permits that"
         return ""
 
-    def _add(self, step: BringupStep, result: StepResult) -> None:
-        row = Row(step.name, step.does, step.effect, result)
-        self._rows.append(row)
-        why = result.text.removeprefix("not measured: ")
-        for name in step.settles:
-            default = Answer(Outcome.NOT_MEASURED, NO_ANSWER.format(why))
-            self._answers[name] = result.answers.get(name, default)
-        self._tell(row)
+    def _add(self, result: StepResult, questions: tuple[str, ...]) -> None:
+        """Keep the result of a step, and the answers to its questions."""
+        self._rows.append(result)
+        default = Answer(Outcome.NOT_MEASURED, NO_ANSWER.format(result.text.removeprefix("not measured: ")))
+        self._answers |= {name: result.answers.get(name, default) for name in questions}
+        self._tell(result)
 
     def _whole(self, begun: str) -> Bringup:
         sensor = None if self._bench is None else self._bench.sensor
@@ -230,16 +231,22 @@ class _Run:
         )
 
 
+def new_result(step: BringupStep) -> StepResult:
+    """Return an empty result of a step."""
+    return StepResult(step.name, step.does, step.effect)
+
+
 def judge_rows(bench: BringupBench, step: BringupStep, found: StepResult) -> StepResult:
     """Answer the open questions of a step by the rows of the register table; return its result `found`.
 
     The rows are judged by the calls of the step. If the step gave no text, the rows also give its verdict:
     a contradicted row is a difference from the table.
     """
+    names = [name for name in step.settles if name in BY_QUESTION and name not in found.answers]
+    if not names:
+        return found
     chip = RecordedChip(bench.bus.calls, bench.bus.edge_rises)
-    for name in step.settles:
-        if name in found.answers or name not in BY_QUESTION:
-            continue
+    for name in names:
         finding = BY_QUESTION[name].judge([*BY_QUESTION[name].observe(chip, bench.sensor.variant)])
         if finding.observations:
             text = f"{finding.question.rstrip('?')}: {finding.best}"
@@ -247,14 +254,18 @@ def judge_rows(bench: BringupBench, step: BringupStep, found: StepResult) -> Ste
                 text += f", the table says {finding.table}"
             figures = found.figures or finding.measured
             found.answer(name, finding.outcome, f"{text} ({finding.seen})", *figures)
-    if not found.text:
-        answers = found.answers.values()
-        wrong = [one.text for one in answers if one.outcome is Outcome.CONTRADICTS]
-        if wrong:
-            return found.differs("; ".join(wrong))
-        texts = "; ".join(one.text for one in answers)
-        return found.ok(texts) if texts else found.not_measured("the replies do not show it on this bridge")
-    return found
+        elif not found.text:
+            found.answer(name, Outcome.NOT_MEASURED, NO_ANSWER.format("the replies do not show it"))
+    if found.text:
+        return found
+    texts = {
+        outcome: [a.text for a in found.answers.values() if a.outcome is outcome] for outcome in Outcome
+    }
+    if wrong := texts[Outcome.CONTRADICTS]:
+        return found.differs("; ".join(wrong))
+    if len(texts[Outcome.NOT_MEASURED]) == len(found.answers):
+        return found.not_measured("the replies do not show it")
+    return found.ok("; ".join(answer.text for answer in found.answers.values()))
 
 
 def _bridge(bus: BringupBus) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.jsonable import INLINE, JsonRecord, key
+from adis_gonio.base.jsonable import JsonRecord, key
 from adis_gonio.device.bus import Capability, SpiBus, SpiTiming, Words
 from adis_gonio.device.bus.recording import Call, ObservedBus
 from adis_gonio.device.sensor.driver import Adis16354
@@ -225,6 +225,10 @@ class StepResult(JsonRecord, frozen=False):
 
     Attributes
     ----------
+    name, does : str
+        Name of the step, and its description in one line.
+    effect : str
+        Kind of change that the step makes to the sensor, a `SideEffect`.
     verdict : Verdict
         Kind of the result.
     text : str
@@ -237,8 +241,11 @@ class StepResult(JsonRecord, frozen=False):
         Diagrams for the report.
     """
 
-    document_keys = ("verdict", "text", "figures")
+    document_keys = ("name", "does", "effect", "verdict", "text", "figures")
 
+    name: str
+    does: str
+    effect: str
     verdict: Verdict = Verdict.NOT_MEASURED
     text: str = ""
     figures: list[Measured] = field(default_factory=list)
@@ -291,25 +298,6 @@ class StepResult(JsonRecord, frozen=False):
         return self
 
 
-class Row(JsonRecord):
-    """A bring-up step with its result, as in the JSON document.
-
-    Attributes
-    ----------
-    name, does : str
-        Name of the step, and its description in one line.
-    effect : str
-        Kind of change that the step makes to the sensor, a `SideEffect`.
-    result : StepResult
-        Result of the step.
-    """
-
-    name: str
-    does: str
-    effect: str
-    result: StepResult = field(metadata=INLINE)
-
-
 @dataclass(frozen=True)
 class Bringup:
     """Result of a bring-up: the results of all steps, and the answers to open questions.
@@ -324,8 +312,8 @@ class Bringup:
         Facts about the bridge.
     registers : mapping of str to int
         Words of the registers before the bring-up, by name; empty if they were not read.
-    rows : tuple of Row
-        One row for each step, in order.
+    rows : tuple of StepResult
+        Results of the steps, in order.
     answers : mapping of str to Answer
         One answer for each open question about the sensor (`QUESTIONS`), by name.
     undone : str
@@ -346,7 +334,7 @@ class Bringup:
     software: str
     bridge: Mapping[str, Any]
     registers: Mapping[str, int]
-    rows: tuple[Row, ...]
+    rows: tuple[StepResult, ...]
     answers: Mapping[str, Answer]
     undone: str
     undone_ok: bool
@@ -356,19 +344,17 @@ class Bringup:
 
     def row(self, name: str) -> StepResult:
         """Return the result of a step by the step's name."""
-        return next(row.result for row in self.rows if row.name == name)
+        return next(row for row in self.rows if row.name == name)
 
     @property
     def accused(self) -> tuple[str, ...]:
         """Names of the steps that found a fault of the board or a difference from the table."""
-        return tuple(
-            row.name for row in self.rows if row.result.verdict in (Verdict.FAULT, Verdict.DIFFERS)
-        )
+        return tuple(row.name for row in self.rows if row.verdict in (Verdict.FAULT, Verdict.DIFFERS))
 
     @property
     def sound(self) -> bool:
         """True if no step found a fault and all registers were restored."""
-        return self.undone_ok and all(row.result.verdict is not Verdict.FAULT for row in self.rows)
+        return self.undone_ok and all(row.verdict is not Verdict.FAULT for row in self.rows)
 
     @property
     def simulated(self) -> bool:
@@ -378,9 +364,9 @@ class Bringup:
     @property
     def headline(self) -> str:
         """Result of the bring-up in one sentence."""
-        faults = [row.name for row in self.rows if row.result.verdict is Verdict.FAULT]
-        differs = [row.name for row in self.rows if row.result.verdict is Verdict.DIFFERS]
-        left = sum(row.result.verdict is Verdict.NOT_MEASURED for row in self.rows)
+        faults = [row.name for row in self.rows if row.verdict is Verdict.FAULT]
+        differs = [row.name for row in self.rows if row.verdict is Verdict.DIFFERS]
+        left = sum(row.verdict is Verdict.NOT_MEASURED for row in self.rows)
         parts = [f"fault: {', '.join(faults)}" if faults else "no fault was found"]
         if differs:
             parts.append(f"differs from the table: {', '.join(differs)}")

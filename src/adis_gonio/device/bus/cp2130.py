@@ -503,7 +503,7 @@ def _devices(usb: Any, boards: Sequence[Any]) -> list[Device]:
     for board, serial in zip(boards, serials, strict=True):
         unique = serial and serial.isalnum() and serials.count(serial) == 1
         place = serial if unique else f"?bus={board.bus}&address={board.address}"
-        denied = ", no permission (adis-gonio devices --udev)" if serial is None else ""
+        denied = host.DENIED if serial is None else ""
         devices.append(Device(f"cp2130:{place}", f"CP2130, USB to SPI, {_node(board)}{denied}"))
     return devices
 

@@ -357,6 +357,15 @@ def claimed(path: str, url: str) -> Iterator[None]:
         os.close(handle)
 
 
+DENIED = ", no permission (adis-gonio devices --udev)"
+"""End of the description of a device that this user may not open."""
+
+
+def denied(path: str) -> str:
+    """Return `DENIED` if the device file may not be read or written; otherwise an empty text."""
+    return "" if readable_and_writable(path) else DENIED
+
+
 def readable_and_writable(path: str) -> bool:
     """Return True if the file may be read and written, or if it does not exist."""
     return not Path(path).exists() or os.access(path, os.R_OK | os.W_OK)

@@ -431,13 +431,10 @@ def find_devices(*, folder: str = "/dev") -> list[Device]:
 
     `folder` is the folder of the device files.
     """
-    devices = []
-    for path in sorted(Path(folder).glob("spidev*")):
-        denied = (
-            "" if host.readable_and_writable(str(path)) else ", no permission (adis-gonio devices --udev)"
-        )
-        devices.append(Device(f"spidev:{path}", f"SPI pins of this machine{denied}"))
-    return devices
+    return [
+        Device(f"spidev:{path}", f"SPI pins of this machine{host.denied(str(path))}")
+        for path in sorted(Path(folder).glob("spidev*"))
+    ]
 
 
 def _find_line(system: Kernel, url: str, line: str, folder: str) -> tuple[str, int]:

@@ -6,7 +6,6 @@ the words of many scans to numbers and units, vectorised.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
@@ -154,21 +153,18 @@ def filter_settling_samples(filter_m: int) -> int:
 def low_pass_3db_hz(filter_m: int, sample_rate_hz: float) -> float:
     """Return the frequency in Hz at which the filter of size M halves the power.
 
-    It is the −3 dB column of the data sheet's table (confidence A). Two boxcars of N = 2^M taps pass (sin(N
-    x) / (N sin x))² of an amplitude, with x = π f / rate. Without the filter (M = 0) only the pole of the
-    analog front end remains.
+    It is the −3 dB column of the data sheet's table (confidence A). Without the filter (M = 0), only the
+    pole of the analog front end remains.
     """
     if filter_m == 0:
         return ANALOG_POLE_HZ
-    n = 2**filter_m
-    low, high = 0.0, math.pi / n  # the first zero
-    for _ in range(60):
-        x = (low + high) / 2
-        if (math.sin(n * x) / (n * math.sin(x))) ** 2 > math.sqrt(0.5):
-            low = x
-        else:
-            high = x
-    return sample_rate_hz * low / math.pi
+    from scipy.optimize import brentq
+
+    def above_half(cycles: float) -> float:
+        return float(filter_response(filter_m, np.array(cycles))) - 0.5
+
+    # The response falls from 1 to its first zero, at one cycle in 2^M samples.
+    return sample_rate_hz * float(brentq(above_half, 0.0, 0.5**filter_m))
 
 
 @dataclass(frozen=True)
