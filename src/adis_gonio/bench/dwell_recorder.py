@@ -564,10 +564,10 @@ class DwellRecorder(Recorder):
         withdrawn. Without an operator each doubt that `found` lacks is recorded as a problem.
         """
         ledger, place = self._ledger, recording.place
-        told = {problem.kind for problem in found}
+        kinds = {problem.kind for problem in found}
         for guard in judge_dwell(scans, found):
             if self._questions.auto:
-                if guard.kind not in told and not (guard.kind == "over_range" and "alarm" in told):
+                if guard.kind not in kinds and not (guard.kind == "over_range" and "alarm" in kinds):
                     yield self._tell_problem(guard, recording)
                 continue
             stays = yield from self._ask(guard, place)

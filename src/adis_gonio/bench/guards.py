@@ -496,7 +496,7 @@ def diagnose_positions(positions: Sequence[PartPosition], spread: PriorKnowledge
         [np.nan if s.angle_deg is None else sense * math.radians(s.angle_deg) for s in positions]
     )
     order = np.arange(n, dtype=float)
-    turns = [stand.turn for stand in positions[1:]]
+    turns = [each.turn for each in positions[1:]]
     increments = Increments(
         np.radians([np.nan if turn is None else float(turn.angle_deg[2]) for turn in turns]),
         np.radians([np.nan if turn is None else turn.zero_u_deg for turn in turns]),
@@ -507,13 +507,13 @@ def diagnose_positions(positions: Sequence[PartPosition], spread: PriorKnowledge
         Angles(
             tuple(range(n)),
             declared,
-            np.array([stand.mean_mg[:2] for stand in positions]),
+            np.array([each.mean_mg[:2] for each in positions]),
             np.tile(reading**2 * np.eye(2), (n, 1, 1)),
             Conditions(
                 time_s=order,
                 angle_rad=declared,
                 order=order,
-                approach=np.array([float(sense * stand.approach) for stand in positions]),
+                approach=np.array([float(sense * each.approach) for each in positions]),
             ),
             spread.gravity_mg,
             math.radians(fixture),
@@ -535,13 +535,13 @@ def add_diagnosis(
     last = next((one for one in found.findings if here in (one.position, *one.others)), None)
     if last is None:
         return guard
-    before = [stand.angle_deg for stand in positions[-LARGEST:]]
-    told = _diagnosis_text(last, here, before, sense)
+    before = [each.angle_deg for each in positions[-LARGEST:]]
+    text = _diagnosis_text(last, here, before, sense)
     if guard is None:
-        return Guard("wrong_angle", told, _values(last, sense), spoils=True)
+        return Guard("wrong_angle", text, _values(last, sense), spoils=True)
     if guard.kind != "wrong_angle":
         return guard
-    return replace(guard, message=f"{guard.message}; {told}", values=guard.values | _values(last, sense))
+    return replace(guard, message=f"{guard.message}; {text}", values=guard.values | _values(last, sense))
 
 
 def _values(found: PositionFinding, sense: int) -> dict[str, float]:

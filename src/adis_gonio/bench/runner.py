@@ -502,7 +502,7 @@ class SessionRunner(Operator):
 def _measure_noise(questions: Questions) -> Generator[Event, None, list[float] | None]:
     """Measure the noise of the sensor at rest and record it in the archive.
 
-    If the sensor does not come to rest in time, the operator is told so, and the measurement is repeated.
+    If the sensor does not come to rest in time, a problem is shown and the measurement is repeated.
 
     Returns
     -------

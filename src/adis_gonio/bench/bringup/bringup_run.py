@@ -183,8 +183,8 @@ class _Run:
                 try:
                     self._undo.put_back()
                 finally:
-                    if self._undo.left:
-                        bench.blocked = f"{', '.join(self._undo.left)} could not be put back"
+                    if self._undo.unrestored:
+                        bench.blocked = f"{', '.join(self._undo.unrestored)} could not be put back"
 
     def _refusal(self, step: BringupStep) -> str:
         if step.effect is SideEffect.WRITES and not self._permission.writes:
@@ -207,9 +207,9 @@ class _Run:
             answers[question.name] = self._answers.get(question.name) or Answer(
                 Outcome.NOT_MEASURED, NO_ANSWER.format(question.otherwise)
             )
-        left = () if self._undo is None else self._undo.left
-        if left:
-            undone = f"NOT put back: {', '.join(left)}; switch the supply off and on"
+        unrestored = () if self._undo is None else self._undo.unrestored
+        if unrestored:
+            undone = f"NOT put back: {', '.join(unrestored)}; switch the supply off and on"
         elif self._undo is None:
             undone = "nothing was written"
         else:
@@ -224,7 +224,7 @@ class _Run:
             rows=tuple(self._rows),
             answers=answers,
             undone=undone,
-            undone_ok=not left,
+            undone_ok=not unrestored,
             comparisons=self._budget.spent,
             false_alarm=FALSE_ALARM,
             stopped=self._stopped,

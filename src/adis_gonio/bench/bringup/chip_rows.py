@@ -410,10 +410,11 @@ def _bursts(chip: RecordedChip) -> Iterator[tuple[RegisterSpan, float, np.ndarra
 
 
 def _periods(chip: RecordedChip, _: Variant) -> Iterator[RowFigure]:
-    """Yield the logarithms of measured sample periods, one for each value of SMPL_PRD.
+    """Yield the logarithms of measured sample periods divided by their nominal periods.
 
-    The most precise period is yielded in s. Each other period is yielded as its ratio to the most precise
-    one, which the error of the chip's clock (3 %) does not change.
+    There is one figure for each value of SMPL_PRD. The most precise period is judged as it is. Each other
+    period is judged by its ratio to the most precise one, which the error of the chip's clock (3 %) does
+    not change.
     """
     bursts: dict[int, list[tuple[float, float]]] = {}
     for span, step_s, flags, _period_s in _bursts(chip):
@@ -432,8 +433,9 @@ def _periods(chip: RecordedChip, _: Variant) -> Iterator[RowFigure]:
         wide = dict.fromkeys(due, _STEADY if reference else 0.03)
         if code >> 7 and not (reference and best >> 7):
             wide[_OTHER_BASE] = math.log(2)
-        predicted = {name: (one - wide[name], one + wide[name]) for name, one in due.items()}
-        yield RowFigure(log - shared, u, predicted)
+        nominal = due["base × (N + 1)"]
+        predicted = {name: (d - nominal - wide[name], d - nominal + wide[name]) for name, d in due.items()}
+        yield RowFigure(log - shared - nominal, u, predicted)
 
 
 _OTHER_BASE = "another slow base"
@@ -770,7 +772,7 @@ ROWS: tuple[ChipRow, ...] = (
            *_ROUNDINGS, wide=(-50.0, 50.0)),
     _entry("sample_period", _periods,
            "base × (N + 1)", "base × N", "bit 7 has no effect", _OTHER_BASE,
-           wide=(-10.0, 5.0), unit="s", logarithmic=True),
+           wide=(-10.0, 5.0), unit="times the nominal", logarithmic=True),
     _entry("filter_gain", _filter_gain, *_GAINS, wide=(-7.0, 2.0), logarithmic=True),
     _entry("accel_noise", _noise(_ACCELS), "as the table",
            wide=(-3.0, 3.0), unit="times the table", logarithmic=True),

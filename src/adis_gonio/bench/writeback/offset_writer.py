@@ -358,8 +358,8 @@ class OffsetWriter:
         with self._journal(operation) as journal, self._reporting_state():
             back = Undo(self.sensor, registers(earlier.old), _words(earlier.old))
             back.put_back()
-            if back.left or not self._holds(earlier.old):
-                raise VerifyError(f"{', '.join(back.left) or 'the registers'} could not be set back")
+            if back.unrestored or not self._has_numbers(earlier.old):
+                raise VerifyError(f"{', '.join(back.unrestored) or 'the registers'} could not be set back")
             journal.note(WriteStep.WRITTEN)
             self._tell(f"set back and read back: {_format_numbers(earlier.old)}")
             if saves:
@@ -399,7 +399,7 @@ class OffsetWriter:
         self._require_supply(before.supply_v)
         operation = Operation(0, "autonull", now, now, now, True, ())
         with self._journal(operation) as journal:
-            journal.note(WriteStep.SAVING, endurance=endurance, beside=self._beside())
+            journal.note(WriteStep.SAVING, endurance=endurance, beside=self._other_offsets())
             with self._reporting_state():
                 _ = self.sensor.precision_autonull() if precise else self.sensor.autonull()
                 nulled, after = self._read()
@@ -423,7 +423,7 @@ class OffsetWriter:
         for axis in plan.axes:
             if axis.new != axis.now:
                 self.sensor.write(axis.register, axis.new)
-        if not self._holds(plan.new):
+        if not self._has_numbers(plan.new):
             raise VerifyError(
                 f"the registers were read back with other numbers than {_format_numbers(plan.new)}"
             )
@@ -456,11 +456,11 @@ class OffsetWriter:
         value, u = found
         unit, places = UNITS[self._part.unit], 2 if self._part.unit == "mg" else 3
         each = zip("XYZ", value, u, strict=False)
-        told = ", ".join(f"{axis} {signed(v, places)} {unit} (u {s:.2g} {unit})" for axis, v, s in each)
+        text = ", ".join(f"{axis} {signed(v, places)} {unit} (u {s:.2g} {unit})" for axis, v, s in each)
         lsb = plan.axes[0].lsb
         near = "zero" if (abs(value) <= lsb + 2 * u).all() else "not zero"
         what = "bias" if self._part.unit == "mg" else "zero rate"
-        self._tell(f"{what} by this dwell alone: {told}: {near} within an LSB ({lsb:.4g} {unit}) and 2 u")
+        self._tell(f"{what} by this dwell alone: {text}: {near} within an LSB ({lsb:.4g} {unit}) and 2 u")
         return tuple(value.tolist()), tuple(u.tolist())
 
     def _save(self, journal: Logbook, numbers: dict[str, int]) -> None:
@@ -468,7 +468,7 @@ class OffsetWriter:
         self._require_supply(self.sensor.quantity("SUPPLY_OUT").value)
         now, endurance = self._read()
         _require(now, numbers, "changed by themselves before they were saved")
-        journal.note(WriteStep.SAVING, endurance=endurance, beside=self._beside())
+        journal.note(WriteStep.SAVING, endurance=endurance, beside=self._other_offsets())
         after = self.sensor.save_to_flash()
         now, _ = self._read()
         _require(now, numbers, "changed while they were saved")
@@ -515,7 +515,7 @@ class OffsetWriter:
         back = Undo(self.sensor, registers(found), _words(found))
         with contextlib.suppress(KeyboardInterrupt):
             back.put_back()
-        if not back.left and self._holds(found):
+        if not back.unrestored and self._has_numbers(found):
             journal.note(WriteStep.SET_BACK, why=why)
 
     # -- inside ---------------------------------------------------------------------------------------
@@ -561,7 +561,7 @@ class OffsetWriter:
         numbers = {row.name: row.number(word) for row, word in zip(rows, words, strict=True)}
         return {name: numbers[name] for name in names}, numbers["ENDURANCE"]
 
-    def _beside(self) -> dict[str, int]:
+    def _other_offsets(self) -> dict[str, int]:
         """Read the other offset registers (of the gyros if accelerometers are written, or the reverse).
 
         A flash update saves these registers too.
@@ -570,7 +570,7 @@ class OffsetWriter:
         words = self.sensor.read_words(rows)
         return {row.name: row.number(word) for row, word in zip(rows, words, strict=True)}
 
-    def _holds(self, numbers: dict[str, int]) -> bool:
+    def _has_numbers(self, numbers: dict[str, int]) -> bool:
         now, _ = self._read()
         return all(now[name] == number for name, number in numbers.items())
 

@@ -761,7 +761,7 @@ class Undo:
     ----------
     before : dict of str to int
         Words to restore, limited to the writable bits.
-    left : tuple of str
+    unrestored : tuple of str
         Names of the registers that `put_back` could not restore.
     """
 
@@ -773,10 +773,10 @@ class Undo:
         self.before = (
             self._read() if before is None else {r.name: before[r.name] & r.write_mask for r in rows}
         )
-        self.left: tuple[str, ...] = ()
+        self.unrestored: tuple[str, ...] = ()
 
     def put_back(self) -> None:
-        """Restore all changed registers; set `left` to the names of those that could not be restored.
+        """Restore all changed registers; set `unrestored` to the names of those that could not be restored.
 
         Raises
         ------
@@ -785,11 +785,11 @@ class Undo:
             done.
         """
         interrupted = False
-        self.left = tuple(row.name for row in self.rows)
+        self.unrestored = tuple(row.name for row in self.rows)
         for _ in range(_TRIES):
             try:
-                self.left = tuple(row.name for row in self._restore())
-                if not self.left:
+                self.unrestored = tuple(row.name for row in self._restore())
+                if not self.unrestored:
                     break
             except KeyboardInterrupt:
                 interrupted = True
