@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from adis_gonio.base.errors import NotInstalledError
 from adis_gonio.base.numbers import format_fixed, format_number, with_unit
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.bench.bringup.bringup_step import (
     MOST_TESTS,
     QUESTIONS,
     Bringup,
-    Curve,
     Measured,
     Outcome,
     StepResult,
     Verdict,
 )
-from adis_gonio.page.document import Figure, Section, Series, Table, plot, render
+from adis_gonio.page.document import Section, Table, render
 
 
 def build_page(found: Bringup) -> str:
@@ -27,7 +25,7 @@ def build_page(found: Bringup) -> str:
         simulated=found.simulated,
         begun=found.begun_utc,
         software=found.software,
-        sections=(_summary(found), _answers(found), _figures(found), _details(found), _limits(found)),
+        sections=(_summary(found), _answers(found), _details(found), _limits(found)),
         closing="The JSON file next to this page has these figures for programs.",
     )
 
@@ -64,35 +62,6 @@ def _answers(found: Bringup) -> Section:
             " sibling's data sheet and code agree, B the sibling's sheet only, C derived, D an estimate).",
         ),
         tables=(Table(("question", "table", "source", "outcome", "measured"), rows, strong=tuple(strong)),),
-    )
-
-
-def _figures(found: Bringup) -> Section:
-    try:
-        drawn = [
-            Figure(_draw(curve), curve.caption)
-            for row in found.rows
-            for curve in row.curves
-            if len(curve.x)
-        ]
-    except NotInstalledError as error:  # the page is useful without figures
-        return Section("Figures", words=(f"There are none: {error}.",))
-    return Section("Figures", figures=drawn)
-
-
-def _draw(curve: Curve) -> str:
-    series = [
-        Series(curve.x, y, name, role="model" if name == "filter" else None, style="line")
-        for name, y in curve.y.items()
-    ]
-    return plot(
-        series,
-        curve.x_label,
-        curve.y_label,
-        title=curve.name,
-        description=curve.caption,
-        y_log=True,
-        zero=False,
     )
 
 

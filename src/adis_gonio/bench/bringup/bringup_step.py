@@ -192,30 +192,6 @@ class Answer(JsonRecord):
     figures: tuple[Measured, ...] = field(default=(), metadata=key("measured"))
 
 
-@dataclass(frozen=True)
-class Curve:
-    """Curves of one diagram.
-
-    Attributes
-    ----------
-    name, caption : str
-        Title of the diagram, and sentence below it.
-    x_label, y_label : str
-        Labels of the axes.
-    x : sequence of float
-        Abscissas of all curves.
-    y : mapping of str to sequence of float
-        Ordinates of each curve by its name, for a logarithmic axis.
-    """
-
-    name: str
-    x_label: str
-    y_label: str
-    x: Sequence[float]
-    y: Mapping[str, Sequence[float]]
-    caption: str
-
-
 def _plain(number: Number) -> Number:
     return number.item() if isinstance(number, np.generic) else number
 
@@ -237,8 +213,6 @@ class StepResult(JsonRecord, frozen=False):
         Measured figures.
     answers : dict of str to Answer
         Answers to open questions, by the question's name.
-    curves : tuple of Curve
-        Diagrams for the report.
     """
 
     document_keys = ("name", "does", "effect", "verdict", "text", "figures")
@@ -250,7 +224,6 @@ class StepResult(JsonRecord, frozen=False):
     text: str = ""
     figures: list[Measured] = field(default_factory=list)
     answers: dict[str, Answer] = field(default_factory=dict)
-    curves: tuple[Curve, ...] = ()
 
     def measure(
         self,

@@ -12,7 +12,6 @@ from adis_gonio.bench.bringup.bringup_step import (
     LONGEST_S,
     BringupBench,
     BringupStep,
-    Curve,
     Floats,
     Measured,
     SideEffect,
@@ -114,7 +113,6 @@ class Noise(BringupStep):
             spacing = float(np.mean(np.diff(block.time_s))) * rate
             judged = _by_variance(bench, numbers, m, spacing, expected / lsb)
         sigma, u = judged.sigma * lsb, judged.u * lsb
-        found.curves = judged.curves()
         for name, s, d, e, unit in zip(names, sigma, u, expected, units, strict=True):
             found.measure(f"noise of {name}, unfiltered", s, unit, d, e)
         found.measure("scans", len(block))
@@ -158,8 +156,6 @@ class _Judged:
         Axis, frequency in Hz and rms in LSB of each single tone.
     figures : tuple of Measured
         Further figures of the step.
-    density : tuple of array or None
-        Frequencies, relative spectra and expected shape for the report; None without a spectrum.
     """
 
     def __init__(self, sigma: Floats, u: Floats) -> None:
@@ -169,25 +165,6 @@ class _Judged:
         self.shape_off: list[int] = []
         self.tones: list[tuple[int, float, float]] = []
         self.figures: tuple[Measured, ...] = ()
-        self.density: tuple[Floats, Floats, Floats] | None = None
-
-    def curves(self) -> tuple[Curve, ...]:
-        """Return the smoothed spectra and the expected spectrum for the report; empty without any."""
-        if self.density is None:
-            return ()
-        hz, power, shape = self.density
-        return (
-            Curve(
-                "noise", "frequency / Hz", "noise / that of the figure, unfiltered", [float(f) for f in hz],
-                {
-                    "accelerometers": [float(p) for p in power[:, :3].mean(axis=1)],
-                    "gyros": [float(p) for p in power[:, 3:].mean(axis=1)],
-                }
-                | {"filter": [float(p) for p in shape]},
-                "Spectra over the level that the variant's noise has without the filter, neighbouring bins"
-                " averaged, and the shape of the filter.",
-            ),
-        )  # fmt: skip
 
 
 def floors(part: Variant, expected: Floats) -> Floats:
@@ -259,12 +236,6 @@ def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, e
             low, high = bench.budget.variance_ratio(2 * len(band) / HANN_WIDTH)
             if not low <= float(np.mean(band)) <= high and k not in judged.shape_off:
                 judged.shape_off.append(k)
-    # At most about 200 points are drawn: means over neighbouring bins.
-    step = max(1, len(power) // 200)
-    size = len(power) // step * step
-    smooth = power[:size].reshape(-1, step, power.shape[1]).mean(axis=1) / expected**2
-    at = (cycles[:size].reshape(-1, step).mean(axis=1)) * rate_hz
-    judged.density = (at, smooth, gain[:size].reshape(-1, step).mean(axis=1) + 1 / 12 / expected[0] ** 2)
     judged.figures = (Measured("lowest frequency that is judged", float(hz[0]), "Hz"),)
     return judged
 
