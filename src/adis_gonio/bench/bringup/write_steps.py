@@ -118,7 +118,7 @@ class SelfTests(BringupStep):
         for sign, values in (("positive", plus), ("negative", minus)):
             for name, value, s, size, unit in zip(names, values, u, lsb, units, strict=True):
                 found.measure(f"{name}, {sign} stimulus", value * size, unit, s * size)
-        wrong = list(internal.failures)
+        wrong = list(internal.self_test_failures)
         wrong += [
             f"{name} does not answer to the positive stimulus"
             for k, name in enumerate(names)

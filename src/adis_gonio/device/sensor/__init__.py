@@ -8,13 +8,12 @@ from adis_gonio.device.sensor.settings import (
     Configuration,
     Offsets,
     ScanBlock,
-    SelfTest,
     Status,
     decode_numbers,
 )
 
 __all__ = [
     "DEFAULT_SCAN", "REGISTERS", "VARIANTS", "Adis16354", "Alarm", "Configuration",
-    "Offsets", "Quantity", "Register", "ScanBlock", "ScanStream", "SelfTest", "Status", "Variant",
+    "Offsets", "Quantity", "Register", "ScanBlock", "ScanStream", "Status", "Variant",
     "decode_numbers", "open_sensor",
 ]  # fmt: skip

@@ -68,7 +68,6 @@ from adis_gonio.device.sensor.settings import (
     Configuration,
     Offsets,
     ScanBlock,
-    SelfTest,
     Status,
     join,
     scales,
@@ -497,8 +496,10 @@ class Adis16354(Closing):
         """Read STATUS, which clears it; the bit of a lasting condition is set again at the next update."""
         return Status(self.read("STATUS"))
 
-    def self_test(self) -> SelfTest:
-        """Run the internal self-test (35 ms, outputs unavailable meanwhile) and read its result.
+    def self_test(self) -> Status:
+        """Run the internal self-test (35 ms, outputs unavailable meanwhile) and read STATUS.
+
+        The test has passed if the attribute `self_test_failures` of the result is empty.
 
         Raises
         ------
@@ -514,7 +515,7 @@ class Adis16354(Closing):
         self.bus.sleep_s(SELF_TEST_S)
         if self.read_checked([row])[0] & busy:
             raise ChipError("the self-test did not end in 60 ms: reset the part and check its supply")
-        return SelfTest(self.status())
+        return self.status()
 
     # -- offsets and flash --------------------------------------------------------------------------
 

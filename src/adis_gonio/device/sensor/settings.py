@@ -288,29 +288,14 @@ class Status:
         """Meanings of the errors and alarms that are set in STATUS, one line of text each."""
         return tuple(field.meaning for field in BY_NAME["STATUS"].fields if field.of(self.word))
 
+    @property
+    def self_test_failures(self) -> tuple[str, ...]:
+        """Failures of a self-test, one line of text each: bit 5 (error), bits 15:10 (one for each axis)."""
+        fields = [field for field in BY_NAME["STATUS"].fields if field.name.endswith("self_test")]
+        return tuple(field.meaning for field in fields if field.of(self.word))
+
     def __str__(self) -> str:
         return "; ".join(self.messages) or "no fault, no alarm"
-
-
-@dataclass(frozen=True)
-class SelfTest:
-    """Result of the internal self-test, from STATUS bit 5 (error) and bits 15:10 (one for each axis)."""
-
-    status: Status
-
-    @property
-    def passed(self) -> bool:
-        """True if STATUS shows no failure: neither the error bit nor the bit of a sensor axis."""
-        return not self.failures
-
-    @property
-    def failures(self) -> tuple[str, ...]:
-        """Failed axes, one line of text each."""
-        return tuple(
-            field.meaning
-            for field in BY_NAME["STATUS"].fields
-            if field.name.endswith("self_test") and field.of(self.status.word)
-        )
 
 
 ALARM_SOURCES: dict[str, int] = {
