@@ -250,8 +250,9 @@ def judge_rows(bench: BringupBench, step: BringupStep, found: StepResult) -> Ste
         finding = BY_QUESTION[name].judge([*BY_QUESTION[name].observe(chip, bench.sensor.variant)])
         if finding.observations:
             text = f"{finding.question.rstrip('?')}: {finding.best}"
-            if finding.outcome is Outcome.CONTRADICTS:
-                text += f", the table says {finding.table}"
+            if finding.outcome is not Outcome.CONFIRMS:
+                undecided = " (undecided)" if finding.outcome is Outcome.OPEN else ""
+                text += f", the table says {finding.table}{undecided}"
             figures = found.figures or finding.measured
             found.answer(name, finding.outcome, f"{text} ({finding.seen})", *figures)
         elif not found.text:
