@@ -120,11 +120,16 @@ def spi_word(code: int) -> int:
     return 1 << CPHA_BIT | 1 << CPOL_BIT | 1 << PUSH_PULL_BIT | code
 
 
+def _sized(data: bytes, size: int, what: str) -> bytes:
+    """Return a reply of `size` bytes; raise `ProtocolError`, which names `what`, if it has another size."""
+    if len(data) != size:
+        raise ProtocolError(f"CP2130: {what} of {len(data)} bytes instead of {size}")
+    return data
+
+
 def parse_spi_words(data: bytes) -> tuple[int, ...]:
     """Return the SPI configuration bytes of all channels, from the reply to `GET_SPI_WORD`."""
-    if len(data) != CHANNELS:
-        raise ProtocolError(f"CP2130: {len(data)} SPI words instead of {CHANNELS}")
-    return tuple(data)
+    return tuple(_sized(data, CHANNELS, "SPI words"))
 
 
 def parse_selects(data: bytes) -> tuple[frozenset[int], frozenset[int]]:
@@ -132,9 +137,7 @@ def parse_selects(data: bytes) -> tuple[frozenset[int], frozenset[int]]:
 
     `data` is the reply to `GET_CHIP_SELECT`.
     """
-    if len(data) != _SELECTS.size:
-        raise ProtocolError(f"CP2130: chip selects of {len(data)} bytes instead of {_SELECTS.size}")
-    channels, pins = _SELECTS.unpack(data)
+    channels, pins = _SELECTS.unpack(_sized(data, _SELECTS.size, "chip selects"))
     return (
         frozenset(channel for channel in range(CHANNELS) if channels >> channel & 1),
         frozenset(pin for pin, bit in enumerate(PIN_BITS) if pins >> bit & 1),
@@ -148,9 +151,7 @@ def frame_command(frame: int) -> bytes:
 
 def parse_frame(data: bytes) -> int:
     """Return the 16-bit word that the chip sent during a frame, from the bulk reply of two bytes."""
-    if len(data) != FRAME_BYTES:
-        raise ProtocolError(f"CP2130: {len(data)} bytes came in for a frame of {FRAME_BYTES}")
-    return int.from_bytes(data, "big")
+    return int.from_bytes(_sized(data, FRAME_BYTES, "a frame"), "big")
 
 
 def parse_counter(data: bytes) -> tuple[int, int]:
@@ -158,9 +159,7 @@ def parse_counter(data: bytes) -> tuple[int, int]:
 
     The count has 16 bits and wraps.
     """
-    if len(data) != _COUNTER.size:
-        raise ProtocolError(f"CP2130: an event counter of {len(data)} bytes instead of {_COUNTER.size}")
-    mode, count = _COUNTER.unpack(data)
+    mode, count = _COUNTER.unpack(_sized(data, _COUNTER.size, "an event counter"))
     return mode & 7, count
 
 

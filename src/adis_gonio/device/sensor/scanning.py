@@ -34,7 +34,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -288,8 +288,11 @@ class ScanLayout:
     at_end: Callable[[], object] = lambda: None
 
 
-class ScanStream(Closing):
-    """Iterator of `ScanBlock` that restores the chip's settings when closed; a context manager.
+B = TypeVar("B")
+
+
+class BlockStream(Closing, Generic[B]):
+    """Iterator of blocks of samples until it is closed; a context manager.
 
     Attributes
     ----------
@@ -298,6 +301,32 @@ class ScanStream(Closing):
     """
 
     how: str = ""
+    _closed = False
+
+    def __iter__(self) -> Iterator[B]:
+        return self
+
+    def __next__(self) -> B:
+        """Wait for the next block and return it; raise `BusError` or `ChipError` on failure."""
+        if self._closed:
+            raise StopIteration
+        return self._next()
+
+    def close(self) -> None:
+        """Stop the stream; may be called twice."""
+        if not self._closed:
+            self._closed = True
+            self._stop()
+
+    @abstractmethod
+    def _next(self) -> B: ...
+
+    def _stop(self) -> None:
+        """Stop the activity of the stream on the bus."""
+
+
+class ScanStream(BlockStream[ScanBlock]):
+    """Iterator of `ScanBlock` that restores the chip's settings when closed; a context manager."""
 
     @property
     def caveat(self) -> str:
@@ -308,17 +337,7 @@ class ScanStream(Closing):
         self._layout = layout
         self._names = tuple(row.name for row in layout.table)
         self._period_s = layout.period_s
-        self._closed = False
         self._last_s: float | None = None
-
-    def __iter__(self) -> Iterator[ScanBlock]:
-        return self
-
-    def __next__(self) -> ScanBlock:
-        """Return the next block of new scans; raise `BusError` or `SilentChipError` on failure."""
-        if self._closed:
-            raise StopIteration
-        return self._next()
 
     def close(self) -> None:
         """Stop the stream and restore the settings that it changed; may be called twice.
@@ -329,9 +348,8 @@ class ScanStream(Closing):
             The bus failed or a register reads back another value, so that data-ready may still be enabled.
         """
         if not self._closed:
-            self._closed = True
             try:
-                self._stop()
+                super().close()
             finally:
                 self._layout.at_end()
 
@@ -339,12 +357,6 @@ class ScanStream(Closing):
         # The first error counts: if the bus is gone, the restoration fails too.
         with contextlib.nullcontext() if error[0] is None else contextlib.suppress(AdisGonioError):
             self.close()
-
-    @abstractmethod
-    def _next(self) -> ScanBlock: ...
-
-    def _stop(self) -> None:
-        """Stop the activity of the stream on the bus."""
 
     def _block(
         self, words: Words, time_s: Floats, lost: int, missed: NDArray[np.int64] | None = None
