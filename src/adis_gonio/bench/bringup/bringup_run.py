@@ -249,24 +249,24 @@ def judge_rows(bench: BringupBench, step: BringupStep, found: StepResult) -> Ste
     for name in names:
         finding = BY_QUESTION[name].judge([*BY_QUESTION[name].observe(chip, bench.sensor.variant)])
         if finding.observations:
-            text = f"{finding.question.rstrip('?')}: {finding.best}"
+            text = f"{finding.question} {finding.best}"
             if finding.outcome is not Outcome.CONFIRMS:
                 undecided = " (undecided)" if finding.outcome is Outcome.OPEN else ""
                 text += f", the table says {finding.table}{undecided}"
-            figures = found.figures or finding.measured
-            found.answer(name, finding.outcome, f"{text} ({finding.seen})", *figures)
+            if finding.seen != f"{finding.best}: {finding.observations}":
+                text += f" ({finding.seen})"
+            found.answer(name, finding.outcome, text, *(found.figures or finding.measured))
         elif not found.text:
             found.answer(name, Outcome.NOT_MEASURED, NO_ANSWER.format("the replies do not show it"))
     if found.text:
         return found
-    texts = {
-        outcome: [a.text for a in found.answers.values() if a.outcome is outcome] for outcome in Outcome
-    }
-    if wrong := texts[Outcome.CONTRADICTS]:
+    answers = found.answers.values()
+    if wrong := [one.text for one in answers if one.outcome is Outcome.CONTRADICTS]:
         return found.differs("; ".join(wrong))
-    if len(texts[Outcome.NOT_MEASURED]) == len(found.answers):
+    if all(one.outcome is Outcome.NOT_MEASURED for one in answers):
         return found.not_measured("the replies do not show it")
-    return found.ok("; ".join(answer.text for answer in found.answers.values()))
+    texts = [one.text for one in sorted(answers, key=lambda one: one.outcome is Outcome.NOT_MEASURED)]
+    return found.ok("; ".join(dict.fromkeys(texts)))
 
 
 def _bridge(bus: BringupBus) -> dict[str, Any]:
