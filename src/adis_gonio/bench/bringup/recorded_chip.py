@@ -218,7 +218,7 @@ def remove_lines(values: Floats) -> tuple[float, Floats, bool]:
 
 
 def _longest_run(times: Floats) -> tuple[int, int]:
-    """Return begin and end (exclusive) of the longest run of times whose steps are about the median step.
+    """Return begin and end (exclusive) of the longest run of times with about the median step.
 
     If no run has more than a quarter of the times, all times are returned as one run.
     """

@@ -95,7 +95,7 @@ class ForwardingBus(SpiBus):
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
         """Start a stream of the read frames `frames` on the inner bus.
 
-        A block of the stream holds about `block_scans` scans.
+        A block of the stream has about `block_scans` scans.
         """
 
         def start() -> FrameStream:

@@ -254,7 +254,7 @@ class ObservedBus(ForwardingBus):
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
         """Start a stream of the read frames `frames` on the inner bus and note its blocks.
 
-        A block of the stream holds about `block_scans` scans.
+        A block of the stream has about `block_scans` scans.
         """
         return _ObservedStream(self, super().stream(frames, block_scans=block_scans))
 
