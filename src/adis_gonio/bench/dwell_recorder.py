@@ -477,7 +477,7 @@ class DwellRecorder(Recorder):
         if attempt.status or alarms:
             ledger.faulty.add(place)
         doubted = self._note_doubts(number)
-        ledger.count(place, number)
+        ledger.use_attempt(place, number)
         self._knowledge.learn(place, recording.position, scans, doubted=doubted)
         self._note_turn(number)
         mean = vector(scans.accel_mg.mean(axis=0))

@@ -579,7 +579,7 @@ def _diagnosis_text(
 
 
 @dataclass(frozen=True)
-class _Taken:
+class _JudgedDwell:
     """A recorded dwell of a session.
 
     `place` is the index of its position in the plan, `position` this position, and `mean_mg` (3,) its mean
@@ -615,7 +615,7 @@ class Judge:
         self._spread = spread
         self._planar = planar
         self.sense = sense
-        self._taken: list[_Taken] = []
+        self._taken: list[_JudgedDwell] = []
         self._longest_gap_s = longest_gap_s
         self.turning = Turning(longest_gap_s)
         self._turned: tuple[GyroIntegral | None, int | None] = (None, None)
@@ -669,7 +669,7 @@ class Judge:
         `place` is the index of its position in the plan; `doubted` is True if a guard was overruled.
         """
         mean = np.asarray(scans.accel_mg.mean(axis=0))
-        self._taken.append(_Taken(place, position, mean, doubted, *self._turned))
+        self._taken.append(_JudgedDwell(place, position, mean, doubted, *self._turned))
         self._turned = (None, None)
         self._learn(self._taken[-1])
         self.turning.rest(scans)
@@ -720,7 +720,7 @@ class Judge:
     def _positions(self, position: Position, accel_mg: Floats) -> list[PartPosition]:
         """List the positions of the sensor in all dwells, and its present position last."""
         positions: list[PartPosition] = []
-        before: _Taken | None = None
+        before: _JudgedDwell | None = None
         for taken in self._taken:
             angle = None if taken.doubted else taken.position.angle_deg
             watched = taken.turn if before is not None and taken.since == before.place else None
@@ -735,7 +735,7 @@ class Judge:
         for taken in self._taken:
             self._learn(taken)
 
-    def _learn(self, taken: _Taken) -> None:
+    def _learn(self, taken: _JudgedDwell) -> None:
         angle = taken.position.angle_deg
         if taken.doubted or angle is None or not self._planar:
             return

@@ -319,7 +319,7 @@ class SessionRunner(Operator):
         if bench.virtual_time:
             bench.bring_world_to(archive, last)
         elif bench.simulated:
-            bench.take_up(archive, last)
+            bench.restore_position(archive, last)
         yield self._knowledge.take_noise(noise)
         running = self._knowledge.running() if self._resumed else None
         if running is not None:

@@ -404,7 +404,7 @@ class SessionBench:
             self.source.status()
         self._wait_until(end_s)
 
-    def take_up(self, archive: ArchiveView, attempt: int) -> None:
+    def restore_position(self, archive: ArchiveView, attempt: int) -> None:
         """Move a new simulated sensor to the position in which the archived attempt `attempt` left it.
 
         Only the last move is repeated, at the present time: the sensor was powered on anew, as on a real

@@ -100,7 +100,7 @@ class Ledger:
         self.note("skipped", place)
         self.skipped.add(place)
 
-    def count(self, place: int, number: int) -> None:
+    def use_attempt(self, place: int, number: int) -> None:
         """Use the attempt `number` as the dwell of the position at index `place`."""
         self.done[place] = number
         self.taken += 1

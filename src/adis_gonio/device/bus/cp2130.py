@@ -315,7 +315,7 @@ class Cp2130Bus(host.UsbBus):
 
     def _typed(self, error: OSError, what: str) -> BusError:
         if error.errno in _GONE:
-            return host.gone(self.url)
+            return host.gone_error(self.url)
         if error.errno in _LATE:
             return BusTimeoutError(f"{self.url}: no answer to {what} within {self._options.timeout_s:g} s")
         if error.errno == errno.EACCES:
@@ -400,9 +400,9 @@ def open_from_url(url: BusUrl, *, backend: Any = None, clock: host.Clock = host.
         and (not url.place or _serial(usb, board) == url.place)
     ]
     if not fits and (denied := [board for board in boards if _serial(usb, board) is None]):
-        raise host.no_permission(url.text, _node(denied[0]), "usb 87a0")
+        raise host.permission_error(url.text, _node(denied[0]), "usb 87a0")
     what = "such CP2130" if boards else "CP2130"
-    device = host.choose(url, what, fits, boards, lambda boards: _devices(usb, boards))
+    device = host.choose_board(url, what, fits, boards, lambda boards: _devices(usb, boards))
 
     def claim() -> None:
         usb.util.claim_interface(device, _INTERFACE)
@@ -502,16 +502,16 @@ def _devices(usb: Any, boards: Sequence[Any]) -> list[Device]:
     for board, serial in zip(boards, serials, strict=True):
         unique = serial and serial.isalnum() and serials.count(serial) == 1
         place = serial if unique else f"?bus={board.bus}&address={board.address}"
-        denied = host.DENIED if serial is None else ""
+        denied = host.NO_PERMISSION if serial is None else ""
         devices.append(Device(f"cp2130:{place}", f"CP2130, USB to SPI, {_node(board)}{denied}"))
     return devices
 
 
 def _cannot_open(url: str, device: Any, error: Any) -> BusError:
     if error.errno == errno.EACCES:
-        return host.no_permission(url, _node(device), "usb 87a0")
+        return host.permission_error(url, _node(device), "usb 87a0")
     if error.errno == errno.EBUSY:
-        return host.busy(url, _node(device))
+        return host.busy_error(url, _node(device))
     if error.errno in (errno.ENODEV, errno.ENOENT):
-        return host.gone(url)
+        return host.gone_error(url)
     return ProtocolError(f"{url}: the CP2130 cannot be opened: {error.strerror or error}")

@@ -465,7 +465,7 @@ class Mcp2210Bus(host.UsbBus):
             if left:
                 self._cancel()
                 self._pace.wait(self._timing)
-        raise host.busy(self.url, f"the SPI side ({status_words(status)})")
+        raise host.busy_error(self.url, f"the SPI side ({status_words(status)})")
 
     # -- optional capabilities -----------------------------------------------------------------------
 
@@ -553,15 +553,15 @@ class Mcp2210Bus(host.UsbBus):
             self._takes_reports = False
             raise BusTimeoutError(f"{self.url}: the device takes no report within {WRITE_S:g} s") from error
         except (OSError, ValueError) as error:
-            raise host.gone(self.url) from error
+            raise host.gone_error(self.url) from error
         if sent < 0:
-            raise host.gone(self.url)
+            raise host.gone_error(self.url)
 
     def _read(self, timeout_ms: int) -> bytes:
         try:
             return bytes(self._device.read(REPORT, timeout_ms))
         except (OSError, ValueError) as error:
-            raise host.gone(self.url) from error
+            raise host.gone_error(self.url) from error
 
     # -- after a failure -------------------------------------------------------------------------------
 
@@ -616,7 +616,7 @@ def open_from_url(url: BusUrl, *, hid: Any = None, clock: host.Clock = host.WALL
         for board in boards
         if (not wanted or _path(board) == wanted) and (not url.place or _serial(board) == url.place)
     ]
-    board = host.choose(url, "such MCP2210" if boards else "MCP2210", fits, boards, _devices)
+    board = host.choose_board(url, "such MCP2210" if boards else "MCP2210", fits, boards, _devices)
     with contextlib.ExitStack() as stack:
         device = _open(hid, url.text, board, stack)
         if blocks:
@@ -655,16 +655,16 @@ def _open(hid: Any, url: str, board: dict[str, Any], stack: contextlib.ExitStack
     path = _path(board)
     node = _node(path)
     if not host.readable_and_writable(node):
-        raise host.no_permission(url, node, f"{'hidraw' if 'hidraw' in node else 'usb'} 04d8")
-    stack.enter_context(host.claimed(node, url))
+        raise host.permission_error(url, node, f"{'hidraw' if 'hidraw' in node else 'usb'} 04d8")
+    stack.enter_context(host.locked(node, url))
     device = hid.device()
     try:
         device.open_path(board["path"])
     except OSError:
         # hidapi reports only "open failed": find the reason.
         if not any(_path(other) == path for other in _boards(hid)):
-            raise host.missing(url, "MCP2210 any more") from None
-        raise host.busy(url, node) from None
+            raise host.missing_error(url, "MCP2210 any more") from None
+        raise host.busy_error(url, node) from None
     return device
 
 
@@ -704,5 +704,7 @@ def _devices(boards: Sequence[dict[str, Any]]) -> list[Device]:
         unique = serial.isalnum() and serials.count(serial) == 1
         place = serial if unique else f"?path={quote(path, safe='/')}"
         name = board.get("product_string") or "MCP2210"
-        devices.append(Device(f"mcp2210:{place}", f"{name}, HID to SPI, {path}{host.denied(_node(path))}"))
+        devices.append(
+            Device(f"mcp2210:{place}", f"{name}, HID to SPI, {path}{host.permission_note(_node(path))}")
+        )
     return devices
