@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from adis_gonio import fit
-from adis_gonio.base.errors import DataError
+from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.record.loading import load_session
+from adis_gonio.record.loading import Overrides, load_session
 from adis_gonio.record.samples_reader import read_samples_csv
 from adis_gonio.record.samples_writer import write_samples_csv
 
@@ -352,3 +352,13 @@ def test_a_turn_in_the_plane_stays_one_though_z_drifts_or_the_part_is_skewed(tmp
     assert load_session(poses(tmp_path, readings=turn)).plane == "xy"
     resting = [(0.0, 1.0, drift_g * k / 8) for k in range(8)]
     assert load_session(poses(tmp_path, readings=resting)).plane == "xy"
+
+
+def test_prose_above_unknown_columns_is_not_taken_for_the_header(tmp_path):
+    prose = ["My log of Tuesday, made with a very good logger", "Operator, Jane Doe, at the bench"]
+    path = write(tmp_path, *prose, "t,X,Y,which", "0,9.215,3.354,0", "60,3.355,-9.214,1")
+    with pytest.raises(DataError, match=r"row 3: .*--columns 'time=t,ax=X,ay=Y'"):
+        read_samples_csv(path)
+    wanted = {"time_s": "t", "ax": "X", "ay": "YY"}
+    with pytest.raises(UsageError, match="there are 't', 'X', 'Y', 'which'"):
+        read_samples_csv(path, Overrides(columns=wanted))

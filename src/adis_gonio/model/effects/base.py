@@ -32,7 +32,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from difflib import get_close_matches
 from enum import StrEnum
 from functools import cached_property, lru_cache
 from typing import Any, ClassVar, Literal
@@ -41,7 +40,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats, central_differences
-from adis_gonio.base.errors import UsageError
+from adis_gonio.base.errors import UsageError, suggest
 
 
 def _scan(factor: Floats, term: Floats) -> Floats:
@@ -466,10 +465,7 @@ class Effect(ABC):
         known = [parameter.name for parameter in self.parameters]
         for name in given:
             if name not in known:
-                raise UsageError(
-                    f"{self.name} has no parameter '{name}'{did_you_mean(name, known)}; "
-                    f"it has {', '.join(known)}"
-                )
+                raise UsageError(f"{self.name} has no parameter '{name}'; {suggest(name, known)}")
         return np.array(
             [
                 parameter.check(given[parameter.name])
@@ -488,12 +484,6 @@ class Effect(ABC):
         if columns and max(columns) >= readings.shape[1]:
             raise UsageError(f"{self.name} acts on {', '.join(self.axes)}, but z was not recorded")
         return columns
-
-
-def did_you_mean(name: str, known: Sequence[str]) -> str:
-    """Return a text such as " (did you mean 'bias'?)" with the known name most similar to `name`, or ""."""
-    near = get_close_matches(name, known, n=1)
-    return f" (did you mean '{near[0]}'?)" if near else ""
 
 
 def by_letters(prototypes: Sequence[Parameter], letters: Sequence[str]) -> tuple[Parameter, ...]:
