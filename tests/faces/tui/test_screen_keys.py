@@ -53,6 +53,15 @@ def test_a_key_answers_the_position_that_is_asked_for(key, told):
     assert shown(ASKED, keys=[key])[2].told == told
 
 
+@pytest.mark.parametrize("script", [ASKED, [*THREE, EXTENSION]], ids=["position", "dialog"])
+@pytest.mark.parametrize("key", ["x", "m", "f5", "pageup"])
+def test_a_key_that_means_nothing_flashes_the_line_of_keys(script, key):
+    text, _, runner = shown(script, keys=[key])
+    assert runner.told == []
+    assert text.splitlines()[-1].lstrip().startswith("no such key: ")
+    assert "no such key" not in shown(script, keys=["up"] if script is not ASKED else ["d", "d"])[0]
+
+
 def test_a_second_press_of_enter_answers_nothing():
     text, _, runner = shown(ASKED, keys=["enter", "enter"])
     assert runner.told == ["confirm"]

@@ -222,6 +222,8 @@ LARGE_SIZE = (120, 40)
 LOOK_S = 0.05
 """Shortest time in s between two readings during a question; a simulated sensor itself does not wait."""
 TICK_S = 0.1
+FLASH_S = 0.5
+"""Time in s for which the line of keys is marked after a key that means nothing."""
 
 _STYLES = {
     "open": "",
@@ -326,6 +328,7 @@ class BenchApp(App[None]):
         self._ended = threading.Event()
         self._stopping = self._drawn = False
         self._news_s = time.monotonic()
+        self._flash_until_s = 0.0
         self._asked: events.Event | None = None
         self._open_question: Dialog | None = None
 
@@ -442,7 +445,7 @@ class BenchApp(App[None]):
             "waits": Text(screen_text.waiting(state, silence_s)),
             "progress": Text(screen_text.progress(state, room), no_wrap=True),
             "messages": _messages(state),
-            "keys": _keys(state, self.size.width),
+            "keys": _keys(state, self.size.width, flash=time.monotonic() < self._flash_until_s),
         }
         for name, text in texts.items():
             base.query_one(f"#{name}", Static).update(text)
@@ -502,6 +505,15 @@ class BenchApp(App[None]):
 
     # -- keys ---------------------------------------------------------------------------------------
 
+    def on_key(self, event: ui.Key) -> None:
+        """Mark the line of keys for a moment after a key that means nothing here."""
+        if event.key not in self.active_bindings:
+            self._flash()
+
+    def _flash(self) -> None:
+        self._flash_until_s = time.monotonic() + FLASH_S
+        self.show()
+
     def action_answer_position(self, answer: str) -> None:
         """Answer the runner's question about a position, or report why that is not possible.
 
@@ -542,13 +554,17 @@ class BenchApp(App[None]):
     def action_move(self) -> None:
         """Ask for an angle, and turn a simulated part without a stage by it."""
         hands = self._hands
-        if hands is not None:
-            dialog = LineDialog("Turn the part by … degrees", "such as -30")
-            self._open(dialog, lambda text: self._tell(hands.move(text)) if text else None)
+        if hands is None:
+            self._flash()
+            return
+        dialog = LineDialog("Turn the part by … degrees", "such as -30")
+        self._open(dialog, lambda text: self._tell(hands.move(text)) if text else None)
 
     def action_bump(self) -> None:
         """Turn a simulated sensor without a stage a little, forth and back, as by a bump."""
-        if self._hands is not None:
+        if self._hands is None:
+            self._flash()
+        else:
             self._tell(self._hands.bump())
 
     def _tell(self, text: str) -> None:
@@ -616,8 +632,9 @@ def _messages(state: BenchState) -> Text:
     return text
 
 
-def _keys(state: BenchState, width: int) -> Text:
-    listed, text = screen_text.keys(state), Text(no_wrap=True)
+def _keys(state: BenchState, width: int, *, flash: bool) -> Text:
+    listed = screen_text.keys(state)
+    text = Text("no such key: " if flash else "", style="bold reverse" if flash else "", no_wrap=True)
     wide = sum(len(f"{key} {word}  ") for key, word in listed) < width
     for key, word in listed:
         text.append(key, style="bold reverse")
