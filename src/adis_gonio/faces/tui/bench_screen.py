@@ -680,7 +680,8 @@ class ScreenFace:
             if not app.abandoned:
                 app.wait()
         for message in app.state.messages:
-            _print(f"  {message.text}")
+            if message.level == "warned":
+                _print(f"  {message.text}")
         if app.abandoned or app.killed:
             raise KeyboardInterrupt
         if app.crash is not None:
