@@ -46,6 +46,9 @@ Result = TypeVar("Result")
 class _Finishing(ModalScreen[Result]):
     """Base class of dialogs that close only once, even if several keys follow quickly."""
 
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("ctrl+c,ctrl+q", "app.stop_now", show=False, priority=True)
+    ]
     _has_result = False
 
     def finish(self, result: Result | None = None) -> None:
@@ -74,7 +77,6 @@ class Dialog(_Finishing[str]):
         Binding("up,shift+tab", "move(-1)", show=False),
         Binding("down,tab", "move(1)", show=False),
         Binding("enter", "choose", show=False),
-        Binding("ctrl+c,ctrl+q", "app.stop_now", show=False, priority=True),
     ]
 
     def __init__(
@@ -139,10 +141,7 @@ class Dialog(_Finishing[str]):
 class LineDialog(_Finishing[str]):
     """Dialog in which the operator types a line, such as a note; after a cancel the result is empty."""
 
-    BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("escape", "give_up", show=False),
-        Binding("ctrl+c,ctrl+q", "app.stop_now", show=False, priority=True),
-    ]
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "give_up", show=False)]
 
     def __init__(self, heading: str, hint: str) -> None:
         super().__init__()
@@ -166,10 +165,6 @@ class LineDialog(_Finishing[str]):
 
 class HelpDialog(_Finishing[None]):
     """Dialog with a text to read, such as the keys; any key closes it."""
-
-    BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("ctrl+c,ctrl+q", "app.stop_now", show=False, priority=True)
-    ]
 
     def __init__(self, heading: str, text: str) -> None:
         super().__init__()
