@@ -417,7 +417,7 @@ def _find_header(path: Path, wanted: Mapping[str, str]) -> tuple[int, str, list[
             break
     # Text above the first row of numbers is the header; prose may be above it.
     texts = list(takewhile(lambda other: not _NUMBERS.fullmatch(other[1]), others))
-    header = max(len(texts) - 1, 0)
+    header = len(texts) - 1 if 0 < len(texts) < len(others) else 0
     row, line = others[header] if others else (0, "")
     comments = [comment for comment in comments if not row or comment[0] < row]
     delimiter, cells = _split(line, separator, wanted)

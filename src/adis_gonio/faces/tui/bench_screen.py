@@ -217,8 +217,8 @@ LARGE_SIZE = (120, 40)
 LOOK_S = 0.05
 """Shortest time in s between two readings during a question; a simulated sensor itself does not wait."""
 TICK_S = 0.1
-FLASH_S = 0.5
-"""Time in s for which the line of keys is marked after a key that means nothing."""
+FLASH_TICKS = 6
+"""Number of ticks for which the line of keys is marked after a key that means nothing."""
 
 _STYLES = {
     "open": "",
@@ -323,7 +323,7 @@ class BenchApp(App[None]):
         self._ended = threading.Event()
         self._stopping = self._drawn = False
         self._news_s = time.monotonic()
-        self._flash_until_s = 0.0
+        self._flash_ticks = 0
         self._asked: events.Event | None = None
         self._open_question: Dialog | None = None
 
@@ -408,6 +408,7 @@ class BenchApp(App[None]):
             if isinstance(event, events.Started) and event.resumed:
                 self._remember(self.state)
         self.state.reversed = self._runner.reversed
+        self._flash_ticks = max(self._flash_ticks - 1, 0)
         self.show()
         if ended:
             self.exit()
@@ -440,7 +441,7 @@ class BenchApp(App[None]):
             "waits": Text(screen_text.waiting(state, silence_s)),
             "progress": Text(screen_text.progress(state, room), no_wrap=True),
             "messages": _messages(state),
-            "keys": _keys(state, self.size.width, flash=time.monotonic() < self._flash_until_s),
+            "keys": _keys(state, self.size.width, flash=self._flash_ticks > 0),
         }
         for name, text in texts.items():
             base.query_one(f"#{name}", Static).update(text)
@@ -506,7 +507,7 @@ class BenchApp(App[None]):
             self._flash()
 
     def _flash(self) -> None:
-        self._flash_until_s = time.monotonic() + FLASH_S
+        self._flash_ticks = FLASH_TICKS
         self.show()
 
     def action_answer_position(self, answer: str) -> None:
@@ -675,8 +676,7 @@ class ScreenFace:
             if not app.abandoned:
                 app.wait()
         for message in app.state.messages:
-            if message.level == "warned":
-                _print(f"  {message.text}")
+            _print(f"  {message.text}")
         if app.abandoned or app.killed:
             raise KeyboardInterrupt
         if app.crash is not None:

@@ -40,7 +40,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats, central_differences
-from adis_gonio.base.errors import UsageError, suggest
+from adis_gonio.base.errors import UsageError
 
 
 def _scan(factor: Floats, term: Floats) -> Floats:
@@ -465,7 +465,9 @@ class Effect(ABC):
         known = [parameter.name for parameter in self.parameters]
         for name in given:
             if name not in known:
-                raise UsageError(f"{self.name} has no parameter '{name}'; {suggest(name, known)}")
+                raise UsageError(
+                    f"{self.name} has no parameter '{name}'; it has {', '.join(known) or 'none'}"
+                )
         return np.array(
             [
                 parameter.check(given[parameter.name])
