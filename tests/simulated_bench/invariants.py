@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import sqlite3
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 
 SESSION = "a.session"
 LARGEST_FILE = 40_000_000
+MOST_GROWTH = 400_000_000
+"""Largest growth of the program in bytes over a story: its modules and caches need less than half."""
 MOST_FILES = 24
 LSB_MG = 0.4672
 HONEST = frozenset(
@@ -83,7 +86,7 @@ class Record:
         self.base = self.found = self.offsets()
         self.by_hand: tuple[int, ...] | None = None
         self.loaned, self.controls_before = self.borrowed(), self.controls()
-        self.files = _open_files()
+        self.files, self.memory = _open_files(), _memory_bytes()
 
     def offsets(self) -> tuple[int, int, int]:
         """Offsets of the accelerometers in the part's registers."""
@@ -468,8 +471,11 @@ def the_live_angle_is_right(case: Case) -> str:
     return ""
 
 
-def files_are_bounded(case: Case) -> str:
-    """No file grows without end, and a command that has ended leaves none open."""
+def memory_and_files_are_bounded(case: Case) -> str:
+    """Neither the program nor a file grows without end, and a command leaves no file open."""
+    grown = _memory_bytes() - case.record.memory
+    if grown > MOST_GROWTH:
+        return f"the program has grown by {grown / 1e6:.0f} MB"
     paths = list(case.bench.folder.iterdir())
     large = [path.name for path in paths if path.stat().st_size > LARGEST_FILE]
     if large or len(paths) > MOST_FILES:
@@ -510,7 +516,7 @@ INVARIANTS: tuple[Callable[[Case], str], ...] = (
     the_journal_says_what_the_part_holds,
     status_0_means_a_right_answer,
     the_live_angle_is_right,
-    files_are_bounded,
+    memory_and_files_are_bounded,
     reports_are_whole,
 )
 
@@ -607,3 +613,7 @@ def _signed(word: int) -> int:
 
 def _open_files() -> int:
     return sum(1 for _ in Path("/proc/self/fd").iterdir())
+
+
+def _memory_bytes() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")

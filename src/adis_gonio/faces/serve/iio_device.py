@@ -151,6 +151,22 @@ class Sampler:
 
     # -- inside the thread --------------------------------------------------------------------------
 
+    def read_output(self, row: register_table.Register) -> int:
+        """Read an output register once; return its number. Raise `SilentChipError` if the check fails."""
+        words = self._sensor.read_words([_CHECK, row, _CHECK])
+        self._require_sound(words)
+        return row.number(words[1])
+
+    def _require_sound(self, words: Sequence[int]) -> None:
+        """Raise `SilentChipError` if the first or the last word is not the known content of SENS_AVG."""
+        known = self.state.sens_avg
+        for word in (words[0], words[-1]):
+            if word != known:
+                raise SilentChipError(
+                    f"{self._sensor.bus.url}: SENS_AVG reads 0x{word:04X}, not 0x{known:04X}: the sensor"
+                    " has other settings, or is not connected; check supply, chip select and wires"
+                )
+
     def _run(self) -> None:
         try:
             while not self._stopping:
@@ -225,10 +241,7 @@ class Sampler:
         if sound.any():
             self._sound_s = float(block.time_s[sound][-1])
         elif block.time_s[-1] > self._sound_s + _LONGEST_UNSOUND_S:
-            raise SilentChipError(
-                f"{self._sensor.bus.url}: SENS_AVG reads 0x{block.words[-1, 0]:04X} instead of"
-                f" 0x{self.state.sens_avg:04X}: the sensor has other settings, or the data line is dead"
-            )
+            self._require_sound(block.words[-1])
         numbers = block.numbers()[sound, 1:-1]
         if len(numbers):
             self.newest = dict(zip(self.names, numbers[-1].tolist(), strict=True))
