@@ -309,7 +309,7 @@ class TraceResult(ParameterTable):
         Fit of the base model, then of the model after each step; not in the JSON and not compared. Empty
         for a single pose traced sample by sample.
     by_terms : callable
-        Returns the best model of each number of terms that the search scored, as a tuple of `Scored`. Not in
+        Returns the best model of each number of terms that the search scored, a tuple of `Scored`. Not in
         the JSON and not compared.
     fold : Fold or None
         Residuals on held-out dwells by model, which the trace has computed; None if it has not.
