@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri, stdtr
 from scipy.stats import hypergeom, rankdata
@@ -404,11 +405,7 @@ def _medians(values: Floats, index: Codes) -> Floats:
 
     The numbers have no gaps.
     """
-    # Sorted within each group, so that the median is the mean of its two middle values.
-    x = values[np.lexsort((values, index))]
-    count = np.bincount(index)
-    first = np.cumsum(count) - count
-    return np.asarray(0.5 * (x[first + (count - 1) // 2] + x[first + count // 2]))
+    return np.asarray(ndimage.median(values, index, np.arange(index.max() + 1)))
 
 
 def _normal_scores(values: Floats, index: Codes, count: Codes) -> tuple[Floats, Floats]:

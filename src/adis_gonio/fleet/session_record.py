@@ -199,23 +199,29 @@ class SessionRecord(JsonRecord):
         return row
 
 
-def once(records: Iterable[SessionRecord]) -> tuple[list[SessionRecord], dict[str, str]]:
+class Repeated(JsonRecord):
+    """A file that does not count, because the file `same_as` has the same data."""
+
+    path: str
+    same_as: str
+
+
+def once(records: Iterable[SessionRecord]) -> tuple[list[SessionRecord], list[Repeated]]:
     """Remove records with equal data.
 
-    Returns the remaining records, sorted by path, and for each removed record the path of the record with
-    the same data. For an archive and the CSV exported from it, the record of the file that states more
-    facts remains.
+    Returns the remaining records, sorted by path, and the files of the removed records. For an archive and
+    the CSV exported from it, the record of the file that states more facts remains.
     """
-    kept, copies, names = [], {}, dict[str, str]()
+    kept, repeated, names = [], [], dict[str, str]()
     for record in sorted(records, key=_unstated):
         data = record.data_sha256 if record.status == "ok" else None
         if data in names:
-            copies[record.path] = names[data]
+            repeated.append(Repeated(record.path, names[data]))
             continue
         if data:
             names[data] = record.path
         kept.append(record)
-    return sorted(kept, key=lambda record: record.path), copies
+    return sorted(kept, key=lambda record: record.path), repeated
 
 
 def _unstated(record: SessionRecord) -> tuple[int, str]:

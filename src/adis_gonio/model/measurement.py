@@ -119,6 +119,10 @@ class Measurement(ABC):
         Unit of the readings and of the terms that effects add.
     full : float
         Reading in `unit` for which the trace states the amplitude of a function that has no named cause.
+    constant : bool
+        True if the base model contains a constant (bias) for each axis.
+    planar : bool
+        True if the sensor turns in a known plane.
     driven_by : tuple of str
         Covariates on which an unnamed function may depend in addition to the recorded conditions:
         `reading`, `force`, `rotation`.
@@ -133,6 +137,8 @@ class Measurement(ABC):
     part: ClassVar[str] = "accelerometer"
     unit: ClassVar[str] = "mg"
     full: ClassVar[float] = MG_PER_G
+    constant: ClassVar[bool] = False
+    planar: ClassVar[bool] = False
     driven_by: ClassVar[tuple[str, ...]] = ("reading",)
     named_forms: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "time": ("bias", "gain"),
@@ -145,11 +151,6 @@ class Measurement(ABC):
     def size(self) -> float:
         """Typical size of a reading: local gravity in mg for accelerometers, 100 °/s for gyros."""
         return float(getattr(self, "gravity_mg", self.full))
-
-    @property
-    def constant(self) -> bool:
-        """True if the base model contains a constant (bias) for each axis."""
-        return False
 
     def stimulus(self, ideal: Floats, conditions: Conditions) -> Floats:
         """Return the quantity (n, axes) that the gains multiply, in units of 1 g (gyros: 100 °/s)."""
@@ -236,11 +237,6 @@ class Measurement(ABC):
     @abstractmethod
     def calibrated(self, base: Floats, reading: Floats) -> Floats:
         """Return the calibrated output (n, axes) for readings: gravity in local gravity, or °/s."""
-
-    @property
-    def planar(self) -> bool:
-        """True if the sensor turns in a known plane."""
-        return False
 
     def start_rad(self, base: Floats) -> float | Floats:
         """Return the start angle α in rad of all dwells, or of each (n,); 0 without a plane."""
@@ -596,7 +592,7 @@ class JointMeasurement(Measurement):
         self.parameters, self.numbers = tuple(found), np.array(index)  # type: ignore[misc]
         first = models[0]
         self.axes, self.freedom, self.part = first.axes, first.freedom, first.part  # type: ignore[misc]
-        self.unit, self.full = first.unit, first.full  # type: ignore[misc]
+        self.unit, self.full, self.planar = first.unit, first.full, first.planar  # type: ignore[misc]
         self.driven_by, self.named_forms = first.driven_by, first.named_forms  # type: ignore[misc]
 
     @property
@@ -608,11 +604,6 @@ class JointMeasurement(Measurement):
     def sessions(self) -> list[tuple[Measurement, NDArray[np.intp]]]:
         """Measurement of each session, and the numbers of its parameters among all base parameters."""
         return list(zip(self.models, self.numbers, strict=True))
-
-    @property
-    def planar(self) -> bool:
-        """True if the sensors turn in a known plane."""
-        return self.models[0].planar
 
     @property
     def size(self) -> float:
@@ -751,17 +742,13 @@ class MeanRate(Measurement):
     part: ClassVar[str] = "gyro"
     unit: ClassVar[str] = "dps"
     full: ClassVar[float] = FULL_DPS
+    constant: ClassVar[bool] = True
     driven_by: ClassVar[tuple[str, ...]] = ("force", "rotation")
     named_forms: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "time": ("bias",),
         "temperature": ("bias", "gain"),
         "supply": ("bias",),
     }
-
-    @property
-    def constant(self) -> bool:
-        """True: the base model contains a zero rate for each axis."""
-        return True
 
     def stimulus(self, ideal: Floats, conditions: Conditions) -> Floats:
         """Return the true rates of turn (n, 3) in units of 100 °/s; 0 for dwells at rest."""

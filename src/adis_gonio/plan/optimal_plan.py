@@ -30,6 +30,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -201,6 +202,8 @@ class Candidates:
         Number of parameters of the base model and biases, the first of the p.
     gradient : (k, base) float
         Derivative of the calibrated angle in degrees by the base parameters, at k angles around the turn.
+    amplitudes : tuple of str
+        Names of the amplitudes of effects, the last of the p parameters.
     """
 
     angle_deg: Floats
@@ -211,6 +214,7 @@ class Candidates:
     shared: Floats
     base: int
     gradient: Floats
+    amplitudes: tuple[str, ...]
 
     @property
     def dwells(self) -> int:
@@ -284,10 +288,8 @@ class Candidates:
         If no effect depends on the side of approach, all positions are approached from below: an unexpected
         backlash of the stage then changes only the start angle.
         """
-        positions = tuple(
-            Position(float(self.angle_deg[k]), _side(float(self.approach[k]))) for k in choice.tolist()
-        )
-        return Plan(name, positions)
+        places = zip(self.angle_deg[choice].tolist(), self.approach[choice], strict=True)
+        return Plan(name, tuple(Position(angle, -1 if side < 0 else 1) for angle, side in places))
 
     def nearest(self, plan: Plan) -> Choice:
         """Return the candidate positions (n,) that are nearest to the positions of a plan."""
@@ -297,10 +299,6 @@ class Candidates:
             off = np.abs(wrap_degrees(self.angle_deg - (position.angle_deg or 0.0)))
             choice.append(int((off + 1e-3 * (self.approach != position.approach)).argmin()))
         return np.array(choice, dtype=np.intp)
-
-
-def _side(approach: float) -> Approach:
-    return -1 if approach < 0 else 1
 
 
 def candidates(bench: Bench, dwells: int, beware: Sequence[str], grid_deg: float) -> Candidates:
@@ -318,8 +316,7 @@ def candidates(bench: Bench, dwells: int, beware: Sequence[str], grid_deg: float
     # The grid and the even spacing, without duplicates.
     even = 360.0 * np.arange(dwells) / dwells
     angles = np.unique(np.round(np.concatenate([np.arange(0.0, 360.0 - 1e-9, grid_deg), even]), 9))
-    up = Plan("even", tuple(Position(float(a), _side((-1.0) ** k)) for k, a in enumerate(even)))
-    readings = expected_readings(up, bench)
+    readings = expected_readings(even_plan(dwells, both_sides=True), bench)
     terms = planned_terms(readings, beware)
     sided = any("approach" in term.effect.needs for term in terms)
     sides = [1.0, -1.0] if sided else [0.0]
@@ -348,6 +345,7 @@ def candidates(bench: Bench, dwells: int, beware: Sequence[str], grid_deg: float
         shared=np.asarray(slow @ slow.T),
         base=base,
         gradient=ShownAngle.around(fit).gradient,
+        amplitudes=tuple(f"{t.name}.{t.effect.parameters[k].name}" for t in terms for k in t.amplitudes),
     )
 
 
@@ -620,32 +618,26 @@ def best_plan(
     information = ground.information(choice)
     prediction = predict(ground.plan(f"{best}-{positions}", choice), bench)
     figure = criterion.figure(information)
-    terms = planned_terms(expected_readings(_both_sides_plan(positions), bench), beware)
-    amplitudes = [f"{t.name}.{t.effect.parameters[k].name}" for t in terms for k in t.amplitudes]
     separations = criterion.separations(information[None])[0].tolist()
     return BestPlan(
         prediction,
         best,
         beware,
         figure,
-        dict(zip(amplitudes, separations, strict=True)),
+        dict(zip(ground.amplitudes, separations, strict=True)),
         tuple(_gain(prediction, figure, other, ground, criterion) for other in _rivals(positions)),
         seed,
         grid_deg,
     )
 
 
-def even_plan(positions: int) -> Plan:
-    """Return a plan with this number of evenly spaced angles in one turn, in ascending order."""
-    return Plan("even", tuple(Position(360.0 * k / positions) for k in range(positions)))
+def even_plan(positions: int, *, both_sides: bool = False) -> Plan:
+    """Return a plan with this number of evenly spaced angles in one turn, in ascending order.
 
-
-def _both_sides_plan(positions: int) -> Plan:
-    """Return a plan of evenly spaced angles in which every second angle is approached from above."""
-    return Plan(
-        "even, both sides",
-        tuple(Position(360.0 * k / positions, 1 if k % 2 == 0 else -1) for k in range(positions)),
-    )
+    With `both_sides`, every second angle is approached from above.
+    """
+    sides: tuple[Approach, Approach] = (1, -1) if both_sides else (1, 1)
+    return Plan("even", tuple(Position(360.0 * k / positions, sides[k % 2]) for k in range(positions)))
 
 
 def interleaved_plan(positions: int) -> Plan:
@@ -670,8 +662,8 @@ def _rivals(positions: int) -> tuple[Plan, ...]:
 
 
 def _starts(ground: Candidates, positions: int, rng: np.random.Generator) -> list[Choice]:
-    known = (*_rivals(positions), _both_sides_plan(positions), interleaved_plan(positions))
-    starts = [ground.nearest(other) for other in known]
+    known = (even_plan(positions, both_sides=True), interleaved_plan(positions))
+    starts = [ground.nearest(other) for other in (*_rivals(positions), *known)]
     starts.append(rng.permutation(starts[0]))
     for _ in range(DRAWN):
         # Random candidates, repeated if there are fewer candidates than positions.
@@ -756,12 +748,7 @@ def _fewest_interleaved(bench: Bench, tolerance: Tolerance) -> int:
             f"{counted(MOST, 'position')} cannot decide on {tolerance}: take longer dwells, a better stage"
             " or a quieter part"
         )
-    # `high` always decides, `low` does not.
-    low, high = LEAST - 1, MOST
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if decides(middle) else (middle, high)
-    return high
+    return LEAST + bisect_left(range(LEAST, MOST), True, key=decides)
 
 
 def positions_in(bench: Bench, minutes: float) -> int:
@@ -900,7 +887,7 @@ def _sight_lines(sight: Sight) -> Iterator[str]:
     yield "Cannot tell apart"
     others = defaultdict(list)
     for pair in sight.confounded:
-        others[pair.one].append(pair.other)
+        others[pair.effects[0]].append(pair.effects[1])
     for name, several in others.items():
         yield from fold_text(f"{name} from {', '.join(several)}", WIDTH, 2)
     if not others:

@@ -267,6 +267,17 @@ class Conditions:
             raise UsageError(f"the session does not record {name}")
         return found
 
+    def die_c(self, axis: int) -> Floats:
+        """Return the temperature (n,) in °C of the die of an axis; of all dies if only their mean is known.
+
+        Raises
+        ------
+        UsageError
+            The session does not record the temperature.
+        """
+        mean = self.covariate("temperature_c")
+        return mean if self.temperatures_c is None else self.temperatures_c[:, axis]
+
     @cached_property
     def _late(self) -> dict[tuple[str, int | None, float], tuple[Floats, Floats]]:
         """Results of `late` by its arguments, since a search repeats the same few time constants."""
@@ -294,9 +305,7 @@ class Conditions:
     def rows(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Conditions:
         """Return the conditions of the selected rows; the histories stay complete."""
         chosen: dict[str, Any] = {name: rows[index] for name, rows in self._rows().items()}
-        return Conditions(
-            **chosen, temperature_history=self.temperature_history, load_history=self.load_history
-        )
+        return replace(self, **chosen)
 
 
 @dataclass(frozen=True)
@@ -653,20 +662,17 @@ def decay(time_s: Floats, tau_s: float) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True)
 class StageEffect(Effect):
-    """Base class of effects of the stage that add Σ_k value_k · basis_k, in degrees, to the true angle."""
+    """Base class of effects of the stage that add Σ_k value_k · basis_k, in degrees, to the true angle.
 
-    coefficients: ClassVar[tuple[Parameter, ...]]
+    `parameters` has one coefficient in degrees for each basis function.
+    """
+
     enters = Enters.ATTITUDE
     by_axis = False
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters: one coefficient, in degrees, for each basis function."""
-        return self.coefficients
-
     @abstractmethod
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
-        """Return the dimensionless basis functions (n,) of the angle, one for each coefficient."""
+        """Return the dimensionless basis functions (n,) of the angle, one for each parameter."""
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Return the derivative (n, p) of the true angle by the coefficients, in rad per degree."""

@@ -30,12 +30,6 @@ _OTHER_ORDER = "repeat the first poses last, or all in another order: a drift go
 WHOLE_TURNS = "turn the part by whole turns about each axis, to both sides (plan gyro-turns)"
 
 
-def _die_c(axis: int, conditions: Conditions) -> Floats:
-    """Return the die temperature (n,) in °C of one gyro; without own readings the mean of all gyros."""
-    mean = conditions.covariate("temperature_c")
-    return mean if conditions.temperatures_c is None else conditions.temperatures_c[:, axis]
-
-
 @dataclass(frozen=True)
 class GyroBiasTemperature(BiasTemperature):
     """The zero rate follows the temperature: a polynomial of degree 1 to 3 in T − 25 °C.
@@ -63,10 +57,6 @@ class GyroBiasTemperature(BiasTemperature):
         Parameter("gyro_bias_temperature2", "dps/°C²", -0.05, 0.05, 0.0005),
         Parameter("gyro_bias_temperature3", "dps/°C³", -0.0025, 0.0025, 0.00001),
     )
-
-    def die_c(self, axis: int, conditions: Conditions) -> Floats:
-        """Return the die temperature (n,) of the gyro in °C, or the mean of all gyros if unknown."""
-        return _die_c(axis, conditions)
 
 
 @dataclass(frozen=True)
@@ -201,7 +191,7 @@ class GyroScaleTemperature(LinearAxisEffect):
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Return the true rate times (T − 25 °C), (n,), scaled by 10⁻⁶ for a coefficient in ppm/°C."""
-        above = _die_c(axis, conditions) - REFERENCE_C
+        above = conditions.die_c(axis) - REFERENCE_C
         return (1e-6 * above * conditions.covariate("rate_dps")[:, axis],)
 
 

@@ -293,12 +293,8 @@ class BiasTemperature(LinearAxisEffect):
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Return the powers 1 to `degree` of the temperature above 25 °C, each (n,)."""
-        above = self.die_c(axis, conditions) - REFERENCE_C
+        above = conditions.die_c(axis) - REFERENCE_C
         return tuple(above**power for power in range(1, self.degree + 1))
-
-    def die_c(self, axis: int, conditions: Conditions) -> Floats:
-        """Return the die temperature (n,) in °C that shifts the bias of an axis."""
-        return conditions.covariate("temperature_c")
 
 
 class ScaleTemperature(LinearAxisEffect):
@@ -501,11 +497,7 @@ class Gravity(Effect):
     not_corrected = "belongs to the place: state its gravity; no angle depends on it"
     in_base = True
     by_axis = False
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters: one, the relative error of the declared gravity."""
-        return (Parameter("gravity", "1", -0.01, 0.01, 0.001),)
+    parameters = (Parameter("gravity", "1", -0.01, 0.01, 0.001),)
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Return the change of the readings by the error of gravity, (n, axes) in mg."""
