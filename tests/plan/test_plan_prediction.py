@@ -112,7 +112,7 @@ def test_what_is_detectable_is_what_a_trace_of_such_a_session_says():
 def test_a_pair_that_nothing_tells_apart_is_named_and_order_tells_it():
     def alike(made):
         pairs = predict(made, Bench(0.02)).sight.confounded
-        return {frozenset((pair.one, pair.other)) for pair in pairs}
+        return {frozenset(pair.effects) for pair in pairs}
 
     assert frozenset(("quadratic", "cross_quadratic")) in alike(plan("mmpm"))
     assert frozenset(("bias_drift", "scale_drift")) in alike(plan("mmpm"))

@@ -134,7 +134,7 @@ def test_order_is_what_separates_drift_from_the_angle_and_both_sides_show_backla
     along = abs(np.corrcoef(time, np.cos(np.radians(angles)))[0, 1])
     assert along < 0.3
     assert found.prediction.sight.detectable["backlash"].amplitude is not None
-    alike = [{pair.one, pair.other} for pair in found.prediction.sight.confounded]
+    alike = [set(pair.effects) for pair in found.prediction.sight.confounded]
     assert {"bias_drift", "backlash"} not in alike
 
 

@@ -13,11 +13,11 @@ from __future__ import annotations
 
 import logging
 import os
+import queue
 import signal
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import CancelledError
 from contextlib import suppress
 from itertools import islice
 from multiprocessing import get_context
@@ -224,8 +224,7 @@ class Cluster:
         FleetError
             The scheduler has gone, or all of its workers have gone.
         """
-        from distributed import wait as wait_for
-
+        arrived: queue.SimpleQueue[Future] = queue.SimpleQueue()
         waiting = iter(jobs)
         running: dict[Future, Job] = {}
         try:
@@ -234,14 +233,13 @@ class Cluster:
                 wanted = max(1, 2 * self._threads()) - len(running)
                 for job in islice(waiting, max(0, wanted)):
                     request = (job.path, job.digest, options.as_dict(), __version__)
-                    running[self._client.submit(work, *request, pure=False)] = job
+                    future = self._client.submit(work, *request, pure=False)
+                    running[future] = job
+                    future.add_done_callback(arrived.put)
                 if not running:
                     return
-                with suppress(
-                    TimeoutError, CancelledError, RuntimeError
-                ):  # `_threads` reports a lost cluster
-                    wait_for(list(running), timeout=_LOOK_S, return_when="FIRST_COMPLETED")
-                for future in [future for future in running if future.done()]:
+                with suppress(queue.Empty):
+                    future = arrived.get(timeout=_LOOK_S)
                     job = running.pop(future)
                     yield job, self._record(job, future)
         finally:

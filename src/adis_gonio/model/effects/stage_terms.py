@@ -31,7 +31,6 @@ from adis_gonio.model.effects.base import (
     LinearAxisEffect,
     Parameter,
     StageEffect,
-    by_letters,
     decay,
 )
 from adis_gonio.model.records import MG_PER_G
@@ -265,8 +264,8 @@ class Creep(CourseEffect):
     not_corrected = MEMORY
     needs = ("load_history",)
     covariates = ("previous_angle",)
-    amplitude = Parameter("creep", "mg/g", -100.0, 100.0, 1.0)
-    shape = Parameter("tau", "s", 1.0, 36000.0, 120.0, shape=True)
+    coefficients = (Parameter("creep", "mg/g", -100.0, 100.0, 1.0),)
+    common = (Parameter("tau", "s", 1.0, 36000.0, 120.0, shape=True),)
 
     def courses(self, shape: float, ideal: Floats, conditions: Conditions) -> list[tuple[Floats, Floats]]:
         """Return for each axis the lagged minus the present load in g, (n,), and its derivative by `shape`.
@@ -375,7 +374,7 @@ class Saturation(SampleEffect):
     name = "saturation"
     covariates = ("reading",)
     cause = "The output stops at the end of the range."
-    parameters = (Parameter("limit", "mg", 1.0, 20000.0, 1700.0, shape=True),)
+    common = (Parameter("limit", "mg", 1.0, 20000.0, 1700.0, shape=True),)
     """The limit at which samples are clipped. The typical value is 1.7 g, the range of the ADIS16354; its
     14-bit numbers end at 3.83 g."""
 
@@ -398,7 +397,7 @@ class Quantization(SampleEffect):
     name = "quantization"
     covariates = ("reading",)
     cause = "The converter gives whole steps; if noise is below a step the mean follows a staircase."
-    parameters = (Parameter("lsb", "mg", 0.0, 100.0, 0.4672),)
+    common = (Parameter("lsb", "mg", 0.0, 100.0, 0.4672),)
     """The size of the converter's LSB; 0 leaves the samples unrounded."""
 
     def change(
@@ -421,15 +420,12 @@ class Tone(SampleEffect):
     name = "tone"
     covariates = ("reading",)
     cause = "A machine or the mains shakes the table: a spectral line within the dwells."
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters: amplitude on each axis, frequency, and phase at time 0 of the session."""
-        return (
-            *by_letters((Parameter("tone", "mg", -2000.0, 2000.0, 5.0),), self.axes),
-            Parameter("frequency", "Hz", 1e-3, 2000.0, 50.0, shape=True),
-            Parameter("phase", "deg", -360.0, 360.0, 0.0, shape=True),
-        )
+    coefficients = (Parameter("tone", "mg", -2000.0, 2000.0, 5.0),)
+    common = (
+        Parameter("frequency", "Hz", 1e-3, 2000.0, 50.0, shape=True),
+        Parameter("phase", "deg", -360.0, 360.0, 0.0, shape=True),
+    )
+    """Frequency, and phase at time 0 of the session."""
 
     def change(
         self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
@@ -454,14 +450,10 @@ class NoiseChange(SampleEffect):
     covariates = ("reading",)
     cause = "From a moment on the samples scatter more: a loose contact, a machine, a supply."
     not_corrected = OF_DWELL
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters: standard deviation of the added noise on each axis, and its start in the session."""
-        return (
-            *by_letters((Parameter("extra", "mg", 0.0, 1000.0, 5.0),), self.axes),
-            Parameter("start", "s", 0.0, 1e6, 60.0, shape=True),
-        )
+    coefficients = (Parameter("extra", "mg", 0.0, 1000.0, 5.0),)
+    """Standard deviation of the added noise."""
+    common = (Parameter("start", "s", 0.0, 1e6, 60.0, shape=True),)
+    """Time in the session at which the noise begins."""
 
     def change(
         self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
@@ -491,8 +483,8 @@ class Settling(CourseEffect):
     remedy = "wait longer before some of the dwells"
     needs = ("time_in_dwell_s",)
     within_dwell = True
-    amplitude = Parameter("settling", "mg", -1000.0, 1000.0, 2.0)
-    shape = Parameter("tau", "s", 1e-3, 3600.0, 1.0, shape=True)
+    coefficients = (Parameter("settling", "mg", -1000.0, 1000.0, 2.0),)
+    common = (Parameter("tau", "s", 1e-3, 3600.0, 1.0, shape=True),)
 
     def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
         """Return the decay exp(−t/τ) since the end of the move, (n,), and its derivative by τ."""
