@@ -164,8 +164,8 @@ def as_normal(t: Floats, dof: Floats) -> Floats:
 def tau_of(q_at: Callable[[float], float], goal: float, values: Floats) -> float:
     """Return the standard deviation τ between sessions at which Cochran's Q equals `goal`.
 
-    `q_at(τ)` computes Q; `values` (n,) set the range of the search. The result is 0 if Q is at most `goal`
-    without any τ (Paule and Mandel).
+    `q_at(τ)` computes Q of the `values` (n,), whose range is the first guess of τ. The result is 0 if Q is
+    at most `goal` at τ = 0 (Paule and Mandel).
     """
     from scipy.optimize import brentq
 
@@ -280,7 +280,7 @@ class FamilyOfTests:
     count : int
         Number of tests.
     find : callable
-        Function that takes a significance level and returns the tests with a smaller p-value.
+        Function that takes a significance level and returns the tests with a p-value below this level.
     """
 
     count: int

@@ -20,9 +20,7 @@ from adis_gonio.base.uncertainty import Value, finite_or_none
 from adis_gonio.record.provenance import digest_of_file, provenance_of
 
 if TYPE_CHECKING:
-    from adis_gonio.fitting.answer import Answer
     from adis_gonio.model.records import Session
-    from adis_gonio.tracing.trace_result import TraceResult
 
 ANGLE = "angle"
 """Name of the quantity that is the root mean square over the turn of the angle's error.
@@ -389,27 +387,19 @@ def _results(session: Session, *, trace: bool) -> dict[str, Any]:
     found = traced_by(session) if trace else None
     answer = answer_with_trace(fit(session), found, own=False)
     score = answer.scores.get(answer.scored_as)
-    return {
+    known = {**answer.parameters, **answer.values}
+    results: dict[str, Any] = {
         "method": answer.recommended.method,
         "model_effects": answer.recommended.effects,
-        "values": _values(answer),
+        "values": {name: known[name] for name in QUANTITIES if name in known},
         "stage_curve": "" if session.stage_curve is None else session.stage_curve.digest,
         "stage_influence": {n: tuple(c.tolist()) for n, c in answer.result.stage_influence.items()},
         "angle_max_deg": None if score is None else finite_or_none(score.angle_max_deg),
-        **_of_trace(found),
     }
-
-
-def _values(answer: Answer) -> dict[str, Value]:
-    known = {**answer.parameters, **answer.values}
-    return {name: known[name] for name in QUANTITIES if name in known}
-
-
-def _of_trace(found: TraceResult | None) -> dict[str, Any]:
-    if found is None:
-        return {}
-    effects = tuple(FoundEffect(f.effect, f.axes, f.p_value, f.parameters) for f in found.found)
-    return {"traced": True, "effects": effects, "adequate": found.adequate}
+    if found is not None:
+        effects = tuple(FoundEffect(f.effect, f.axes, f.p_value, f.parameters) for f in found.found)
+        results |= {"traced": True, "effects": effects, "adequate": found.adequate}
+    return results
 
 
 def _evidence(session: Session) -> dict[str, Any] | None:

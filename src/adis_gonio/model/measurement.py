@@ -123,6 +123,8 @@ class Measurement(ABC):
         True if the base model contains a constant (bias) for each axis.
     planar : bool
         True if the sensor turns in a known plane.
+    origins : tuple of SessionOrigin
+        Part and stage of each session, if the dwells are of several sessions; else empty.
     driven_by : tuple of str
         Covariates on which an unnamed function may depend in addition to the recorded conditions:
         `reading`, `force`, `rotation`.
@@ -139,6 +141,7 @@ class Measurement(ABC):
     full: ClassVar[float] = MG_PER_G
     constant: ClassVar[bool] = False
     planar: ClassVar[bool] = False
+    origins: ClassVar[tuple[SessionOrigin, ...]] = ()
     driven_by: ClassVar[tuple[str, ...]] = ("reading",)
     named_forms: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "time": ("bias", "gain"),
@@ -241,11 +244,6 @@ class Measurement(ABC):
     def start_rad(self, base: Floats) -> float | Floats:
         """Return the start angle α in rad of all dwells, or of each (n,); 0 without a plane."""
         return 0.0
-
-    @property
-    def origins(self) -> tuple[SessionOrigin, ...]:
-        """Part and stage of each session, if the dwells are of several sessions; else empty."""
-        return ()
 
     @property
     def sessions(self) -> list[tuple[Measurement, NDArray[np.intp]]]:
@@ -575,7 +573,8 @@ class JointMeasurement(Measurement):
     def __init__(
         self, models: Sequence[Measurement], origins: Sequence[SessionOrigin], session: NDArray[np.intp]
     ) -> None:
-        self.models, self._origins, self.session = tuple(models), tuple(origins), session
+        self.models, self.session = tuple(models), session
+        self.origins = tuple(origins)  # type: ignore[misc]
         several = len({origin.part for origin in origins}) > 1
         places: dict[str, int] = {}
         found: list[BaseParameter] = []
@@ -594,11 +593,6 @@ class JointMeasurement(Measurement):
         self.axes, self.freedom, self.part = first.axes, first.freedom, first.part  # type: ignore[misc]
         self.unit, self.full, self.planar = first.unit, first.full, first.planar  # type: ignore[misc]
         self.driven_by, self.named_forms = first.driven_by, first.named_forms  # type: ignore[misc]
-
-    @property
-    def origins(self) -> tuple[SessionOrigin, ...]:
-        """Part and stage of each session."""
-        return self._origins
 
     @property
     def sessions(self) -> list[tuple[Measurement, NDArray[np.intp]]]:
@@ -623,24 +617,16 @@ class JointMeasurement(Measurement):
         In the plane all dwells are one group, with the indices (p, n) of the parameters of each dwell. In
         space a group has all sessions with the same parameters, whose indices are (p,).
         """
-        kinds = [
-            (model, () if self.planar else tuple(own))
-            for model, own in zip(self.models, self.numbers.tolist(), strict=True)
-        ]
-        different = list(dict.fromkeys(kinds))
-        keys = np.array([different.index(kind) for kind in kinds])
+        together: dict[tuple[Measurement, tuple[int, ...]], list[int]] = {}
+        for k, model in enumerate(self.models):
+            kind = model, () if self.planar else tuple(self.numbers[k].tolist())
+            together.setdefault(kind, []).append(k)
         found = []
-        for key in range(len(different)):
-            rows = np.flatnonzero(keys[self.session] == key)
-            k = int(np.flatnonzero(keys == key)[0])
+        for (model, _), sessions in together.items():
+            rows = np.flatnonzero(np.isin(self.session, sessions))
+            own = self.numbers[self.session[rows]].T if self.planar else self.numbers[sessions[0]]
             if len(rows):
-                found.append(
-                    (
-                        self.models[k],
-                        rows,
-                        self.numbers[self.session[rows]].T if self.planar else self.numbers[k],
-                    )
-                )
+                found.append((model, rows, own))
         return found
 
     def rows(self, index: NDArray[np.bool_] | NDArray[np.intp]) -> JointMeasurement:

@@ -79,7 +79,7 @@ from adis_gonio.tracing.proposals import TYPICALS
 Best = Literal["angle", "parameters", "tell-apart"]
 MEANING: dict[Best, str] = {
     "angle": "u of the angle by the fitted parameters, worst place of the turn, in degrees",
-    "parameters": "generalised u of the parameters, (det V)^(1/2p) in natural units",
+    "parameters": "geometric mean of the u along the axes of the parameters' covariance, in natural units",
     "tell-apart": "least separation of a typical effect from all others, in standard uncertainties",
 }
 """Quantity that each criterion of a search describes, as the user sees it (`Criterion.figure`)."""
@@ -116,8 +116,9 @@ class Criterion:
     Attributes
     ----------
     name : {"angle", "parameters", "tell-apart"}
-        Quantity that a plan is scored by: the largest u of the angle over the turn, the generalised u of
-        all parameters, or the least separation of a typical effect from all others.
+        Quantity that a plan is scored by: the largest u of the angle over the turn, the geometric mean of
+        the u along the axes of the parameters' covariance, or the least separation of a typical effect from
+        all others.
     base : int
         Number of parameters of the base model.
     gradient : (m, base) float
@@ -156,9 +157,9 @@ class Criterion:
         return np.asarray(np.einsum("mp,kpq,mq->km", self.gradient, own, self.gradient).max(axis=1))
 
     def separations(self, information: Floats) -> Floats:
-        """Return each effect's typical amplitude divided by its standard uncertainty, (k, q), for k plans.
+        """Return the typical size of each of q amplitudes divided by its standard uncertainty, (k, q).
 
-        `information` (k, p, p) are their information matrices, which include the prior.
+        `information` (k, p, p) are the information matrices of k plans, which include the prior.
         """
         # Diagonal of each covariance matrix, for the amplitudes.
         variance = np.einsum("kpp->kp", np.linalg.inv(information))[:, self.base :]
@@ -167,8 +168,8 @@ class Criterion:
     def figure(self, information: Floats) -> float:
         """Return the quantity by which the criterion judges a plan, for people instead of as a score.
 
-        It is the largest u of the angle in degrees, the generalised u of the b base parameters (root of the
-        determinant of their covariance, to the power 1/b, in natural units), or the least number of
+        It is the largest u of the angle in degrees, the geometric mean of the u along the principal axes of
+        the covariance V of the b base parameters (in natural units, (det V)^(1/2b)), or the least number of
         standard uncertainties by which an effect of typical size is detected. `information` (p, p) is the
         plan's information matrix, which includes the prior.
         """
@@ -785,7 +786,7 @@ _ASKED: dict[Best, str] = {
 }
 _FIGURE: dict[Best, str] = {
     "angle": "u of the angle by the fitted parameters, worst place: {:.2g}°",
-    "parameters": "generalised u of the parameters: {:.2g}",
+    "parameters": "mean u of the parameters, along the axes of their covariance: {:.2g}",
     "tell-apart": "an effect of typical size exceeds the others by at least {:.2g} standard uncertainties",
 }
 
