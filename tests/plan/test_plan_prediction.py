@@ -12,8 +12,8 @@ from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.estimation.readings import readings_of
-from adis_gonio.plan import Bench, best_plan, predict
-from adis_gonio.plan.prediction import expected_readings, predict_uncertainty
+from adis_gonio.plan.optimal_plan import best_plan
+from adis_gonio.plan.prediction import Bench, expected_readings, predict, predict_uncertainty
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
 from adis_gonio.tracing.trace import trace_readings
