@@ -19,7 +19,7 @@ class ThirdHarmonic(StageEffect):
     name = "third_harmonic"
     cause = "The bearing has three lobes."
     needs = ("angle_rad",)
-    coefficients: ClassVar = (Parameter("third", "degree", -1.0, 1.0, 0.02),)
+    parameters: ClassVar = (Parameter("third", "degree", -1.0, 1.0, 0.02),)
 
     def basis(self, conditions):
         return (np.sin(3 * conditions.covariate("angle_rad")),)

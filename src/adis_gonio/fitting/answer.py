@@ -198,7 +198,7 @@ class Answer:
         """Return lines of text that show the method, the main results, and the reason for the method."""
         return [
             f"Answer by method {self.title}",
-            *align_columns([HEAD, *(line.cells for line in self.lines)]),
+            *align_columns([HEAD, *self.lines]),
             *fold_text(self.why, width, indent=2),
             *(line for remark in self.remarks for line in fold_text(remark, width, indent=2)),
         ]
@@ -329,7 +329,7 @@ def parameter_row(name: str, value: Value) -> list[str]:
 
     ν are the degrees of freedom of u.
     """
-    return [*QuantityRow.of(name, value).cells, format_dof(value.dof) if value.u is not None else "–"]
+    return [*QuantityRow.of(name, value), format_dof(value.dof) if value.u is not None else "–"]
 
 
 def format_dof(dof: float) -> str:

@@ -25,7 +25,8 @@ from adis_gonio.model.records import SENSORS, STANDARD_GRAVITY_MPS2
 if TYPE_CHECKING:
     from adis_gonio.base.conformity import Tolerance
     from adis_gonio.base.uncertainty import Detectable
-    from adis_gonio.plan import Bench, BestPlan, Prediction
+    from adis_gonio.plan.optimal_plan import BestPlan
+    from adis_gonio.plan.prediction import Bench, Prediction
     from adis_gonio.record.plans import Plan
     from adis_gonio.record.source import Settings
 
@@ -122,7 +123,7 @@ def plan_command(
 
 
 def _bench(*, gravity_mps2: float | None, **options: Any) -> Bench:
-    from adis_gonio.plan import Bench
+    from adis_gonio.plan.prediction import Bench
 
     bench = ("fixture_deg", "sensor", "noise_mg", "flicker_mg", "start_deg")
     measuring = ("dwell_s", "settle_s", "rate_hz", "filter_m")
@@ -134,7 +135,8 @@ def _bench(*, gravity_mps2: float | None, **options: Any) -> Bench:
 
 
 def _predict_given(bench: Bench, **options: Any) -> Prediction:
-    from adis_gonio.plan import find_plan, predict
+    from adis_gonio.plan import find_plan
+    from adis_gonio.plan.prediction import predict
 
     search = {"--minutes": "minutes", "--best": "best"}
     wrong = [flag for flag, name in search.items() if options[name] is not None]
@@ -158,7 +160,7 @@ def _search(
     check: int,
     **_: Any,
 ) -> BestPlan:
-    from adis_gonio.plan import best_plan, fewest_positions, positions_in
+    from adis_gonio.plan.optimal_plan import best_plan, fewest_positions, positions_in
 
     given = sum(value is not None for value in (positions, minutes))
     if given > 1 or (not given and tolerance is None):
@@ -372,8 +374,7 @@ def _sized_effects(
     the typical size is smaller.
     """
     from adis_gonio.model.effects import parse_effect
-    from adis_gonio.plan import Bench
-    from adis_gonio.plan.prediction import expected_readings, predict_sight
+    from adis_gonio.plan.prediction import Bench, expected_readings, predict_sight
     from adis_gonio.sim.settings import WorldSettings
 
     @cache

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import threading
@@ -17,7 +16,7 @@ import click
 from rich.cells import cell_len
 from rich.console import Console
 
-from adis_gonio.base.jsonable import finite
+from adis_gonio.base.jsonable import json_text
 from adis_gonio.base.numbers import format_duration
 from adis_gonio.base.tables import fold_text
 
@@ -152,18 +151,10 @@ def report_written(path: Path | str, content: str = "") -> None:
     click.echo(f"written: {path}, {content or f'{Path(path).stat().st_size // 1024 + 1} kB'}", err=True)
 
 
-def json_text(document: Any, *, ascii_only: bool = False) -> str:
-    """Return a document as JSON text; numbers that are not finite become null.
-
-    `ascii_only` writes other letters as escape sequences.
-    """
-    return json.dumps(finite(document), ensure_ascii=ascii_only, indent=2, allow_nan=False)
-
-
 def print_json(document: Any) -> None:
     """Write a JSON document to standard output, in pure ASCII unless the output's encoding is a UTF."""
     unicode = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().startswith("utf")
-    click.echo(json_text(document, ascii_only=not unicode))
+    click.echo(json_text(document, ascii_only=not unicode), nl=False)
 
 
 def report_times_s() -> Iterator[float]:

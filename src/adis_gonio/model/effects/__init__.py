@@ -27,13 +27,6 @@ from adis_gonio.model.effects.base import (
     Enters,
     Parameter,
 )
-from adis_gonio.model.effects.stage_terms import (
-    NoiseChange,
-    OutlierDwell,
-    Quantization,
-    Saturation,
-    Settling,
-)
 
 ENTRY_POINT_GROUP = "adis_gonio.effects"
 
@@ -176,10 +169,14 @@ def parse_effect(text: str, axes: Sequence[str] = ("x", "y")) -> tuple[Effect, F
             raise UsageError(f"effect '{text}': write {name}:parameter=value, not '{item.strip()}'")
         if key in given or key in choices:
             raise UsageError(f"effect '{text}': {key} is given twice")
-        if key in kind.choices():
-            choices[key] = _whole(text, key, value)
-        else:
-            given[key] = _number(text, key, value)
+        try:
+            if key in kind.choices():
+                choices[key] = int(value)
+            else:
+                given[key] = float(value)
+        except ValueError:
+            wanted = "whole number" if key in kind.choices() else "number"
+            raise UsageError(f"effect '{text}': {key} is a {wanted}, not '{value}'") from None
 
     made = effect(name, axes, **choices)
     if kind.by_axis and any(key not in _names(made) for key in given):
@@ -193,20 +190,6 @@ def _names(made: Effect) -> set[str]:
     return {parameter.name for parameter in made.parameters}
 
 
-def _whole(text: str, key: str, value: str) -> int:
-    try:
-        return int(value)
-    except ValueError:
-        raise UsageError(f"effect '{text}': {key} is a whole number, not '{value}'") from None
-
-
-def _number(text: str, key: str, value: str) -> float:
-    try:
-        return float(value)
-    except ValueError:
-        raise UsageError(f"effect '{text}': {key} is a number, not '{value}'") from None
-
-
 __all__ = [
     "AXES",
     "BUILT_IN",
@@ -215,12 +198,7 @@ __all__ = [
     "Conditions",
     "Effect",
     "Enters",
-    "NoiseChange",
-    "OutlierDwell",
     "Parameter",
-    "Quantization",
-    "Saturation",
-    "Settling",
     "catalogue",
     "effect",
     "parse_effect",
