@@ -25,13 +25,7 @@ from adis_gonio.base.arrays import Floats, central_differences
 from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.jsonable import NAMED_BY_UNIT, OPTIONAL, JsonRecord
 from adis_gonio.base.numbers import format_fixed, signed
-from adis_gonio.bench.writeback.offset_plan import (
-    UNITS,
-    WritePlan,
-    plan_gyro_offsets,
-    plan_offsets,
-    recorded_offsets,
-)
+from adis_gonio.bench.writeback.offset_plan import BIASES, UNITS, WritePlan, plan_gyro_offsets, plan_offsets
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.registers import (
     ACCEL_OFF,
@@ -45,8 +39,8 @@ from adis_gonio.device.sensor.registers import (
 from adis_gonio.device.sensor.scanning import ScanStream
 from adis_gonio.device.sensor.settings import Configuration, ScanBlock, join, white_noise_gain
 from adis_gonio.fitting import fit
-from adis_gonio.fitting.fit_result import calibration_as_recorded
 from adis_gonio.model.effects.base import AXES
+from adis_gonio.model.measurement import FreeAttitude, PlanarTurn
 from adis_gonio.model.records import Session
 from adis_gonio.record.source import LEAST_SAMPLES
 from adis_gonio.record.stillness import NoiseMeter, StillnessWatch, limits_from_noise, window_samples
@@ -289,18 +283,28 @@ class _FittedSensor:
 
     def __init__(self, session: Session, result: FitResult, plan: WritePlan, rest: Rest) -> None:
         self.session, self.result, self.rest = session, result, rest
-        calibration = calibration_as_recorded(result)
-        if calibration.covariance is None:
-            raise FitError(f"{session.source}: the fit does not give uncertainties")
-        held = recorded_offsets(session) | plan.now
-        self.calibration = calibration.with_offsets([held[name] for name in ACCEL_OFF])
-        self.model = calibration.measurement
+        planar = session.plane == "xy"
+        self.model = PlanarTurn(session.gravity_mg) if planar else FreeAttitude(session.gravity_mg)
+        axes = AXES[: self.model.axes]
+        names = [*self.model.names, *(f"bias_{axis}" for axis in axes)]
+        # Skews and biases that a session did not show are zero in its fit.
+        self.known = [name for name in names if name in result]
+        missing = [name for name in names if name.startswith("scale") and name not in result]
+        if missing or result.covariance is None:
+            raise FitError(
+                f"{session.source}: the fit does not give {', '.join(missing) or 'uncertainties'}"
+            )
+        self.values = np.array([result[name].value for name in self.known])
+        order = [[e.name for e in result.parameters].index(name) for name in self.known]
+        self.covariance = np.asarray(result.covariance)[np.ix_(order, order)]
+        moved = {axis.axis: (axis.now - axis.recorded) * axis.lsb for axis in plan.axes}
+        self.moved_mg = np.array([moved.get(axis, 0.0) for axis in axes])
         # Standard uncertainty (axes,) of the dwell as a sample of the sensor that the session saw.
         then = [float(d.temperature_c.mean()) for d in session.dwells if d.temperature_c is not None]
         warmer = rest.temperature_c - float(np.mean(then)) if then else 0.0
         figures = variant(plan.variant).performance
         self.u_mg = np.hypot(
-            rest.u_mg[: calibration.axes],
+            rest.u_mg[: len(axes)],
             math.hypot(
                 math.sqrt(2) * figures.bias_instability_mg,
                 figures.bias_tempco_mg_per_c * warmer,
@@ -312,13 +316,12 @@ class _FittedSensor:
         """Compare the dwell's readings at a declared angle with the readings that the fit predicts."""
 
         def left(values: Floats, mean: Floats) -> Floats:
-            ideal, bias = self._predicted_mg(values, angle_rad)
-            return np.asarray(mean[:2] - ideal - bias)
+            return np.asarray(mean[:2] - self._ideal_mg(values, angle_rad) - self._bias_mg(values))
 
         value, u = self._propagated(left, self._fixture_u(angle_rad))
-        predicted = self.rest.mean_mg[:2] - value
+        predicted = self._ideal_mg(self.values, angle_rad) + self._bias_mg(self.values)
         where = f"readings at {math.degrees(angle_rad):g}° against the session"
-        return Agreement(where, ("X", "Y"), self.rest.mean_mg[:2], predicted, u)
+        return Agreement(where, ("X", "Y"), predicted + value, predicted, u)
 
     def by_length(self) -> Agreement:
         """Compare the magnitude of gravity, by the session's calibration, with local gravity.
@@ -331,8 +334,8 @@ class _FittedSensor:
         gravity = self.session.gravity_mg
 
         def length(values: Floats, mean: Floats) -> Floats:
-            base, bias = self.calibration.natural(values)
-            calibrated = self.model.calibrated(base, (mean[: self.model.axes] - bias)[None, :])
+            free = (mean[: self.model.axes] - self._bias_mg(values))[None, :]
+            calibrated = self.model.calibrated(self._base(values), free)
             return np.asarray(gravity * np.linalg.norm(calibrated, axis=1))
 
         value, u = self._propagated(length, np.zeros(1))
@@ -351,26 +354,43 @@ class _FittedSensor:
         """
 
         def left(values: Floats, mean: Floats) -> Floats:
-            return np.asarray(mean[:2] - self._predicted_mg(values, angle_rad)[0])
+            return np.asarray(mean[:2] - self._ideal_mg(values, angle_rad))
 
         return self._propagated(left, self._fixture_u(angle_rad))
 
-    def _predicted_mg(self, values: Floats, angle_rad: float) -> tuple[Floats, Floats]:
-        """Return the readings (2,) in mg by gravity alone at a declared angle, and the biases (2,) in mg.
+    def _base(self, values: Floats) -> Floats:
+        """Convert values of the fitted parameters to the parameters of the model.
 
-        `values` has the values of the calibration's parameters. The biases are those with the present
-        numbers in the offset registers.
+        The result is in natural units (rad for angles, 1 for gains). Parameters that were not fitted have
+        their nominal value.
         """
-        base, bias = self.calibration.natural(values)
-        return self.model.ideal(base, np.zeros(1), np.array([-angle_rad]))[0], bias
+        held = dict(zip(self.known, values, strict=True))
+        return np.array(
+            [held[p.name] / p.per_natural if p.name in held else p.nominal for p in self.model.parameters]
+        )
+
+    def _bias_mg(self, values: Floats) -> Floats:
+        """Return the biases (axes,) in mg with the present numbers in the offset registers.
+
+        `values` has a value for each fitted parameter of the model.
+        """
+        held = dict(zip(self.known, values, strict=True))
+        found = [held.get(name, 0.0) for name in BIASES[: self.model.axes]]
+        return np.asarray(np.array(found) + self.moved_mg)
+
+    def _ideal_mg(self, values: Floats, angle_rad: float) -> Floats:
+        """Return the readings (2,) in mg by gravity alone, without bias, at a declared angle.
+
+        `values` has a value for each fitted parameter of the model.
+        """
+        ideal: Floats = self.model.ideal(self._base(values), np.zeros(1), np.array([-angle_rad]))[0]
+        return ideal
 
     def _fixture_u(self, angle_rad: float) -> Floats:
         """Return the standard uncertainty (2,) in mg of predicted readings due to the declared angle."""
         more = SET_ANEW_U_DEG if self.session.fixture_sigma_deg is None else 0.0
         sigma = math.radians(math.hypot(self.result.fixture_sigma_deg or 0.0, more))
-        tangent = self.model.tangent(
-            self.calibration.natural(self.calibration.values)[0], np.zeros(1), np.array([-angle_rad])
-        )
+        tangent = self.model.tangent(self._base(self.values), np.zeros(1), np.array([-angle_rad]))
         return np.asarray(sigma * np.abs(tangent[0, :, 0]))
 
     def _propagated(
@@ -382,14 +402,13 @@ class _FittedSensor:
         the fitted parameters and the mean reading of the dwell. `more_u` (k,) is the standard uncertainty
         from the declared angle alone.
         """
-        mean, values = self.rest.mean_mg, self.calibration.values
-        by_parameter = _slopes(lambda v: function(v, mean), values)
-        by_reading = _slopes(lambda m: function(values, m), mean[: self.model.axes])
+        mean = self.rest.mean_mg
+        by_parameter = _slopes(lambda v: function(v, mean), self.values)
+        by_reading = _slopes(lambda m: function(self.values, m), mean[: self.model.axes])
         # Variances from the parameters, from the reading, and from the declared angle.
-        covariance = np.asarray(self.calibration.covariance)
-        variance = np.einsum("kp,pq,kq->k", by_parameter, covariance, by_parameter)
+        variance = np.einsum("kp,pq,kq->k", by_parameter, self.covariance, by_parameter)
         variance = variance + (by_reading**2) @ self.u_mg**2 + more_u**2
-        return function(values, mean), np.sqrt(variance)
+        return function(self.values, mean), np.sqrt(variance)
 
 
 def _slopes(function: Callable[[Floats], Floats], at: Floats) -> Floats:

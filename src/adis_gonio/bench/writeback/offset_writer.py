@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -157,6 +157,8 @@ class WriteResult:
         Unit of the biases: `mg` or `dps`.
     autonull : Agreement or None
         Comparison of the chip's autonull with the session; None without an autonull.
+    nulled : dict of str to int
+        Numbers that the autonull wrote to the offset registers, by name; empty without an autonull.
     """
 
     standing: HeldOffsets
@@ -167,10 +169,11 @@ class WriteResult:
     bias_u: tuple[float, ...] = ()
     unit: str = "mg"
     autonull: Agreement | None = None
+    nulled: dict[str, int] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result in JSON form."""
-        null = {} if self.autonull is None else {"autonull": self.autonull.as_dict()}
+        null = {} if self.autonull is None else {"autonull": {"new": self.nulled} | self.autonull.as_dict()}
         return {
             "state": self.standing.as_dict(),
             "endurance": {"before": self.endurance_before, "after": self.endurance_after},
@@ -415,7 +418,7 @@ class OffsetWriter:
                 f"the chip's autonull is not kept: it differs from the session by {found.excess};"
                 f" {undone.standing.text}"
             )
-        return replace(self._outcome(endurance, ((), ())), autonull=found)
+        return replace(self._outcome(endurance, ((), ())), autonull=found, nulled=nulled)
 
     # -- steps ----------------------------------------------------------------------------------------
 
