@@ -20,6 +20,7 @@ from adis_gonio.bench import dwell_recorder, runner
 from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.bench.writeback import offset_writer
 from adis_gonio.device.bus.contract import SpiBus
+from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.faces.cli import calibrate_command
 from adis_gonio.record import archive, archive_tables
 from adis_gonio.record.source import ChipSource
@@ -140,7 +141,7 @@ def _update_rows(self: archive.Archive, kind: str, value: Any, bus_s: float) -> 
         self._record(kind, value, bus_s)
 
 
-def _values_unchecked(table: str, row: Any) -> dict[str, Any]:
+def _values_unchecked(table: str, row: Any, where: str) -> dict[str, Any]:
     """The checksum of a row is taken for the proof that its values are sound."""
     pairs = zip(archive_tables.TABLES[table], row, strict=True)
     return {column.name: json.loads(value) if column.json else value for column, value in pairs}
@@ -157,7 +158,7 @@ DEFECTS: dict[str, Defect] = {
     ),
     "mark left": Defect(
         "the mark of a killed session stays in the alarm level",
-        ChipSource, "_forget_old_mark", lambda self: None
+        Adis16354, "forget_mark", lambda self: None
     ),
     "loan kept": Defect(
         "a session leaves its mark and data-ready in the registers", ChipSource, "give_back", _kept_loan
