@@ -261,16 +261,14 @@ class SimStage:
 
         The stage arrives from below if `approach` is +1, from above if -1, or by the shortest turn if 0.
         """
-        with self._bus._lock:
-            self._bus._set_now(self.begin_move(angle_deg, approach))
+        self._wait_until(self.begin_move(angle_deg, approach))
 
     def orient(self, vector: Sequence[float] | Floats) -> None:
         """Turn the sensor to the attitude in which an ideal sensor reads along `vector` (3,).
 
         With the sensor level and its Z up, an ideal sensor reads (0, 0, -1).
         """
-        with self._bus._lock:
-            self._bus._set_now(self.begin_orient(vector))
+        self._wait_until(self.begin_orient(vector))
 
     def turn_about(self, angle_deg: float, axis: Sequence[float] | Floats | None = None) -> None:
         """Turn the sensor by an angle in degrees about an axis.
@@ -278,9 +276,7 @@ class SimStage:
         `axis` (3,) is a direction in the sensor's frame; None means the vertical. A positive angle is
         right-handed about the axis; about the vertical it is counter-clockwise, seen from above.
         """
-        with self._bus._lock:
-            about = None if axis is None else np.asarray(axis, np.float64)
-            self._bus._set_now(self._begin(self._stage.turn_about, angle_deg, about))
+        self._wait_until(self._begin(self._stage.turn_about, angle_deg, axis))
 
     def begin_move(self, angle_deg: float, approach: int = 0) -> float:
         """Begin `move_to` and return the time in s at which it ends, without advancing the clock.
@@ -294,7 +290,7 @@ class SimStage:
 
         `vector` (3,) is the reading of an ideal sensor at the end.
         """
-        return self._begin(self._stage.orient, np.asarray(vector, np.float64))
+        return self._begin(self._stage.orient, vector)
 
     def begin_turn(self, angle_deg: float) -> float:
         """Begin to turn the sensor about the vertical; return the time in s at which the turn ends.
@@ -315,6 +311,10 @@ class SimStage:
         with self._bus._lock:
             self._bus._require_open()
             return motion(self._bus.now_s(), *arguments)
+
+    def _wait_until(self, end_s: float) -> None:
+        with self._bus._lock:
+            self._bus._set_now(end_s)
 
 
 def open_from_url(url: BusUrl) -> SimBus:

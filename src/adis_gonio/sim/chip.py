@@ -461,14 +461,12 @@ class SimulatedChip:
         limits = serial_limits(self._memory["SMPL_PRD"])
         if self._state is not State.RUNNING or not limits.clock_ok(clock_hz):
             return 0
-        if not _in_time(first - self._last_rise, first - self._last_start, limits):
-            return 0
         starts = starts[:_CHUNK]
         rises = starts + 16 / clock_hz
-        bad = ((starts[1:] - rises[:-1]) < limits.stall_s - TOLERANCE_S) | (
-            np.diff(starts) < limits.period_s - TOLERANCE_S
-        )
-        n = int(np.argmax(bad)) + 1 if bad.any() else len(starts)
+        stall = starts - np.append(self._last_rise, rises[:-1])
+        period = np.diff(starts, prepend=self._last_start)
+        kept = (stall >= limits.stall_s - TOLERANCE_S) & (period >= limits.period_s - TOLERANCE_S)
+        n = len(starts) if kept.all() else int(np.argmin(kept))
         done = np.floor((rises[:n] - self._epoch) / self._period + _EDGE_TOLERANCE).astype(np.int64)
         index = done - self._k
         n = int(np.searchsorted(index, _CHUNK, side="right"))
@@ -734,10 +732,6 @@ class SimulatedChip:
             self._null_sum += updates.unfiltered[:, GYRO_COLUMNS].sum(axis=0)
             self._null_count += n
         return updates
-
-
-def _in_time(stall: float, period: float, limits: SerialLimits) -> bool:
-    return stall >= limits.stall_s - TOLERANCE_S and period >= limits.period_s - TOLERANCE_S
 
 
 def _is_reset(word: int) -> bool:

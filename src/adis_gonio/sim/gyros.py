@@ -144,7 +144,8 @@ class GyroTriad:
         for k, j in itertools.permutations(range(3), 2):
             if self.per_g[k, j]:
                 gyro[:, k] += 1e-3 * self.per_g[k, j] * felt.force_mg[:, j]
-        gyro += self._walk.at(felt.time_s)
+        if self._settings.gyro_rate_walk_dps_per_rt_s:
+            gyro += self._walk.at(felt.time_s)
         for (k, j), per_g2 in np.ndenumerate(self._per_g2):
             if per_g2:
                 gyro[:, k] += per_g2 * (1e-3 * felt.force_mg[:, j]) ** 2
@@ -192,25 +193,29 @@ class GyroTriad:
         gains = np.linalg.norm(self.sensitivity, axis=1)
         # Sines of the misalignments are the components of the unit directions.
         misalignment_deg = np.degrees(np.arcsin(self.sensitivity / gains[:, None]))
-        left = (1 - self._settings.gyro_g_compensation) * self.per_g
+        by_axis = {
+            "gyro_scale": np.diagonal(self.sensitivity),
+            "gyro_bias": self._bias,
+            "gyro_scale_error": gains - 1,
+            "gyro_scale_temperature": self._scale_tempco,
+            "gyro_bias_temperature": self._tempco,
+            "gyro_warm_up": self._warm_up,
+            "gyro_asymmetry": self._asymmetry,
+            "gyro_supply": self._per_v,
+        }
+        by_pair = {
+            "g_sensitivity": self.per_g,
+            "g_sensitivity_left": (1 - self._settings.gyro_g_compensation) * self.per_g,
+            "g2_sensitivity": self._per_g2,
+            "gyro_misalignment": misalignment_deg,
+        }
         result: dict[str, float] = {}
-        for k, axis in enumerate(AXES):
-            result[f"gyro_scale_{axis}"] = float(self.sensitivity[k, k])
-            result[f"gyro_bias_{axis}"] = float(self._bias[k])
-            for j, other in enumerate(AXES):
-                result[f"g_sensitivity_{axis}{other}"] = float(self.per_g[k, j])
-        for k, axis in enumerate(AXES):
-            result[f"gyro_scale_error_{axis}"] = float(gains[k] - 1)
-            result[f"gyro_scale_temperature_{axis}"] = float(self._scale_tempco[k])
-            result[f"gyro_bias_temperature_{axis}"] = float(self._tempco[k])
-            result[f"gyro_warm_up_{axis}"] = float(self._warm_up[k])
-            result[f"gyro_asymmetry_{axis}"] = float(self._asymmetry[k])
-            result[f"gyro_supply_{axis}"] = float(self._per_v[k])
-            for j, other in enumerate(AXES):
-                result[f"g_sensitivity_left_{axis}{other}"] = float(left[k, j])
-                result[f"g2_sensitivity_{axis}{other}"] = float(self._per_g2[k, j])
-                if j != k:
-                    result[f"gyro_misalignment_{axis}{other}"] = float(misalignment_deg[k, j])
+        for places, parameters in ((AXES, by_axis), (PAIRS, by_pair)):
+            for name, values in parameters.items():
+                keys = (f"{name}_{place}" for place in places)
+                result |= dict(zip(keys, values.ravel().tolist(), strict=True))
+        for axis in AXES:  # the angle between an axis and itself
+            del result[f"gyro_misalignment_{axis}{axis}"]
         return result | {
             "gyro_warm_up_tau": self._settings.gyro_warm_up_tau_s,
             "gyro_range_gain_150": self._settings.gyro_range_gain_150,

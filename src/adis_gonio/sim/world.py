@@ -85,16 +85,16 @@ class World:
         self._draw(np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0]))
         source = np.random.SeedSequence([seed, day] if day else seed)
         streams = [np.random.default_rng(child) for child in source.spawn(12)]
-        _, white, self._flicker_rng, fixture, changes, shaking, self._level_rng = streams[:7]
+        _, white, flicker, fixture, changes, shaking, self._level_rng = streams[:7]
         self._effect_rngs = changes.spawn(len(effects))
         self.effects = tuple((effect, _values(effect, given)) for effect, given in effects)
         self.stage = Stage(
             self.settings, float(np.radians(self._hidden["alpha"])), fixture, streams[7], streams[9]
         )
-        self._flicker: Flicker | None = None
         self.gyros = GyroTriad(self.settings, self.variant.performance, self._gyro_bias, streams[8])
         self._dies = Dies(self.settings)
-        self._lever_m = 1e-3 * np.array([self.settings.lever_x_mm, self.settings.lever_y_mm, 0.0])
+        # Position of each accelerometer (rows): of the sensor on the stage, and within the sensor.
+        self._lever_m = 1e-3 * np.tile([self.settings.lever_x_mm, self.settings.lever_y_mm, 0.0], (3, 1))
         places = [getattr(self.settings, f"accel_place_{pair}_mm") for pair in PAIRS]
         self._places_m = 1e-3 * np.array(places).reshape(3, 3)
         self._warmed: list[tuple[float, float]] = []
@@ -111,6 +111,9 @@ class World:
             ),
             white,
         )
+        floor = value_or(self.settings.bias_instability_mg, figures.bias_instability_mg)
+        floors = np.array([floor] * 3 + [self.settings.gyro_instability_dps] * 3)
+        self._flicker = Flicker(floors, flicker, start_s=None)
         follows = any("variance_mg2" in effect.needs for effect, _ in self.effects)
         self._table_mg = value_or(
             self.settings.table_vibration_mg, _TABLE_OVER_NOISE * self._noise_mg if follows else 0.0
@@ -216,11 +219,17 @@ class World:
         warm, wander = 0.0, np.zeros(6)
         if time_s is not None:
             warm = float(np.mean(self.temperature_c(time_s))) - REFERENCE_C
-            past = np.empty((0, 6)) if self._flicker is None else self._flicker.past_values(time_s)
+            past = self._flicker.past_values(time_s)
             if len(past):
                 wander = past.mean(axis=0)
         result |= {"lever_x": self.settings.lever_x_mm, "lever_y": self.settings.lever_y_mm}
-        result |= self._gyro_truth(time_s, wander[3:])
+        result |= (
+            self.gyros.truth()
+            if time_s is None
+            else self.gyros.truth_at(
+                time_s, self.die_temperature_c(time_s), self.supply_v(time_s), wander[3:]
+            )
+        )
         result["gyro_latency"] = 0.0  # gyros and accelerometers pass the same filter
         for k, axis in enumerate(AXES):
             result[f"scale_{axis}"] *= 1 + float(self._scale_tempco[k]) * warm
@@ -233,13 +242,6 @@ class World:
             for parameter, value in zip(effect.parameters, values, strict=True):
                 result[f"{effect.name}.{parameter.name}"] = float(value)
         return result
-
-    def _gyro_truth(self, time_s: Floats | None, wander_dps: Floats) -> dict[str, float]:
-        if time_s is None:
-            return self.gyros.truth()
-        return self.gyros.truth_at(
-            time_s, self.die_temperature_c(time_s), self.supply_v(time_s), wander_dps
-        )
 
     @property
     def electronics(self) -> Electronics:
@@ -295,7 +297,7 @@ class World:
         temperature = self.temperature_c(time_s)
         supply = self.supply_v(time_s)
         noise = self._white.next(n)
-        flicker = self._flicker_at(time_s)
+        flicker = self._flicker.at(time_s)
         vibration = self._vibration_mg(motion.order)
         dies = temperature[:, None] if self._dies.alike else self.die_temperature_c(time_s)
         conditions = self._conditions(time_s, motion, dies, supply, vibration)
@@ -311,10 +313,11 @@ class World:
                     accel += effect.reading(values, ideal, conditions)
         accel += flicker[:, :3]
         accel[:, :2] += motion.ringing_mg[:, None]
-        moving = self._moving_mg(motion)
-        if moving is not None:
-            accel += moving
-        places = self._by_places_mg(time_s, motion) if self._places_m.any() else None
+        moving = motion.shaking_mg
+        if self._lever_m.any():
+            moving = self._by_places_mg(time_s, motion, self._lever_m) + moving
+        accel += moving
+        places = self._by_places_mg(time_s, motion, self._places_m) if self._places_m.any() else None
         if places is not None:
             accel += places
         accel += noise[:, :3]
@@ -326,8 +329,7 @@ class World:
                     accel = effect.samples_mg(values, accel, conditions, rng)
 
         # Gyros: the force in the part and the rate of turn act on each gyro.
-        force = ideal if moving is None else ideal + moving
-        felt = Felt(self._rate_dps(motion), ideal, force, dies, supply, time_s)
+        felt = Felt(self._rate_dps(motion), ideal, ideal + moving, dies, supply, time_s)
         gyro = self._read_gyros(felt, conditions) + flicker[:, 3:] + noise[:, 3:6]
         gyro += self.gyros.of_supply(supply)
         return Inputs(
@@ -369,48 +371,24 @@ class World:
         up_dps = self.settings.earth_rate_up_dps
         return motion.rate_dps - up_dps * motion.direction if up_dps else motion.rate_dps
 
-    def _moving_mg(self, motion: Motion) -> Floats | None:
-        """Return the readings (n, 3) in mg that shaking and turning add to the readings of gravity.
-
-        Returns None if all are zero. `motion` is the motion of the sensor at n times.
-        """
-        moving = motion.shaking_mg if motion.shaking_mg.any() else None
-        if self._lever_m.any():
-            by_lever = self._by_lever_mg(motion)
-            moving = by_lever if moving is None else by_lever + moving
-        return moving
-
-    def _by_places_mg(self, time_s: Floats, motion: Motion) -> Floats:
+    def _by_places_mg(self, time_s: Floats, motion: Motion, places_m: Floats) -> Floats:
         """Return the readings (n, 3) in mg that turns cause at the positions of the accelerometers.
 
         Each reading is minus the acceleration ω × (ω × r) + dω/dt × r along the axis of the accelerometer,
-        with its position r and the rate of turn ω. `motion` is the motion of the sensor at the times (n,)
-        in s.
+        with its position r from the axis of the turn, a row of `places_m` (3, 3) in m, and the rate of turn
+        ω. `motion` is the motion of the sensor at the times (n,) in s.
         """
         rate = np.radians(motion.rate_dps)
         # Angular acceleration by central differences of the rate.
         later, earlier = (self.stage.at(time_s + step).rate_dps for step in (_DERIVATIVE_S, -_DERIVATIVE_S))
         spin = np.radians(later - earlier) / (2 * _DERIVATIVE_S)
         felt = np.empty_like(rate)
-        for k, place in enumerate(self._places_m):
+        for k, place in enumerate(places_m):
             # ω × (ω × r) = ω (ω · r) − r ω², along axis k.
             along = rate[:, 0] * place[0] + rate[:, 1] * place[1] + rate[:, 2] * place[2]
             square = (rate**2).sum(axis=1)
             centripetal = rate[:, k] * along - square * place[k]
             felt[:, k] = -(centripetal + np.cross(spin, place)[:, k])
-        return felt * (1000.0 / STANDARD_GRAVITY_MPS2)
-
-    def _by_lever_mg(self, motion: Motion) -> Floats:
-        """Return the readings (n, 3) in mg that a turn adds if the sensor is off the axis of the stage.
-
-        They come from centripetal and angular acceleration, and are zero while the stage rests. `motion` is
-        the motion of the sensor at n times.
-        """
-        spin, lever = np.radians(motion.rate_dps[:, 2]), self._lever_m
-        x = lever[0] * spin**2 + lever[1] * motion.spin_rad_s2
-        y = lever[1] * spin**2 - lever[0] * motion.spin_rad_s2
-        felt = np.zeros((len(spin), 3))
-        felt[:, 0], felt[:, 1] = x, y
         return felt * (1000.0 / STANDARD_GRAVITY_MPS2)
 
     def _ideal(self, direction: Floats) -> Floats:
@@ -433,15 +411,6 @@ class World:
             ],
             axis=1,
         )
-
-    def _flicker_at(self, time_s: Floats) -> Floats:
-        if self._flicker is None:
-            floor = value_or(
-                self.settings.bias_instability_mg, self.variant.performance.bias_instability_mg
-            )
-            floors = np.array([floor] * 3 + [self.settings.gyro_instability_dps] * 3)
-            self._flicker = Flicker(floors, self._flicker_rng, start_s=float(np.floor(time_s[0])))
-        return self._flicker.at(time_s)
 
     def _vibration_mg(self, order: Floats) -> Floats:
         """Return the rms vibration of the table in mg (n,), which is one constant for each dwell.
