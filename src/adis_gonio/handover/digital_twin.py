@@ -26,7 +26,7 @@ from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, Parameter
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
 from adis_gonio.page.document import Figure, Role, Section, Series, Style, Table, plot
 from adis_gonio.sim.bus import SimBus
-from adis_gonio.sim.noise import Flicker, White
+from adis_gonio.sim.noise import Flicker
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.world import World
 from adis_gonio.tracing.trace_calibrations import gyros_as_recorded
@@ -222,17 +222,14 @@ class LikeWorld(World):
         ]
         part = sensor if sensor in VARIANTS else "adis16354"
         super().__init__(_settings(fit, gyro), part=part, seed=seed, effects=effects)
-        # Axes without samples get the mean noise.
-        white = np.full(3, float(noise.white_mg.mean()))
-        white[: data.axes] = noise.white_mg
+        # Axes without samples get the mean noise; the gyros have the noise of the variant.
+        self._white_sd[:3] = noise.white_mg.mean()
+        self._white_sd[: data.axes] = noise.white_mg
+        self._white_sd[3:6] = self.variant.performance.gyro_noise_dps
         floor = np.zeros(3)
         floor[: data.axes] = noise.floor_mg
         own = np.random.SeedSequence((seed, 1)).spawn(2)
-        surroundings = [self.settings.temperature_noise_c] * 3 + [self.settings.supply_noise_v]
-        noisy = self.variant.performance.gyro_noise_dps
-        self._white = White(
-            np.array([*white, noisy, noisy, noisy, *surroundings]), np.random.default_rng(own[0])
-        )
+        self._white = np.random.default_rng(own[0])
         self._flicker = Flicker(
             np.array([*floor, 0.0, 0.0, 0.0]), np.random.default_rng(own[1]), start_s=-10.0
         )

@@ -11,20 +11,6 @@ from adis_gonio.base.arrays import Floats
 _PAGE = 1024
 
 
-class White:
-    """White noise of several channels, drawn in order, one value for each update and channel."""
-
-    def __init__(self, sigma: Floats, rng: np.random.Generator) -> None:
-        self._sigma = np.asarray(sigma, np.float64)
-        self._rng = rng
-
-    def next(self, n: int) -> Floats:
-        """Draw the noise of the next n updates, (n, channels)."""
-        drawn = self._rng.standard_normal((n, len(self._sigma)))
-        drawn *= self._sigma
-        return drawn
-
-
 class GridProcess(ABC):
     """Random process of several channels on its own time grid, interpolated linearly.
 

@@ -31,8 +31,8 @@ from adis_gonio.device.sensor.registers import Variant, variant
 from adis_gonio.model.effects.base import AXES, Conditions, Effect, Enters
 from adis_gonio.model.measurement import FreeAttitude, sensitivity
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
-from adis_gonio.sim.gyros import PAIRS, REFERENCE_C, Dies, Felt, GyroTriad, apply_matrix, value_or
-from adis_gonio.sim.noise import Flicker, White
+from adis_gonio.sim.gyros import PAIRS, REFERENCE_C, Dies, GyroTriad, apply_matrix, value_or
+from adis_gonio.sim.noise import Flicker
 from adis_gonio.sim.sampling import Electronics, Inputs
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.stage import Motion, Stage
@@ -102,15 +102,10 @@ class World:
         figures = self.variant.performance
         self._noise_mg = value_or(self.settings.noise_mg, figures.noise_mg)
         gyro_noise = value_or(self.settings.gyro_noise_dps, figures.gyro_noise_dps)
-        self._white = White(
-            np.array(
-                [self._noise_mg] * 3
-                + [gyro_noise] * 3
-                + [self.settings.temperature_noise_c] * 3
-                + [self.settings.supply_noise_v]
-            ),
-            white,
-        )
+        # White noise of accelerations, rates, temperatures and supply.
+        others = [self.settings.temperature_noise_c] * 3 + [self.settings.supply_noise_v]
+        self._white_sd = np.array([self._noise_mg] * 3 + [gyro_noise] * 3 + others)
+        self._white = white
         floor = value_or(self.settings.bias_instability_mg, figures.bias_instability_mg)
         floors = np.array([floor] * 3 + [self.settings.gyro_instability_dps] * 3)
         self._flicker = Flicker(floors, flicker, start_s=None)
@@ -118,7 +113,7 @@ class World:
         self._table_mg = value_or(
             self.settings.table_vibration_mg, _TABLE_OVER_NOISE * self._noise_mg if follows else 0.0
         )
-        self._shaking = White(np.ones(3), shaking)
+        self._shaking = shaking
         self._levels_mg = np.empty(0)
 
     def _draw(self, rng: np.random.Generator) -> None:
@@ -296,7 +291,7 @@ class World:
         motion = self.stage.at(time_s)
         temperature = self.temperature_c(time_s)
         supply = self.supply_v(time_s)
-        noise = self._white.next(n)
+        noise = self._white.standard_normal((n, len(self._white_sd))) * self._white_sd
         flicker = self._flicker.at(time_s)
         vibration = self._vibration_mg(motion.order)
         dies = temperature[:, None] if self._dies.alike else self.die_temperature_c(time_s)
@@ -307,10 +302,7 @@ class World:
         ideal = self._ideal(direction)
         warm = (temperature - REFERENCE_C)[:, None]
         accel = ideal * (1 + self._scale_tempco * warm) + self._bias + self._tempco * warm
-        if conditions is not None:
-            for effect, values in self._of_part("accelerometer"):
-                if effect.enters is Enters.READING:
-                    accel += effect.reading(values, ideal, conditions)
+        self._add_effects("accelerometer", accel, ideal, conditions)
         accel += flicker[:, :3]
         accel[:, :2] += motion.ringing_mg[:, None]
         moving = motion.shaking_mg
@@ -322,16 +314,18 @@ class World:
             accel += places
         accel += noise[:, :3]
         if self._table_mg:
-            accel += vibration[:, None] * self._shaking.next(n)
+            accel += vibration[:, None] * self._shaking.standard_normal((n, 3))
         if conditions is not None:
             for (effect, values), rng in zip(self.effects, self._effect_rngs, strict=True):
                 if effect.enters is Enters.SAMPLES:
                     accel = effect.samples_mg(values, accel, conditions, rng)
 
         # Gyros: the force in the part and the rate of turn act on each gyro.
-        felt = Felt(self._rate_dps(motion), ideal, ideal + moving, dies, supply, time_s)
-        gyro = self._read_gyros(felt, conditions) + flicker[:, 3:] + noise[:, 3:6]
-        gyro += self.gyros.of_supply(supply)
+        force = ideal + moving
+        gyro = self.gyros.read(self._rate_dps(motion), force, dies, supply, time_s)
+        felt = None if conditions is None else replace(conditions, force_g=force / 1000.0)
+        self._add_effects("gyro", gyro, gyro, felt)
+        gyro += flicker[:, 3:] + noise[:, 3:6]
         return Inputs(
             accel,
             gyro,
@@ -341,27 +335,19 @@ class World:
             places,
         )
 
-    def _read_gyros(self, felt: Felt, conditions: Conditions | None) -> Floats:
-        """Return the gyro readings (n, 3) in °/s, including the effects that act on gyros.
+    def _add_effects(
+        self, part: str, readings: Floats, before: Floats, conditions: Conditions | None
+    ) -> None:
+        """Add the effects on a part of the sensor, `accelerometer` or `gyro`, to its readings (n, 3).
 
-        `felt` has the quantities that act on the gyros; `conditions` are the covariates of the effects,
-        None without effects.
+        An effect depends on the readings `before` (n, 3), and on `conditions`, which is None without
+        effects. An effect on both parts acts only on the first part that it names.
         """
-        gyro = self.gyros.read(felt)
-        effects = self._of_part("gyro")
-        if conditions is None or not effects:
-            return gyro
-        conditions = replace(conditions, force_g=felt.force_mg / 1000.0)
-        for effect, values in effects:
-            gyro += effect.reading(values, gyro, conditions)
-        return gyro
-
-    def _of_part(self, part: str) -> list[tuple[Effect, Floats]]:
-        """Return the effects on a part of the sensor, `accelerometer` or `gyro`, with their values.
-
-        An effect on both parts is returned only for the first part that it names.
-        """
-        return [(effect, values) for effect, values in self.effects if effect.parts[0] == part]
+        if conditions is None:
+            return
+        for effect, values in self.effects:
+            if effect.parts[0] == part and effect.enters is Enters.READING:
+                readings += effect.reading(values, before, conditions)
 
     def _rate_dps(self, motion: Motion) -> Floats:
         """Return the true rate of turn (n, 3) in °/s, with the vertical part of the earth's rotation.
