@@ -98,11 +98,6 @@ class Faults:
         """Draw the additional delay of a transfer in s; 0 if no delay happens."""
         return self.delay_s * self.dice.random() * 2 if self.happens("delay") else 0.0
 
-    @property
-    def total(self) -> int:
-        """Number of faults of all kinds so far."""
-        return sum(self.seen.values())
-
 
 class FaultyStream:
     """One direction of a serial line: the bytes in transit, in order, each with its time of arrival."""
