@@ -194,8 +194,7 @@ class Stage:
         """
         if not np.isfinite(angle_deg) or approach not in (-1, 0, 1):
             raise UsageError(f"move to {angle_deg}° with approach {approach}: give an angle and -1, 0 or 1")
-        self._require_still(start_s)
-        self._moves += 1
+        self._count_move(start_s)
         last = self._legs[-1]
         target = float(np.radians(angle_deg))
         previous = target if self._moves == 1 else last.to_rad
@@ -233,8 +232,7 @@ class Stage:
         norm = float(np.linalg.norm(wanted))
         if wanted.shape != (3,) or not np.isfinite(norm) or norm == 0:
             raise UsageError(f"orient to {vector}: give three numbers that are a direction")
-        self._require_still(start_s)
-        self._moves += 1
+        self._count_move(start_s)
         sigma = np.radians(self._settings.fixture_sigma_deg)
         # Tilt the wanted direction by a random small rotation.
         tilted = wanted / norm + np.cross(sigma * self._rng.standard_normal(3), wanted / norm)
@@ -255,13 +253,12 @@ class Stage:
         UsageError
             The last move still runs, or the sensor is not at an angle of the stage.
         """
-        self._require_still(start_s)
         last = self._legs[-1]
         if last.spatial:
             raise UsageError(
                 "the part is at an attitude in space: turn it to an angle of the stage before a free turn"
             )
-        self._moves += 1
+        self._count_move(start_s)
         hand = HandTurn(self._settings, self._hands, turns)
         to_rad = last.to_rad + hand.total_rad
         approach = 1 if to_rad >= last.to_rad else -1
@@ -301,8 +298,7 @@ class Stage:
             raise UsageError(
                 f"turn by {angle_deg}° about {axis}: give an angle and three numbers of an axis"
             )
-        self._require_still(start_s)
-        self._moves += 1
+        self._count_move(start_s)
         about = about / norm
         before, self._mark_error = self._mark_error, self._mark()
         turn = float(np.radians(angle_deg)) + self._mark_error - before
@@ -342,9 +338,10 @@ class Stage:
 
     # -- making legs ------------------------------------------------------------------------------
 
-    def _require_still(self, start_s: float) -> None:
+    def _count_move(self, start_s: float) -> None:
         if start_s < self.still_at_s:
             raise UsageError(f"the stage moves until {self.still_at_s} s; wait for it")
+        self._moves += 1
 
     def _error(self, approach: int) -> float:
         drawn = self._settings.fixture_sigma_deg * float(self._rng.standard_normal())
