@@ -288,15 +288,10 @@ class _Float(_Fixed):
 
 def _planes(calibration: Calibration) -> list[dict[str, Any]]:
     if calibration.planar:
-        return [{"suffix": "", "said": "", "first": 0, "second": 1}]
+        return [{"suffix": "", "clause": "", "first": 0, "second": 1}]
     return [
-        {
-            "suffix": f"_{AXES[i]}{AXES[j]}",
-            "said": f" in the plane {AXES[i]}{AXES[j]}",
-            "first": i,
-            "second": j,
-        }
-        for i, j in ((0, 1), (0, 2), (1, 2))
+        {"suffix": f"_{pair}", "clause": f" in the plane {pair}", "first": i, "second": j}
+        for pair, i, j in (("xy", 0, 1), ("xz", 0, 2), ("yz", 1, 2))
     ]
 
 

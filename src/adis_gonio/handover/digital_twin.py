@@ -450,10 +450,12 @@ class TwinComparison:
 @solvable
 def compare(measured: Session, twin: Session, traced: Fit) -> TwinComparison:
     """Fit the traced model to a session and to its twin, and compare their residuals and noise."""
+    from scipy.stats import ks_2samp
+
     sessions = (measured, twin)
     data = [readings_of(session) for session in sessions]
-    ours, theirs = (Fit.begin(one).with_terms(traced.terms, traced.values.terms).refit() for one in data)
-    residual = (_residual(ours), _residual(theirs))
+    ours, twins = (Fit.begin(one).with_terms(traced.terms, traced.values.terms).refit() for one in data)
+    residual = (_residual(ours), _residual(twins))
     if not all(part.size for part in residual):
         raise DataError(
             "there are no more readings than parameters, so that there is no residual to compare"
@@ -467,8 +469,8 @@ def compare(measured: Session, twin: Session, traced: Fit) -> TwinComparison:
     ]
     return TwinComparison(
         residual,
-        _p_same(*residual),
-        _p_variance(ours, theirs),
+        float(ks_2samp(*residual).pvalue),
+        _p_variance(ours, twins),
         tau_s[inside],
         (allan[inside], np.exp(np.stack(logs, axis=1))),
     )
@@ -480,24 +482,14 @@ def _residual(fitted: Fit) -> Floats:
     return np.asarray(rows[np.abs(rows) > 1e-9], np.float64)
 
 
-def _p_same(ours: Floats, theirs: Floats) -> float:
-    """Return the p-value of the two-sided Kolmogorov-Smirnov test that two distributions are equal.
-
-    `ours` and `theirs` are samples of the two distributions.
-    """
-    from scipy.stats import ks_2samp
-
-    return float(ks_2samp(ours, theirs).pvalue)
-
-
-def _p_variance(ours: Fit, theirs: Fit) -> float:
+def _p_variance(ours: Fit, twins: Fit) -> float:
+    """Return the p-value of the two-sided F test that χ² per degree of freedom is equal in two fits."""
     from scipy.special import fdtr
 
-    if ours.dof <= 0 or theirs.dof <= 0:
+    if ours.dof <= 0 or twins.dof <= 0:
         return 1.0
-    ratio = (ours.chi2 / ours.dof) / max(theirs.chi2 / theirs.dof, 1e-300)
-    # Two-sided probability of the F distribution.
-    below = float(fdtr(ours.dof, theirs.dof, ratio))
+    ratio = (ours.chi2 / ours.dof) / max(twins.chi2 / twins.dof, 1e-300)
+    below = float(fdtr(ours.dof, twins.dof, ratio))
     return 2 * min(below, 1 - below)
 
 
