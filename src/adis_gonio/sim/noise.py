@@ -18,17 +18,16 @@ class GridProcess(ABC):
 
     Parameters
     ----------
-    start : (channels,) float or None
-        Value at the first point of the grid; None if it is drawn like the other points.
+    grid : (m, channels) float
+        Values at the first points of the grid that are not drawn; m may be 0.
     step_s : float
         Step of the grid in s.
     start_s : float or None
         Time of the first point in s; None for the first time that is asked for, rounded down.
     """
 
-    def __init__(self, start: Floats | None, step_s: float, start_s: float | None = None) -> None:
-        self._grid = self._page() if start is None else start[None, :]
-        self._step_s, self._start_s = step_s, start_s
+    def __init__(self, grid: Floats, step_s: float, start_s: float | None = None) -> None:
+        self._grid, self._step_s, self._start_s = grid, step_s, start_s
 
     @abstractmethod
     def _page(self) -> Floats:
@@ -68,7 +67,7 @@ class RateWalk(GridProcess):
 
     def __init__(self, size: float, rng: np.random.Generator) -> None:
         self._size, self._rng = size, rng
-        super().__init__(np.zeros(3), 1 / 16)
+        super().__init__(np.zeros((1, 3)), 1 / 16)
 
     def _page(self) -> Floats:
         steps = self._size * np.sqrt(self._step_s) * self._rng.standard_normal((_PAGE, 3))
@@ -111,7 +110,7 @@ class Flicker(GridProcess):
         self._drive = np.sqrt(1 - self._memory**2)
         self._rng = rng
         self._state = rng.standard_normal((octaves, len(self._sigma)))
-        super().__init__(None, step_s, start_s)
+        super().__init__(np.empty((0, len(self._sigma))), step_s, start_s)
 
     def _page(self) -> Floats:
         drawn = self._rng.standard_normal((_PAGE, *self._state.shape)) * self._drive

@@ -125,18 +125,15 @@ class World:
         figures, given = self.variant.performance, self.settings
         limit = figures.non_orthogonality_deg
         scale = 1 + figures.scale_error_typical * rng.standard_normal(3)
-        bias = figures.initial_bias_mg * rng.standard_normal(3)
+        self._bias = self._by_axis("bias_{}_mg", figures.initial_bias_mg, rng)
         skew = rng.uniform(-limit, limit, 3)
         alpha = float(rng.uniform(-GREATEST_ALPHA_DEG, GREATEST_ALPHA_DEG))
-        tempco = figures.bias_tempco_mg_per_c * rng.standard_normal(3)
-        scale_tempco = figures.scale_tempco_ppm_per_c * rng.standard_normal(3)
-        gyro_bias = given.gyro_bias_sigma_dps * rng.standard_normal(3)
+        self._tempco = self._by_axis("bias_tempco_{}_mg_per_c", figures.bias_tempco_mg_per_c, rng)
+        self._scale_tempco = 1e-6 * self._by_axis(
+            "scale_tempco_{}_ppm_per_c", figures.scale_tempco_ppm_per_c, rng
+        )
+        self._gyro_bias = self._by_axis("gyro_bias_{}_dps", given.gyro_bias_sigma_dps, rng)
         self._temperature_offset = given.temperature_offset_sigma_c * rng.standard_normal(3)
-
-        self._bias = self._by_axis("bias_{}_mg", bias)
-        self._tempco = self._by_axis("bias_tempco_{}_mg_per_c", tempco)
-        self._scale_tempco = 1e-6 * self._by_axis("scale_tempco_{}_ppm_per_c", scale_tempco)
-        self._gyro_bias = self._by_axis("gyro_bias_{}_dps", gyro_bias)
         scale_y = value_or(given.scale_y, float(scale[1]))
         delta_k = value_or(given.delta_k, float(scale[0] / scale[1] - 1))
         delta_phi = value_or(given.delta_phi_deg, float(skew[0]))
@@ -161,13 +158,14 @@ class World:
         in_space = FreeAttitude(self.gravity_mg)
         return np.array([self._hidden[p.name] / p.per_natural for p in in_space.parameters])
 
-    def _by_axis(self, name: str, drawn: Floats) -> Floats:
-        """Return the values (3,) of a setting for x, y and z: the given value, or else the drawn value.
+    def _by_axis(self, name: str, sd: float, rng: np.random.Generator) -> Floats:
+        """Return the values (3,) of a setting for x, y and z: the given value, or else a drawn value.
 
-        `name` is the name of the setting with {} for the axis; `drawn` has the drawn values (3,).
+        `name` is the name of the setting with {} for the axis, `sd` the standard deviation of the draws.
         """
+        drawn = (sd * rng.standard_normal(3)).tolist()
         given = (getattr(self.settings, name.format(axis)) for axis in AXES)
-        return np.array([value_or(value, float(own)) for value, own in zip(given, drawn, strict=True)])
+        return np.array([value_or(value, own) for value, own in zip(given, drawn, strict=True)])
 
     # -- hidden parameters -------------------------------------------------------------------------
 
@@ -196,7 +194,7 @@ class World:
         | `g2_sensitivity_xy…` | °/s/g² | effect of a squared force |
         | `gyro_scale_temperature_x…` | 1/°C | temperature coefficient of the gain |
         | `gyro_bias_temperature_x…` | °/s/°C | temperature coefficient of the zero rate |
-        | `gyro_asymmetry_x…` | 1 | see `GyroSettings` |
+        | `gyro_asymmetry_x…` | 1 | excess of the gain for positive rates over the mean gain |
         | `gyro_supply_x…` | °/s/V | effect of the supply |
         | `gyro_warm_up_x…`, `gyro_warm_up_tau` | °/s, s | offset at power-on, and its time constant |
         | `gyro_range_gain_150`, `…_75` | 1 | gain in this range relative to ±300 °/s |

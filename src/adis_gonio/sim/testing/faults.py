@@ -100,7 +100,15 @@ class Faults:
 
 
 class FaultyStream:
-    """One direction of a serial line: the bytes in transit, in order, each with its time of arrival."""
+    """One direction of a serial line: the bytes in transit, in order, each with its time of arrival.
+
+    Parameters
+    ----------
+    faults : Faults
+        Probabilities and random draws of the faults.
+    byte_s : float
+        Time in s that the line needs for a byte.
+    """
 
     def __init__(self, faults: Faults, byte_s: float = 0.0) -> None:
         self.faults = faults
