@@ -198,7 +198,7 @@ def test_the_bus_turns_the_part_in_its_own_time_and_the_gyro_says_how_far():
         **EXACT, hand_moves=1.0, gyro_bias_sigma_dps=0.0, gyro_g_dps_per_g=0.0, gyro_noise_dps=0.0,
         gyro_instability_dps=0.0,
     )  # fmt: skip
-    bus = SimBus(settings, seed=3)
+    bus = SimBus(World(settings, seed=3))
     bus.stage.orient((0.0, 0.0, -1.0))
     begin = bus.now_s()
     bus.stage.turn_about(-720.0)

@@ -34,15 +34,13 @@ from adis_gonio.device.bus.contract import (
 )
 from adis_gonio.device.bus.host import SAFE_TIMING, UrlOptions
 from adis_gonio.device.bus.opening import BusUrl, Device
-from adis_gonio.device.sensor.registers import Variant
 from adis_gonio.model.effects import parse_effect
-from adis_gonio.model.effects.base import Effect
 from adis_gonio.sim.chip import SimulatedChip
 from adis_gonio.sim.gyros import realistic_gyros, stream_of
 from adis_gonio.sim.memory import FlashFile
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.stage import Stage
-from adis_gonio.sim.world import Values, World
+from adis_gonio.sim.world import World
 
 _POWERED_BEFORE_S = 0.5
 _TRIGGER_S = 2e-6
@@ -54,22 +52,16 @@ class SimBus(SpiBus):
 
     Parameters
     ----------
-    settings : WorldSettings
-        Settings of the world; None draws all hidden parameters from the seed.
-    seed : int
-        Seed of all random numbers.
-    part : str or Variant
-        `adis16354`, `adis16350` or `adis16355`.
-    effects : sequence of (Effect, values)
-        Effects that the readings have in addition, each with the values of its parameters.
+    world : World
+        Surroundings of the chip, with the stage.
     stream : bool
         True offers `Capability.STREAM` and `Capability.EVENT_COUNTER`.
     realtime : bool
         True makes the bus follow the wall clock; False gives it a virtual clock.
-    chip : SimulatedChip
+    url : str
+        URL of the bus, for messages and recordings.
+    chip : SimulatedChip or None
         An existing chip in `world`; None makes a new chip.
-    world : World
-        An existing world, for which settings, seed and effects are ignored; None makes a new world.
 
     Attributes
     ----------
@@ -79,20 +71,16 @@ class SimBus(SpiBus):
 
     def __init__(
         self,
-        settings: WorldSettings | None = None,
+        world: World,
         *,
-        seed: int = 0,
-        part: str | Variant = "adis16354",
-        effects: Sequence[tuple[Effect, Values]] = (),
         stream: bool = True,
         realtime: bool = False,
         url: str = "sim:",
-        world: World | None = None,
         chip: SimulatedChip | None = None,
     ) -> None:
         super().__init__(SAFE_TIMING)
         self.url = url
-        self.world = world or World(settings, part=part, seed=seed, effects=effects)
+        self.world = world
         self.chip = chip or SimulatedChip(self.world, self.world.variant, start_s=-_POWERED_BEFORE_S)
         self.stage = SimStage(self, self.world.stage)
         offered = {Capability.HARD_RESET}
@@ -346,7 +334,7 @@ def open_from_url(url: BusUrl) -> SimBus:
         effects=[parse_effect(text) for text in filter(None, options.text("effects").split(";"))],
     )
     return SimBus(
-        world=world,
+        world,
         chip=_chip(world, url.options["flash"], seed) if "flash" in url.options else None,
         stream=options.switch("stream", default=True),
         realtime=options.switch("realtime"),
