@@ -44,7 +44,7 @@ class Echo(SimBus):
 
 
 def spoilt(faults: BusFaults, frames=PRODUCT, batch=None):
-    bus = FaultyBus(Echo(), faults)
+    bus = FaultyBus(Echo(World()), faults)
     parts = np.split(frames, range(batch, len(frames), batch)) if batch else [frames]
     return bus, np.concatenate([bus.exchange_array(part) for part in parts])
 
