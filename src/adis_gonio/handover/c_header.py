@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
-from adis_gonio.calibrate.calibration import Calibration, Coefficient, NotCorrected, json_text
+from adis_gonio.base.jsonable import json_text
+from adis_gonio.calibrate.calibration import Calibration, Coefficient, NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, GyroCalibration
 from adis_gonio.handover import fixed_point
 from adis_gonio.handover.fixed_point import ONE, Monomial, Polynomial, Q, Scaled
