@@ -362,8 +362,8 @@ class Effect(ABC):
     parts: ClassVar[tuple[str, ...]] = ("accelerometer",)
     """Parts of the sensor that show the effect: `accelerometer`, `gyro`."""
     options: ClassVar[dict[str, tuple[int, ...]]] = {}
-    """Values that the trace tries, by the name of the choice. Effects with different values have parameters
-    with different names."""
+    """Values that the trace tries, by the name of the choice. The list of an effect's parameters shows the
+    value."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
