@@ -24,7 +24,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.conformity import Conformity, ErrorCurve, Tolerance
-from adis_gonio.base.errors import FitError, UsageError
+from adis_gonio.base.errors import FitError, UsageError, suggest
 from adis_gonio.base.jsonable import INLINE, JsonRecord
 from adis_gonio.base.numbers import join_words
 from adis_gonio.base.uncertainty import Detectable, Value
@@ -37,7 +37,6 @@ from adis_gonio.fitting.fit_result import FitResult
 from adis_gonio.fitting.methods import fit_readings
 from adis_gonio.fitting.uncertainty import ShownAngle
 from adis_gonio.model.effects import Conditions, catalogue
-from adis_gonio.model.effects.base import did_you_mean
 from adis_gonio.model.measurement import PlanarTurn
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.record.plans import Plan
@@ -584,8 +583,8 @@ def planned_terms(readings: Readings, names: Sequence[str]) -> tuple[NamedTerm, 
         if name in known:
             continue
         if name not in catalogue("accelerometer"):
-            near = did_you_mean(name, list(catalogue("accelerometer")))
-            raise UsageError(f"beware: no effect is called '{name}'{near}")
+            hint = suggest(name, catalogue("accelerometer"))
+            raise UsageError(f"beware: no effect is called '{name}'; {hint}")
         if name in of_base:
             why = "lies in the model that every session fits: leave it out"
         elif name in offered:

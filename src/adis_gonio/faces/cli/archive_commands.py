@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, date as date_type, datetime
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from adis_gonio.fleet.session_record import SessionRecord
     from adis_gonio.fleet.store import Store
 
-_HEAD = ("serial", "operator", "stage", "date", "plan", "ΔK", "Δφ / °", "angle / °", "effects", "file")
+_HEAD = ("file", "serial", "operator", "stage", "date", "plan", "ΔK", "Δφ / °", "angle / °", "effects")
 _HISTORY_WIDTH = 80
 _MOST_ROWS = 40
 """Largest number of rows in a table of `fleet` on the terminal."""
@@ -98,7 +99,7 @@ def archive_command(
         return
     screen = show.console(most=160)
     if good:
-        show.print_table(screen, _HEAD, [_archive_cells(row) for row in good], texts={0, 1, 2, 3, 4, 8, 9})
+        show.print_table(screen, _HEAD, [_archive_cells(row) for row in good], texts={0, 1, 2, 3, 4, 5, 9})
     for row in good:
         if row["copies"]:
             screen.print(f"the same file, counted once: {', '.join([row['path'], *row['copies']])}")
@@ -111,7 +112,11 @@ def archive_command(
 
 
 def _archive_cells(row: Mapping[str, Any]) -> list[str]:
+    path = os.path.relpath(row["path"])
     return [
+        (row["path"] if path.startswith("..") else path)
+        + (" (gone)" if row["gone"] else "")
+        + (" (doubtful)" if row["doubts"] else ""),
         *(row[name] or "–" for name in ("serial", "operator", "stage")),
         (row["when"] or "–")[:16].replace("T", " "),
         row["plan"] or "–",
@@ -120,7 +125,6 @@ def _archive_cells(row: Mapping[str, Any]) -> list[str]:
             for name in ("delta_k", "delta_phi", "angle")
         ),
         row["effects"] or ("none" if row["traced"] else "not traced"),
-        row["path"] + (" (gone)" if row["gone"] else "") + (" (doubtful)" if row["doubts"] else ""),
     ]
 
 
@@ -227,7 +231,8 @@ def due_command(
         if rule.assumes:
             show.print_indented(screen, f"assumes: {rule.assumes}", 4)
     if found.limits.assumed:
-        screen.print(f"  {found.limits.tolerance} is assumed as tolerance: set yours with --tolerance")
+        assumed = f"{found.limits.tolerance} is assumed as tolerance: set yours with --tolerance"
+        show.print_indented(screen, assumed)
 
 
 @option.command("fleet")

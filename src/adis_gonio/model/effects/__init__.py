@@ -17,7 +17,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.errors import UsageError
+from adis_gonio.base.errors import UsageError, suggest
 from adis_gonio.model.effects import gyro_terms, sensor_terms, stage_terms
 from adis_gonio.model.effects.base import (
     AXES,
@@ -26,7 +26,6 @@ from adis_gonio.model.effects.base import (
     Effect,
     Enters,
     Parameter,
-    did_you_mean,
 )
 
 ENTRY_POINT_GROUP = "adis_gonio.effects"
@@ -128,10 +127,7 @@ def constant_effect(axes: Sequence[str]) -> Effect:
 def _kind(name: str) -> type[Effect]:
     known = catalogue()
     if name not in known:
-        raise UsageError(
-            f"no effect is called '{name}'{did_you_mean(name, list(known))}; "
-            f"known: {', '.join(sorted(known))}"
-        )
+        raise UsageError(f"no effect is called '{name}'; {suggest(name, sorted(known))}")
     return known[name]
 
 

@@ -32,7 +32,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from difflib import get_close_matches
 from enum import StrEnum
 from functools import cached_property, lru_cache
 from typing import Any, ClassVar, Literal
@@ -478,8 +477,7 @@ class Effect(ABC):
         for name in given:
             if name not in known:
                 raise UsageError(
-                    f"{self.name} has no parameter '{name}'{did_you_mean(name, known)}; "
-                    f"it has {', '.join(known)}"
+                    f"{self.name} has no parameter '{name}'; it has {', '.join(known) or 'none'}"
                 )
         return np.array(
             [
@@ -499,12 +497,6 @@ class Effect(ABC):
         if columns and max(columns) >= readings.shape[1]:
             raise UsageError(f"{self.name} acts on {', '.join(self.axes)}, but z was not recorded")
         return columns
-
-
-def did_you_mean(name: str, known: Sequence[str]) -> str:
-    """Return a text such as " (did you mean 'bias'?)" with the known name most similar to `name`, or ""."""
-    near = get_close_matches(name, known, n=1)
-    return f" (did you mean '{near[0]}'?)" if near else ""
 
 
 @lru_cache(maxsize=1024)
