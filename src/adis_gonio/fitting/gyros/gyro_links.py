@@ -314,7 +314,7 @@ def gyro_links(session: Session, prior: GyroPrior | None = None) -> GyroLinks | 
     if not turns:
         return None
     try:
-        rests = gyro_dwells_of(session)
+        rests = session.once(gyro_dwells_of)
     except DataError:
         return None
     legs: list[Leg] = []
