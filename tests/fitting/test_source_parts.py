@@ -124,7 +124,7 @@ def test_biases_and_skews_that_nothing_shows_are_as_large_as_the_sheet_says(
     data = readings(sensor=sensor)
     noise = NoiseAssumptions(extra_mg=0.4, dof=11.0)
     monkeypatch.setattr(module, "missing_effects", lambda fit: np.zeros((N, 2, 0)))
-    found = module._model(data, noise, fit, RESPONSE, module.Unseen((1,), (3,)))
+    found = module._model(data, noise, fit, RESPONSE, (3, 5))
     extra = carried(np.tile(0.16 * np.eye(2), (N, 1, 1)))
     if sensor == "generic":
         np.testing.assert_allclose(found.moves @ found.moves.T, extra, atol=1e-12)

@@ -487,6 +487,35 @@ def angle_errors(fit: Fit) -> Floats | None:
     return -wrap_radians(shown - zero)
 
 
+def result_of(
+    made: Origin, method: str, chi2: float, dof: int, warnings: Sequence[str], undetermined: Sequence[str]
+) -> FitResult:
+    """Return the result of a fit: its parameters with uncertainties, residuals and warnings.
+
+    The arguments after `made` become attributes of the result. A warning is added if only the stage
+    determines the misalignment.
+    """
+    fit, noise, sources = made.fit, made.noise, made.sources
+    found = estimates(made.outputs, sources)
+    planar = fit.data.planar
+    norm = np.linalg.norm(fit.gravity, axis=1)[:, None] - 1
+    return FitResult(
+        method=method,
+        parameters=found,
+        covariance=None if sources is None else variances(made.outputs, sources.covariance),
+        chi2=chi2,
+        dof=dof,
+        residual_mg=fit.misfit if planar else norm * fit.data.gravity_mg,
+        positions=tuple(fit.data.position.tolist()),
+        angle_error_rad=angle_errors(fit),
+        warnings=(*warnings, *stage_warnings(found, noise.sigma_rad)),
+        undetermined=tuple(undetermined),
+        extra_mg=noise.extra_mg,
+        fixture_sigma_deg=math.degrees(noise.sigma_rad) if planar else None,
+        origin=made,
+    )
+
+
 def calibration_as_recorded(result: FitResult) -> Calibration:
     """Return the calibration for the offset registers as they were while the session was recorded.
 

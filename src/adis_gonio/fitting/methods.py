@@ -31,20 +31,12 @@ from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm
-from adis_gonio.fitting.fit_result import (
-    FitResult,
-    Origin,
-    angle_errors,
-    estimates,
-    outputs_of,
-    stage_warnings,
-    variances,
-)
+from adis_gonio.fitting.fit_result import FitResult, Origin, outputs_of, result_of
 from adis_gonio.fitting.linked import linked_readings
 from adis_gonio.fitting.maximum_likelihood import fit_ml, refit_ml
 from adis_gonio.fitting.noise_estimation import NoiseAssumptions, settle
 from adis_gonio.fitting.slips.session_positions import failure_message, positions_of
-from adis_gonio.fitting.uncertainty import Sources, Unseen, sources_of
+from adis_gonio.fitting.uncertainty import Sources, sources_of
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
 
@@ -415,8 +407,8 @@ def _sources(data: Readings, linear: _Linear, noise: NoiseAssumptions) -> Source
     An error of a declared angle acts along the tangent of the circle of readings.
     """
     fit = _fit(noise.applied(data), linear.beta, bias=linear.has_bias)
-    unseen = Unseen() if linear.has_bias or not data.unit.known else Unseen(biases=(0, 1))
-    return sources_of(data, noise, fit, linear.derivative / data.gravity_mg, unseen)
+    held = () if linear.has_bias or not data.unit.known else (BIAS_X, BIAS_Y)
+    return sources_of(data, noise, fit, linear.derivative / data.gravity_mg, held)
 
 
 def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> list[str]:
@@ -497,28 +489,14 @@ def _finish(
         if (linear.has_bias or not output.name.startswith("bias")) and (only is None or output.name in only)
     ]
     sources = _sources(chosen, linear, noise) if noise.known else None
-    found = estimates(outputs, sources)
-    warnings = [*warnings, *stage_warnings(found, noise.sigma_rad)]
     assumed = NoiseAssumptions(scale=noise.scale, sigma_rad=noise.sigma_rad).applied(chosen)
     fit = _fit(assumed, linear.beta, bias=linear.has_bias)
     dof = 2 * len(chosen) - (6 if linear.has_bias else 4)
+    # Residuals of an unweighted fit are not χ² distributed; the smallest χ² of this model is.
+    chi2 = fit.refit(200, 1e-12).chi2 if dof else 0.0
+    made = Origin(chosen, noise, fit, tuple(outputs), sources)
     lost = () if linear.has_bias else ("bias_x", "bias_y")
-    return FitResult(
-        method=method,
-        parameters=found,
-        covariance=None if sources is None else variances(outputs, sources.covariance),
-        # Residuals of an unweighted fit are not χ² distributed; the smallest χ² of this model is.
-        chi2=fit.refit(200, 1e-12).chi2 if dof else 0.0,
-        dof=dof,
-        residual_mg=fit.misfit,
-        positions=tuple(chosen.position.tolist()),
-        angle_error_rad=angle_errors(fit),
-        warnings=(*warnings, *chosen.notes, *noise.notes),
-        undetermined=lost,
-        extra_mg=noise.extra_mg,
-        fixture_sigma_deg=math.degrees(noise.sigma_rad),
-        origin=Origin(chosen, noise, fit, tuple(outputs), sources),
-    )
+    return result_of(made, method, chi2, dof, (*warnings, *chosen.notes, *noise.notes), lost)
 
 
 FREE_TURN = "free-turn"

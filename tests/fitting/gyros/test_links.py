@@ -25,7 +25,7 @@ from adis_gonio.fitting.estimation.links import Band, LinkRows, Links
 from adis_gonio.fitting.estimation.readings import Readings, from_means, readings_of
 from adis_gonio.fitting.gyros.gyro_fit import fit_gyro
 from adis_gonio.fitting.gyros.gyro_links import GyroPrior
-from adis_gonio.fitting.gyros.turn_integration import PARAMETERS, AssumedGyros, attitude
+from adis_gonio.fitting.gyros.turn_integration import PARAMETERS, attitude
 from adis_gonio.fitting.linked import JudgedLinks, linked_readings, probable_gyros
 from adis_gonio.fitting.methods import fit_of, fit_readings
 from adis_gonio.fitting.uncertainty import by_rotation_of, response_of
@@ -48,18 +48,17 @@ def _rate_dps(time_s: Floats) -> Floats:
     return np.stack([course, course * np.sin(3 * time_s), 60 * np.sin(np.pi * time_s) ** 2], axis=-1)
 
 
-def _gyros(rng: np.random.Generator) -> AssumedGyros:
-    return AssumedGyros(
-        np.eye(3) + 0.02 * rng.standard_normal((3, 3)), 0.1 * rng.standard_normal((3, 3)), np.zeros(3)
-    )
+def _gyros(rng: np.random.Generator) -> Floats:
+    gains = np.eye(3) + 0.02 * rng.standard_normal((3, 3))
+    return np.concatenate([gains.ravel(), 0.1 * rng.standard_normal(9), np.zeros(3)])
 
 
 def test_attitude_is_that_of_the_differential_equation_and_of_rotations_in_fine_steps() -> None:
     gyros = _gyros(np.random.default_rng(1))
     time = np.linspace(0, 2, 1640)
     force = np.stack([np.sin(time), np.cos(time), 0.3 * time], axis=1)
-    read = _rate_dps(time) @ gyros.sensitivity.T + force @ gyros.per_g.T
-    found = attitude(time, read, force, gyros, NOISE)
+    read = _rate_dps(time) @ gyros[:9].reshape(3, 3).T + force @ gyros[9:18].reshape(3, 3).T
+    found = attitude(time, read, force, gyros, NOISE, np.abs(read))
 
     solved = solve_ivp(
         lambda t, u: -np.cross(np.radians(_rate_dps(t)), u.reshape(3, 3).T).T.ravel(),
@@ -79,15 +78,14 @@ def test_what_an_error_of_the_gyros_does_to_attitude_is_its_derivative() -> None
     rng = np.random.default_rng(2)
     time = np.linspace(0, 2, 400)
     read, force = _rate_dps(time), np.stack([np.sin(time), np.cos(time), 0.3 * time], axis=1)
-    begin = np.concatenate([_gyros(rng).sensitivity.ravel(), 0.1 * rng.standard_normal(9), np.zeros(3)])
-    found = attitude(time, read, force, AssumedGyros.of(begin), NOISE)
+    begin = np.concatenate([_gyros(rng)[:9], 0.1 * rng.standard_normal(9), np.zeros(3)])
 
     def turned(values: Floats, zero: Floats) -> Floats:
-        there = attitude(time, read - zero, force, AssumedGyros.of(values), NOISE, np.abs(read - force))
+        there = attitude(time, read - zero, force, values, NOISE, np.abs(read - force))
         return Rotation.from_matrix(there.rotation @ here.T).as_rotvec()
 
     magnitude = np.abs(read - force)
-    found = attitude(time, read, force, AssumedGyros.of(begin), NOISE, magnitude)
+    found = attitude(time, read, force, begin, NOISE, magnitude)
     here = found.rotation
     step = 1e-5
     for k in range(PARAMETERS):
@@ -100,17 +98,21 @@ def test_what_an_error_of_the_gyros_does_to_attitude_is_its_derivative() -> None
         assert found.by_zero[:, k] == pytest.approx(slope, abs=1e-5)
 
 
+def _turned(time: Floats, read: Floats, force: Floats, gyros: Floats, noise: Floats) -> Floats:
+    return attitude(time, read, force, gyros, noise, np.abs(read)).rotation
+
+
 def test_noise_of_attitude_is_that_of_drawn_rates() -> None:
     rng = np.random.default_rng(3)
     time = np.linspace(0, 2, 300)
     read, force = _rate_dps(time), np.zeros((300, 3))
-    perfect = AssumedGyros.of(np.concatenate([np.eye(3).ravel(), np.zeros(12)]))
+    perfect = np.concatenate([np.eye(3).ravel(), np.zeros(12)])
     spread = np.diag([0.2, 0.5, 1.0])
-    found = attitude(time, read, force, perfect, spread)
+    found = attitude(time, read, force, perfect, spread, np.abs(read))
     root = np.sqrt(spread)
     drawn = [
         Rotation.from_matrix(
-            attitude(time, read + rng.standard_normal((300, 3)) @ root, force, perfect, spread).rotation
+            _turned(time, read + rng.standard_normal((300, 3)) @ root, force, perfect, spread)
             @ found.rotation.T
         ).as_rotvec()
         for _ in range(800)

@@ -266,10 +266,9 @@ class GyroLinks:
         """
         place = {int(number): row for row, number in enumerate(position)}
         used = [k for k, leg in enumerate(self.legs) if all(p in place for p in leg.positions)]
-        gyros = turn_integration.AssumedGyros.of(values)
         turned = [
             turn_integration.attitude(
-                leg.time_s, leg.rate_dps, leg.force_g, gyros, self.noise_dps2, leg.size_dps
+                leg.time_s, leg.rate_dps, leg.force_g, values, self.noise_dps2, leg.size_dps
             )
             for leg in self.legs
         ]

@@ -28,7 +28,13 @@ from adis_gonio.base.budget import current
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.numbers import format_ranges
 from adis_gonio.device.sensor.registers import GYRO_LSB_DPS, VARIANTS
-from adis_gonio.fitting.estimation.readings import Readings, Unit, flicker_parts, quantization_variance
+from adis_gonio.fitting.estimation.readings import (
+    Readings,
+    Unit,
+    flicker_of,
+    flicker_parts,
+    quantization_variance,
+)
 from adis_gonio.fitting.estimation.screening import is_lively, piles, steps_of
 from adis_gonio.fitting.estimation.spectrum import MeanNoise, noise_of_means, spans
 from adis_gonio.fitting.gyros import turn_integration
@@ -221,10 +227,9 @@ def gyro_dwells_of(session: Session) -> GyroDwells:
         if not np.isfinite(gyro).all():
             raise DataError(f"{source}: the gyros of position {dwell.position} hold NaN or infinity")
     noise = noise_of_means(rows, scale)
-    # Allan variance by the dwells, else the variant's figure as far as the dwells allow it.
     variant = VARIANTS.get(session.sensor)
     stated = 0.0 if variant is None else variant.performance.gyro_instability_dps**2
-    allan = np.where(noise.flicker > 0, noise.flicker, np.minimum(stated, noise.flicker_limit))
+    allan = flicker_of(noise, stated)
     configuration = session.facts.get("configuration") or {}
     counts = np.array([len(dwell) for dwell in dwells], dtype=float)
     period = turn_integration.period_of([dwell.time_s for dwell in dwells])

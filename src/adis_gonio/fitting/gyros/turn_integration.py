@@ -255,8 +255,8 @@ class Integral:
         Mean reading of the accelerometers during the turn.
     mean_abs_dps : (3,) float
         Mean of |rate − zero rate|, by which an asymmetry of the scale factor is multiplied.
-    samples, bridged : int
-        Numbers of samples and of lost scans in the interval.
+    samples : int
+        Number of samples in the interval.
     """
 
     begin_s: float
@@ -268,7 +268,6 @@ class Integral:
     force_g: Floats
     mean_abs_dps: Floats
     samples: int
-    bridged: int
 
     @property
     def length_s(self) -> float:
@@ -406,10 +405,9 @@ def integral_over(path: Path, sampling: Sampling, begin: int, end: int) -> Integ
     rows = slice(begin, end + 1)
     time, rate, force = path.time_s[rows], path.rate_dps[rows], path.force_g[rows]
     weight, length = _trapezoid_weights(time), float(time[-1] - time[0])
-    bridges = _bridges(time, rate, sampling)
-    if bridges is None:
+    missing = _bridges(time, rate, sampling)
+    if missing is None:
         return "too many scans were lost during the turn to estimate the missing part"
-    missing, bridged = bridges
     zero = path.zero_dps.mean(axis=0)
     angle, share = weight @ rate, weight / length
     noise = sampling.density_dps2 * (len(time) - 1) * sampling.period_s**2
@@ -423,7 +421,6 @@ def integral_over(path: Path, sampling: Sampling, begin: int, end: int) -> Integ
         force_g=share @ force,
         mean_abs_dps=share @ np.abs(smooth_blocks(rate - zero, sampling.window)),
         samples=len(time),
-        bridged=bridged,
     )
 
 
@@ -445,20 +442,17 @@ def smooth_blocks(rate: Floats, window: int) -> Floats:
     return np.asarray(np.repeat(means, counts, axis=0))
 
 
-def _bridges(time: Floats, rate: Floats, sampling: Sampling) -> tuple[Floats, int] | None:
-    """Return the covariance that gaps in the samples add to the integrated angle, and the number lost.
+def _bridges(time: Floats, rate: Floats, sampling: Sampling) -> Floats | None:
+    """Return the covariance (3, 3) in deg² that gaps in the samples add to the integrated angle.
 
-    The rate is interpolated linearly over a gap. The covariance (3, 3) in deg² comes from the error that
-    such an interpolation makes in complete samples near the gap. The second result is the number of lost
-    samples. None if too few samples without a gap are near. `time` (n,) and `rate` (n, 3) are times in s
-    and rates in °/s.
+    The rate is interpolated linearly over a gap. The covariance comes from the error that such an
+    interpolation makes in complete samples near the gap; None if too few samples without a gap are near.
+    `time` (n,) and `rate` (n, 3) are times in s and rates in °/s.
     """
     period = sampling.period_s
     lost = np.rint(np.diff(time) / period).astype(int) - 1
     gaps = np.flatnonzero(lost > 0)
     covariance = np.zeros((3, 3))
-    if not gaps.size:
-        return covariance, 0
     # Cumulative angle by the trapezoidal rule.
     means = (rate[1:] + rate[:-1]) / 2
     path = np.concatenate([np.zeros((1, 3)), np.cumsum(means * np.diff(time)[:, None], axis=0)])
@@ -475,7 +469,7 @@ def _bridges(time: Floats, rate: Floats, sampling: Sampling) -> tuple[Floats, in
             if int(near.sum()) < _LEAST_BRIDGES:
                 return None
             covariance += error[near].T @ error[near] / int(near.sum())
-    return covariance, int(lost[gaps].sum())
+    return covariance
 
 
 def period_of(times_s: list[Floats]) -> float:
@@ -485,30 +479,6 @@ def period_of(times_s: list[Floats]) -> float:
     """
     steps = [np.diff(time) for time in times_s if len(time) > 1]
     return float(np.median(np.concatenate(steps))) if steps else math.nan
-
-
-@dataclass(frozen=True)
-class AssumedGyros:
-    """Assumed parameters of three gyros.
-
-    Attributes
-    ----------
-    sensitivity : (3, 3) float
-        A: scale factors times unit vectors along the sensitive axes, one row for each gyro.
-    per_g : (3, 3) float
-        g-sensitivity in °/s/g.
-    asymmetry : (3,) float
-        Relative error of the scale factor that multiplies |rate| instead of the rate.
-    """
-
-    sensitivity: Floats
-    per_g: Floats
-    asymmetry: Floats
-
-    @classmethod
-    def of(cls, values: Floats) -> AssumedGyros:
-        """Make the gyros from an array of 21 values: A, g-sensitivity (both row by row), asymmetry."""
-        return cls(values[:9].reshape(3, 3), values[9:18].reshape(3, 3), values[18:])
 
 
 def gyro_directions(misalignment_deg: Floats) -> Floats:
@@ -546,9 +516,9 @@ def attitude(
     time_s: Floats,
     rate_dps: Floats,
     force_g: Floats,
-    gyros: AssumedGyros,
+    values: Floats,
     noise_dps2: Floats,
-    magnitude_dps: Floats | None = None,
+    magnitude_dps: Floats,
 ) -> Attitude:
     """Integrate the rates of a turn to its rotation, and to the effect of gyro errors on it.
 
@@ -560,18 +530,19 @@ def attitude(
         Readings of the gyros minus their zero rates in the two dwells.
     force_g : (n, 3) float
         Readings of the accelerometers minus their mean in the two dwells, to which these zero rates belong.
-    gyros : AssumedGyros
-        Parameters of the gyros.
+    values : (21,) float
+        Assumed parameters of the gyros: the matrix A of scale factors times unit vectors along the
+        sensitive axes (one row for each gyro) and the g-sensitivity in °/s/g, both row by row; then the
+        asymmetry, the relative error of the scale factor that multiplies |rate|.
     noise_dps2 : (3, 3) float
         Covariance of the noise of one sample, by the spectral density at frequency zero.
-    magnitude_dps : (n, 3) float, optional
-        |rate| without the noise of the samples; by default the absolute values of `rate_dps`.
+    magnitude_dps : (n, 3) float
+        |rate| without the noise of the samples.
     """
-    inverse = np.linalg.inv(gyros.sensitivity)
-    free = rate_dps - force_g @ gyros.per_g.T
-    size = np.abs(free) if magnitude_dps is None else magnitude_dps
+    inverse = np.linalg.inv(values[:9].reshape(3, 3))
+    free = rate_dps - force_g @ values[9:18].reshape(3, 3).T
     # True rate by the assumed gyros, then Φ(t₁, t) from each sample to the end.
-    omega = np.radians(free - gyros.asymmetry * size) @ inverse.T
+    omega = np.radians(free - values[18:] * magnitude_dps) @ inverse.T
     to_end = _to_end((omega[1:] + omega[:-1]) / 2 * np.diff(time_s)[:, None])
     weighted = _trapezoid_weights(time_s)[:, None, None] * (to_end @ inverse)
     rad = math.pi / 180
@@ -581,7 +552,7 @@ def attitude(
         [
             (flat @ omega).reshape(3, 9),
             rad * (flat @ force_g).reshape(3, 9),
-            rad * (weighted * size[:, None, :]).sum(axis=0),
+            rad * (weighted * magnitude_dps[:, None, :]).sum(axis=0),
         ],
         axis=1,
     )
