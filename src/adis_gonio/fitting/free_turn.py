@@ -46,7 +46,7 @@ from adis_gonio.base.numbers import counted
 from adis_gonio.base.uncertainty import Value, effective_dof, factor_over
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.readings import mg_per_unit
-from adis_gonio.fitting.fit_result import Estimate, FitResult
+from adis_gonio.fitting.fit_result import Estimate, FitResult, Output
 from adis_gonio.fitting.method_comparison import MethodComparison, Recommendation, Score
 from adis_gonio.fitting.uncertainty import BudgetRow, gradient_of_base
 from adis_gonio.model.measurement import SENSOR_SPREAD
@@ -776,13 +776,10 @@ class FreeTurnResult(FitResult):
         base = np.array([0.0, k_x, k_y, math.radians(self["delta_phi"].value)])
         natural = gradient_of_base(base, zero=False)
         mg = 1000.0 if self.provenance is None else MG_PER_MPS2 * self.provenance.gravity_mps2
-        # From natural units to the units of the result.
         found = np.zeros((len(natural), len(at)))
-        for column, (name, factor) in enumerate(
-            [("scale_x", 1.0), ("scale_y", 1.0), ("delta_phi", math.pi / 180), ("bias_x", 1 / mg),
-             ("bias_y", 1 / mg)], start=1,
-        ):  # fmt: skip
-            found[:, at[name]] = natural[:, column] * factor
+        # From natural units to the units of the result.
+        columns = [at[name] for name in ("scale_x", "scale_y", "delta_phi", "bias_x", "bias_y")]
+        found[:, columns] = natural[:, 1:] * [1.0, 1.0, math.pi / 180, 1 / mg, 1 / mg]
         return found
 
     @cached_property
@@ -867,15 +864,16 @@ def _fitted(session: Session) -> FreeTurnResult:
     solution = solve(problem)
     require_turn(solution.psi_rad)
     notes = require_plane(series, windows, solution.psi_rad, session.gravity_mg)
-    names, values, gradient, units = _outputs(solution, windows)
+    outputs = _outputs(solution, windows)
+    gradient = np.array([one.gradient for one in outputs])
     covariance = gradient @ solution.covariance @ gradient.T
     shares = tuple((gradient @ share @ gradient.T, dof) for share, dof in solution.parts)
     parameters = tuple(
         Estimate(
-            name, value, math.sqrt(float(covariance[k, k])), unit,
+            one.name, one.value, math.sqrt(float(covariance[k, k])), one.unit,
             effective_dof([(float(share[k, k]), dof) for share, dof in shares]),
         )
-        for k, (name, value, unit) in enumerate(zip(names, values, units, strict=True))
+        for k, one in enumerate(outputs)
     )  # fmt: skip
     u_phi = next(one.u or 0.0 for one in parameters if one.name == "delta_phi")
     wanted = int(session.facts.get("plan", {}).get("turns", 0))
@@ -928,11 +926,10 @@ def series_of(session: Session) -> TurnRecording:
     return TurnRecording(whole.time_s - whole.time_s[0], accel, rate, whole.temperature_c, smear_s)
 
 
-def _outputs(solution: Solution, windows: Windows) -> tuple[list[str], list[float], Floats, list[str]]:
-    """Return names, values, gradients (p, 12 + m) and units of the p reported parameters.
+def _outputs(solution: Solution, windows: Windows) -> list[Output]:
+    """Return the reported parameters, with the names of a planar session.
 
-    The names are those of a planar session. The gradients are by the 12 common parameters and the m angles
-    of the solution.
+    Their gradients (12 + m,) are by the 12 common parameters and the m angles of the solution.
     """
     size = len(solution.covariance)
     common = dict(zip(NAMES, np.eye(size), strict=False))
@@ -945,19 +942,18 @@ def _outputs(solution: Solution, windows: Windows) -> tuple[list[str], list[floa
     alpha[len(NAMES) : len(NAMES) + start] = 1 / start
     at_start = float(np.degrees(solution.psi_rad[:start].mean()))
     gain = value["gyro_gain_z"]
-    rows: list[tuple[str, float, Floats, str]] = [
-        ("delta_k", k_x / k_y - 1, common["scale_x"] / k_y - common["scale_y"] * k_x / k_y**2, "1"),
-        ("delta_phi", value["delta_phi"] * degrees, common["delta_phi"] * degrees, "deg"),
-        ("alpha", wrap_degrees(at_start), alpha * degrees, "deg"),
-        *((name, value[name], common[name], unit) for name, unit in _PLAIN),
-        ("gyro_scale_z", 1 / gain, -common["gyro_gain_z"] / gain**2, "1"),
+    by_ratio = common["scale_x"] / k_y - common["scale_y"] * k_x / k_y**2
+    return [
+        Output("delta_k", k_x / k_y - 1, "1", by_ratio),
+        Output("delta_phi", value["delta_phi"] * degrees, "deg", common["delta_phi"] * degrees),
+        Output("alpha", wrap_degrees(at_start), "deg", alpha * degrees),
+        *(Output(name, value[name], unit, common[name]) for name, unit in _PLAIN),
+        Output("gyro_scale_z", 1 / gain, "1", -common["gyro_gain_z"] / gain**2),
         *(
-            (name, value[name] * degrees / gain, common[name] * degrees / gain, unit)
+            Output(name, value[name] * degrees / gain, unit, common[name] * degrees / gain)
             for name, unit in _RATES
         ),
     ]
-    names, values, gradients, units = zip(*rows, strict=True)
-    return list(names), list(values), np.array(gradients), list(units)
 
 
 _PLAIN = (("scale_x", "1"), ("scale_y", "1"), ("bias_x", "mg"), ("bias_y", "mg"), ("lever_x", "mm"),

@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats, solvable, wrap_degrees, wrap_radians
 from adis_gonio.base.budget import current
-from adis_gonio.base.errors import FitError, SingularError, UsageError
+from adis_gonio.base.errors import AdisGonioError, FitError, SingularError, UsageError
 from adis_gonio.base.numbers import format_fixed, signed
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit
-from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.fitting.fit_result import FitResult, Origin, outputs_of, result_of
 from adis_gonio.fitting.linked import linked_readings
@@ -603,8 +603,7 @@ def _by_default(readings: Readings, fit_by: Callable[[str], FitResult]) -> FitRe
     try:
         return fit_by(default_method(readings))
     except SingularError:
-        has_two = all(len(rows) for rows in rows_at(readings, _two(readings)))
-        if not readings.planar or readings.free or not has_two:
+        if not readings.planar or not has_positions(readings, _two(readings)):
             raise
         return fit_by("two-position")
 
@@ -612,64 +611,33 @@ def _by_default(readings: Readings, fit_by: Callable[[str], FitResult]) -> FitRe
 def applicable_methods(session: Session) -> tuple[str, ...]:
     """Return the methods that the positions of a session allow.
 
-    A fit may still find a parameter undetermined.
+    A fit may still find a parameter undetermined. If the readings are unusable, the result is `ml`, whose
+    error states the reason.
     """
     if session.free_turn:
         return (FREE_TURN,)
-    session = session.used_for("fit")
-    angles = np.array([np.nan if d.angle_deg is None else d.angle_deg for d in session.dwells])
-    return _applicable(
-        angles,
-        planar=session.plane != "none",
-        free=session.free_attitudes,
-        known_zero=session.accel_unit != "counts",
-    )
+    try:
+        return applicable_to(readings_of(session).training)
+    except AdisGonioError:
+        return ("ml",)
 
 
 def applicable_to(readings: Readings) -> tuple[str, ...]:
     """Return the methods that the positions of these readings allow."""
-    return _applicable(
-        np.degrees(readings.angle_rad),
-        planar=readings.planar,
-        free=math.isinf(readings.fixture_rad),
-        known_zero=readings.unit.known,
-    )
+    if not readings.planar:
+        return ("ml",) if len(readings) > 3 else ()
+    return tuple(name for name, method in METHOD_TABLE.items() if method.suits(readings))
 
 
-def _applicable(angles: Floats, *, planar: bool, free: bool, known_zero: bool) -> tuple[str, ...]:
-    if not planar:
-        return ("ml",) if len(angles) > 3 else ()
-    declared = np.isfinite(angles)
-    held = [bool((np.abs(wrap_degrees(angles[declared] - a)) <= 0.5).any()) for a in FOUR]
-    dwells = _Dwells(len(angles), int(declared.sum()), tuple(held), free=free, known_zero=known_zero)
-    return tuple(name for name, method in METHOD_TABLE.items() if method.suits(dwells))
+def has_positions(readings: Readings, angles_deg: tuple[int, ...]) -> bool:
+    """Return True if the stage's angles are known and each of these angles (modulo 360°) is measured."""
+    return not readings.free and all(len(rows) for rows in rows_at(readings, angles_deg))
 
 
-@dataclass(frozen=True)
-class _Dwells:
-    """Numbers of dwells of a planar session: all (`count`), and with a declared angle (`declared`).
-
-    `held` is True for each of 0°, 90°, 180°, 270° that is measured, `free` if the stage's angles are
-    unknown, and `known_zero` if the readings are not in counts.
-    """
-
-    count: int
-    declared: int
-    held: tuple[bool, ...]
-    free: bool
-    known_zero: bool
-
-    def hold(self, *quarters: int) -> bool:
-        """Return True if the stage's angles are known and all these quarter turns are measured.
-
-        The numbers 0 to 3 are for 0° to 270°.
-        """
-        return not self.free and all(self.held[k] for k in quarters)
-
-    @property
-    def has_enough(self) -> bool:
-        """True if there are enough dwells for the method `ml`, which uses all positions."""
-        return self.count >= (2 if self.declared == self.count and not self.free else 3)
+def has_enough(readings: Readings) -> bool:
+    """Return True if there are enough dwells for the method `ml`, which uses all positions."""
+    declared = bool(np.isfinite(readings.angle_rad).all())
+    return len(readings) >= (2 if declared and not readings.free else 3)
 
 
 def _two(readings: Readings) -> tuple[int, int]:
@@ -687,13 +655,9 @@ def default_method(readings: Readings) -> str:
 
 
 def _only_two(readings: Readings) -> bool:
-    rows = rows_at(readings, _two(readings))
-    return (
-        not readings.free
-        and readings.unit.known
-        and all(len(r) for r in rows)
-        and sum(map(len, rows)) == len(readings)
-    )
+    two = _two(readings)
+    used = sum(map(len, rows_at(readings, two)))
+    return readings.unit.known and used == len(readings) and has_positions(readings, two)
 
 
 def _refuse_one_position(readings: Readings) -> None:
@@ -721,26 +685,32 @@ class Method:
         dwells, with the noise that the earlier result used. It serves to leave dwells out in the comparison
         of methods, and for Monte Carlo trials.
     suits : callable
-        Returns True if the session has the positions that the method needs.
+        Returns True if `Readings` in a plane have the positions that the method needs.
     """
 
     fit: Callable[[Readings], FitResult]
     refit: Callable[[Readings, Origin], Fit]
-    suits: Callable[[_Dwells], bool]
+    suits: Callable[[Readings], bool]
 
 
 METHOD_TABLE = {
-    "paper": Method(fit_paper, partial(refit_two, "paper"), lambda d: d.known_zero and d.hold(0, 1)),
+    "paper": Method(
+        fit_paper, partial(refit_two, "paper"), lambda r: r.unit.known and has_positions(r, TWO)
+    ),
     "two-position": Method(
         lambda r: fit_positions(r, "two-position", _two(r)),
         partial(refit_two, "two-position"),
-        lambda d: d.known_zero and (d.hold(0, 1) or d.hold(0, 3)),
+        lambda r: r.unit.known and has_positions(r, _two(r)),
     ),
     "four-position": Method(
-        lambda r: fit_positions(r, "four-position", FOUR), refit_four, lambda d: d.hold(0, 1, 2, 3)
+        lambda r: fit_positions(r, "four-position", FOUR), refit_four, lambda r: has_positions(r, FOUR)
     ),
-    "mmpm": Method(fit_mmpm, refit_mmpm, lambda d: not d.free and d.declared >= LEAST_MMPM),
-    "ml": Method(fit_ml, refit_ml, lambda d: d.has_enough),
+    "mmpm": Method(
+        fit_mmpm,
+        refit_mmpm,
+        lambda r: not r.free and int(np.isfinite(r.angle_rad).sum()) >= LEAST_MMPM,
+    ),
+    "ml": Method(fit_ml, refit_ml, has_enough),
 }
 """All methods for a session of positions, by name. Only `ml` also fits poses in space."""
 METHODS = tuple(METHOD_TABLE)

@@ -35,9 +35,8 @@ from adis_gonio.base.uncertainty import effective_dof
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.estimation.terms import NamedTerm
+from adis_gonio.fitting.estimation.terms import typical_terms
 from adis_gonio.fitting.noise_estimation import NoiseAssumptions
-from adis_gonio.model.effects import AXES, Enters, catalogue
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 Kind = Literal["A", "B"]
@@ -720,16 +719,9 @@ def _columns(fit: Fit) -> Iterator[Floats]:
     Effects that cannot act on this session are omitted.
     """
     data = fit.data
-    for kind in catalogue(data.model.part).values():
-        beside_readings = kind.enters is Enters.SAMPLES or kind.within_dwell
-        # A choice is a discrete number (a dwell, a degree): the scatter of the readings covers these.
-        if beside_readings or kind.choices() or data.conditions.lacks(kind.needs):
-            continue
-        effect = kind(AXES[: data.axes] if kind.by_axis else ())
-        parameters = effect.parameters
-        shapes = tuple((k, p.typical) for k, p in enumerate(parameters) if p.shape)
-        term = NamedTerm(effect.name, (), 0.0, effect, shapes)
-        yield fit.candidate(term) * np.array([parameters[k].typical for k in term.amplitudes])
+    # A choice is a discrete number (a dwell, a degree): the scatter of the readings covers these.
+    for term in typical_terms(data.model.part, data.axes, data.conditions, ("dwell", "cycles", "degree")):
+        yield fit.candidate(term) * np.array([term.effect.parameters[k].typical for k in term.amplitudes])
 
 
 def _without(rows: Floats, columns: Floats) -> Floats:

@@ -413,13 +413,6 @@ def _polynomial_foot(band: float, x: Floats, weight: Floats, mean: Floats) -> _F
     return None
 
 
-def _foot_beside_flicker(
-    band: float, x: Floats, weight: Floats, mean: Floats, inverse_x: Floats
-) -> _Foot | None:
-    found = _beside_flicker(x, weight, mean, inverse_x)
-    return None if found is None else _foot(band, *found, weight, beside_flicker=True)
-
-
 def _foot(
     band: float, beta: Floats, covariance: Floats, weight: Floats, *, beside_flicker: bool = False
 ) -> _Foot:
@@ -429,13 +422,14 @@ def _foot(
     return _Foot(band, float(at_zero @ beta), variance, float(weight.sum()), beta, beside_flicker)
 
 
-def _beside_flicker(
-    x: Floats, weight: Floats, mean: Floats, inverse_x: Floats
-) -> tuple[Floats, Floats] | None:
-    """Fit a polynomial plus 1/f noise; return the polynomial's coefficients and covariance.
+def _foot_beside_flicker(
+    band: float, x: Floats, weight: Floats, mean: Floats, inverse_x: Floats
+) -> _Foot | None:
+    """Fit the density in a band by the exponential of a polynomial plus 1/f noise.
 
-    `mean` are mean ordinates at the relative frequencies `x`, with their `weight`; `inverse_x` is the mean
-    of 1/x. None if one or two further terms of the polynomial explain the density as well as 1/f noise.
+    `mean` are mean ordinates at the frequencies `x` (relative to the end of the `band`), with their
+    `weight`; `inverse_x` is the mean of 1/x. None if one or two further terms of the polynomial explain the
+    density as well as 1/f noise.
     """
     for order in range(min(3, len(x) - 2)):
         one, two = (_whittle(_basis(x, order + k), weight, mean)[2] for k in (1, 2))
@@ -450,7 +444,7 @@ def _beside_flicker(
         )
         allowed = (max(gain, _NOT_QUITE * better) for gain in _GAINS)
         if not any(deviance - other > most for other, most in zip(richer, allowed, strict=False)):
-            return beta, covariance
+            return _foot(band, beta, covariance, weight, beside_flicker=True)
     return None
 
 

@@ -8,7 +8,7 @@ fit. An *unnamed* term is a combination of the grammar: the place at which it en
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, constant_effect
+from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, catalogue, constant_effect
 from adis_gonio.model.records import MG_PER_G
 
 Where = Literal["bias", "gain", "misalignment", "angle"]
@@ -235,6 +235,31 @@ class NamedTerm(Term):
             new[index] = np.clip(new[index], 0.5 * old[index], 2 * old[index])
         low, high = self.bounds().T
         return np.asarray(np.clip(new, low, high))
+
+
+def typical_terms(
+    part: str, axes: int, conditions: Conditions, without: Collection[str]
+) -> Iterator[NamedTerm]:
+    """Yield a term for each effect of the catalogue that can act on readings under these conditions.
+
+    Effects within a dwell, effects with a discrete choice in `without` (such as `dwell`), and effects whose
+    conditions are not recorded are left out. Shape parameters have their typical values.
+
+    Parameters
+    ----------
+    part : {"accelerometer", "gyro"}
+        Sensors that the readings come from.
+    axes : int
+        Number of axes of a reading.
+    """
+    for kind in catalogue(part).values():
+        if kind.enters is Enters.SAMPLES or kind.within_dwell or conditions.lacks(kind.needs):
+            continue
+        if not set(without).isdisjoint(kind.choices()):
+            continue
+        effect = kind(AXES[:axes] if kind.by_axis else ())
+        shapes = tuple((k, p.typical) for k, p in enumerate(effect.parameters) if p.shape)
+        yield NamedTerm(effect.name, (), 0.0, effect, shapes)
 
 
 ROUNDING = 1e-9

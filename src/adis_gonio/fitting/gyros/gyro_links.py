@@ -31,7 +31,7 @@ from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.links import Links
 from adis_gonio.fitting.estimation.spectrum import covariance_of_means
 from adis_gonio.fitting.gyros import turn_integration
-from adis_gonio.fitting.gyros.gyro_readings import GyroDwells, gyro_dwells_of
+from adis_gonio.fitting.gyros.gyro_readings import GyroDwells, gyro_dwells_of, measured_turn
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Session, Turn
 
@@ -335,14 +335,11 @@ def gyro_links(session: Session, prior: GyroPrior | None = None) -> GyroLinks | 
 
 def _leg(session: Session, turn: Turn, rests: GyroDwells) -> Leg | str:
     """Return the samples of a turn from one dwell to the next, or the reason why it gives no link."""
-    before, after = (rests.by_position.get(position) for position in (turn.before, turn.position))
-    if before is None or after is None:
-        return "one of its dwells has no gyros"
-    path = turn_integration.path_between(session, turn, rests.dwells[before], rests.dwells[after])
-    sampling = rests.sampling
-    integral = turn_integration.NOT_RECORDED if path is None else turn_integration.integrate(path, sampling)
-    if path is None or isinstance(integral, str):
-        return str(integral)
+    measured = measured_turn(session, turn, rests)
+    if isinstance(measured, str):
+        return measured
+    (path, integral), sampling = measured, rests.sampling
+    before, after = (rests.by_position[position] for position in (turn.before, turn.position))
     rows = slice(
         int(np.searchsorted(path.time_s, integral.begin_s + sampling.delay_s)),
         int(np.searchsorted(path.time_s, integral.end_s + sampling.delay_s, side="right")),

@@ -254,6 +254,20 @@ def gyro_dwells_of(session: Session) -> GyroDwells:
     return GyroDwells(dwells, rows, scale, turn_integration.g_per_unit(session), noise, sampling, allan)
 
 
+def measured_turn(
+    session: Session, turn: Turn, rests: GyroDwells
+) -> tuple[turn_integration.Path, turn_integration.Integral] | str:
+    """Return the samples of a turn and their integral, or the reason as text why there is none."""
+    if not rests.by_position.keys() >= {turn.before, turn.position}:
+        return "one of its dwells has no gyros"
+    ends = [rests.dwells[rests.by_position[position]] for position in (turn.before, turn.position)]
+    path = turn_integration.path_between(session, turn, *ends)
+    if path is None:
+        return turn_integration.NOT_RECORDED
+    integral = turn_integration.integrate(path, rests.sampling)
+    return integral if isinstance(integral, str) else (path, integral)
+
+
 def rate_intervals(session: Session, calibration: Calibration | None = None) -> RateIntervals:
     """Collect the dwells with gyros of a session, and the turns between them with a known rotation.
 
@@ -356,13 +370,11 @@ def _interval_of_turn(
 
     `consecutive` is the number of directly successive whole turns of which the turn is one.
     """
+    measured = measured_turn(session, turn, rests)
+    if isinstance(measured, str):
+        return measured
+    path, integral = measured
     before, after = (rests.dwells[rests.by_position[k]] for k in (turn.before, turn.position))
-    path = turn_integration.path_between(session, turn, before, after)
-    integral = (
-        turn_integration.NOT_RECORDED if path is None else turn_integration.integrate(path, rests.sampling)
-    )
-    if path is None or isinstance(integral, str):
-        return str(integral)
     if turn.turned_deg is not None:
         found = _declared(
             session, turn.turned_deg, path, integral, triad, rests.sampling.delay_s, consecutive

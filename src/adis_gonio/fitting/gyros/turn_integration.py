@@ -320,14 +320,14 @@ def integrate(path: Path, sampling: Sampling) -> Integral | str:
             f"gyro {axis} went to {peak.max():.0f} °/s, beyond its range of ±{sampling.range_dps:.0f} °/s:"
             " turn more slowly, or choose a wider range"
         )
-    moving = _moving(path, sampling)
+    moves = moving(path, sampling)
     steps = np.diff(path.time_s)
     # Gaps that a straight line must not bridge.
     long = np.flatnonzero(steps > LONGEST_GAP_S)
-    if not moving.any():
+    if not moves.any():
         turned = _shows_another_attitude(path, path.rest_g[1:], 0)
         return "the part was turned while nothing was recorded" if turned else "the part was not turned"
-    first, last = int(moving.argmax()), len(moving) - 1 - int(moving[::-1].argmax())
+    first, last = int(moves.argmax()), len(moves) - 1 - int(moves[::-1].argmax())
     within = long[(long >= first) & (long < last)]
     if within.size:
         worst = int(within[np.argmax(steps[within])])
@@ -351,9 +351,14 @@ def integrate(path: Path, sampling: Sampling) -> Integral | str:
         path, path.force_g[tail], 1
     ):
         return "a part of the turn was not recorded"
-    if moving[head].any() or moving[tail].any():
+    if moves[head].any() or moves[tail].any():
         return "the part was already moving when the recording began, or still moving when it ended"
     return integral_over(path, sampling, begin, end)
+
+
+def has_gap(path: Path) -> bool:
+    """Return True if samples are missing for longer than a straight line may bridge."""
+    return float(np.diff(path.time_s).max()) > LONGEST_GAP_S
 
 
 def _shows_another_attitude(path: Path, here_g: Floats, dwell: int) -> bool:
@@ -367,7 +372,7 @@ def _shows_another_attitude(path: Path, here_g: Floats, dwell: int) -> bool:
     return bool((off > np.maximum(SHIFTED_G, MOVING_NOISE * noise)).any())
 
 
-def _moving(path: Path, sampling: Sampling) -> NDArray[np.bool_]:
+def moving(path: Path, sampling: Sampling) -> NDArray[np.bool_]:
     """Return True for each sample (n,) if the mean rate around it is too large for a sensor at rest."""
     rate = path.rate_dps - path.zero_dps.mean(axis=0)
     # Means of windows that shrink at both ends, by differences of the cumulative sum.

@@ -711,30 +711,17 @@ def _turned(path: turn_integration.Path, rests: GyroDwells) -> tuple[float, floa
     if not isinstance(found, str):
         angle, variance = float(found.turned_deg[2]), float(found.covariance_deg2[2, 2])
         length, mean = found.length_s, found.force_g
-    elif _stayed(path, sampling):
+    elif turn_integration.has_gap(path) or turn_integration.moving(path, sampling).any():
+        return None
+    else:
         length = float(path.time_s[-1] - path.time_s[0])
         rate = path.rate_dps[:, 2] - path.zero_dps[:, 2].mean()
         angle = float(np.trapezoid(rate, path.time_s))
         variance = float(sampling.density_dps2[2, 2]) * length * sampling.period_s
         mean = path.force_g.mean(axis=0)
-    else:
-        return None
     rest = path.rest_g.mean(axis=0)
     # Error of the zero rate: noise of both dwells, and drift.
     drift_dps = float(sampling.drift_dps[2]) or INSTABILITY_DPS
     zero = length**2 * (float(rests.variance_dps2[:, 2].mean()) / 2 + drift_dps**2)
     beyond = np.nan_to_num(length * (mean - rest))  # NaN for counts of unknown size in g
     return angle, math.sqrt(variance + zero), float(beyond[0]), float(beyond[1])
-
-
-def _stayed(path: turn_integration.Path, sampling: turn_integration.Sampling) -> bool:
-    """Return True if the gyro record between two dwells has no gap and shows no turn."""
-    if float(np.diff(path.time_s).max()) > turn_integration.LONGEST_GAP_S:
-        return False
-    window = min(sampling.window, len(path.time_s))
-    whole = len(path.time_s) // window
-    rate = path.rate_dps[: whole * window] - path.zero_dps.mean(axis=0)
-    # Means of windows must all stay within the noise of a part at rest.
-    means = rate.reshape(whole, window, 3).mean(axis=1)
-    allowed = sampling.moving_dps + np.abs(path.zero_dps[1] - path.zero_dps[0])
-    return bool((np.abs(means) <= allowed).all())
