@@ -762,7 +762,7 @@ class FreeTurnResult(FitResult):
         """Comparison that lists only the method `free-turn`; no other method fits such a recording."""
         own = replace(self, warnings=self.warnings)
         return MethodComparison(
-            (own,), {}, {}, {METHOD: Score(None, None, None, None, 0)}, Recommendation(METHOD, WHY)
+            (own,), {}, {METHOD: Score(None, None, None, None, 0)}, Recommendation(METHOD, WHY)
         )
 
     @cached_property

@@ -306,7 +306,8 @@ def _links(fit: Fit, rotation: Floats) -> Source:
     links = fit.data.links
     assert links is not None
     # Covariance of the parameters from the own errors of all links.
-    own = np.einsum("pma,maq->pq", rotation, links.own_product(rotation.transpose(1, 2, 0)))
+    flat = rotation.reshape(len(rotation), -1)
+    own = flat @ links.own_covariance @ flat.T
     size, axes = np.linalg.eigh((own + own.T) / 2)
     # Parts of one source are independent: any root of their covariance is one.
     moves = np.concatenate(
