@@ -405,7 +405,7 @@ def outputs_of(data: Readings, parameters: Floats) -> tuple[Output, ...]:
     Base parameters are in natural units, biases in mg. In the plane delta_k and delta_phi come first. For
     readings in counts, gains and biases are in counts.
     """
-    names = names_of(data)
+    names = names_of(data.model)
     eye = np.eye(len(names))
     at = {name: k for k, name in enumerate(names)}
     axes = AXES[: data.axes]
@@ -537,7 +537,7 @@ def calibration_as_recorded(result: FitResult) -> Calibration:
         # Only the ratio of the gains is known, which is enough for an angle: the gain of Y is set to 1.
         ratio = estimates["delta_k"]
         estimates["scale_x"] = Estimate("scale_x", 1 + ratio.value, ratio.u, "1")
-    names = [name for name in _names(model) if name in estimates]
+    names = [name for name in names_of(model) if name in estimates]
     given = [one.name for one in result.parameters]
     rows = [given.index("delta_k" if name not in given else name) for name in names]
     matrix = None if result.covariance is None else result.covariance[np.ix_(rows, rows)]
@@ -584,10 +584,6 @@ def known_provenance(where: Provenance | None) -> Provenance:
     return where
 
 
-def _names(model: Measurement) -> list[str]:
-    return [*model.names, *(f"bias_{axis}" for axis in AXES[: model.axes])]
-
-
 def assumed_parameters(model: Measurement, names: Sequence[str]) -> tuple[str, ...]:
     """Return the names of the model's parameters that are not in `names` and keep their nominal values.
 
@@ -598,7 +594,7 @@ def assumed_parameters(model: Measurement, names: Sequence[str]) -> tuple[str, .
     FitError
         An undetermined parameter is needed to compute an angle.
     """
-    missing = [name for name in _names(model) if name not in names]
+    missing = [name for name in names_of(model) if name not in names]
     needed = [name for name in missing if not name.startswith(("bias", "alpha", "scale_y"))]
     if needed:
         raise FitError(f"the session does not determine {', '.join(needed)}: it gives no calibration")

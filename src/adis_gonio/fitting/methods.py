@@ -569,13 +569,7 @@ def fit_of(readings: Readings, method: str | None = None) -> FitResult:
 
     Without `method`, use the default method of these readings.
     """
-    if method is not None:
-        return readings.once(_fit_training, method)
-    return _by_default(readings.training, lambda name: fit_of(readings, name))
-
-
-def _fit_training(readings: Readings, method: str) -> FitResult:
-    return fit_readings(readings.training, method)
+    return readings.training.once(fit_readings, method)
 
 
 def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
@@ -585,7 +579,7 @@ def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
     """
     _refuse_one_position(readings)
     if method is None:
-        return _by_default(readings, lambda name: fit_readings(readings, name))
+        return _by_default(readings)
     if method != "ml" and not readings.planar:
         raise FitError(f"method {method} needs a plane of rotation; this session has none: use method ml")
     if method != "ml" and readings.free:
@@ -595,17 +589,14 @@ def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
     return METHOD_TABLE[method].fit(readings)
 
 
-def _by_default(readings: Readings, fit_by: Callable[[str], FitResult]) -> FitResult:
-    """Fit by the default method, or by `two-position` if the default is singular.
-
-    `fit_by` fits by the name of a method.
-    """
+def _by_default(readings: Readings) -> FitResult:
+    """Fit by the default method, or by `two-position` if the default is singular."""
     try:
-        return fit_by(default_method(readings))
+        return readings.once(fit_readings, default_method(readings))
     except SingularError:
         if not readings.planar or not has_positions(readings, _two(readings)):
             raise
-        return fit_by("two-position")
+        return readings.once(fit_readings, "two-position")
 
 
 def applicable_methods(session: Session) -> tuple[str, ...]:

@@ -222,7 +222,7 @@ def test_poses_that_gravity_alone_leaves_undetermined_are_determined_by_links() 
     data, links = linked_part(5, np.random.default_rng(5))
     assert determine(data).null.shape[1] or determine(data).held
     linked = fit_readings(replace(data, links=links))
-    assert {one.name for one in linked.parameters} == set(names_of(data))
+    assert {one.name for one in linked.parameters} == set(names_of(data.model))
     assert not linked.undetermined
 
 
@@ -261,7 +261,7 @@ def test_u_with_links_covers_what_it_says() -> None:
     for _ in range(80):
         data, links = linked_part(6, rng)
         result = fit_readings(replace(data, links=links))
-        true = dict(zip(names_of(data), [*TRUE[:3], *np.degrees(TRUE[3:]), *BIAS_MG], strict=True))
+        true = dict(zip(names_of(data.model), [*TRUE[:3], *np.degrees(TRUE[3:]), *BIAS_MG], strict=True))
         inside += [abs(one.value - true[one.name]) <= one.U for one in result.parameters if one.U]
     # 720 intervals, nine a session alike: four of their standard deviations.
     assert len(inside) == 720

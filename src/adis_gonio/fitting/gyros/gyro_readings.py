@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
@@ -376,8 +376,10 @@ def _interval_of_turn(
     path, integral = measured
     before, after = (rests.dwells[rests.by_position[k]] for k in (turn.before, turn.position))
     if turn.turned_deg is not None:
-        found = _declared(
-            session, turn.turned_deg, path, integral, triad, rests.sampling.delay_s, consecutive
+        sigma = session.fixture_sigma_deg
+        mark_u_deg = turn_integration.MARK_U_DEG if sigma is None or not math.isfinite(sigma) else sigma
+        found = turn_integration.reference_as_declared(
+            path, integral, turn.turned_deg, triad, rests.sampling.delay_s, mark_u_deg, consecutive
         )
     else:
         found = _by_gravity(integral, triad, (before.position, after.position))
@@ -402,37 +404,6 @@ def _interval_of_turn(
         reference=found.kind,
         **_surroundings(turn),
     )
-
-
-def _declared(
-    session: Session,
-    declared_deg: float,
-    path: turn_integration.Path,
-    integral: turn_integration.Integral,
-    triad: turn_integration.Triad,
-    delay_s: float,
-    consecutive: int,
-) -> turn_integration.Reference | str:
-    """Return the true rotation by a declared angle about the vertical, or why it is unknown.
-
-    `declared_deg` is the angle, `delay_s` the delay of the sensor's filter, and `consecutive` the number of
-    directly successive whole turns of which this turn is one.
-    """
-    steady, covariance = turn_integration.steady_force(
-        path, integral.begin_s + delay_s, integral.end_s + delay_s
-    )
-    axis = covariance / max(float(steady @ steady), 1e-18)
-    sigma = session.fixture_sigma_deg
-    mark_u_deg = turn_integration.MARK_U_DEG if sigma is None or not math.isfinite(sigma) else sigma
-    down = triad.axes.direction(steady)
-    found = turn_integration.reference_as_declared(
-        integral, declared_deg, down, mark_u_deg, axis, consecutive
-    )
-    if isinstance(found, str):
-        return found
-    # The rotation is upward, opposite to the accelerometers' reading.
-    size = -float(found.angle_deg @ down) / float(np.linalg.norm(down))
-    return replace(found, modes_deg=-size * triad.axes.modes(steady))
 
 
 def _by_gravity(

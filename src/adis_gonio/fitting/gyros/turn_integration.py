@@ -1,6 +1,6 @@
-"""Turns by the gyros: rates integrated from rest to rest, and the true rotation by other sources.
+"""Turns of the sensor between two dwells: by its gyros, and the true rotation by other sources.
 
-The mean rate of a turn needs only the integral of the rates (`integrate`). The trapezoidal rule runs on the
+**Integral.** The mean rate of a turn needs only the integral of the rates (`integrate`). The trapezoidal rule runs on the
 times of the samples, from the last sample of one dwell to the first sample of the next. The Bartlett filter
 of the chip delays its output by N − 1 samples, so the integral belongs to an interval that began and ended
 earlier by this delay. The part is at rest at both ends, so the filter, which mixes 2N − 1 samples, loses no
@@ -14,7 +14,7 @@ the motion are left out if they show no rotation, because they add only the drif
 is faster than the samples show (a part that is set down stops within a millisecond) adds the error of
 `Aliasing`.
 
-The rotation between two poses needs the attitude (`attitude`). A direction u fixed in space moves backwards
+**Attitude.** The rotation between two poses needs the attitude (`attitude`). A direction u fixed in space moves backwards
 in the part: u̇ = −ω × u. The rate between two samples is taken as their mean, and the rotation by this
 rate is exact, so u(t₁) = Φ(t₁, t₀) u(t₀), where Φ is a product of rotations. A small error δω of the
 rates turns the result by ε, u(t₁) → u(t₁) + ε × u(t₁), with
@@ -24,7 +24,8 @@ rates turns the result by ε, u(t₁) → u(t₁) + ε × u(t₁), with
 This is linear in all parameters of the gyros: readings m, zero rate z, gains and directions A and
 asymmetry a give ω = A⁻¹ (m − z − a |m − z|), hence ε = ∫ Φ(t₁, t) A⁻¹ (δA ω + δz + δa |m − z|) dt.
 
-True rotation of the sensor between two dwells, as a rotation vector in the accelerometers' frame.
+**True rotation.** A `Reference` states the rotation of the sensor between two dwells as a rotation vector in
+the accelerometers' frame. It comes from one of two sources:
 
 Gravity on both sides
     If the axis is not vertical, the rotation is the angle about the axis between the two directions of
@@ -43,9 +44,8 @@ Declared angle
 A rotation vector equals the integral of the rate if the axis is constant in the part, as on a stage and
 on a table. In space a turn about an axis that wanders by more than `STRAIGHT` allows is refused.
 
-Directions of gravity by the accelerometers of a session, the reference of turns, with their uncertainty.
-
-Gains, skews and biases are taken from a fit of the same session if it determines them, else from a
+**Accelerometers.** A `Triad` gives the directions of gravity for the true rotation, with their uncertainty.
+Gains, skews and biases of the accelerometers are taken from a fit of the same session if it determines them, else from a
 calibration of the part, else from a perfect triad with the uncertainty expected of this family of sensors.
 An error of one of these nine parameters changes the directions of all turns of a session at once, in its
 own way. For example, a bias of Y adds the same amount to the misalignments in every turn about X, and
@@ -700,12 +700,13 @@ def reference_in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad
 
 
 def reference_as_declared(
+    path: Path,
     integral: Integral,
     declared_deg: float,
-    steady: Floats,
+    triad: Triad,
+    delay_s: float,
     u_mark_deg: float,
-    axis_rad2: Floats,
-    consecutive: int = 1,
+    consecutive: int,
 ) -> Reference | str:
     """Return the true rotation about the vertical by a declared angle, or why it is unknown.
 
@@ -713,19 +714,20 @@ def reference_as_declared(
     ----------
     declared_deg : float
         Declared angle, positive counter-clockwise seen from above, up to whole turns.
-    steady : (3,) float
-        Constant part of the calibrated accelerometers' reading during the turn: opposite to the upward
-        axis, in any unit.
+    triad : Triad
+        Calibrated accelerometers, which show the vertical during the turn.
+    delay_s : float
+        Delay of the sensor's filter.
     u_mark_deg : float
         Standard uncertainty of setting the part to the mark, each time.
-    axis_rad2 : (3, 3) float
-        Covariance of the direction of `steady` by errors of this turn alone; its component along the
-        direction does not count.
     consecutive : int
         Number of directly successive declared turns of which this turn is one. Each ends at the mark where
         the next begins, so that an error of setting that mark changes both turns, with opposite signs.
     """
-    up = -steady / np.linalg.norm(steady)
+    steady, noise = steady_force(path, integral.begin_s + delay_s, integral.end_s + delay_s)
+    # The accelerometers read the opposite of the upward axis.
+    down = triad.axes.direction(steady)
+    up = -down / np.linalg.norm(down)
     seen = float(up @ integral.turned_deg)
     angle = declared_deg + 360.0 * round((seen - declared_deg) / 360.0)
     if abs(angle) < LEAST_REFERENCE_DEG or abs(seen - angle) > min(
@@ -744,8 +746,9 @@ def reference_as_declared(
     across = np.eye(3) - along
     # Two marks per turn; a mark between consecutive turns counts in both.
     mark = 2 * u_mark_deg**2 * (2 - 1 / consecutive)
+    axis_rad2 = noise / max(float(steady @ steady), 1e-18)
     covariance = mark * along + angle**2 * across @ axis_rad2 @ across
-    return Reference("declared", angle * up, covariance)
+    return Reference("declared", angle * up, covariance, -angle * triad.axes.modes(steady))
 
 
 def steady_force(path: Path, begin_s: float, end_s: float) -> tuple[Floats, Floats]:
