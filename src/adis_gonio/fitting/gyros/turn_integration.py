@@ -1,10 +1,10 @@
 """Turns of the sensor between two dwells: by its gyros, and the true rotation by other sources.
 
-**Integral.** The mean rate of a turn needs only the integral of the rates (`integrate`). The trapezoidal rule runs on the
-times of the samples, from the last sample of one dwell to the first sample of the next. The Bartlett filter
-of the chip delays its output by N − 1 samples, so the integral belongs to an interval that began and ended
-earlier by this delay. The part is at rest at both ends, so the filter, which mixes 2N − 1 samples, loses no
-part of the turn.
+**Integral.** The mean rate of a turn needs only the integral of the rates (`integrate`). The trapezoidal
+rule runs on the times of the samples, from the last sample of one dwell to the first sample of the next.
+The Bartlett filter of the chip delays its output by N − 1 samples, so the integral belongs to an interval
+that began and ended earlier by this delay. The part is at rest at both ends, so the filter, which mixes 2N
+− 1 samples, loses no part of the turn.
 
 A straight line bridges lost scans. The turn itself shows the error of such a bridge: the same bridge is
 laid over every complete stretch of that length near the gap, and the mean square of its error is the
@@ -14,18 +14,18 @@ the motion are left out if they show no rotation, because they add only the drif
 is faster than the samples show (a part that is set down stops within a millisecond) adds the error of
 `Aliasing`.
 
-**Attitude.** The rotation between two poses needs the attitude (`attitude`). A direction u fixed in space moves backwards
-in the part: u̇ = −ω × u. The rate between two samples is taken as their mean, and the rotation by this
-rate is exact, so u(t₁) = Φ(t₁, t₀) u(t₀), where Φ is a product of rotations. A small error δω of the
-rates turns the result by ε, u(t₁) → u(t₁) + ε × u(t₁), with
+**Attitude.** The rotation between two poses needs the attitude (`attitude`). A direction u fixed in space
+moves backwards in the part: u̇ = −ω × u. The rate between two samples is taken as their mean, and the
+rotation by this rate is exact, so u(t₁) = Φ(t₁, t₀) u(t₀), where Φ is a product of rotations. A small error
+δω of the rates turns the result by ε, u(t₁) → u(t₁) + ε × u(t₁), with
 
     ε = −∫ Φ(t₁, t) δω(t) dt.
 
 This is linear in all parameters of the gyros: readings m, zero rate z, gains and directions A and
 asymmetry a give ω = A⁻¹ (m − z − a |m − z|), hence ε = ∫ Φ(t₁, t) A⁻¹ (δA ω + δz + δa |m − z|) dt.
 
-**True rotation.** A `Reference` states the rotation of the sensor between two dwells as a rotation vector in
-the accelerometers' frame. It comes from one of two sources:
+**True rotation.** A `Reference` states the rotation of the sensor between two dwells as a rotation vector
+in the accelerometers' frame. It comes from one of two sources:
 
 Gravity on both sides
     If the axis is not vertical, the rotation is the angle about the axis between the two directions of
@@ -45,12 +45,11 @@ A rotation vector equals the integral of the rate if the axis is constant in the
 on a table. In space a turn about an axis that wanders by more than `STRAIGHT` allows is refused.
 
 **Accelerometers.** A `Triad` gives the directions of gravity for the true rotation, with their uncertainty.
-Gains, skews and biases of the accelerometers are taken from a fit of the same session if it determines them, else from a
-calibration of the part, else from a perfect triad with the uncertainty expected of this family of sensors.
-An error of one of these nine parameters changes the directions of all turns of a session at once, in its
-own way. For example, a bias of Y adds the same amount to the misalignments in every turn about X, and
-nothing in turns about Y.
-"""
+Gains, skews and biases of the accelerometers are taken from a fit of the same session if it determines
+them, else from a calibration of the part, else from a perfect triad with the uncertainty expected of this
+family of sensors. An error of one of these nine parameters changes the directions of all turns of a session
+at once, in its own way. For example, a bias of Y adds the same amount to the misalignments in every turn
+about X, and nothing in turns about Y."""
 
 from __future__ import annotations
 
