@@ -49,7 +49,8 @@ Gains, skews and biases of the accelerometers are taken from a fit of the same s
 them, else from a calibration of the part, else from a perfect triad with the uncertainty expected of this
 family of sensors. An error of one of these nine parameters changes the directions of all turns of a session
 at once, in its own way. For example, a bias of Y adds the same amount to the misalignments in every turn
-about X, and nothing in turns about Y."""
+about X, and nothing in turns about Y.
+"""
 
 from __future__ import annotations
 
