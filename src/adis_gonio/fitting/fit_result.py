@@ -37,34 +37,10 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """A parameter of a result: name, value, standard uncertainty, unit, degrees of freedom.
+class Estimate(Value):
+    """A parameter of a result: its value with uncertainty (JCGM 100:2008), unit and `name`."""
 
-    `u` is the standard uncertainty as in the GUM (JCGM 100:2008); None if the noise is unknown. `dof` are
-    its effective degrees of freedom; inf if unlimited. The expanded uncertainty for 95 % is `U` = `k`·`u`,
-    where k is the quantile of Student's distribution.
-    """
-
-    name: str
-    value: float
-    u: float | None
-    unit: str
-    dof: float = math.inf
-
-    @property
-    def stated(self) -> Value:
-        """Value with its uncertainty, unit and degrees of freedom, without the parameter's name."""
-        return Value(self.value, self.u, self.unit, self.dof)
-
-    @property
-    def k(self) -> float | None:
-        """Coverage factor for 95 % at `dof` degrees of freedom; None if `u` is None."""
-        return self.stated.k
-
-    @property
-    def U(self) -> float | None:  # noqa: N802 (GUM)
-        """Expanded uncertainty: value ± U covers 95 %; None if `u` is None."""
-        return self.stated.U
+    name: str = field(default="", kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -190,7 +166,7 @@ class FitResult(ParameterTable):
         lead = [one for one in self.parameters if one.name in ("delta_k", "delta_phi")] or self.parameters[
             :2
         ]
-        values = ", ".join(f"{one.name} {one.stated}" for one in lead)
+        values = ", ".join(f"{one.name} {one}" for one in lead)
         return f"FitResult({self.method}, {counted(len(self.positions), 'dwell')}, {values})"
 
     def calibration(self) -> Calibration:
@@ -365,7 +341,7 @@ class FitResult(ParameterTable):
         return json_object(
             method=self.method,
             recommended=None if comparison is None else comparison.recommended,
-            parameters={estimate.name: estimate.stated for estimate in self.parameters},
+            parameters={estimate.name: estimate for estimate in self.parameters},
             angle=self.angle,
             covariance={"names": names, "matrix": matrix},
             budget=self.budget,
@@ -466,7 +442,7 @@ def estimates(outputs: Sequence[Output], sources: Sources | None) -> tuple[Estim
     found = []
     for output in outputs:
         u, dof = (None, math.inf) if sources is None else sources.uncertainty(output.gradient[None])
-        found.append(Estimate(output.name, output.value, u, output.unit, dof))
+        found.append(Estimate(output.value, u, output.unit, dof, name=output.name))
     return tuple(found)
 
 
@@ -536,7 +512,7 @@ def calibration_as_recorded(result: FitResult) -> Calibration:
     if where.plane == "xy" and "scale_x" not in estimates and "delta_k" in estimates:
         # Only the ratio of the gains is known, which is enough for an angle: the gain of Y is set to 1.
         ratio = estimates["delta_k"]
-        estimates["scale_x"] = Estimate("scale_x", 1 + ratio.value, ratio.u, "1")
+        estimates["scale_x"] = Estimate(1 + ratio.value, ratio.u, "1", name="scale_x")
     names = [name for name in names_of(model) if name in estimates]
     given = [one.name for one in result.parameters]
     rows = [given.index("delta_k" if name not in given else name) for name in names]

@@ -870,8 +870,8 @@ def _fitted(session: Session) -> FreeTurnResult:
     shares = tuple((gradient @ share @ gradient.T, dof) for share, dof in solution.parts)
     parameters = tuple(
         Estimate(
-            one.name, one.value, math.sqrt(float(covariance[k, k])), one.unit,
-            effective_dof([(float(share[k, k]), dof) for share, dof in shares]),
+            one.value, math.sqrt(float(covariance[k, k])), one.unit,
+            effective_dof([(float(share[k, k]), dof) for share, dof in shares]), name=one.name,
         )
         for k, one in enumerate(outputs)
     )  # fmt: skip
