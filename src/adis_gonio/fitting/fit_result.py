@@ -449,18 +449,35 @@ def estimates(outputs: Sequence[Output], sources: Sources | None) -> tuple[Estim
 def angle_errors(fit: Fit) -> Floats | None:
     """Return the angle by the calibrated goniometer minus the declared angle, (m,) in rad.
 
-    None in space or without declared angles. The zero of the calibrated angle is α. If the attitudes were
-    fitted without declared angles, α is unknown, and the mean difference is subtracted instead.
+    None in space or without declared angles.
     """
-    data = fit.data
-    declared = np.isfinite(data.angle_rad)
-    if not isinstance(data.model, PlanarTurn) or not declared.any():
+    declared = np.isfinite(fit.data.angle_rad)
+    if not isinstance(fit.data.model, PlanarTurn) or not declared.any():
         return None
-    gravity = fit.gravity[declared]
-    shown = np.arctan2(gravity[:, 1], gravity[:, 0]) + data.angle_rad[declared]
-    zero = mean_direction(shown) if data.free else float(fit.values.base[0])
+    return differences_of_angle(fit, start_angle(fit))[declared]
+
+
+def start_angle(fit: Fit) -> float:
+    """Return the start angle α in rad, from which a planar fit counts angles.
+
+    If the attitudes were fitted without declared angles, α is unknown. The result is then the mean that the
+    dwells with a declared angle show; NaN without such a dwell.
+    """
+    if fit.data.visible[0]:
+        return float(fit.values.base[0])
+    shown = -differences_of_angle(fit, 0.0)
+    shown = shown[np.isfinite(shown)]
+    return mean_direction(shown) if shown.size else math.nan
+
+
+def differences_of_angle(fit: Fit, start_rad: float) -> Floats:
+    """Return the calibrated minus the declared angle (n,) in rad; NaN for a dwell without a declared angle.
+
+    `start_rad` is the start angle α.
+    """
     # Positive for a stage at a larger angle than declared: ψ = α − θ.
-    return -wrap_radians(shown - zero)
+    shown = np.arctan2(fit.gravity[:, 1], fit.gravity[:, 0]) - fit.turn_rad
+    return np.where(np.isfinite(fit.data.angle_rad), -wrap_radians(shown - start_rad), np.nan)
 
 
 def result_of(

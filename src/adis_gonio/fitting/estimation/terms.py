@@ -105,8 +105,9 @@ class Term(ABC):
         """Return the indices of the amplitudes among the values (p,), without shape parameters."""
         return list(range(len(values)))
 
+    @property
     def bounds(self) -> Floats | None:
-        """Return the lower and upper limit (p, 2) of each value; None without limits."""
+        """Lower and upper limit (p, 2) of each value; None without limits."""
         return None
 
     def limited(self, old: Floats, new: Floats) -> Floats:
@@ -207,12 +208,9 @@ class NamedTerm(Term):
         return self.effect.derivative(values, ideal, conditions)
 
     @cached_property
-    def _bounds(self) -> Floats:
-        return np.array([[p.low, p.high] for p in self.effect.parameters])
-
     def bounds(self) -> Floats:
-        """Return the limits (p, 2) of the values, as the catalogue states them for this effect."""
-        return self._bounds
+        """Limits (p, 2) of the values, as the catalogue states them for this effect."""
+        return np.array([[p.low, p.high] for p in self.effect.parameters])
 
     @cached_property
     def amplitude_spread(self) -> Floats:
@@ -222,7 +220,7 @@ class NamedTerm(Term):
         """
         if self.spread is not None:
             return np.full(len(self.amplitudes), self.spread)
-        low, high = self._bounds[self.amplitudes].T
+        low, high = self.bounds[self.amplitudes].T
         return np.asarray((high - low) / 4)
 
     def limited(self, old: Floats, new: Floats) -> Floats:
@@ -233,7 +231,7 @@ class NamedTerm(Term):
         new = new.copy()
         for index, _ in self.shapes:
             new[index] = np.clip(new[index], 0.5 * old[index], 2 * old[index])
-        low, high = self.bounds().T
+        low, high = self.bounds.T
         return np.asarray(np.clip(new, low, high))
 
 
