@@ -40,7 +40,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats, wrap_degrees
+from adis_gonio.base.arrays import Floats, cumulative_integral, wrap_degrees
 from adis_gonio.base.errors import DataError, FitError, SingularError
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.uncertainty import Value, effective_dof, factor_over
@@ -101,15 +101,6 @@ class TurnRecording:
     def length_s(self) -> float:
         """Duration of the recording in s."""
         return float(self.time_s[-1])
-
-    def integral(self, values: Floats) -> Floats:
-        """Return the integral (n, …) over time of sampled values, from the first sample to each sample.
-
-        It uses the trapezoidal rule.
-        """
-        from scipy.integrate import cumulative_trapezoid
-
-        return np.asarray(cumulative_trapezoid(values, self.time_s, axis=0, initial=0))
 
 
 class Windows:
@@ -282,16 +273,15 @@ class LeastSquaresProblem:
         unit = series.accel_mg[:, :2] / gravity_mg
         slope = np.gradient(rate, series.time_s)
         self._square, self._rate, self._slope = mean(rate**2), mean(rate), mean(slope)
-        self._integrals = np.column_stack(
-            [series.integral(rate), -series.time_s, -series.integral(unit), rate]
-        )
+        turned, pulled = (cumulative_integral(values, series.time_s) for values in (rate, unit))
+        self._integrals = np.column_stack([turned, -series.time_s, -pulled, rate])
         # Means in the windows, which make the fastest drifts smaller.
         drifts, self.drift_prior = drift_functions(series.time_s, series.length_s, floor_mg, MOST_DRIFTS)
         self.drifts: Floats = mean(drifts)
         gyro, self.gyro_prior = drift_functions(
             series.time_s, series.length_s, math.radians(GYRO_INSTABILITY_DPS), GYRO_DRIFTS
         )
-        self._gyro_drifts = -series.integral(gyro)
+        self._gyro_drifts = -cumulative_integral(gyro, series.time_s)
         at = np.clip(np.searchsorted(series.time_s, windows.centre_s), 0, len(rate) - 1)
         self._centre = at
         # The rate at a centre is the mean of its window, because a single sample is mostly noise.
@@ -762,7 +752,7 @@ class FreeTurnResult(FitResult):
         """Comparison that lists only the method `free-turn`; no other method fits such a recording."""
         own = replace(self, warnings=self.warnings)
         return MethodComparison(
-            (own,), {}, {METHOD: Score(None, None, None, None, 0)}, Recommendation(METHOD, WHY)
+            (own,), {}, {}, {METHOD: Score(None, None, None, None, 0)}, Recommendation(METHOD, WHY)
         )
 
     @cached_property

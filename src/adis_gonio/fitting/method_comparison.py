@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -53,6 +52,8 @@ class MethodComparison:
     ----------
     results : tuple of FitResult
         Result of each method that fits the session, in the order of `METHODS`.
+    failures : mapping of str to str
+        Reasons why other methods give no result, by method.
     predictions : mapping of str to DwellPrediction
         Errors with which each method predicts every dwell by a fit without this dwell, by method.
     scores : mapping of str to Score
@@ -62,6 +63,7 @@ class MethodComparison:
     """
 
     results: tuple[FitResult, ...]
+    failures: dict[str, str]
     predictions: dict[str, DwellPrediction]
     scores: dict[str, Score]
     recommended: Recommendation
@@ -82,15 +84,18 @@ def compare_methods(session: Readings) -> MethodComparison:
     """
     training = session.training
     results: list[FitResult] = []
+    failures: dict[str, str] = {}
     for method in applicable_to(training):
-        with suppress(FitError):
+        try:
             results.append(fit_of(session, method))
+        except FitError as error:
+            failures[method] = str(error)
     if not results:
         results.append(fit_of(session))
     found = predictions(session, results)
     scores = scores_of(found)
     return MethodComparison(
-        tuple(results), found, scores, recommend(results, found, scores, default_method(training))
+        tuple(results), failures, found, scores, recommend(results, found, scores, default_method(training))
     )
 
 

@@ -158,7 +158,7 @@ class Source:
         variance = np.asarray((self._moved(gradient, reading) ** 2).sum(axis=1))
         if self.reading_mg2 is None:
             return variance
-        return variance + np.einsum("ma,ab,mb->m", reading, self.reading_mg2, reading)
+        return np.asarray(variance + np.einsum("ma,ab,mb->m", reading, self.reading_mg2, reading))
 
 
 @dataclass(frozen=True)

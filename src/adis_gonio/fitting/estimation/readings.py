@@ -37,7 +37,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, block_means
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import DataError, FitError, UsageError
 from adis_gonio.base.jsonable import ComputedOnce
@@ -745,9 +745,7 @@ def _history(dwells: list[Dwell], start: float) -> tuple[Floats, Floats] | None:
     if len(time) > HISTORY_POINTS:
         # Means of blocks of neighbouring samples.
         cuts = np.linspace(0, len(time), HISTORY_POINTS, endpoint=False).astype(np.intp)
-        counts = np.diff(np.append(cuts, len(time)))
-        time = np.add.reduceat(time, cuts) / counts
-        temperature = np.add.reduceat(temperature, cuts) / counts
+        time, temperature = block_means(time, cuts), block_means(temperature, cuts)
     return time, temperature
 
 

@@ -64,7 +64,9 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import (
     Floats,
+    block_means,
     central_differences,
+    cumulative_integral,
     mean_direction,
     rotation_matrices,
     wrap_degrees,
@@ -440,11 +442,9 @@ def smooth_blocks(rate: Floats, window: int) -> Floats:
 
     Without this, noise around zero would add to a mean of absolute rates.
     """
-    # Sums over blocks of `window` samples, the last one shorter.
-    starts = np.arange(0, len(rate), window)
-    counts = np.diff(np.append(starts, len(rate)))
-    means = np.add.reduceat(rate, starts, axis=0) / counts[:, None]
-    return np.asarray(np.repeat(means, counts, axis=0))
+    # The last block is shorter.
+    means = block_means(rate, np.arange(0, len(rate), window))
+    return np.asarray(np.repeat(means, window, axis=0)[: len(rate)])
 
 
 def _bridges(time: Floats, rate: Floats, sampling: Sampling) -> Floats | None:
@@ -458,9 +458,7 @@ def _bridges(time: Floats, rate: Floats, sampling: Sampling) -> Floats | None:
     lost = np.rint(np.diff(time) / period).astype(int) - 1
     gaps = np.flatnonzero(lost > 0)
     covariance = np.zeros((3, 3))
-    # Cumulative angle by the trapezoidal rule.
-    means = (rate[1:] + rate[:-1]) / 2
-    path = np.concatenate([np.zeros((1, 3)), np.cumsum(means * np.diff(time)[:, None], axis=0)])
+    path = cumulative_integral(rate, time)
     for size in np.unique(lost[gaps]).tolist():
         # Error of a line over each stretch of `width` steps; `whole` stretches have no lost scan.
         width = size + 1
@@ -768,21 +766,14 @@ def steady_force(path: Path, begin_s: float, end_s: float) -> tuple[Floats, Floa
     turned = np.trapezoid(rate, time, axis=0)
     # Rate about the axis of the whole turn, and its integral.
     spin = np.radians(rate @ (turned / np.linalg.norm(turned)))
-    angle = np.concatenate([[0.0], np.cumsum((spin[1:] + spin[:-1]) / 2 * np.diff(time))])
+    angle = cumulative_integral(spin, time)
     starts = np.unique(np.linspace(0, len(time), _BLOCKS, endpoint=False).astype(np.intp))
-    counts = np.diff(np.append(starts, len(time)))
-
-    def mean(series: Floats) -> Floats:
-        sums = np.add.reduceat(series, starts, axis=0)
-        return np.asarray((sums.T / counts).T)
-
     # Least squares on means of blocks: constant, tilt of the table, and both terms of a lever arm.
-    speed = mean(spin)
-    jerk = np.gradient(speed, mean(time))
-    terms = [np.cos(angle), np.sin(angle), spin**2]
-    design = np.column_stack([np.ones(len(starts)), *(mean(term) for term in terms), jerk])
+    speed, *tilted = (block_means(term, starts) for term in (spin, np.cos(angle), np.sin(angle), spin**2))
+    jerk = np.gradient(speed, block_means(time, starts))
+    design = np.column_stack([np.ones(len(starts)), *tilted, jerk])
     size = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
-    seen = mean(force)
+    seen = block_means(force, starts)
     found = np.linalg.lstsq(design / size, seen, rcond=1e-8)[0] / size[:, None]
     residual = seen - design @ found
     inverse = np.linalg.pinv((design / size).T @ (design / size))[0, 0] / size[0] ** 2

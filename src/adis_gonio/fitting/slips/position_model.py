@@ -44,7 +44,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats, wrap_radians
+from adis_gonio.base.arrays import Floats, cumulative_integral, wrap_radians
 from adis_gonio.fitting.estimation.terms import typical_terms
 from adis_gonio.fitting.gyros.turn_integration import Path, Sampling
 from adis_gonio.model.effects import Conditions
@@ -119,10 +119,7 @@ class Halts:
 def halts_of(path: Path, sampling: Sampling) -> Halts:
     """Return the rests between the first and the last movement of a recorded turn about z."""
     rate = path.rate_dps[:, 2] - path.zero_dps[:, 2].mean()
-    steps = np.diff(path.time_s, append=path.time_s[-1])
-    means = (rate + np.append(rate[1:], rate[-1])) / 2
-    # Cumulative angle by the trapezoidal rule.
-    turned = np.concatenate([[0.0], np.cumsum(means * steps)])[: len(rate)]
+    turned = cumulative_integral(rate, path.time_s)
     width = min(sampling.window, len(rate))
     slow = np.abs(np.convolve(rate, np.full(width, 1 / width), mode="same")) < SLOW_DPS
     moving = np.flatnonzero(~slow)
