@@ -256,7 +256,6 @@ def test_what_links_gain_are_parameters_and_a_median_of_u() -> None:
     along = found(np.diag([1.0, 4.0, 0.0]), [True, True, True], np.array([[0.0], [0.0], [1.0]]))
     assert linked._u_of(along) == pytest.approx([1.0, 0.5, math.inf])
     assert linked._gain(along, joined)[0] == ("c",)
-    assert linked._gain(None, joined) == linked._gain(joined, None) == ((), None)
     report = LinkReport(3, 1.0, 2, calibrated=True, gained=("c",), ratio=0.35)
     assert (report.as_dict()["u_ratio"], report.as_dict()["gained"]) == (0.35, ["c"])
     assert chi2_quantile(2, 1e-3) == pytest.approx(-2 * math.log(1e-3))  # χ² of two is exponential
