@@ -21,7 +21,7 @@ from adis_gonio.fitting import fit
 from adis_gonio.fitting.answer import Answer
 from adis_gonio.fitting.determination import covariance, determine, names_of, natural_units
 from adis_gonio.fitting.estimation.fit import Fit
-from adis_gonio.fitting.estimation.links import Band, LinkRows, Links
+from adis_gonio.fitting.estimation.links import LinkRows, Links
 from adis_gonio.fitting.estimation.readings import Readings, from_means, readings_of
 from adis_gonio.fitting.gyros.gyro_fit import fit_gyro
 from adis_gonio.fitting.gyros.gyro_links import GyroPrior
@@ -432,19 +432,14 @@ def test_links_follow_readings_that_are_left_out() -> None:
     assert data.rows(np.arange(6) == 2).links is None
 
 
-def test_the_band_is_the_root_of_the_whole_covariance() -> None:
+def test_the_covariance_of_all_links_has_blocks_of_neighbours_that_share_a_dwell() -> None:
     rng = np.random.default_rng(8)
     _, links = linked_part(6, rng)
-    band = Band.of(links.own_rad2, links.next_rad2[:-1])
     dense = block_diag(*links.own_rad2)
     for k in range(4):
         dense[3 * k : 3 * k + 3, 3 * k + 3 : 3 * k + 6] = links.next_rad2[k]
         dense[3 * k + 3 : 3 * k + 6, 3 * k : 3 * k + 3] = links.next_rad2[k].T
-    root = np.linalg.cholesky(dense)
-    column = rng.standard_normal((15, 2))
-    assert band.solved(column) == pytest.approx(np.linalg.solve(root, column))
-    assert band.solved(column, transposed=True) == pytest.approx(np.linalg.solve(root.T, column))
-    assert band.lower_times(column[:, 0]) == pytest.approx(root @ column[:, 0])
+    assert links.own_covariance == pytest.approx(dense)
 
 
 # -- sessions ---------------------------------------------------------------------------------------------
