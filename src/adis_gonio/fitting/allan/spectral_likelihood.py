@@ -42,7 +42,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -262,24 +262,24 @@ def curve(
     """
     times, deviation = overlapping([record[:, None] for record in records])
     lengths = [len(record) for record in records]
-    expected, nu = np.array([_expected(m, lengths, squares, filter_m, period_s, rounding) for m in times]).T
+    variogram = partial(_variogram, squares, filter_m, period_s, rounding)
+    expected, nu = np.array([_expected(m, lengths, variogram) for m in times]).T
     low, high = (deviation[:, 0] * np.sqrt(nu / special.chdtri(nu, 1 - q)) for q in (0.975, 0.025))
     tau = period_s * np.array(times, dtype=float)
     return AllanCurve(tau, deviation[:, 0], low, high, nu, np.sqrt(expected))
 
 
 def _expected(
-    m: int, lengths: Sequence[int], squares: Floats, filter_m: int, period_s: float, rounding: Floats
+    m: int, lengths: Sequence[int], variogram: Callable[[int, int], Floats]
 ) -> tuple[float, float]:
     """Return the expected Allan variance at m samples under a noise model, and the dof of its estimate.
 
-    The estimate pools records of these `lengths`, with samples `period_s` apart behind the filter M =
-    `filter_m`; `squares` are the squared coefficients of the model, `rounding` the autocovariance, by lag,
-    of the converter's rounding.
+    The estimate pools records of these `lengths` in samples. `variogram` returns the variogram of the model
+    for a number of lags and a number of samples in each mean (`_variogram`).
     """
     coarse = 1 if m <= _EXACT else m // _LATTICE
     step = m // coarse
-    gamma = _variogram(squares, filter_m, 10 * step, period_s, coarse, rounding)
+    gamma = variogram(10 * step, coarse)
     # The Allan difference as a filter, and its autocorrelation.
     weights = np.concatenate([np.full(step, -1.0), np.full(step, 1.0)]) / (step * np.sqrt(2))
     pairs = np.correlate(weights, weights, "full")  # lags −2m + 1 … 2m − 1
@@ -303,7 +303,7 @@ def _expected(
 
 
 def _variogram(
-    squares: Floats, filter_m: int, lags: int, period_s: float, coarse: int, rounding: Floats
+    squares: Floats, filter_m: int, period_s: float, rounding: Floats, lags: int, coarse: int
 ) -> Floats:
     """Return half the mean squared difference of two means of `coarse` samples, by their distance.
 
