@@ -80,8 +80,6 @@ class TurnRecording:
         Readings of the accelerometers X, Y and, if recorded, Z.
     rate : (n, 3) float
         Readings of the gyros X, Y, Z in rad/s.
-    temperature_c : (n,) float or None
-        Temperature of the sensor; None if not recorded.
     smear_s : float
         Standard deviation in time of the impulse response of the sensor's own filter; 0 without one.
     """
@@ -89,7 +87,6 @@ class TurnRecording:
     time_s: Floats
     accel_mg: Floats
     rate: Floats
-    temperature_c: Floats | None = None
     smear_s: float = 0.0
 
     @property
@@ -913,7 +910,7 @@ def series_of(session: Session) -> TurnRecording:
     # Root of the second moment of the chip's Bartlett window, if the file states its setting.
     taps = 2 ** int((session.facts.get("configuration") or {}).get("filter_m", 0))
     smear_s = math.sqrt((taps**2 - 1) / 6) * float(np.median(np.diff(whole.time_s)))
-    return TurnRecording(whole.time_s - whole.time_s[0], accel, rate, whole.temperature_c, smear_s)
+    return TurnRecording(whole.time_s - whole.time_s[0], accel, rate, smear_s)
 
 
 def _outputs(solution: Solution, windows: Windows) -> list[Output]:

@@ -89,8 +89,6 @@ class Interval:
         which all turns share (`turn_integration.Axes`); None without such errors.
     abs_dps : (3,) float
         Mean of |rate − zero rate| over a turn; 0 for a dwell.
-    reference : {"rest", "gravity", "declared"}
-        Origin of the true rotation.
     """
 
     mean_dps: Floats
@@ -110,7 +108,6 @@ class Interval:
     rotation_covariance_dps2: Floats = field(default_factory=partial(np.zeros, (3, 3)))
     rotation_modes_dps: Floats | None = None
     abs_dps: Floats = field(default_factory=partial(np.zeros, 3))
-    reference: str = "rest"
 
     @property
     def length_s(self) -> float:
@@ -401,7 +398,6 @@ def _interval_of_turn(
         rotation_covariance_dps2=found.covariance_deg2 / length**2,
         rotation_modes_dps=None if found.modes_deg is None else found.modes_deg / length,
         abs_dps=integral.mean_abs_dps,
-        reference=found.kind,
         **_surroundings(turn),
     )
 

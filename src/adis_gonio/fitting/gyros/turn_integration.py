@@ -57,7 +57,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -616,8 +616,6 @@ class Reference:
 
     Attributes
     ----------
-    kind : {"gravity", "declared"}
-        Origin of the rotation: gravity before and after the turn, or a declared angle.
     angle_deg : (3,) float
         Rotation vector, right-handed about the accelerometers' axes.
     covariance_deg2 : (3, 3) float
@@ -628,7 +626,6 @@ class Reference:
         without such errors.
     """
 
-    kind: Literal["gravity", "declared"]
     angle_deg: Floats
     covariance_deg2: Floats
     modes_deg: Floats | None = None
@@ -657,7 +654,7 @@ def reference_on_stage(integral: Integral, psi_deg: tuple[float, float], u_deg: 
         return f"the gyro turned {seen:.1f}°, by gravity {angle:.1f}°: not about the stage's axis"
     if abs(angle) < LEAST_REFERENCE_DEG:
         return f"a turn of {angle:.1f}° is too short; a gain needs {LEAST_REFERENCE_DEG:g}° or more"
-    return Reference("gravity", np.array([0.0, 0.0, angle]), np.diag([0.0, 0.0, u_deg**2]))
+    return Reference(np.array([0.0, 0.0, angle]), np.diag([0.0, 0.0, u_deg**2]))
 
 
 def reference_in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad: float) -> Reference | str:
@@ -694,7 +691,7 @@ def reference_in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad
     along = np.outer(axis, axis)
     # Along the axis the uncertainty by gravity, across it the large one of an unobserved component.
     covariance = u_deg**2 * along + (UNSEEN * angle) ** 2 * (np.eye(3) - along)
-    return Reference("gravity", angle * axis, covariance)
+    return Reference(angle * axis, covariance)
 
 
 def reference_as_declared(
@@ -746,7 +743,7 @@ def reference_as_declared(
     mark = 2 * u_mark_deg**2 * (2 - 1 / consecutive)
     axis_rad2 = noise / max(float(steady @ steady), 1e-18)
     covariance = mark * along + angle**2 * across @ axis_rad2 @ across
-    return Reference("declared", angle * up, covariance, -angle * triad.axes.modes(steady))
+    return Reference(angle * up, covariance, -angle * triad.axes.modes(steady))
 
 
 def steady_force(path: Path, begin_s: float, end_s: float) -> tuple[Floats, Floats]:
