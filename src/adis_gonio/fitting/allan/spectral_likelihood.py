@@ -606,7 +606,7 @@ def _bins(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 _POWER_90 = 1.2815515655446004
-_STEPS, _CLOSE = 60, 1e-7
+_PRECISE = {"ftol": 1e-13, "gtol": 1e-6}
 _CELLS, _LEAST_CELL = 24, 16
 
 
@@ -731,7 +731,7 @@ class Likelihood:
         return slope, information / 2
 
     def maximum(self, start: Floats, fixed: dict[int, float] | None = None) -> tuple[Floats, float]:
-        """Return the θ (4,) ≥ 0 of the largest likelihood and its deviance, by projected Fisher scoring.
+        """Return the θ (4,) ≥ 0 of the largest likelihood and its deviance.
 
         Parameters
         ----------
@@ -742,38 +742,20 @@ class Likelihood:
         """
         held = fixed or {}
         theta = np.where(self._has, np.maximum(start, 0.0), 0.0)
-        for index, value in held.items():
-            theta[index] = value
-        loose = self._has & np.array([index not in held for index in range(len(theta))])
-        best = self.deviance(theta)
-        for _ in range(_STEPS):
-            slope, information = self.slope_and_information(theta)
-            free = loose & ((theta > 0) | (slope < 0))
-            if not free.any():
-                break
-            step = self._step(slope, information, free)
-            theta, now = self._along(theta, step, best)
-            if best - now < _CLOSE:
-                return theta, min(best, now)
-            best = now
-        return theta, best
-
-    def _step(self, slope: Floats, information: Floats, free: np.ndarray) -> Floats:
-        step = np.zeros(len(slope))
+        theta[list(held)] = list(held.values())
+        free = self._has & ~np.isin(np.arange(len(theta)), list(held))
         scale = self.scale[free]
-        # Scaled Newton step by the expected information of the free coefficients.
-        inner = information[np.ix_(free, free)] * np.outer(scale, scale)
-        step[free] = -scale * (np.linalg.pinv(inner, rcond=1e-13) @ (slope[free] * scale)) / 2
-        return step
 
-    def _along(self, theta: Floats, step: Floats, best: float) -> tuple[Floats, float]:
-        for _ in range(30):
-            trial = np.maximum(theta + step, 0.0)
-            now = self.deviance(trial)
-            if now <= best:
-                return trial, now
-            step = step / 2
-        return theta, best
+        def loss(scaled: Floats) -> tuple[float, Floats]:
+            theta[free] = scaled * scale
+            return self.deviance(theta), self.slope_and_information(theta)[0][free] * scale
+
+        bounds = [(0.0, None)] * len(scale)
+        found = optimize.minimize(
+            loss, theta[free] / scale, jac=True, bounds=bounds, method="L-BFGS-B", options=_PRECISE
+        )
+        theta[free] = found.x * scale
+        return theta, float(found.fun)
 
     def best(self) -> tuple[Floats, float]:
         """Maximize the likelihood from several starting values; return θ (4,) and its deviance."""
