@@ -606,7 +606,6 @@ def _bins(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 _POWER_90 = 1.2815515655446004
-_PRECISE = {"ftol": 1e-13, "gtol": 1e-6}
 _CELLS, _LEAST_CELL = 24, 16
 
 
@@ -750,9 +749,13 @@ class Likelihood:
             theta[free] = scaled * scale
             return self.deviance(theta), self.slope_and_information(theta)[0][free] * scale
 
-        bounds = [(0.0, None)] * len(scale)
         found = optimize.minimize(
-            loss, theta[free] / scale, jac=True, bounds=bounds, method="L-BFGS-B", options=_PRECISE
+            loss,
+            theta[free] / scale,
+            jac=True,
+            bounds=[(0.0, None)] * len(scale),
+            method="L-BFGS-B",
+            options={"ftol": 1e-13, "gtol": 1e-6},
         )
         theta[free] = found.x * scale
         return theta, float(found.fun)
