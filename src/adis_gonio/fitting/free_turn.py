@@ -320,8 +320,9 @@ class LeastSquaresProblem:
     def model(self, values: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Return the residuals of accelerometers and gyro, then their Jacobians.
 
-        The residuals are (m, 2) in mg, and (m − 1,) in rad for the turn between neighbouring windows.
-        `values` are the common parameters, the drifts and the angles.
+        The residuals are (m, 2) in mg, and (m − 1,) in rad for the turn between neighbouring windows. The
+        Jacobians (m, 2, p) and (m − 1, p) are the derivatives of the predictions by the p `values`: common
+        parameters, drifts and angles.
         """
         k_x, k_y, skew = values[:3]
         rest = values[: self.size - self.m]
@@ -488,6 +489,11 @@ def _inverse(information: Floats) -> Floats:
 def _step(
     problem: LeastSquaresProblem, values: Floats, variances: Variances
 ) -> tuple[Floats, Floats, float]:
+    """Return the values (p,) after one Gauss–Newton step, their covariance (p, p), and the largest change.
+
+    The change is the largest one of a common parameter, in its standard uncertainties, before the step is
+    shortened.
+    """
     information, right, _ = _system(problem, values, variances)
     covariance = _inverse(information)
     step = covariance @ right

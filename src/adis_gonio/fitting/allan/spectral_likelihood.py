@@ -347,7 +347,7 @@ class SpectralLine(JsonRecord):
 def subtract_sinusoids(
     record: Floats, period_s: float, highest: float
 ) -> tuple[Floats, list[SpectralLine], NDArray[np.intp]]:
-    """Subtract strong sinusoids from a record; also return them and the ordinates that they affect.
+    """Subtract strong sinusoids from a record.
 
     Parameters
     ----------
@@ -357,6 +357,15 @@ def subtract_sinusoids(
         Time between samples.
     highest : float
         Highest frequency of a sinusoid in cycles per sample.
+
+    Returns
+    -------
+    (n,) float
+        The record without the sinusoids.
+    list of SpectralLine
+        The sinusoids, in the order in which they were found.
+    (l,) int
+        Indices of the DCT-II ordinates that they affect; an index may occur twice.
     """
     found: list[SpectralLine] = []
     masked: list[NDArray[np.intp]] = []
@@ -420,6 +429,7 @@ def _level(power: Floats) -> Floats:
 
 
 def _subtract_sinusoid(record: Floats, place: float) -> tuple[Floats, float]:
+    """Return a record (n,) without its sinusoid of `place` cycles per record, and the sinusoid's amplitude."""
     phase = 2 * np.pi * place / len(record) * np.arange(len(record))
     # Least squares of cosine and sine at this frequency.
     columns = np.stack([np.cos(phase), np.sin(phase)], axis=1)
@@ -593,8 +603,8 @@ def _rounded(rounding: bytes, n: int, filter_m: int, period_s: float) -> Floats:
 def _bins(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Divide the ordinates 1 … n − 1 into bins.
 
-    Return the first ordinate of each bin, and the ordinate after its last. Low ordinates have a bin each;
-    at higher frequencies the bins are wider.
+    Return the first ordinate (b,) of each bin, and the ordinate (b,) after its last. Low ordinates have a
+    bin each; at higher frequencies the bins are wider.
     """
     edges = list(range(1, min(SINGLES, n - 1) + 1))
     at = edges[-1] + 1
@@ -780,9 +790,9 @@ class Likelihood:
         return float(scale[index] * math.sqrt(max(inverse[index, index], 0.0)))
 
     def slopes(self, theta: Floats) -> list[tuple[float, float]]:
-        """Return the slope per sample of the straight line fitted to each record, with its u.
+        """Return slope and standard uncertainty, per sample, of the straight line fitted to each record.
 
-        The standard uncertainty u is inf for a record without a line.
+        The uncertainty is inf for a record without a line.
         """
         _, _, a, b = self._lines(self.expected(theta))
         slope, u = np.zeros(len(self._has_line)), np.full(len(self._has_line), np.inf)

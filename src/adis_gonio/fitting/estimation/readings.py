@@ -734,7 +734,7 @@ def _means(series: list[Floats | None]) -> Floats | None:
 
 
 def _history(dwells: list[Dwell], start: float) -> tuple[Floats, Floats] | None:
-    """Return times and temperatures of the session, averaged to at most `HISTORY_POINTS` points.
+    """Return times in s and temperatures in °C of the session, averaged to at most `HISTORY_POINTS` points.
 
     `start` is the time in s of the first sample. None if the times do not increase.
     """

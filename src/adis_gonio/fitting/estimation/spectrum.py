@@ -348,9 +348,10 @@ def _by_filter(k: Floats, total: Floats, mean: Floats) -> float:
 
 
 def _lowest(groups: list[_Ordinates]) -> tuple[Floats, Floats, Floats] | None:
-    """Return numbers, weights and means of the spectrum's lowest ordinates, pooled over dwells.
+    """Return numbers, weights and means, each (`_SLOPE`,), of the lowest ordinates, pooled over dwells.
 
-    None if no dwell has enough ordinates.
+    The means are relative to the mean of each dwell's lowest ordinates. None if no dwell has enough
+    ordinates.
     """
     groups = [group for group in groups if len(group.weight) > _SLOPE]
     if not groups:
@@ -451,8 +452,9 @@ def _foot_beside_flicker(
 def _cells(groups: list[_Ordinates], band: float) -> tuple[Floats, Floats, Floats, Floats] | None:
     """Return the mean ordinates of all dwells in cells of frequency below `band`.
 
-    The results are, for each cell that is not empty: the mean of x = f/band, the number of ordinates, their
-    mean relative to each dwell's mean, and the mean of 1/x. None if no cell has an ordinate.
+    The results are arrays (c,) with one value for each cell that is not empty: the mean of x = f/band, the
+    number of ordinates, their mean relative to each dwell's mean, and the mean of 1/x. None if no cell has
+    an ordinate.
     """
     total, moment, first = np.zeros(_CELLS), np.zeros(_CELLS), np.zeros(_CELLS)
     inverse = np.zeros(_CELLS)
@@ -554,8 +556,9 @@ def _flicker(
 ) -> tuple[Floats, Floats]:
     """Return the Allan variance (axes,) of 1/f noise by the lowest ordinates, and its 95 % upper limit.
 
-    The 1/f noise is the excess of these ordinates over the `density` (d, axes, axes) at zero times its
-    fitted shape, `foot`. `dof` are the degrees of freedom of the density, `n` (d,) the numbers of samples.
+    Both are in the squared unit of the samples. The 1/f noise is the excess of these ordinates over the
+    `density` (d, axes, axes) at zero times its fitted shape, `foot`. `dof` are the degrees of freedom of
+    the density, `n` (d,) the numbers of samples.
     """
     from scipy.special import fdtri
 
@@ -663,10 +666,11 @@ def scatter_of_means(dwells: int) -> float:
 
 
 def modes(covariance: Floats) -> tuple[Floats, Floats]:
-    """Split a covariance (n, n) into a factor (n, k) of its largest modes and the remaining variances.
+    """Split a covariance (n, n) into a factor (n, k) of its largest modes and the remaining variances (n,).
 
     The modes are its eigenvectors with the `MOST_MODES` largest eigenvalues, times the roots of the
-    eigenvalues. For 1/f noise they vary slowly in time.
+    eigenvalues. For 1/f noise they vary slowly in time. The remaining variances are the part of the
+    diagonal that the modes do not contain.
     """
     values, vectors = np.linalg.eigh(covariance)
     values, vectors = values[-MOST_MODES:], vectors[:, -MOST_MODES:]

@@ -591,10 +591,10 @@ def _covariance(fit: Fit, free: NDArray[np.bool_]) -> Floats:
 
 
 def _inflation(model: _Model) -> dict[str, tuple[float, float]]:
-    """Return the factor on the noise variance of each gyro that explains its residual, with its dof.
+    """Return the factor on the noise variance of each gyro that explains its residual, by axis.
 
-    The keys are the axes. Each entry is the factor and its degrees of freedom. The factor is 1 if the
-    residual agrees with the measured noise.
+    Each entry is the factor and the degrees of freedom of the factor. The factor is 1 if the residual
+    agrees with the measured noise; its degrees of freedom are then those of the noise.
     """
     data, fit = model.data, model.fit
     out = {}
