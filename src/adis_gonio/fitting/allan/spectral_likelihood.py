@@ -429,7 +429,7 @@ def _level(power: Floats) -> Floats:
 
 
 def _subtract_sinusoid(record: Floats, place: float) -> tuple[Floats, float]:
-    """Return a record (n,) without its sinusoid of `place` cycles per record, and the sinusoid's amplitude."""
+    """Subtract the sinusoid of `place` cycles per record; return the record (n,) and the amplitude."""
     phase = 2 * np.pi * place / len(record) * np.arange(len(record))
     # Least squares of cosine and sine at this frequency.
     columns = np.stack([np.cos(phase), np.sin(phase)], axis=1)
