@@ -240,8 +240,8 @@ def typical_terms(
 ) -> Iterator[NamedTerm]:
     """Yield a term for each effect of the catalogue that can act on readings under these conditions.
 
-    Effects within a dwell, effects with a discrete choice in `without` (such as `dwell`), and effects whose
-    conditions are not recorded are left out. Shape parameters have their typical values.
+    Effects within a dwell, effects with a discrete choice in `without` (such as `dwell`), and effects with
+    unrecorded conditions are left out. Shape parameters have their typical values.
 
     Parameters
     ----------

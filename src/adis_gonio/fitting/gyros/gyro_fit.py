@@ -594,7 +594,7 @@ def _inflation(model: _Model) -> dict[str, tuple[float, float]]:
     """Return the factor on the noise variance of each gyro that explains its residual, by axis.
 
     Each entry is the factor and the degrees of freedom of the factor. The factor is 1 if the residual
-    agrees with the measured noise; its degrees of freedom are then those of the noise.
+    agrees with the measured noise; its degrees of freedom are then the noise's.
     """
     data, fit = model.data, model.fit
     out = {}
