@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import field
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -307,8 +308,9 @@ class TraceResult(ParameterTable):
     fits : tuple of Fit
         Fit of the base model, then of the model after each step; not in the JSON and not compared. Empty
         for a single pose traced sample by sample.
-    by_terms : tuple of Scored
-        The best model that the search scored of each number of terms; not in the JSON and not compared.
+    by_terms : callable
+        Returns the best model of each number of terms that the search scored, a tuple of `Scored`. Not in
+        the JSON and not compared.
     fold : Fold or None
         Residuals on held-out dwells by model, which the trace has computed; None if it has not.
     inflation : float
@@ -350,7 +352,7 @@ class TraceResult(ParameterTable):
     sets: tuple[CredibleSet, ...] = ()
     measurements: tuple[NextDwell, ...] = ()
     fits: tuple[Fit, ...] = field(default=(), repr=False, compare=False)
-    by_terms: tuple[Scored, ...] = field(default=(), repr=False, compare=False)
+    by_terms: Callable[[], tuple[Scored, ...]] = field(default=tuple, repr=False, compare=False)
     fold: Fold | None = field(default=None, repr=False, compare=False)
     inflation: float = 1.0
     stopped: Stopped | None = None
