@@ -753,6 +753,8 @@ class Likelihood:
         theta = np.where(self._has, np.maximum(start, 0.0), 0.0)
         theta[list(held)] = list(held.values())
         free = self._has & ~np.isin(np.arange(len(theta)), list(held))
+        if not free.any():
+            return theta, self.deviance(theta)
         scale = self.scale[free]
 
         def loss(scaled: Floats) -> tuple[float, Floats]:
