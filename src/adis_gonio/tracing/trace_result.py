@@ -31,6 +31,7 @@ from adis_gonio.tracing.within.samples import WithinFinding
 if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration, GyroCalibration
     from adis_gonio.tracing.further_terms import Scored
+    from adis_gonio.tracing.trace_figures import Views
     from adis_gonio.tracing.validation import Fold
     from adis_gonio.tracing.what_if import WhatIf
 
@@ -307,6 +308,9 @@ class TraceResult(ParameterTable):
     fits : tuple of Fit
         Fit of the base model, then of the model after each step; not in the JSON and not compared. Empty
         for a single pose traced sample by sample.
+    views : Views or None
+        Data of the residual figures of a single pose; None for other sessions, whose figures come from
+        `fits`. Not in the JSON and not compared.
     by_terms : tuple of Scored
         The best model that the search scored of each number of terms; not in the JSON and not compared.
     fold : Fold or None
@@ -350,6 +354,7 @@ class TraceResult(ParameterTable):
     sets: tuple[CredibleSet, ...] = ()
     measurements: tuple[NextDwell, ...] = ()
     fits: tuple[Fit, ...] = field(default=(), repr=False, compare=False)
+    views: Views | None = field(default=None, repr=False, compare=False)
     by_terms: tuple[Scored, ...] = field(default=(), repr=False, compare=False)
     fold: Fold | None = field(default=None, repr=False, compare=False)
     inflation: float = 1.0
