@@ -58,7 +58,6 @@ from adis_gonio.tracing.within.tones import TAPER_LOSS, Density, tones
 from adis_gonio.tracing.within.variances import (
     LEAST_DWELLS as LEAST_LOUD,
     TESTS,
-    heterogeneous,
     levels_of,
     noise_change,
     step_of,
@@ -215,7 +214,9 @@ def look_within(samples: Samples) -> tuple[tuple[WithinFinding, ...], dict[str, 
     lines, samples, density = tones(samples)
     change = noise_change(samples, density)
     shared, samples = courses(samples)
-    single = events(samples, heterogeneous(change, samples), reach)
+    # The scatter differs between dwells on the axes of this finding.
+    unlike = [] if change is None else [samples.letters.index(axis) for axis in change.axes]
+    single = events(samples, unlike, reach)
     every = [frozen, wild, *lines, change, *shared, *single]
     return tuple(finding for finding in every if finding is not None), sensitivity(samples, density)
 

@@ -145,7 +145,8 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
         power, bounds=(about - step, about + step), method="bounded", options={"xatol": 1e-4 * step}
     )
     frequency = float(search.x)
-    squares, quadratures = _amplitudes(frequency, times, rows)
+    waves = _waves(frequency, times, rows)
+    squares = (waves**2).sum(axis=1)
     counts = np.array([len(own) for own in rows], dtype=float)[:, None]
     noise = density.level * density.base[peak.at]
     # A quadrature of n samples with density S has the variance 2 S/n.
@@ -168,29 +169,25 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
         return None
     information = float((clear[:, None] * amplitude[axes] ** 2 * counts**3 / (24 * noise[:, axes])).sum())
     u_frequency = 1 / (2 * np.pi * period * np.sqrt(max(information, 1e-300)))
-    positions = tuple(int(p) for p in samples.position[dwells[clear]])
+    positions = tuple(samples.position[dwells[clear]].tolist())
     if not clear.all():
         amplitude, u, _ = _sizes(squares[clear], (4 * noise / counts)[clear], excess[clear])
     values = list(samples.values)
-    for k, time, (cosine, sine) in zip(dwells.tolist(), times, quadratures, strict=True):
-        turn = 2 * np.pi * frequency * time
-        values[k] = values[k] - np.cos(turn)[:, None] * cosine - np.sin(turn)[:, None] * sine
-    letters = tuple(samples.letters[k] for k in axes)
-    parameters = {
-        **{f"tone_{samples.letters[k]}": Value(float(amplitude[k]), float(u[k]), "mg") for k in axes},
-        "frequency": Value(frequency, float(u_frequency), "Hz"),
-    }
-    sizes = ", ".join(f"{samples.letters[k]} {parameters[f'tone_{samples.letters[k]}']}" for k in axes)
+    for k, time, wave in zip(dwells.tolist(), times, waves, strict=True):
+        values[k] = values[k] - _cosine_and_sine(frequency, time) @ wave
+    lines = {samples.letters[k]: Value(float(amplitude[k]), float(u[k]), "mg") for k in axes}
+    hertz = Value(frequency, float(u_frequency), "Hz")
+    sizes = ", ".join(f"{letter} {line}" for letter, line in lines.items())
     folding = aliases_hz(frequency, 1 / period)
     finding = WithinFinding(
         kind="tone",
         effect="tone",
-        axes=letters,
+        axes=tuple(lines),
         positions=positions,
-        parameters=parameters,
+        parameters={**{f"tone_{letter}": line for letter, line in lines.items()}, "frequency": hertz},
         p_value=peak.p_value,
         sentence=(
-            f"a spectral line at {parameters['frequency']} (amplitude {sizes}) in "
+            f"a spectral line at {hertz} (amplitude {sizes}) in "
             f"{positions_text(positions, len(samples))}{_alias_text(folding)}"
         ),
         advice=(
@@ -236,21 +233,18 @@ def _alias_text(folding: tuple[float, ...]) -> str:
     return f"; a vibration at {named}{more} Hz would be seen there as well"
 
 
-def _amplitudes(
-    frequency: float, times: list[Floats], rows: list[Floats]
-) -> tuple[Floats, list[tuple[Floats, Floats]]]:
-    """Fit a sine of one frequency in Hz to each dwell; return squared amplitudes (d, axes) and quadratures.
-
-    The quadratures are the amplitudes of cosine and sine.
-    """
-    squares, quadratures = [], []
+def _waves(frequency: float, times: list[Floats], rows: list[Floats]) -> Floats:
+    """Return the amplitudes (d, 2, axes) of cosine and sine of one frequency in Hz in each dwell."""
+    waves = []
     for time, own in zip(times, rows, strict=True):
-        turn = 2 * np.pi * frequency * time
-        design = np.column_stack([np.cos(turn), np.sin(turn), np.ones_like(turn)])
-        solution = np.linalg.lstsq(design, own, rcond=None)[0]
-        squares.append(solution[0] ** 2 + solution[1] ** 2)
-        quadratures.append((solution[0], solution[1]))
-    return np.array(squares), quadratures
+        design = np.column_stack([_cosine_and_sine(frequency, time), np.ones_like(time)])
+        waves.append(np.linalg.lstsq(design, own, rcond=None)[0][:2])
+    return np.array(waves)
+
+
+def _cosine_and_sine(frequency: float, time: Floats) -> Floats:
+    turn = 2 * np.pi * frequency * time
+    return np.column_stack([np.cos(turn), np.sin(turn)])
 
 
 def _sizes(squares: Floats, noise: Floats, excess: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
@@ -543,13 +537,7 @@ def _smooth(flat: Floats, searched: slice, width: Floats, each: float) -> Floats
     for half in np.unique(width):
         points = min(2 * int(half * each) + 1, 2 * (len(inside) // 2) - 1)
         level = ndimage.median_filter(inside, size=max(points, 1), mode="reflect")
-        padded = np.concatenate(
-            [
-                np.full(searched.start, level[0]),
-                level,
-                np.full(len(flat) - searched.start - len(level), level[-1]),
-            ]
-        )
+        padded = np.pad(level, (searched.start, len(flat) - searched.stop), mode="edge")
         at = width == half
         smooth[at] = padded[at]
     return np.maximum(smooth, 1e-300)

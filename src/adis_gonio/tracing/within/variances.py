@@ -142,14 +142,6 @@ def noise_change(samples: Samples, density: Density | None) -> WithinFinding | N
     )
 
 
-def heterogeneous(finding: WithinFinding | None, samples: Samples) -> list[int]:
-    """Return the indices of the axes on which the finding shows that the scatter differs between dwells.
-
-    The list is empty without a finding.
-    """
-    return [] if finding is None else [samples.letters.index(axis) for axis in finding.axes]
-
-
 def levels_of(samples: Samples, density: Density, axis: int) -> Levels:
     """Return the variance and level of each dwell on one axis.
 
