@@ -17,7 +17,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.estimation.fit import Fit, nameless_spread
-from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm, Term, Where
+from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm, Term
 from adis_gonio.model.effects import Conditions
 from adis_gonio.tracing.linear_problem import orthonormal
 from adis_gonio.tracing.selection import Selection
@@ -215,15 +215,20 @@ def _average(selection: Selection, candidates: Sequence[Process] | None) -> Aver
     if not nameless and (selection.adequate or not data.noise_known):
         return None
     # Evidence of each process for the part of the target that base and named effects do not explain.
-    base, _, target = selection.fit.linear()
-    fixed = np.concatenate([base, *_named_columns(selection.fit)], axis=1)
+    fit, jacobian = selection.fit, selection.fit.jacobian
+    own = [index for index, term in enumerate(fit.terms) if term.name is not None]
+    _, _, target = fit.linear()
+    fixed = np.concatenate(
+        [jacobian[:, : len(fit.values.base)], *(jacobian[:, fit.slice_of(index)] for index in own)], axis=1
+    )
     beside = orthonormal(fixed)
     left = target - beside @ (beside.T @ target)
     candidates = processes(data) if candidates is None else candidates
-    smooth = evidence(selection.fit, beside, left, candidates, selection.inflation)
-    promising = tuple(candidates[k] for k in np.argsort(-smooth)[: limits.promising])
+    smooth = evidence(fit, beside, left, candidates, selection.inflation)
+    ranked = np.argsort(-smooth)[: limits.promising].tolist()
+    promising = tuple(candidates[k] for k in ranked)
     pool: list[tuple[float, tuple[NamelessTerm, ...]]] = [
-        (float(smooth[k]), (candidates[k].term,)) for k in np.argsort(-smooth)[: limits.promising]
+        (float(smooth[k]), (candidates[k].term,)) for k in ranked
     ]
     if nameless:
         pool += _formulas(selection, named, candidates)
@@ -237,37 +242,15 @@ def _average(selection: Selection, candidates: Sequence[Process] | None) -> Aver
     if weights[-1] > 0.5 and not pool[-1][1]:
         return None
     solutions = fit_members(selection, fixed, target, pool, weights)
-    averaged = _averaged_terms(_members(solutions, selection.fit, fixed.shape[1]))
-    own = [
-        (term, values)
-        for term, values in zip(selection.fit.terms, selection.fit.values.terms, strict=True)
-        if term.name is not None
-    ]
-    fit = selection.fit.with_terms(
-        [*(term for term, _ in own), *averaged], [*(v for _, v in own), *(np.zeros(0) for _ in averaged)]
+    averaged = _averaged_terms(_members(solutions, fit, fixed.shape[1]))
+    fit = fit.with_terms(
+        [*(fit.terms[index] for index in own), *averaged],
+        [*(fit.values.terms[index] for index in own), *(np.zeros(0) for _ in averaged)],
     ).refit()
     weight = float(weights[: len(promising)].sum())
     # A fixed function has no parameters, but the degrees of freedom of its members are used.
     spent = AveragedFit(fit.data, fit.terms, fit.values, fit.with_prior, solutions, selection.inflation)
     return Averaged(spent, promising[0].term, weight, promising)
-
-
-def _named_columns(fit: Fit) -> list[Floats]:
-    """Return the whitened columns of the Jacobian for each named term of a fit."""
-    return [
-        fit.jacobian[:, fit.slice_of(index)]
-        for index, term in enumerate(fit.terms)
-        if term.name is not None
-    ]
-
-
-def _covered_by_process(term: NamelessTerm, covered: set[tuple[Where, tuple[str, ...]]]) -> bool:
-    """Return True if an unnamed term approximates a function that a Gaussian process also describes.
-
-    `covered` has the place and covariates of each process. Such a term is omitted: it is a polynomial,
-    which fits the readings as well as the process but diverges outside their range.
-    """
-    return term.basis.approximates and (term.where, term.covariates) in covered
 
 
 def _formulas(
@@ -276,7 +259,8 @@ def _formulas(
     """Return the unnamed terms of each probable model that has exactly the named terms `named`.
 
     Each entry begins with the log evidence of its model minus the log evidence of the named terms alone.
-    Terms that approximate a function which a process in `candidates` also describes are omitted.
+    A term that approximates a function which a process in `candidates` also describes is omitted: it is a
+    polynomial, which fits the readings as well as the process but diverges outside their range.
     """
     problem, found = selection.problem, selection.found
 
@@ -290,8 +274,10 @@ def _formulas(
     pool = []
     for model in sorted({*near, tuple(selection.verdict.best)}):
         rest = tuple(problem.terms[k] for k in model if k not in named)
-        if rest and all(isinstance(t, NamelessTerm) and not _covered_by_process(t, covered) for t in rest):
-            pool.append((score(model) - alone, tuple(t for t in rest if isinstance(t, NamelessTerm))))
+        nameless = tuple(term for term in rest if isinstance(term, NamelessTerm))
+        twice = any(t.basis.approximates and (t.where, t.covariates) in covered for t in nameless)
+        if rest and len(nameless) == len(rest) and not twice:
+            pool.append((score(model) - alone, nameless))
     return pool
 
 
