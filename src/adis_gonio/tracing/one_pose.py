@@ -590,16 +590,12 @@ def _uncaused(problem: _Problem, model: Model) -> list[str]:
 
 def _one_way(conditions: Conditions) -> bool:
     """Return True if the temperature only rises or only falls with time, except for noise."""
+    from scipy.stats import spearmanr
+
     temperature = conditions.covariate("temperature_c")
     if np.ptp(temperature) == 0:
         return False
-    # Spearman's rank correlation, with the mean rank of equal values.
-    ranks = []
-    for values in (conditions.time_s, temperature):
-        _, place, count = np.unique(values, return_inverse=True, return_counts=True)
-        ranks.append((np.cumsum(count) - (count - 1) / 2)[place])
-    one, other = (rank - rank.mean() for rank in ranks)
-    return abs(float(one @ other)) > ONE_WAY * float(np.linalg.norm(one) * np.linalg.norm(other))
+    return abs(float(spearmanr(conditions.time_s, temperature).statistic)) > ONE_WAY
 
 
 def _figures(problem: _Problem, model: Model) -> ErrorFigures:

@@ -135,22 +135,14 @@ def _panels(checking: Readings | None, term: Term, before: Fit, after: Fit) -> t
     data = after.data
     if term.enters_angle and data.planar and data.conditions.angle_rad is not None:
         return (_panel(checking, _covariate(data, term, 0), "angle", before, after),)
-    if not data.by_axis:
-        axes = _axes(term)
-        wanted = dict.fromkeys(_covariate(data, term, axis) for axis in axes)
-        return tuple(_panel(checking, name, "norm", before, after) for name in wanted)
-    return tuple(
-        _panel(checking, _covariate(data, term, axis), f"residual_{AXES[axis]}", before, after)
-        for axis in _axes(term)
-    )
-
-
-def _axes(term: Term) -> list[int]:
-    if isinstance(term, NamelessTerm):
-        return list(term.axes) or [0]
-    if isinstance(term, NamedTerm) and term.effect.axes:
-        return [AXES.index(letter) for letter in term.effect.axes]
-    return [0]
+    axes = term.axes if isinstance(term, NamelessTerm) else ()
+    if isinstance(term, NamedTerm):
+        axes = tuple(AXES.index(letter) for letter in term.effect.axes)
+    wanted = {
+        (_covariate(data, term, axis), f"residual_{AXES[axis]}" if data.by_axis else "norm"): None
+        for axis in axes or (0,)
+    }
+    return tuple(_panel(checking, *one, before, after) for one in wanted)
 
 
 def _covariate(data: Readings, term: Term, axis: int) -> str:

@@ -343,9 +343,6 @@ def confounded(result: TraceResult, most: int = 4) -> list[str]:
     """
     groups: dict[str, list[str]] = {}
     for names in result.confounded:
-        if len(names) == 1:
-            groups.setdefault(names[0], [])
-            continue
         rest = groups.setdefault(names[0], [])
         rest += [name for name in names[1:] if name not in rest]
     lines = []
@@ -503,7 +500,5 @@ def _parameter(name: str, entry: Detectable) -> Parameter | None:
     except AdisGonioError:
         return None
     stem = entry.parameter.rsplit("_", 1)[0]
-    for parameter in made.parameters:
-        if parameter.name == entry.parameter:
-            return parameter
-    return next((p for p in made.parameters if p.name.rsplit("_", 1)[0] == stem), None)
+    alike = [p for p in made.parameters if p.name.rsplit("_", 1)[0] == stem]
+    return next((p for p in alike if p.name == entry.parameter), alike[0] if alike else None)

@@ -263,21 +263,17 @@ def saturation(session: Session, data: Readings) -> WithinFinding | None:
         return None
     limits = data.converter.limits
     recorded = sum(1 for dwell in session.dwells if len(dwell))
-    zero = np.zeros((1, data.axes))
-    sizes, steps = [], []
-    for limit in limits:
-        at = zero.copy()
-        at[0, limit.axis] = limit.value
-        sizes.append(abs(float(data.unit.mg(at)[0, limit.axis])))
-        steps.append(
-            float(data.unit.mg(at)[0, limit.axis] - data.unit.mg(zero)[0, limit.axis]) / limit.value
-        )
+    ends = np.zeros((len(limits), data.axes))
+    for row, limit in zip(ends, limits, strict=True):
+        row[limit.axis] = limit.value
+    columns = range(len(limits)), [limit.axis for limit in limits]
+    sizes = np.abs(data.unit.mg(ends)[columns])
+    per_code = (data.unit.mg(ends) - data.unit.mg(0 * ends))[columns][0] / limits[0].value
     letters = tuple(sorted({"xyz"[limit.axis] for limit in limits}))
     positions = tuple(sorted({p for limit in limits for p in limit.positions}))
     p = max(float(special.bdtrc(m.samples - 1, m.samples + m.inside, 0.5)) for m in limits)
-    spread = (max(sizes) - min(sizes)) / 2
-    step = float(data.converter.steps.max()) * abs(steps[0])
-    limit_mg = Value(float(np.mean(sizes)), math.hypot(step / math.sqrt(12), spread), "mg")
+    step = float(data.converter.steps.max() * abs(per_code))
+    limit_mg = Value(float(sizes.mean()), math.hypot(step / math.sqrt(12), np.ptp(sizes) / 2), "mg")
     return WithinFinding(
         kind="limit",
         effect="saturation",
