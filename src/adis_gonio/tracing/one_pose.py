@@ -121,6 +121,8 @@ class _Problem(ComputedOnce):
 class _Noise:
     """One kind of slow noise, with averages of the samples that are whitened for R sizes of this noise.
 
+    An average is the mean of the samples in one of n equal intervals of the recording.
+
     A jump of the bias at any time competes as one more column: a step between two averages.
 
     Attributes

@@ -73,9 +73,7 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
     where = known_provenance(result.provenance)
     if not result.fits:
         raise FitError("one pose determines no calibration: measure at least four positions")
-    if result.stopped is not None and not result.stopped.checked:
-        raise FitError("the time limit ended the trace before its model was checked: trace with more time")
-    final = result.fits[-1]
+    final = _checked_fit(result)
     standing = [
         term
         for term in final.terms
@@ -83,8 +81,7 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
     ]
     others = [term for term in final.terms if term not in standing and not term.constant]
     left = [_reason_not_corrected(term, result, middle_s(final)) for term in others]
-    if result.unnamed is not None and all(term.name is not None for term in final.terms):
-        left.append(NotCorrected(f"unnamed: {result.unnamed.form}", _NAMELESS))
+    left += _unnamed_left(result, _NAMELESS)
     fit, inflation = _refit_without(final, others, result.inflation)
     corrected = [term for term in fit.terms if isinstance(term, NamedTerm) and term in standing]
     rows, matrix = _stated_with_covariance(fit, corrected, inflation)
@@ -114,6 +111,20 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
             counts_per_mg=None if fit.data.unit.known else tuple(fit.data.unit.per_mg.tolist()),
         )
     )
+
+
+def _checked_fit(result: TraceResult) -> Fit:
+    """Return the fit of the final model; raise `FitError` if the trace ended before it was validated."""
+    if not result.fits or (result.stopped is not None and not result.stopped.checked):
+        raise FitError("the time limit ended the trace before its model was checked: trace with more time")
+    return result.fits[-1]
+
+
+def _unnamed_left(result: TraceResult, reason: str) -> list[NotCorrected]:
+    """Return the unnamed part as not corrected, for this reason; empty if a term of the model is unnamed."""
+    if result.unnamed is None or any(term.name is None for term in result.fits[-1].terms):
+        return []
+    return [NotCorrected(f"unnamed: {result.unnamed.form}", reason)]
 
 
 def _may_hold_bias(term: Term, *, biased: bool) -> bool:
@@ -263,13 +274,10 @@ def estimates_of_gyro_trace(result: TraceResult) -> GyroEstimates:
     FitError
         The trace was not finished.
     """
-    if not result.fits or (result.stopped is not None and not result.stopped.checked):
-        raise FitError("the time limit ended the trace before its model was checked: trace with more time")
-    final = result.fits[-1]
+    final = _checked_fit(result)
     kept = [term for term in final.terms if isinstance(term, NamedTerm) and term.effect.correctable]
     left = [_not_corrected(one, _GYRO_NAMELESS, _GYRO_UNKNOWN) for one in final.terms if one not in kept]
-    if result.unnamed is not None and all(term.name is not None for term in final.terms):
-        left.append(NotCorrected(f"unnamed: {result.unnamed.form}", _GYRO_NAMELESS))
+    left += _unnamed_left(result, _GYRO_NAMELESS)
     doubts = () if result.adequacy != "not adequate" else ("the gyros' trace found its model not adequate",)
     coefficients, matrix = _gyro_stated(final, kept, result.inflation)
     return GyroEstimates(
@@ -409,8 +417,7 @@ def load_calibration(path: str | Path, method: str | None = None) -> Calibration
     from adis_gonio.fitting import fit
     from adis_gonio.record.loading import explain_refusal, load_session
 
-    if ends_in(path, *_FOR_OTHERS):
-        raise DataError(_made_for_others(path))
+    _refuse_made_for_others(path)
     try:
         session = load_session(path)
     except DataError as error:
@@ -439,8 +446,7 @@ def load_gyro_calibration(
     if document is None:
         from adis_gonio.record.loading import load_session
 
-        if ends_in(path, *_FOR_OTHERS):
-            raise DataError(_made_for_others(path))
+        _refuse_made_for_others(path)
         session = load_session(path)
         _refuse_another_part(part, _named(provenance_of(session)), path)
         return gyro_calibration_of(session, traced=traced)
@@ -460,8 +466,9 @@ def load_gyro_calibration(
     return gyro_calibration_from(document, str(path))
 
 
-def _made_for_others(path: str | Path) -> str:
-    return f"{path}: is made for others to read; give a session, or the .json of export"
+def _refuse_made_for_others(path: str | Path) -> None:
+    if ends_in(path, *_FOR_OTHERS):
+        raise DataError(f"{path}: is made for others to read; give a session, or the .json of export")
 
 
 def _named(part: Provenance) -> tuple[str, str]:

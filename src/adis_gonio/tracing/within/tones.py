@@ -2,11 +2,12 @@
 
 Search
     Two searches at every frequency and axis: the ordinates of all dwells together (a line that occurs in
-    all of them, with any phases), and the largest ordinate of a single dwell. An ordinate of noise is
-    exponentially distributed about the density, so the sum of d ordinates is a gamma variable; the
-    estimated density makes it an F variable. Real noise varies more, since dwells differ in their
-    spectra. The degrees of freedom are therefore lowered until they explain the scatter of the ordinates
-    about the running median. A line is subtracted before the next search.
+    all of them, with any phases), and the largest ordinate of a single dwell. An ordinate is one of the
+    independent values of a periodogram; for noise it is exponentially distributed about the density, so
+    the sum of d ordinates is a gamma variable; the estimated density makes it an F variable. Real noise
+    varies more, since dwells differ in their spectra. The degrees of freedom are therefore lowered until
+    they explain the scatter of the ordinates about the running median. A line is subtracted before the
+    next search.
 
     Times between samples may vary: frequency and amplitude are fitted at the times of the samples. At a
     sampling rate f_s, a line at f may be a vibration at f or at any k f_s ± f, k = 1, 2, …. Above half of
