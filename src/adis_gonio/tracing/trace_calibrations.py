@@ -121,7 +121,7 @@ def _checked_fit(result: TraceResult) -> Fit:
 
 
 def _unnamed_left(result: TraceResult, reason: str) -> list[NotCorrected]:
-    """Return the unnamed part as not corrected, for this reason; empty if a term of the model is unnamed."""
+    """Return the unnamed part as not corrected for this reason; empty if a term of the model is unnamed."""
     if result.unnamed is None or any(term.name is None for term in result.fits[-1].terms):
         return []
     return [NotCorrected(f"unnamed: {result.unnamed.form}", reason)]
