@@ -1,6 +1,7 @@
 """Joint traces of simulated fleets against traces of their single sessions.
 
     python scripts/joint_statistics.py --fleets 60 --sessions 6 --seed 1
+    python scripts/joint_statistics.py --fleets 50 --sessions 12 --seed 1 --coverage
     python scripts/joint_statistics.py --time 40
 
 Each fleet has sessions of 24 dwells on one stage, of one part or of as many parts as sessions, with one
@@ -86,6 +87,7 @@ def main() -> None:
     parser.add_argument("--fleets", type=int, default=60)
     parser.add_argument("--sessions", type=int, default=6)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--coverage", action="store_true", help="no traces of single sessions")
     parser.add_argument("--time", type=int, default=0, help="only compare the time for this many sessions")
     options = parser.parse_args()
     if options.time:
@@ -100,7 +102,8 @@ def main() -> None:
         readings, where, truth, amplitudes = fleet(rng, options.sessions, parts, name)
         joint = trace_stacked(readings, where)
         said = {finding.effect for finding in joint.found} - {"bias"}
-        single = [{f.effect for f in trace_readings(one).found} - {"bias"} for one in readings]
+        each = [] if options.coverage else readings
+        single = [{f.effect for f in trace_readings(one).found} - {"bias"} for one in each]
         for kind, claims in (("joint", [said]), ("single", single)):
             for claim in claims:
                 found[kind, "asked"] += bool(name)
@@ -108,6 +111,7 @@ def main() -> None:
                 found[kind, "traces"] += 1
                 found[kind, "false"] += bool(claim - {name})
         covered(joint, truth, amplitudes, hits)
+        print(dict(hits), end=" ")
         print(
             index, name or "–", parts, sorted(said), Counter(n for one in single for n in one), flush=True
         )

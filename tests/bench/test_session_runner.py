@@ -279,6 +279,37 @@ def test_a_part_that_never_rests_is_asked_for_again_where_there_is_an_operator(s
     assert any(entry["kind"] == "stillness" for entry in read_session(path).facts["problems"])
 
 
+def test_a_bench_that_stays_noisier_than_at_the_begin_is_measured_anew(sensor, path, monkeypatch):
+    settings = Settings(dwell_s=1.0, still_timeout_s=1.0)
+    runner = SessionRunner.begin(sensor, path, plan(), settings)
+    noise = np.random.default_rng(8)
+    noisy = False
+
+    def shake(block: ScanBlock, number: int) -> ScanBlock:
+        words = block.words.copy()
+        if noisy:
+            added = noise.normal(scale=6.0, size=len(words)).round().astype(words.dtype)
+            words[:, 1] = (words[:, 1] + added) & 0x3FFF
+        return ScanBlock(block.registers, words, block.time_s, block.lost)
+
+    alter(sensor, monkeypatch, shake)
+    asked, measured = [], []
+    for event in runner.run():
+        if isinstance(event, NoiseMeasured):
+            measured.append(event.noise_mg)
+        if isinstance(event, PositionAsked):
+            noisy = True
+            asked.append(event.place)
+            runner.confirm()
+        if isinstance(event, ExtensionOffered):
+            runner.decline()
+    assert asked == [0, 0, 1]
+    before, after = np.array(measured)
+    assert after[1] > 1.5 * before[1]
+    np.testing.assert_allclose(after[[0, 2]], before[[0, 2]], rtol=0.5)
+    assert len(read_session(path).dwells) == 2
+
+
 @pytest.mark.parametrize("when", ["measuring", "dwell"])
 def test_a_stuck_axis_is_an_error_not_stillness(sensor, path, monkeypatch, when):
     stuck = when == "measuring"

@@ -35,20 +35,20 @@ def run() -> TraceRun:
 
 @pytest.fixture(scope="module")
 def bought(run: TraceRun) -> tuple[Bought, ...]:
-    return bought_by_terms(run.result.by_terms, run.fold)
+    return bought_by_terms(run.result.by_terms(), run.fold)
 
 
 def test_the_model_of_each_number_is_the_best_of_all_models_of_this_number(run: TraceRun) -> None:
     found = run.selection.found
     problem = found.problem
-    for size, one in enumerate(run.result.by_terms):
+    for size, one in enumerate(run.result.by_terms()):
         heights = {}
         for model in itertools.combinations(range(len(problem.terms)), size):
             prices = sum(found.prices[k] for k in model)
             heights[frozenset(problem.terms[k].label for k in model)] = 0.5 * problem.gain(model) - prices
         assert frozenset(term.label for term in one.fit.terms) == max(heights, key=heights.__getitem__)
         assert one.log_evidence == pytest.approx(max(heights.values()), abs=1e-6)
-    assert [one.chosen for one in run.result.by_terms] == [False, False, True, False]
+    assert [one.chosen for one in run.result.by_terms()] == [False, False, True, False]
 
 
 def test_errors_are_those_of_leaving_each_fold_out_by_hand(run: TraceRun, bought) -> None:

@@ -17,6 +17,8 @@ from adis_gonio.model.effects import effect
 from adis_gonio.model.effects.base import lagged
 from adis_gonio.model.measurement import FreeAttitude, JointMeasurement, PlanarTurn, SessionOrigin
 from adis_gonio.tracing.joint_trace import JointResult, trace_sessions, trace_stacked
+from adis_gonio.tracing.linear_problem import Products, amplitudes, linearise, span
+from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.sharing import sharings, split_effect
 from adis_gonio.tracing.stacking import stack
 from adis_gonio.tracing.trace import trace_readings
@@ -205,3 +207,50 @@ def test_the_command_traces_several_files_as_one_model(tmp_path, capsys) -> None
     capsys.readouterr()
     assert main(["trace", paths[0], str(copy)]) == 2
     assert "same samples" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("parts", "stages"), [(1, 1), (3, 1), (7, 2)])
+def test_columns_by_session_give_what_columns_over_all_rows_give(parts, stages) -> None:
+    """Sessions of unequal length, of parts with one session and with several."""
+    rng = np.random.default_rng(14)
+    each = [draw_session(rng, draw_part(rng), [(effect("quadratic", ("x",)), [1.5])]) for _ in range(7)]
+    each = [one.rows(np.arange(24) < 24 - 2 * k) for k, one in enumerate(each)]
+    data = stack(each, origins(7, parts, stages))
+    fit = Fit.begin(data).refit()
+    terms = [term for term in named_terms(data)[0] if len(term.effect.parameters) < 24][::3]
+    problem = linearise(fit, terms).with_inflation(1.7)
+    dense = problem.dense
+    own = np.arange(len(problem.terms)) >= len(problem.first)
+    assert 5 < own.sum() < len(own) - 5
+    assert not dense.split
+    some = [int(k) for k in np.flatnonzero(own)[[0, 5]]], [int(np.flatnonzero(~own)[7])]
+    for model in ((), some[1], some[0][:1], [*some[1], *some[0]]):
+        chi2, rank, gains = Products(problem, problem).extensions(model)
+        outside = ~np.isin(np.arange(len(own)), model)
+        old = Products(dense, dense).extensions(model)
+        assert chi2 == pytest.approx(old[0])
+        assert rank == old[1]
+        np.testing.assert_allclose(gains[outside], old[2][outside], rtol=1e-5, atol=1e-5)
+        assert problem.gain(model) == pytest.approx(dense.gain(model))
+        for ours, theirs in zip(amplitudes(problem, model), amplitudes(dense, model), strict=True):
+            np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(problem.off(model, problem.target), span(dense, model)[1], atol=1e-8)
+        basis, residual = span(problem, model)
+        ours, theirs = (one.gains(basis, residual)[outside] for one in (problem, dense))
+        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-5)
+
+
+def test_columns_by_session_are_those_of_each_session() -> None:
+    """The gain of a term with amplitudes by session is the sum of the gains of sessions of other parts."""
+    rng = np.random.default_rng(15)
+    each = [draw_session(rng, draw_part(rng), [(effect("quadratic", ("x",)), [1.5])]) for _ in range(3)]
+    data = stack(each, origins(3, 3))
+    problem = linearise(Fit.begin(data).refit(), named_terms(data)[0])
+    alone = [linearise(Fit.begin(one).refit(), named_terms(one)[0]) for one in each]
+    gains = [{term.label: one.gain((k,)) for k, term in enumerate(one.terms)} for one in alone]
+    numbers = {term.label: k for k, term in enumerate(problem.terms)}
+    checked = [name for name in gains[0] if f"{name}@part" in numbers and "<" not in name]
+    assert len(checked) > 5
+    for name in checked:
+        whole = sum(one[name] for one in gains)
+        assert problem.gain((numbers[f"{name}@part"],)) == pytest.approx(whole, rel=1e-2, abs=1e-2)

@@ -15,10 +15,11 @@ from adis_gonio.fitting.estimation.fit import Fit, adequacy, amplitude_spreads
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.model.effects import Conditions, effect
 from adis_gonio.tracing.grammar import nameless_terms
-from adis_gonio.tracing.linear_problem import Products, amplitudes, linearise, orthonormal, span
+from adis_gonio.tracing.linear_problem import Products, amplitudes, linearise, span
 from adis_gonio.tracing.model_search import price, search
 from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.selection import select
+from adis_gonio.tracing.session_blocks import orthonormal
 from adis_gonio.tracing.trace import trace_readings
 from adis_gonio.tracing.trace_result import TraceResult
 from tracing.small_problems import function, observations

@@ -300,6 +300,8 @@ class DwellRecorder(Recorder):
                 self._bench.close_stream()
                 guard = self._gave_up(recording, broken.reason, restarts)
                 if guard is None:
+                    # The noise may have grown since it was measured.
+                    self._knowledge.limits = None
                     message = f"{recording.position}: {broken.reason}; no dwell was possible"
                     yield self._ledger.problem(Problem("stillness", message, place))
                     return

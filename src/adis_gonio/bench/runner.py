@@ -88,8 +88,17 @@ class Visiting:
         self._first_asked_s: float | None = None
 
     def run(self) -> Iterator[Event]:
-        """Visit the positions of the plan until it is done or the operator stops."""
+        """Visit the positions of the plan until it is done or the operator stops.
+
+        The noise at rest is measured first if it is not known, or if the sensor no longer comes to rest by
+        the noise that was measured before.
+        """
         while not self._questions.stopped:
+            if self._knowledge.limits is None:
+                noise = yield from _measure_noise(self._questions)
+                if noise is None:
+                    return
+                yield self._knowledge.take_noise(noise)
             place = self._ledger.next_place
             yield from self._questions.handle_pause(place)
             if place is None and self._ledger.faulty:
@@ -491,13 +500,11 @@ class SessionRunner(Operator):
         yield Configured(configuration, bench.changes(before, after), bench.why_polled)
         noise = archive.last("noise")
         if noise is None:
-            noise = yield from _measure_noise(self._questions)
-        elif bench.virtual_time:
+            return
+        if bench.virtual_time:
             bench.bring_world_to(archive, last)
         elif bench.simulated:
             bench.take_up(archive, last)
-        if noise is None:
-            return
         yield self._knowledge.take_noise(noise)
         running = self._knowledge.running() if self._resumed else None
         if running is not None:

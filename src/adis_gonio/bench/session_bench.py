@@ -388,7 +388,7 @@ class SessionBench:
             Number of the last attempt to repeat; 0 for the end of the noise measurement.
         """
         ends = {a.number: a.ended_bus_s for a in archive.attempts()}
-        end_s = ends[attempt] if attempt else archive.records("noise")[-1].bus_s
+        end_s = ends[attempt] if attempt else archive.records("noise")[0].bus_s
         # Conditions at the time of a move were set before it; the stable sort keeps this order.
         happened: list[Move | Record] = [*archive.conditions_before(attempt)]
         happened += archive.moves_before(attempt)

@@ -34,8 +34,8 @@ from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, catalogue
 from adis_gonio.model.measurement import PlanarTurn
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
-from adis_gonio.tracing.linear_problem import orthonormal
 from adis_gonio.tracing.named_candidates import cycles_shown
+from adis_gonio.tracing.session_blocks import orthonormal
 from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace_result import TraceResult
 

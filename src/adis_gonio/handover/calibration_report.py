@@ -495,7 +495,7 @@ def further_terms_section(session: Session, traced: TraceResult) -> Section:
     """
     if traced.fold is None:
         return Section("What each further term buys")
-    bought = bought_by_terms(traced.by_terms, traced.fold, readings_of(session).checking)
+    bought = bought_by_terms(traced.by_terms(), traced.fold, readings_of(session).checking)
     if not bought:
         return Section("What each further term buys")
     unit = traced.before.unit

@@ -36,7 +36,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,14 +128,14 @@ class Measurement(ABC):
         in proportion to it, so that no unnamed function repeats this effect.
     """
 
-    parameters: ClassVar[tuple[BaseParameter, ...]]
-    axes: ClassVar[int]
-    freedom: ClassVar[int]
-    part: ClassVar[str] = "accelerometer"
-    unit: ClassVar[str] = "mg"
-    full: ClassVar[float] = MG_PER_G
-    driven_by: ClassVar[tuple[str, ...]] = ("reading",)
-    named_forms: ClassVar[Mapping[str, tuple[str, ...]]] = {
+    parameters: tuple[BaseParameter, ...]
+    axes: int
+    freedom: int
+    part: str = "accelerometer"
+    unit: str = "mg"
+    full: float = MG_PER_G
+    driven_by: tuple[str, ...] = ("reading",)
+    named_forms: Mapping[str, tuple[str, ...]] = {
         "time": ("bias", "gain"),
         "temperature": ("bias", "gain", "misalignment"),
         "supply": ("bias", "gain"),
@@ -593,11 +594,11 @@ class JointMeasurement(Measurement):
                     places[name] = len(places)
                     found.append(replace(one, name=name))
                 index[-1].append(places[name])
-        self.parameters, self.numbers = tuple(found), np.array(index)  # type: ignore[misc]
+        self.parameters, self.numbers = tuple(found), np.array(index)
         first = models[0]
-        self.axes, self.freedom, self.part = first.axes, first.freedom, first.part  # type: ignore[misc]
-        self.unit, self.full = first.unit, first.full  # type: ignore[misc]
-        self.driven_by, self.named_forms = first.driven_by, first.named_forms  # type: ignore[misc]
+        self.axes, self.freedom, self.part = first.axes, first.freedom, first.part
+        self.unit, self.full = first.unit, first.full
+        self.driven_by, self.named_forms = first.driven_by, first.named_forms
 
     @property
     def origins(self) -> tuple[SessionOrigin, ...]:
@@ -748,15 +749,13 @@ class MeanRate(Measurement):
     parameters = tuple(BaseParameter(f"gyro_bias_{axis}", "dps", 0.0, spread=math.inf) for axis in "xyz")
     axes = 3
     freedom = 0
-    part: ClassVar[str] = "gyro"
-    unit: ClassVar[str] = "dps"
-    full: ClassVar[float] = FULL_DPS
-    driven_by: ClassVar[tuple[str, ...]] = ("force", "rotation")
-    named_forms: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        "time": ("bias",),
-        "temperature": ("bias", "gain"),
-        "supply": ("bias",),
-    }
+    part = "gyro"
+    unit = "dps"
+    full = FULL_DPS
+    driven_by = ("force", "rotation")
+    named_forms = MappingProxyType(
+        {"time": ("bias",), "temperature": ("bias", "gain"), "supply": ("bias",)}
+    )
 
     @property
     def constant(self) -> bool:

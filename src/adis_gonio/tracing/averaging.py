@@ -19,8 +19,8 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.estimation.fit import Fit, nameless_spread
 from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm, Term
 from adis_gonio.model.effects import Conditions
-from adis_gonio.tracing.linear_problem import orthonormal
 from adis_gonio.tracing.selection import Selection
+from adis_gonio.tracing.session_blocks import orthonormal
 from adis_gonio.tracing.smooth_candidates import Process, evidence, processes
 from adis_gonio.tracing.thresholds import limits
 

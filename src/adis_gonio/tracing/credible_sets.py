@@ -359,8 +359,8 @@ class _Place:
         `fresh` are the numbers of the terms whose cause the chosen model lacks, `kept` the numbers of the
         other terms.
         """
-        basis, _ = span(self.problem, [*fresh, *kept])
-        return float(((basis.T @ self.added) ** 2).sum())
+        outside = self.problem.off([*fresh, *kept], self.added)
+        return float((self.added**2).sum() - (outside**2).sum())
 
 
 def _may_be_piece(selection: Selection, cause: str, averaged: Averaged) -> bool:

@@ -634,7 +634,7 @@ def _lengths(problem: LinearProblem, term: int, basis: np.ndarray) -> list[float
     base model and off `basis`, orthonormal columns of the model. `term` is the number of the term.
     """
     # Columns by amplitude = block · back⁺; `back` maps block coefficients to amplitudes.
-    back = problem.back[term]
+    back = problem.back_of(term)
     columns = problem.block(term) @ (1 / back if back.size == 1 else np.linalg.pinv(back))
     columns = columns - basis @ (basis.T @ columns)
     return [float(x) if x > 1e-9 else 0.0 for x in np.linalg.norm(columns, axis=0)]

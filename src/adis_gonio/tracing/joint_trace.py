@@ -35,7 +35,7 @@ from adis_gonio.model.measurement import SessionOrigin
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import digest_of
 from adis_gonio.tracing.credible_sets import cause_name, owners_of
-from adis_gonio.tracing.linear_problem import linearise, span
+from adis_gonio.tracing.linear_problem import Products, linearise, span
 from adis_gonio.tracing.model_search import price
 from adis_gonio.tracing.selection import Selection, select
 from adis_gonio.tracing.sharing import SplitEffect
@@ -303,12 +303,11 @@ def screen(data: Readings, terms: Sequence[Term], max_terms: int) -> list[Term]:
     bias = max((t for t in free if isinstance(t, NamedTerm)), key=lambda term: len(term.amplitudes))
     about = begun.with_terms([bias], [np.zeros(len(bias.amplitudes))]).refit()
     problem = linearise(about, terms)
-    prices = price(problem)
+    prices, products = price(problem), Products(problem, problem)
     model = [k for k, term in enumerate(problem.terms) if term is bias]
     promise = np.full(len(problem.terms), -np.inf)
     for _ in range(max_terms):
-        basis, residual = span(problem, model)
-        gains = 0.5 * problem.gains(basis, residual) - prices
+        gains = 0.5 * products.extensions(model)[2] - prices
         promise = np.maximum(promise, gains)
         best = int(gains.argmax())
         if gains[best] <= 0:

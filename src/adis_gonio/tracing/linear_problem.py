@@ -22,11 +22,22 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.estimation.fit import Fit, amplitude_spreads
-from adis_gonio.fitting.estimation.terms import ROUNDING, Term
+from adis_gonio.fitting.estimation.terms import NamedTerm, Term
+from adis_gonio.tracing.session_blocks import (
+    ModelBasis,
+    SessionBlocks,
+    by_session,
+    orthonormal,
+    orthonormal_combinations,
+    orthonormalising,
+    project_off_base,
+    runs,
+    session_bases,
+    solve_small_systems,
+)
+from adis_gonio.tracing.sharing import SplitEffect
 from adis_gonio.tracing.thresholds import limits
 
-_RANK = 1e-7
-"""Least squared length of a column outside the other columns of its term; a shorter column is dropped."""
 _TINY = 1e-8
 """Least squared part of a column outside a model; a smaller part is a rounding error."""
 
@@ -40,15 +51,18 @@ class LinearProblem:
     terms : tuple of Term
         Candidate terms that this session can show.
     columns : (rows, P) float
-        Columns of all terms in order. The columns Q of one term (its block) have QᵀQ + `prior` = 1.
-    first, width : (M,) int
-        First column and number of columns of each of the M terms; the numbers ascend.
+        Columns of all terms in order, except those of `split`. The columns Q of one term (its block) have
+        QᵀQ + `prior` = 1.
+    first : (M',) int
+        First of the `columns` of each of the first M' terms; the numbers ascend.
+    width : (M,) int
+        Number of columns of each of the M terms.
     target : (rows,) float
         Whitened readings minus prediction, projected off the base model.
     dof : int
         Rows minus the rank of the base model.
     back : tuple of (d, width) float
-        Matrices that map the coefficients of a block to the amplitudes of its term.
+        Matrices that map the coefficients of a block to the amplitudes of its term (`back_of`).
     cost, column_price : (M,) float
         −ln of each term's share of the prior, and the price of its columns: both lower the log evidence.
     hidden : tuple of Term
@@ -60,6 +74,9 @@ class LinearProblem:
     joint : bool
         True for readings of several sessions. The search then adds pairs of named terms only if these have
         at most `limits.paired` columns.
+    split : SessionBlocks or None
+        Columns of the last terms, those with amplitudes of their own in each session; None if there are
+        none.
     """
 
     terms: tuple[Term, ...]
@@ -75,6 +92,7 @@ class LinearProblem:
     prior: tuple[Floats, ...]
     inflation: float = 1.0
     joint: bool = False
+    split: SessionBlocks | None = None
 
     @property
     def chi2(self) -> float:
@@ -83,7 +101,59 @@ class LinearProblem:
 
     def block(self, term: int) -> Floats:
         """Return the columns (rows, width) of one term, given by its number."""
+        own = term - len(self.first)
+        if self.split is not None and own >= 0:
+            return self.split.of_term(own)
         return self.columns[:, self.first[term] : self.first[term] + self.width[term]]
+
+    def back_of(self, term: int) -> Floats:
+        """Return the matrix (d, width) that maps the coefficients of a term's block to its amplitudes."""
+        own = term - len(self.first)
+        if self.split is not None and own >= 0:
+            return self.split.joined(self.split.back[own], own)
+        return self.back[term]
+
+    def prior_of(self, term: int) -> Floats:
+        """Return the Gram matrix (width, width) of the prior rows of a term's block."""
+        own = term - len(self.first)
+        return self.split.prior_of(own) if self.split is not None and own >= 0 else self.prior[term]
+
+    def basis_of(self, model: Sequence[int], *, with_prior: bool = True) -> ModelBasis:
+        """Return orthonormal columns of a model of several sessions (`SessionBlocks.basis`)."""
+        assert self.split is not None
+        shared = [k for k in model if k < len(self.first)]
+        columns, gram = self.columns_and_gram(shared)
+        own = [k - len(self.first) for k in model if k >= len(self.first)]
+        columns = by_session(columns, self.split.place)
+        return self.split.basis(own, columns, gram, with_prior=with_prior)
+
+    def off(self, model: Sequence[int], values: Floats) -> Floats:
+        """Return the part of values (rows,) outside a model with free amplitudes.
+
+        The values have no part in the base model, such as the target.
+        """
+        if self.split is None:
+            basis = span(self, model)[0]
+            return np.asarray(values - basis @ (basis.T @ values))
+        model_basis = self.basis_of(model, with_prior=False)
+        return self.split.by_row(model_basis.off(by_session(values, self.split.place)))
+
+    @cached_property
+    def dense(self) -> LinearProblem:
+        """The problem with the columns of every term in `columns`, for sums over pairs of columns."""
+        if self.split is None:
+            return self
+        every = range(len(self.terms))
+        split = [self.block(k) for k in every[len(self.first) :]]
+        whole = replace(
+            self,
+            columns=np.concatenate([self.columns, *split], axis=1),
+            first=(np.cumsum(self.width) - self.width).astype(np.intp),
+            back=tuple(self.back_of(k) for k in every),
+            prior=tuple(np.zeros((size, size)) for size in self.width.tolist()),
+            split=None,
+        )
+        return whole._with_prior([self.prior_of(k) for k in every], self.inflation)
 
     def gains(self, basis: Floats, residual: Floats) -> Floats:
         """Return the decrease of χ² (M,) by each term if it alone is added to a model.
@@ -91,10 +161,15 @@ class LinearProblem:
         `basis` (rows, k) is an orthonormal basis of the model's columns, `residual` (rows,) the model's
         residual.
         """
-        return self.gains_from_products(residual @ self.columns, basis.T @ self.columns)
+        gains = self.gains_from_products(residual @ self.columns, basis.T @ self.columns)
+        if self.split is None:
+            return gains
+        shared = np.concatenate([self.split.base, by_session(basis, self.split.place)], axis=2)
+        model = ModelBasis(self.split.columns[..., :0], shared, basis.shape[1])
+        return np.concatenate([gains, self.split.gains(model, by_session(residual, self.split.place))])
 
     def gains_from_products(self, z: Floats, inside: Floats) -> Floats:
-        """Return the decrease of χ² (M,) by each added term, from products of all P columns.
+        """Return the decrease of χ² (M',) by each added term, from products of all P columns.
 
         `z` (P,) are their products with the model's residual, `inside` (k, P) with an orthonormal basis of
         the model's columns.
@@ -117,7 +192,7 @@ class LinearProblem:
             own = inside[:, places].reshape(k, -1, size)
             gram = least * np.eye(size)[:, :, None] - np.einsum("knv,knw->vwn", own, own)
             along = z[places].reshape(-1, size).T
-            solved = _solve_small_systems(gram, along)
+            solved = solve_small_systems(gram, along)
             gains.append((along * solved + limits.independent * solved**2).sum(axis=0))
         if wide < len(self.first):
             gains.append(_gains_of_wide_blocks(z, inside, self.first[wide:]))
@@ -159,21 +234,21 @@ class LinearProblem:
 
     def subset(self, chosen: NDArray[np.intp]) -> LinearProblem:
         """Return the problem restricted to the terms with the numbers `chosen`, in ascending order."""
-        index = np.array(
-            [column for k in chosen for column in range(self.first[k], self.first[k] + self.width[k])],
-            dtype=np.intp,
-        )
-        width = self.width[chosen]
+        count = len(self.first)
+        shared, own = chosen[chosen < count].tolist(), (chosen[chosen >= count] - count).tolist()
+        index = [column for k in shared for column in range(self.first[k], self.first[k] + self.width[k])]
+        width = self.width[shared]
         return replace(
             self,
             terms=tuple(self.terms[k] for k in chosen),
             columns=np.ascontiguousarray(self.columns[:, index]),
             first=(np.cumsum(width) - width).astype(np.intp),
-            width=width,
-            back=tuple(self.back[k] for k in chosen),
+            width=self.width[chosen],
+            back=tuple(self.back[k] for k in shared),
             cost=self.cost[chosen],
             column_price=self.column_price[chosen],
-            prior=tuple(self.prior[k] for k in chosen),
+            prior=tuple(self.prior[k] for k in shared),
+            split=None if self.split is None else self.split.subset(own),
         )
 
     def with_inflation(self, inflation: float) -> LinearProblem:
@@ -184,10 +259,14 @@ class LinearProblem:
         if inflation == self.inflation:
             return self
         factor = inflation / self.inflation
-        return self._with_prior([factor * own for own in self.prior], inflation)
+        split = self.split and self.split.with_prior([factor * own for own in self.split.prior])
+        whole = self if split is None else replace(self, split=split)
+        return whole._with_prior([factor * own for own in self.prior], inflation)
 
     def with_covariance(self, features: Floats) -> LinearProblem:
         """Return the problem with the covariance F Fᵀ of features F (rows, k) added to the noise."""
+        if self.split is not None:
+            return self.dense.with_covariance(features)
         values, vectors = np.linalg.eigh(features @ features.T)
         white = (vectors / np.sqrt(1 + np.maximum(values, 0.0))) @ vectors.T
         # The prior of an amplitude does not change.
@@ -195,7 +274,7 @@ class LinearProblem:
         return moved._with_prior(self.prior, self.inflation)
 
     def _with_prior(self, prior: Sequence[Floats], inflation: float) -> LinearProblem:
-        """Return the problem with another Gaussian prior of the amplitudes of each of the M terms.
+        """Return the problem with another Gaussian prior of the amplitudes of each term with `columns`.
 
         `prior` holds for each term the precision matrix (d, d) of its d amplitudes, multiplied by the noise
         variance; this variance already contains the factor `inflation`.
@@ -215,15 +294,9 @@ class LinearProblem:
         return replace(self, columns=columns, back=tuple(back), prior=tuple(turned), inflation=inflation)
 
     @cached_property
-    def _groups(self) -> tuple[tuple[slice, slice, int], ...]:
+    def _groups(self) -> list[tuple[slice, slice, int]]:
         """Terms in groups of equal width: slice of their numbers, slice of their columns, width."""
-        groups = []
-        begin = 0
-        for size, count in zip(*np.unique(self.width, return_counts=True), strict=True):
-            start, end = int(self.first[begin]), begin + int(count)
-            groups.append((slice(begin, end), slice(start, start + int(size * count)), int(size)))
-            begin = end
-        return tuple(groups)
+        return runs(self.width[: len(self.first)])
 
     def gain(self, model: Sequence[int]) -> float:
         """Return the decrease of χ² by a model with its most probable amplitudes.
@@ -233,18 +306,21 @@ class LinearProblem:
         if not len(model):
             return 0.0
         columns, gram = self.columns_and_gram(model)
-        along = self.target @ columns @ _orthonormal_combinations(gram)
+        along = self.target @ columns @ _full_combinations(gram)
         return float(along @ along)
 
     def columns_and_gram(self, model: Sequence[int]) -> tuple[Floats, Floats]:
         """Return the columns (rows, p) of a model, and their Gram matrix (p, p) with the prior rows."""
-        columns = np.concatenate([self.block(k) for k in model], axis=1)
+        columns = np.concatenate([self.columns[:, :0], *(self.block(k) for k in model)], axis=1)
         gram = columns.T @ columns
         start = 0
         # Each block is orthonormal together with its prior rows, so its own part is the identity.
         for k in model:
             own = slice(start, start + int(self.width[k]))
-            gram[own, own] = np.eye(int(self.width[k]))
+            if k < len(self.first):
+                gram[own, own] = np.eye(int(self.width[k]))
+            else:  # columns of single sessions are projected off the shared base afterwards
+                gram[own, own] += self.prior_of(k)
             start = own.stop
         return columns, gram
 
@@ -263,27 +339,10 @@ def _gains_of_wide_blocks(z: Floats, inside: Floats, first: NDArray[np.intp]) ->
     along = np.add.reduceat(inside * z, first, axis=-1).reshape(k, -1)
     gram = np.add.reduceat(inside[:, None] * inside, first, axis=-1).reshape(k, k, -1)
     least = 1 + limits.independent
-    solved = _solve_small_systems(least * np.eye(k)[:, :, None] - gram, along)
+    solved = solve_small_systems(least * np.eye(k)[:, :, None] - gram, along)
     both = square + (along * solved).sum(axis=0).reshape(square.shape)
     twice = both + least * (solved**2).sum(axis=0).reshape(square.shape)
     return np.asarray(both / least + limits.independent * twice / least**2)
-
-
-def _solve_small_systems(gram: Floats, right: Floats) -> Floats:
-    """Solve M small positive definite systems by elimination: (k, k, M) and (k, M) → (k, M).
-
-    Each elimination step is vectorised over all systems; factorising each system alone would be slower.
-    `gram` are the matrices, `right` the right-hand sides.
-    """
-    gram, solved = gram.copy(), right.copy()
-    k = len(right)
-    for i in range(k - 1):
-        factor = gram[i + 1 :, i] / gram[i, i]
-        gram[i + 1 :, i + 1 :] -= factor[:, None] * gram[i, i + 1 :]
-        solved[i + 1 :] -= factor * solved[i]
-    for i in reversed(range(k)):
-        solved[i] = (solved[i] - (gram[i, i + 1 :] * solved[i + 1 :]).sum(axis=0)) / gram[i, i]
-    return solved
 
 
 class Products:
@@ -296,6 +355,39 @@ class Products:
         self._problem, self._joining = problem, joining
         self._target = problem.target @ joining.columns
         self._of: dict[int, Floats] = {}
+
+    def extensions(self, model: Sequence[int]) -> tuple[float, int, Floats]:
+        """Return a model's χ², its number of columns, and the decrease of χ² (M,) by each added term."""
+        split = self._joining.split
+        if split is None:
+            chi2, z, inside = self.of_model(model)
+            return chi2, len(inside), self._joining.gains_from_products(z, inside)
+        basis = self._problem.basis_of(model)
+        residual = basis.off(self._by_session)
+        # χ² of amplitudes with their prior: the target times the residual.
+        chi2 = float((self._by_session * residual).sum())
+        own = basis.own.swapaxes(1, 2) @ self._columns
+        inside = np.concatenate(
+            [
+                own.reshape(-1, own.shape[2]),
+                np.tensordot(basis.shared, self._columns, axes=((0, 1), (0, 1))),
+            ]
+        )
+        z = np.tensordot(residual, self._columns, axes=2)
+        gains = self._joining.gains_from_products(z, inside)
+        return chi2, basis.rank, np.concatenate([gains, split.gains(basis, residual)])
+
+    @cached_property
+    def _by_session(self) -> Floats:
+        split = self._problem.split
+        assert split is not None
+        return by_session(self._problem.target, split.place)
+
+    @cached_property
+    def _columns(self) -> Floats:
+        split = self._problem.split
+        assert split is not None
+        return by_session(self._joining.columns, split.place)
 
     def of_model(self, model: Sequence[int]) -> tuple[float, Floats, Floats]:
         """Return the χ² of a model's residual, and two sets of products with all P candidate columns.
@@ -312,7 +404,7 @@ class Products:
         inside = np.concatenate([self._of[k] for k in model])
         if len(model) > 1:  # a single block is already orthonormal
             columns, gram = problem.columns_and_gram(model)
-            half = _orthonormal_combinations(gram)
+            half = _full_combinations(gram)
             along, inside = problem.target @ columns @ half, half.T @ inside
         else:
             along = problem.target @ problem.block(model[0])
@@ -320,8 +412,14 @@ class Products:
 
     def pairs(self, model: Sequence[int]) -> tuple[float, int, Floats]:
         """Return a model's χ², its number of columns, and the decrease of χ² (M, M) by pairs of terms."""
+        if self._problem.split is not None:
+            return self._dense.pairs(model)
         chi2, z, inside = self.of_model(model)
         return chi2, len(inside), self._joining.pair_gains(z, inside, self._gram)
+
+    @cached_property
+    def _dense(self) -> Products:
+        return Products(self._problem.dense, self._joining.dense)
 
     @cached_property
     def _gram(self) -> Floats:
@@ -343,63 +441,110 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
     base = orthonormal(fit.white(fit.base_columns))
     y = y - base @ (base.T @ y)
 
-    raw, widths = fit.candidates(terms)
+    # The last terms have amplitudes of their own in each session.
+    own = {} if _sessions_share_noise(fit) else _terms_of_sessions(fit, terms)
+    shared = [term for k, term in enumerate(terms) if k not in own]
+    raw, widths = fit.candidates(shared)
     columns, length = project_off_base(base, fit.white(raw), widths)
-    spread = amplitude_spreads(fit.data.model, terms, widths)
+    spread = amplitude_spreads(fit.data.model, shared, widths)
     chosen, width, together, back, prior = _orthonormal_blocks(columns, length, spread, widths)
     first = (np.cumsum(width) - width).astype(np.intp)
-    seen = set(chosen)
-    prices = _column_prices(together, first)
-    for k, own in enumerate(prior):
-        term = terms[chosen[k]]
-        if term.constant and term.cost <= 0:
-            prices[k] = 0.0  # it is in every model
-        elif term.prior_sd is not None:
-            # A stated prior of the amplitudes: ½ ln |1 + Σ Xᵀ X|, with the columns X of the readings.
-            prices[k] = 0.5 * np.linalg.slogdet(np.eye(len(own)) + np.linalg.inv(own))[1]
+    prices = np.add.reduceat(_column_prices(together), first) if len(first) else np.zeros(0)
     free = LinearProblem(
-        terms=tuple(terms[k] for k in chosen),
+        terms=tuple(shared[k] for k in chosen),
         columns=together,
         first=first,
         width=width,
         target=y,
         dof=len(y) - base.shape[1],
         back=back,
-        hidden=tuple(term for k, term in enumerate(terms) if k not in seen),
-        cost=np.array([terms[k].cost for k in chosen]),
+        hidden=(),
+        cost=np.zeros(0),
         column_price=prices,
         prior=tuple(np.zeros((size, size)) for size in width.tolist()),
         joint=bool(fit.data.model.origins),
     )
-    return free._with_prior(prior, 1.0)
+    made = free._with_prior(prior, 1.0)
+    if own:
+        made = _with_split(made, fit, [terms[k] for k in own], list(own.values()))
+    for k, term in enumerate(made.terms):
+        if term.constant and term.cost <= 0:
+            made.column_price[k] = 0.0  # it is in every model
+        elif term.prior_sd is not None:
+            # A stated prior of the amplitudes: ½ ln |1 + Σ Xᵀ X|, with the columns X of the readings.
+            made.column_price[k] = -0.5 * np.linalg.slogdet(made.prior_of(k))[1]
+    seen = set(map(id, made.terms))
+    return replace(
+        made,
+        hidden=tuple(term for term in terms if id(term) not in seen),
+        cost=np.array([term.cost for term in made.terms]),
+    )
 
 
-def project_off_base(base: Floats, columns: Floats, widths: NDArray[np.intp]) -> tuple[Floats, Floats]:
-    """Return the part of each column outside the base model, scaled to length 1, and its original length.
+def _sessions_share_noise(fit: Fit) -> bool:
+    """Return True if an error acts on the readings of several sessions, such as an error of their stage."""
+    if fit.modes is None or not fit.data.model.origins:
+        return False
+    sessions = fit.data.conditions.covariate("session")
+    session = np.repeat(sessions, len(fit.modes) // len(sessions))
+    acts = [(fit.modes[session == k] != 0).any(axis=0) for k in np.unique(session)]
+    return bool((np.sum(acts, axis=0) > 1).any())
 
-    A column that the base model reproduces becomes zero and has 1 as its length. The lengths are (P,).
 
-    Parameters
-    ----------
-    base : (rows, k) float
-        Orthonormal basis of the base model's whitened columns.
-    columns : (rows, P) float
-        Whitened columns of all terms.
-    widths : (M,) int
-        Number of columns of each term.
+def _terms_of_sessions(fit: Fit, terms: Sequence[Term]) -> dict[int, NamedTerm]:
+    """Return the terms with amplitudes of their own in each session, as terms of a single session.
+
+    The keys are their numbers among `terms`, in ascending order of the number of amplitudes.
     """
-    before = np.linalg.norm(columns, axis=0)
-    # A column of rounding errors (the sixth harmonic's sine on a grid of 30°) is set to zero.
-    starts = np.cumsum(widths) - widths
-    longest = np.repeat(np.maximum.reduceat(before, starts), widths) if len(before) else before
-    before = np.where(before > ROUNDING * longest, before, 0.0)
-    columns = columns * np.where(before > 0, 1 / np.where(before > 0, before, 1.0), 0.0)
-    # Unit length before the projection, so that the length after it is the part outside the base model.
-    columns = columns - base @ (base.T @ columns)
-    after = np.linalg.norm(columns, axis=0)
-    seen = after**2 > limits.independent
-    columns = columns * np.where(seen, 1 / np.where(seen, after, 1.0), 0.0)
-    return columns, np.where(seen, before * after, 1.0)
+    each = tuple(range(len(fit.data.model.origins)))
+    found: dict[int, NamedTerm] = {}
+    for k, term in enumerate(terms):
+        if not isinstance(term, NamedTerm) or not isinstance(term.effect, SplitEffect):
+            continue
+        if term.effect.sharing.group == each:
+            whole = term.effect.whole
+            index = [i for i, one in enumerate(whole.parameters) if one.shape]
+            values = [value for _, value in sorted(term.shapes)]
+            found[k] = replace(term, effect=whole, shapes=tuple(zip(index, values, strict=True)))
+    return dict(sorted(found.items(), key=lambda item: len(item[1].amplitudes)))
+
+
+def _with_split(
+    problem: LinearProblem, fit: Fit, terms: Sequence[Term], of_one: Sequence[Term]
+) -> LinearProblem:
+    """Add terms with amplitudes of their own in each session to a problem.
+
+    `of_one` are these terms for a single session, in ascending order of the number of their columns.
+    """
+    data, rows = fit.data, len(problem.target)
+    session = np.repeat(data.conditions.covariate("session").astype(np.intp), rows // len(data))
+    members = [np.flatnonzero(session == k) for k in range(len(data.model.origins))]
+    place = np.full((len(members), max(map(len, members))), rows)
+    for own, index in zip(place, members, strict=True):
+        own[: len(index)] = index
+    raw, width = fit.candidates(of_one)
+    split, prior = SessionBlocks.of(
+        rows,
+        place,
+        session_bases(by_session(fit.white(fit.base_columns), place)),
+        by_session(fit.white(raw), place),
+        amplitude_spreads(data.model, of_one, width),
+        width,
+    )
+    price = _column_prices(split.columns).sum(axis=0)
+    seen = np.flatnonzero(split.total)
+    first = (np.cumsum(width) - width)[seen]
+    prior = [prior[k] for k in seen]
+    ends = first + width[seen]
+    return replace(
+        problem,
+        terms=(*problem.terms, *(terms[k] for k in seen.tolist())),
+        width=np.concatenate([problem.width, split.total[seen]]),
+        column_price=np.append(
+            problem.column_price, [price[i:j].sum() for i, j in zip(first, ends, strict=True)]
+        ),
+        split=split.subset(seen.tolist()).with_prior(prior),
+    )
 
 
 def _orthonormal_blocks(
@@ -418,24 +563,20 @@ def _orthonormal_blocks(
         members = np.flatnonzero(widths == size)
         index = starts[members, None] + np.arange(size)
         stack = columns[:, index].transpose(1, 0, 2)
-        # Cholesky for blocks of full rank; eigenvectors for the others, without the missing directions.
-        gram = stack.transpose(0, 2, 1) @ stack
-        root = np.linalg.cholesky(gram + 1e-10 * np.eye(size))
-        whole = np.all(np.diagonal(root, axis1=1, axis2=2) ** 2 > _RANK, axis=1)
-        halves = np.linalg.inv(root[whole]).transpose(0, 2, 1)
+        half = orthonormalising(stack.swapaxes(-1, -2) @ stack)
+        whole = half.any(axis=-2).all(axis=-1)
         own = (
             members[whole].tolist(),
-            stack[whole] @ halves,
-            *_back_maps(halves, index[whole], length, spread),
+            stack[whole] @ half[whole],
+            *_back_maps(half[whole], index[whole], length, spread),
         )
         found.setdefault(size, []).extend(zip(*own, strict=True))
         for k in np.flatnonzero(~whole).tolist():
-            values, vectors = np.linalg.eigh(gram[k])
-            seen = values > _RANK
+            seen = half[k].any(axis=0)
             if seen.any():
-                half = vectors[:, seen] / np.sqrt(values[seen])
-                rest = int(members[k]), stack[k] @ half, *_back_maps(half, index[k], length, spread)
-                found.setdefault(half.shape[1], []).append(rest)
+                rest = half[k][:, seen]
+                own_ = int(members[k]), stack[k] @ rest, *_back_maps(rest, index[k], length, spread)
+                found.setdefault(rest.shape[1], []).append(own_)
     blocks = [block for size in sorted(found) for block in sorted(found[size], key=lambda own: own[0])]
     return (
         [member for member, _, _, _ in blocks],
@@ -465,28 +606,14 @@ def _back_maps(
     return back, away.swapaxes(-1, -2) @ away
 
 
-def _column_prices(columns: Floats, first: NDArray[np.intp]) -> Floats:
-    """Return the price of each term's columns, ½ Σ ln(1 + s² n) in nats: the loss of log evidence.
+def _column_prices(columns: Floats) -> Floats:
+    """Return the price (…, P) of columns (…, rows, P), ½ ln(1 + s² n) in nats: the loss of log evidence.
 
-    The sum is over the columns u of the term; s is the prior standard deviation in units of the noise; n =
-    1/Σ u⁴ is the effective number of rows of a column. `first` are the numbers of the terms' first columns.
+    s is the prior standard deviation in units of the noise; n = 1/Σ u⁴ is the effective number of rows of a
+    column u of length 1. The price of a column of zeros is zero.
     """
-    if not len(first):
-        return np.zeros(0)
-    price = 0.5 * np.log1p(limits.prior_snr**2 / np.maximum(((columns**2) ** 2).sum(axis=0), 1e-300))
-    blocks: Floats = np.add.reduceat(price, first)
-    return blocks
-
-
-def orthonormal(columns: Floats) -> Floats:
-    """Return an orthonormal basis (rows, k) of the span of columns (rows, p) of any lengths.
-
-    Directions that consist of rounding errors are dropped.
-    """
-    u, s, _ = np.linalg.svd(
-        columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), full_matrices=False
-    )
-    return u[:, s > 1e-8 * s[0]]
+    fourth = ((columns**2) ** 2).sum(axis=-2)
+    return np.asarray(0.5 * np.log1p(limits.prior_snr**2 * (fourth > 0) / np.maximum(fourth, 1e-300)))
 
 
 def span(problem: LinearProblem, model: Sequence[int]) -> tuple[Floats, Floats]:
@@ -501,21 +628,19 @@ def span(problem: LinearProblem, model: Sequence[int]) -> tuple[Floats, Floats]:
     return basis, problem.target - basis @ (basis.T @ problem.target)
 
 
-def _orthonormal_combinations(gram: Floats) -> Floats:
+def _full_combinations(gram: Floats) -> Floats:
     """Return a matrix (p, k) that turns p columns with this Gram matrix into k orthonormal columns."""
-    values, vectors = np.linalg.eigh(gram)
-    seen = values > limits.independent
-    half: Floats = vectors[:, seen] / np.sqrt(values[seen])
-    return half
+    half = orthonormal_combinations(gram)
+    return half[:, half.any(axis=0)]
 
 
 def amplitudes(problem: LinearProblem, model: Sequence[int]) -> list[Floats]:
     """Return the most probable amplitudes of each term of a model, by least squares with the prior."""
     if not len(model):
         return []
-    if len(model) == 1:
-        return [problem.back[model[0]] @ (problem.target @ problem.block(model[0]))]
+    if len(model) == 1 and model[0] < len(problem.first):
+        return [problem.back_of(model[0]) @ (problem.target @ problem.block(model[0]))]
     columns, gram = problem.columns_and_gram(model)
     solved = np.linalg.lstsq(gram, columns.T @ problem.target, rcond=1e-12)[0]
     cuts = np.cumsum([0] + [int(problem.width[k]) for k in model])
-    return [problem.back[k] @ solved[cuts[i] : cuts[i + 1]] for i, k in enumerate(model)]
+    return [problem.back_of(k) @ solved[cuts[i] : cuts[i + 1]] for i, k in enumerate(model)]

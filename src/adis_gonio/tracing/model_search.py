@@ -46,7 +46,7 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import spent
 from adis_gonio.fitting.estimation.terms import Term
-from adis_gonio.tracing.linear_problem import LinearProblem, Products, span
+from adis_gonio.tracing.linear_problem import LinearProblem, Products
 from adis_gonio.tracing.thresholds import limits
 
 Model = tuple[int, ...]
@@ -164,7 +164,7 @@ class _Climb:
         self.every = _Joining(problem, np.arange(len(terms)))
         self.names = _Joining(problem, np.flatnonzero(self.named))
         self.paired: set[Model] = set()
-        columns = self.names.problem.columns.shape[1]
+        columns = int(self.names.problem.width.sum())
         self.paired_names = not problem.joint or (explored > 1 and columns <= limits.paired)
         biases = [k for k, term in enumerate(terms) if term.constant and term.prior_sd is None]
         self.bias = max(biases, key=lambda k: int(problem.width[k]), default=None)
@@ -287,16 +287,15 @@ class _Climb:
         if model in joining.opened or len(model) > self.max_terms:
             return
         joining.opened.add(model)
-        chi2, z, inside = joining.products.of_model(model)
+        chi2, rank, gains = joining.products.extensions(model)
         here = self._score(model, chi2)
-        if problem.dof - len(inside) >= self.spare:
+        if problem.dof - rank >= self.spare:
             self._keep(model, np.zeros((1, 0), dtype=np.intp), np.array([here]))
         if len(model) == self.max_terms:
             return
         number, width = joining.number, joining.problem.width
-        gains = joining.problem.gains_from_products(z, inside)
         gained = 0.5 * gains / found.inflation - found.prices[number]
-        room = problem.dof - len(inside) - width >= self.spare
+        room = problem.dof - rank - width >= self.spare
         if not model:
             widest = 0 if self.bias is None else int(problem.width[self.bias])
             room |= self.named[number] & (width <= min(widest, problem.dof))
@@ -386,7 +385,7 @@ def presence_probabilities(terms: Sequence[Term], weights: Mapping[Model, float]
 def _classes(found: Search, models: list[Model]) -> dict[Model, list[Model]]:
     """Group models that predict nearly equal readings; map the simplest of each group to the others."""
     problem, terms = found.problem, found.problem.terms
-    left = np.array([span(problem, m)[1] for m in models])
+    left = np.array([problem.off(m, problem.target) for m in models])
     norm = (left**2).sum(axis=1)
     distance = norm[:, None] + norm[None, :] - 2 * left @ left.T
     taken = np.zeros(len(models), dtype=bool)

@@ -266,7 +266,7 @@ def _mostly_bias(problem: LinearProblem) -> int | None:
     widest = _widest_bias(problem)
     if widest is None:
         return None
-    left = float((span(problem, [widest])[1] ** 2).sum()) - problem.dof
+    left = float((problem.off([widest], problem.target) ** 2).sum()) - problem.dof
     excess = problem.chi2 - problem.dof
     return widest if excess > 0 and left < (1 - limits.mostly_bias) * excess else None
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -457,7 +458,7 @@ class TraceRun:
             advice=advice,
             measurements=measurements,
             base={**base_of(final), **zeros},
-            by_terms=best_by_terms(selection, self.fits),
+            by_terms=partial(best_by_terms, selection, tuple(self.fits)),
             fold=self.fold,
             reasons=self.reasons,
             notes=tuple(self.notes),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import field
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -311,8 +312,9 @@ class TraceResult(ParameterTable):
     views : Views or None
         Data of the residual figures of a single pose; None for other sessions, whose figures come from
         `fits`. Not in the JSON and not compared.
-    by_terms : tuple of Scored
-        The best model that the search scored of each number of terms; not in the JSON and not compared.
+    by_terms : callable
+        Returns the best model of each number of terms that the search scored, a tuple of `Scored`. Not in
+        the JSON and not compared.
     fold : Fold or None
         Residuals on held-out dwells by model, which the trace has computed; None if it has not.
     inflation : float
@@ -355,7 +357,7 @@ class TraceResult(ParameterTable):
     measurements: tuple[NextDwell, ...] = ()
     fits: tuple[Fit, ...] = field(default=(), repr=False, compare=False)
     views: Views | None = field(default=None, repr=False, compare=False)
-    by_terms: tuple[Scored, ...] = field(default=(), repr=False, compare=False)
+    by_terms: Callable[[], tuple[Scored, ...]] = field(default=tuple, repr=False, compare=False)
     fold: Fold | None = field(default=None, repr=False, compare=False)
     inflation: float = 1.0
     stopped: Stopped | None = None

@@ -16,9 +16,10 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.estimation.fit import Fit
-from adis_gonio.tracing.linear_problem import LinearProblem, orthonormal, span
+from adis_gonio.tracing.linear_problem import LinearProblem, span
 from adis_gonio.tracing.model_search import Model, search, weigh
 from adis_gonio.tracing.selection import Selection
+from adis_gonio.tracing.session_blocks import orthonormal
 
 LENGTH, WIDTH = 0.3, 0.65
 """Lengths of which the correlation of the process decays, for a covariate and for the direction of gravity.

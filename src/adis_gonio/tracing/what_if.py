@@ -288,7 +288,7 @@ def _likeliest(
     apart = []
     for k in (number[term.label] for term in variants if term.label in number):
         outside = problem.block(k) - basis @ (basis.T @ problem.block(k))
-        full = problem.width[k] == len(problem.back[k])
+        full = problem.width[k] == len(problem.back_of(k))
         if full and np.linalg.svd(outside, compute_uv=False)[-1] ** 2 > limits.independent:
             apart.append(k)
     if not apart:
