@@ -28,7 +28,7 @@ from adis_gonio.calibrate.calibration_document import (
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
-from adis_gonio.fitting.fit_result import as_written, assumed_parameters, known_provenance
+from adis_gonio.fitting.fit_result import as_written, assumed_parameters, known_provenance, outputs_of
 from adis_gonio.fitting.gyros.gyro_fit import (
     GyroEstimates,
     estimates_of_gyro_fit,
@@ -38,7 +38,7 @@ from adis_gonio.fitting.gyros.gyro_fit import (
     stated_parameters,
 )
 from adis_gonio.model.effects import AXES, catalogue, effect
-from adis_gonio.model.records import MG_PER_G, MG_PER_MPS2, Session
+from adis_gonio.model.records import MG_PER_G, Session
 from adis_gonio.record.provenance import Provenance, provenance_of
 from adis_gonio.tracing.averaging import AveragedFit, AveragedTerm, middle_s
 from adis_gonio.tracing.findings import clock_at_middle, follows_clock
@@ -87,7 +87,7 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
     rows, matrix = _stated_with_covariance(fit, corrected, inflation)
     sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     parameters = tuple(
-        Coefficient(name, wrap_degrees(value) if name == "alpha" else value, u if u > 0 else None, unit)
+        Coefficient(name, value, u if u > 0 else None, unit)
         for (name, value, unit), u in zip(rows, sizes.tolist(), strict=True)
     )
     # The parameters of the effects are last, in the order of the effects.
@@ -177,15 +177,21 @@ def _stated_with_covariance(
         return np.array([value for _, value, _ in _stated(fit, corrected, moved)])
 
     u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    slope = central_differences(values, at, np.where(u > 0, 1e-4 * u, 1e-4))
-    return _stated(fit, corrected, at), slope @ covariance @ slope.T * inflation
+    rows = _stated(fit, corrected, at)
+    turned = np.array([name == "alpha" for name, _, _ in rows])
+
+    def difference(one: Floats, other: Floats) -> Floats:
+        return np.where(turned, wrap_degrees(one - other), one - other)
+
+    slope = central_differences(values, at, np.where(u > 0, 1e-4 * u, 1e-4), subtract=difference)
+    return rows, slope @ covariance @ slope.T * inflation
 
 
 def _stated(fit: Fit, corrected: Sequence[NamedTerm], at: Floats) -> list[tuple[str, float, str]]:
     """Return name, value and unit of each parameter of a calibration: base, biases, then effects.
 
     Terms that depend on time alone are evaluated at the middle of the session. The start angle is omitted
-    if the dwells do not determine it; it is not wrapped. A bias that was not fitted is zero.
+    if the dwells do not determine it. A bias that was not fitted is zero.
 
     Parameters
     ----------
@@ -194,30 +200,25 @@ def _stated(fit: Fit, corrected: Sequence[NamedTerm], at: Floats) -> list[tuple[
     at : (p,) or (p + axes,) float
         Values of the fit's parameters. Further values are added to the biases.
     """
-    p, axes, unit = len(fit.values.parameters), fit.data.axes, fit.data.unit
+    p, axes = len(fit.values.parameters), fit.data.axes
     pieces = np.split(at[:p], [fit.slice_of(k).start for k in range(len(fit.terms))])
     fit = replace(fit, values=replace(fit.values, base=pieces[0], terms=tuple(pieces[1:])))
     offset, turn = (clock_at_middle(fit, np.zeros(axes), turned=turned)[0] for turned in (False, True))
-    rows: list[tuple[str, float, str]] = []
-    for parameter, value, seen in zip(
-        fit.data.model.parameters, fit.values.base.tolist(), fit.data.visible, strict=True
-    ):
-        name, factor, stated_unit = parameter.name, parameter.per_natural, parameter.unit
+    base, further = fit.values.base.copy(), at[p:] if len(at) > p else np.zeros(axes)
+    names = [parameter.name for parameter in fit.data.model.parameters]
+    for k, name in enumerate(names):
         if name == "alpha":
-            value += float(turn)
+            base[k] += turn
         elif name.startswith("scale"):
             axis = AXES.index(name[-1])
             # Terms that depend on time alone change the gain by this factor.
             full = clock_at_middle(fit, MG_PER_G * np.eye(axes)[axis])[0]
-            value *= 1 + float(full[axis] - offset[axis]) / MG_PER_G
-            if not unit.known:
-                factor, stated_unit = float(unit.per_mg[axis]) * MG_PER_MPS2, "counts/(m/s²)"
-        if name != "alpha" or seen:
-            rows.append((name, value * factor, stated_unit))
-    biases, further = _biases(fit), at[p:] if len(at) > p else np.zeros(axes)
-    for axis, letter in enumerate(AXES[:axes]):
-        bias = biases.get(f"bias_{letter}", 0.0) + float(offset[axis] + further[axis])
-        rows.append((f"bias_{letter}", float(unit.zero[axis]) + bias * float(unit.per_mg[axis]), unit.name))
+            base[k] *= 1 + float(full[axis] - offset[axis]) / MG_PER_G
+    biases = [f"bias_{letter}" for letter in AXES[:axes]]
+    zeros = np.array([_biases(fit).get(name, 0.0) for name in biases]) + offset + further
+    stated = {one.name: one for one in outputs_of(fit.data, np.concatenate([base, zeros]))}
+    shown = [name for name, seen in zip(names, fit.data.visible, strict=True) if seen or name != "alpha"]
+    rows = [(name, stated[name].value, stated[name].unit) for name in (*shown, *biases)]
     for term in corrected:
         for one, value in zip(term.effect.parameters, fit.value_of(term).tolist(), strict=True):
             name = one.name
