@@ -37,6 +37,8 @@ class RidgeSolution:
     ----------
     terms : tuple of NamelessTerm
         Unnamed terms of the member.
+    widths : tuple of int
+        Number of amplitudes of each of these terms.
     values : (p,) float
         Fitted amplitudes: of the base and named parameters (the fixed columns), then of `terms`.
     half : (p, k) float
@@ -50,6 +52,7 @@ class RidgeSolution:
     """
 
     terms: tuple[NamelessTerm, ...]
+    widths: tuple[int, ...]
     values: Floats
     half: Floats
     used: float
@@ -133,7 +136,7 @@ class AveragedFit(Fit):
         for weight, one in self.solutions:
             rows = np.zeros((width + self.data.axes, len(one.values)))
             rows[:width, :width] = np.eye(width)
-            rows[width:, width:] = _at_middle(self, one.terms)
+            rows[width:, width:] = _at_middle(self, one)
             stated.append((weight, replace(one, values=rows @ one.values, half=rows @ one.half)))
         return mixed_covariance(stated, width + self.data.axes, self.inflation)
 
@@ -242,7 +245,7 @@ def _average(selection: Selection, candidates: Sequence[Process] | None) -> Aver
     if weights[-1] > 0.5 and not pool[-1][1]:
         return None
     solutions = fit_members(selection, fixed, target, pool, weights)
-    averaged = _averaged_terms(_members(solutions, fit, fixed.shape[1]))
+    averaged = _averaged_terms(_members(solutions, fixed.shape[1]))
     fit = fit.with_terms(
         [*(fit.terms[index] for index in own), *averaged],
         [*(fit.values.terms[index] for index in own), *(np.zeros(0) for _ in averaged)],
@@ -326,20 +329,17 @@ def mixed_covariance(
     return covariance
 
 
-def _members(solutions: Sequence[tuple[float, RidgeSolution]], fit: Fit, width: int) -> list[Member]:
+def _members(solutions: Sequence[tuple[float, RidgeSolution]], width: int) -> list[Member]:
     """Return each unnamed term of the fitted members, with the weight of its member and its amplitudes.
 
     `width` is the number of base and named parameters, which come first in the values of a member. Each
-    entry of `solutions` is the weight of a member and its fit. `fit` is the fit of the chosen model.
+    entry of `solutions` is the weight of a member and its fit.
     """
-    members: list[Member] = []
-    for weight, one in solutions:
-        cut = width
-        for term in one.terms:
-            own = term.columns(fit.ideal, fit.data.conditions).shape[-1]
-            members.append((weight, term, one.values[cut : cut + own]))
-            cut += own
-    return members
+    return [
+        (weight, term, own)
+        for weight, one in solutions
+        for term, own in zip(one.terms, np.split(one.values[width:], np.cumsum(one.widths)), strict=False)
+    ]
 
 
 def middle_s(fit: Fit) -> float:
@@ -348,7 +348,7 @@ def middle_s(fit: Fit) -> float:
     return float(time_s.min() + time_s.max()) / 2
 
 
-def _at_middle(fit: Fit, terms: Sequence[NamelessTerm]) -> Floats:
+def _at_middle(fit: Fit, member: RidgeSolution) -> Floats:
     """Return the derivative (axes, k) of the readings at mid-session by the amplitudes of unnamed terms.
 
     The readings are those without acceleration. The derivative is zero for functions of the angle, and for
@@ -356,8 +356,7 @@ def _at_middle(fit: Fit, terms: Sequence[NamelessTerm]) -> Floats:
     """
     middle, still = Conditions(time_s=np.array([middle_s(fit)])), np.zeros((1, fit.data.axes))
     rows = [np.zeros((fit.data.axes, 0))]
-    for term in terms:
-        width = term.columns(fit.ideal, fit.data.conditions).shape[-1]
+    for term, width in zip(member.terms, member.widths, strict=True):
         clock = term.covariates == ("time",) and not term.enters_angle
         rows.append(term.columns(still, middle)[0] if clock else np.zeros((fit.data.axes, width)))
     return np.concatenate(rows, axis=1)
@@ -397,7 +396,8 @@ def solve_ridge(
         beside = orthonormal(fixed)
         left = added - beside @ (beside.T @ added)
         visible = float(np.linalg.norm(left) / np.linalg.norm(added))
-    return RidgeSolution(tuple(terms), solved, half, float(((columns @ half) ** 2).sum()), visible)
+    widths = tuple(block.shape[1] for block in blocks)
+    return RidgeSolution(tuple(terms), widths, solved, half, float(((columns @ half) ** 2).sum()), visible)
 
 
 def _averaged_terms(members: Sequence[Member]) -> list[AveragedTerm]:
