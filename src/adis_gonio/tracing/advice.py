@@ -103,6 +103,7 @@ def _grouped(measurements: Sequence[NextDwell]) -> list[list[NextDwell]]:
 
 
 def _sentence(group: Sequence[NextDwell]) -> str:
+    """Return one sentence that proposes all dwells of a group, which answer the same question."""
     first, what = group[0], _listed([place(m) for m in group])
     if first.purpose == "cover":
         names = list(dict.fromkeys(name for m in group for name in (*m.one, *m.other)))

@@ -212,6 +212,10 @@ def average(selection: Selection, candidates: Sequence[Process] | None = None) -
 
 
 def _average(selection: Selection, candidates: Sequence[Process] | None) -> Averaged | None:
+    """Return the average under the noise of a selection; None if no unnamed function is needed.
+
+    `candidates` are the Gaussian processes to try; None tries all.
+    """
     data, terms, best = selection.data, selection.problem.terms, selection.verdict.best
     named = tuple(k for k in best if terms[k].name is not None)
     nameless = len(named) < len(best)

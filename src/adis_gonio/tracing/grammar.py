@@ -144,6 +144,7 @@ def nameless_terms(data: Readings) -> list[NamelessTerm]:
 
 
 def _bases(data: Readings) -> Iterator[_Made]:
+    """Yield all candidate functions that a session can show, one family of covariates after another."""
     conditions = data.conditions
     for covariate in data.model.driven_by:
         yield from _OF_COVARIATE[covariate](data)
@@ -260,6 +261,7 @@ def _of_others(form: str, function: Callable[[Floats, Floats], Floats]) -> _Made
 
 
 def _of_reading(data: Readings) -> Iterator[_Made]:
+    """Yield functions of each axis's own reading a in g, and of the readings a_p of the other axes."""
     single: dict[str, Shape] = {
         "a⁴": lambda a: a**4,
         "a⁵": lambda a: a**5,
@@ -387,6 +389,8 @@ _OF_COVARIATE: dict[str, Callable[[Readings], Iterator[_Made]]] = {
 
 
 def _of_angle() -> Iterator[_Made]:
+    """Yield functions of the stage's angle θ: harmonics, square waves, bumps, smooth functions."""
+
     def of_angle(form: str, function: Shape, *places: Where, smooth: bool = False) -> _Made:
         return _formula("angle", form, _over("angle_rad", function), places or ("bias",), smooth=smooth)
 
@@ -553,6 +557,7 @@ def _of_scalar(
 
 
 def _of_time(data: Readings) -> Iterator[_Made]:
+    """Yield functions of the time t since the start of the session, in units of the session's length."""
     time = data.conditions.time_s
     course = _Course("time", "t", " s", ("after", "before"), lambda c: c.time_s, *_scaled(time))
     length = 2 * course.half
@@ -613,6 +618,8 @@ def _of_rate(data: Readings) -> Iterator[_Made]:
 
 
 def _of_memory(data: Readings) -> Iterator[_Made]:
+    """Yield functions of the previous angle θ′ of the stage, and of the move θ − θ′ from it."""
+
     def previous(form: str, function: Shape, smooth: bool = False) -> _Made:
         return _formula("previous_angle", form, _over("previous_angle_rad", function), smooth=smooth)
 
@@ -673,6 +680,7 @@ def _factors(conditions: Conditions) -> Iterator[_Factor]:
 
 
 def _products(data: Readings) -> Iterator[_Made]:
+    """Yield functions of two covariates; a covariate that hardly changes is omitted."""
     conditions = data.conditions
     # A covariate that hardly changes is a constant with noise: a product with it equals the other factor.
     least = {"temperature": limits.least_range_c, "supply": limits.least_range_v}

@@ -601,6 +601,7 @@ def _one_way(conditions: Conditions) -> bool:
 
 
 def _figures(problem: _Problem, model: Model) -> ErrorFigures:
+    """Return the errors of a model: of its most likely forms on all samples, and on held-out blocks."""
     each = [_columns(model, choice) for choice in _best_variants(problem, model)]
     residual = _residual(problem, each)
     by_axis = np.sqrt(_held_out(problem, model).sum(axis=0) / len(residual))
@@ -644,6 +645,10 @@ def _estimates(problem: _Problem, model: Model, which: int) -> list[tuple[_Varia
 
 
 def _finding(problem: _Problem, model: Model, which: int, explains: float, share: float) -> Finding:
+    """Return the finding of the effect with the index `which` in a model.
+
+    `explains` is the share of the base model's held-out squares that it removes, `share` its probability.
+    """
     made = model[which].effect
     parameters: dict[str, Value] = {}
     for letter, (variant, values, spread) in zip(AXES, _estimates(problem, model, which), strict=False):

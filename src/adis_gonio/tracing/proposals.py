@@ -609,6 +609,10 @@ def _predict(
 
 
 def _predict_rows(imagined: Readings, inflation: float, hypotheses: list[Hypothesis]) -> PredictedDwells:
+    """Predict the whitened readings of imagined dwells by each hypothesis, cut off at ±`FAR`.
+
+    `inflation` is the factor on the noise variance.
+    """
     fits = [_imagining(h.fit, imagined) for h in hypotheses]
     whiten = fits[0].whitener / np.sqrt(inflation)
     means, roots = [], []

@@ -253,6 +253,10 @@ def _is_corrected(term: NamedTerm, result: TraceResult) -> bool:
 
 
 def _reason_not_corrected(term: Term, result: TraceResult, at_s: float) -> NotCorrected:
+    """Return the entry of a calibration that states why it does not correct a term.
+
+    `at_s` is the middle of the session, in s after its start.
+    """
     if follows_clock(term):
         why = _CLOCK if term.name is not None else _NAMELESS
         of = "the start angle is that" if term.enters_angle else "bias and gain are those"

@@ -132,6 +132,10 @@ def _new_term(before: Fit, after: Fit) -> Term:
 
 
 def _panels(checking: Readings | None, term: Term, before: Fit, after: Fit) -> tuple[Panel, ...]:
+    """Return panels with the residuals of two fits over the covariate of a term, one for each axis.
+
+    `checking` are the readings of check dwells, None without any.
+    """
     data = after.data
     if term.enters_angle and data.planar and data.conditions.angle_rad is not None:
         return (_panel(checking, _covariate(data, term, 0), "angle", before, after),)
@@ -202,6 +206,10 @@ def _lag(data: Readings, after: Fit) -> Floats:
 
 
 def _panel(checking: Readings | None, covariate: str, quantity: str, before: Fit, after: Fit) -> Panel:
+    """Return one panel; its abscissa is NaN if the covariate was not recorded.
+
+    `checking` are the readings of check dwells, None without any.
+    """
     data = after.data
 
     def abscissa(rows: Readings) -> Floats:

@@ -473,6 +473,7 @@ def advice(result: TraceResult) -> Sequence[str]:
 
 
 def _reason(reason: str) -> str:
+    """Return in words why an effect cannot show; names of recorded fields are replaced by usual words."""
     if reason == _IN_SAMPLES:
         return "they change the samples of a dwell, which this session does not hold"
     words = {

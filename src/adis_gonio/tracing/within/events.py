@@ -344,6 +344,10 @@ _WORDS: dict[Form, tuple[str, str, str]] = {
 def _finding(
     samples: Samples, kind: Form, chosen: list[tuple[int, int, Place, Floats]], p_value: float
 ) -> WithinFinding:
+    """Return the finding of all events of one form; `p_value` is the smallest of their p-values.
+
+    `chosen` has for each event the indices of dwell and axis, its place, and the fitted form (n,).
+    """
     words, name, cause = _WORDS[kind]
     places = tuple(place for _, _, place, _ in chosen)
     axes, positions = axes_and_positions(places)

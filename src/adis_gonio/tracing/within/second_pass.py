@@ -136,6 +136,7 @@ def _first_of_each(within: tuple[WithinFinding, ...]) -> list[WithinFinding]:
 
 
 def _finding_of(finding: WithinFinding) -> Finding:
+    """Return a finding inside the dwells, which has a named effect, as an entry of `TraceResult.found`."""
     assert finding.effect is not None
     return Finding(
         effect=finding.effect,

@@ -362,6 +362,7 @@ def _start(
 
 
 def _view(samples: Samples, dwells: NDArray[np.intp], levels: dict[int, Levels]) -> View:
+    """Return the figure of the scatter of each dwell over time, on the first axis in `levels`."""
     axis, own = next(iter(levels.items()))
     letter = samples.letters[axis]
     return View(
