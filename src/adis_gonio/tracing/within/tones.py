@@ -42,6 +42,7 @@ from scipy import fft, ndimage, optimize, special
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import format_number
 from adis_gonio.base.uncertainty import FOUND_WITHIN, Value
+from adis_gonio.device.sensor.settings import filter_weights
 from adis_gonio.model.effects import effect
 from adis_gonio.tracing.within.samples import Samples, View, WithinFinding, corrected, positions_text
 
@@ -616,8 +617,7 @@ def _expected(filter_m: int, counts: NDArray[np.intp], size: int) -> Floats:
     It includes the leakage and resolution of the taper, averaged over the lengths `counts` of the dwells;
     `size` is the length of the transform.
     """
-    taps = 2**filter_m
-    window = np.convolve(np.ones(taps), np.ones(taps)) / taps**2
+    window = filter_weights(filter_m)
     covariance = np.correlate(window, window, "full")[len(window) - 1 :]
     total = np.zeros(size // 2 + 1)
     chosen = np.unique(np.quantile(counts, np.linspace(0, 1, _LENGTHS), method="nearest"))
