@@ -176,7 +176,7 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
     model: Model = ()
     losses = _held_out(problem, model)
     squares = [float(losses.sum())]
-    history = [("base", _figures(problem, model))]
+    figures = [_figures(problem, model)]
     reasons: dict[str, str] = {}
     shares: list[dict[_Candidate, float]] = []
     while len(model) < max_effects:
@@ -198,7 +198,7 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
             break
         model, losses = (*model, chosen), better
         squares.append(float(losses.sum()))
-        history.append((chosen.effect.name, _figures(problem, model)))
+        figures.append(_figures(problem, model))
         shares.append(share)
     rest = [tuple(one for one in model if one is not chosen) for chosen in model]
     shares = attempt(
@@ -210,12 +210,11 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
         for one, share in zip(model, shares, strict=True)
     ]
     uncaused: list[str] = attempt("movements without a cause", partial(_uncaused, problem, model), [])
-    one_way = _one_way(conditions)
     advice: tuple[str, ...] = (
         "one pose does not show whether bias or gain changes: repeat the cycle with the sensor "
         "turned over (each axis once up and once down)",
     )
-    if one_way:
+    if _one_way(conditions):
         advice = (
             "the temperature only rose or only fell, so its effect looks like a drift: let it come back",
             *advice,
@@ -227,11 +226,11 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
             _finding(problem, model, k, (squares[k] - squares[k + 1]) / squares[0], shares[k][model[k]])
             for k in certain
         ),
-        steps=tuple(Step(name, error) for name, error in history[1:]),
+        steps=tuple(Step(one.effect.name, error) for one, error in zip(model, figures[1:], strict=True)),
         confounded=tuple(tuple(names) for names in rivals if len(names) > 1),
         unnamed=None,
-        before=history[0][1],
-        after=history[-1][1],
+        before=figures[0],
+        after=figures[-1],
         detectable=_detectable(problem, model),
         advice=advice,
         reasons=reasons,
@@ -241,7 +240,7 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
             "samples is not independent",
             "held-out rms by axis: "
             + ", ".join(
-                f"{AXES[k]} {np.sqrt(loss.sum() / len(dwell)):.2f} mg" for k, loss in enumerate(losses.T)
+                f"{axis} {rms:.2f} mg" for axis, rms in (figures[-1].heldout_by_axis or {}).items()
             ),
         ),
         heldout_design=f"{BLOCKS} blocks of time, degrees and time constants averaged in each fold",
