@@ -215,11 +215,12 @@ def write_command(
                 if undo
                 else _write(writer, yes=yes, dry_run=dry_run, quiet=as_json, null=null)
             )
+    known = document["state"]["registers"] in ("untouched", "old", "new")
     if as_json:
         print_json(document)
-    else:
-        say(document["state"]["text"], err=False)
-    return 0 if document["state"]["registers"] in ("untouched", "old", "new") else 1
+    if not (as_json and known):
+        say(document["state"]["text"], err=as_json)
+    return 0 if known else 1
 
 
 def _write(
