@@ -532,10 +532,9 @@ def search_model(
     if spent():
         current().leave_out("the end of the search for effects")
     plain: tuple[Selection, Scatter | None] = (first, None)
-    selection, scatter = attempt(
+    return attempt(
         "scatter from dwell to dwell as a cause", lambda: with_scatter(first, terms, max_effects), plain
     )
-    return selection, scatter
 
 
 def reported_errors(figures: Sequence[ErrorFigures]) -> tuple[float, float] | None:

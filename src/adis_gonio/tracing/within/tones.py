@@ -100,14 +100,13 @@ def _highest(density: Density) -> _Peak | None:
     tests = 2.0 * points * axes
     pooled = relative.mean(axis=0)
     width = density.width[searched]
-    best: _Peak | None = None
+    peaks: list[_Peak] = []
     for axis in range(axes):
         effective = float(density.effective[axis])
         freedom = 2 * effective * width / TAPER_LOSS
         at = int(np.argmax(pooled[:, axis]))
         p = corrected(float(special.fdtrc(2 * effective, freedom[at], pooled[at, axis])), tests)
-        if best is None or p < best.p_value:
-            best = _Peak(at + searched.start, p, None)
+        peaks.append(_Peak(at + searched.start, p, None))
         single = relative[:, :, axis]
         dwell, at = divmod(int(np.argmax(single)), points)
         # Spectra of single dwells differ: the line has to exceed the density of its own dwell too.
@@ -116,9 +115,9 @@ def _highest(density: Density) -> _Peak | None:
         height = single[dwell, at] / max(1.0, float(np.median(own)) / np.log(2))
         rough = effective / d
         p = corrected(float(special.fdtrc(2, 2 * width[at] / TAPER_LOSS, height)) ** rough, tests * d)
-        if p < best.p_value:
-            best = _Peak(at + searched.start, p, dwell)
-    return best if best is not None and best.p_value < FOUND_WITHIN else None
+        peaks.append(_Peak(at + searched.start, p, dwell))
+    best = min(peaks, key=lambda peak: peak.p_value)
+    return best if best.p_value < FOUND_WITHIN else None
 
 
 def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFinding, Samples] | None:
