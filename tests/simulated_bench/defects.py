@@ -25,6 +25,7 @@ from adis_gonio.bench import dwell_recorder, runner
 from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.bench.writeback import offset_writer
 from adis_gonio.device.bus.contract import SpiBus
+from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.faces.cli import calibrate_command
 from adis_gonio.faces.serve import iio_device
 from adis_gonio.record import archive, archive_tables
@@ -77,8 +78,10 @@ class Look:
 
     @property
     def clumsy(self) -> bool:
-        """True if the operator makes mistakes, or a guard has asked something."""
-        return self.play.story.only != "none" or self.play.bench.operator.guards > 0 or self.failed
+        """True if the operator makes mistakes, or a guard has objected."""
+        return (
+            self.play.story.only != "none" or self.play.bench.operator.guards > 0 or self.ended.status == 1
+        )
 
 
 def _writes(story: Story) -> bool:
@@ -113,6 +116,10 @@ def _always(result: Any, error: BaseException | None, args: tuple[Any, ...]) -> 
     return True
 
 
+def _objects(result: Any, error: BaseException | None, args: tuple[Any, ...]) -> bool:
+    return isinstance(error, Exception)
+
+
 def _speaks(result: Any, error: BaseException | None, args: tuple[Any, ...]) -> bool:
     return error is not None or bool(result)
 
@@ -126,8 +133,10 @@ class Defect:
     more : tuple of (target, name, new)
         Further protections against the same harm, which back the first one up.
     differs : callable or None
-        Gets result, error and arguments of a call of the sound function; False if the replacement would
+        Gets result, error and arguments of a call of a sound function; False if the replacement would
         have done the same. None: calls are not watched.
+    place : tuple of (target, name) or None
+        The function that is watched in the place of the replaced ones.
     reached : callable
         Gets a `Look`; False if the replacement has no effect in such a command.
     needs : callable
@@ -140,6 +149,7 @@ class Defect:
     new: Any
     more: tuple[tuple[Any, str, Any], ...] = ()
     differs: Callable[[Any, BaseException | None, tuple[Any, ...]], bool] | None = _always
+    place: tuple[Any, str] | None = None
     reached: Callable[[Look], bool] = lambda look: True
     needs: Callable[[Story], bool] = lambda story: True
 
@@ -247,7 +257,7 @@ def _update_rows(self: archive.Archive, kind: str, value: Any, bus_s: float) -> 
         self._record(kind, value, bus_s)
 
 
-def _values_unchecked(table: str, row: Any) -> dict[str, Any]:
+def _values_unchecked(table: str, row: Any, where: str) -> dict[str, Any]:
     """The checksum of a row is taken for the proof that its values are sound."""
     pairs = zip(archive_tables.TABLES[table], row, strict=True)
     return {column.name: json.loads(value) if column.json else value for column, value in pairs}
@@ -274,7 +284,7 @@ DEFECTS: dict[str, Defect] = {
     ),
     "mark left": Defect(
         "the mark of a killed session stays in the alarm level",
-        ChipSource, "_forget_old_mark", lambda self: None,
+        Adis16354, "forget_mark", lambda self: None,
         reached=lambda look: any(e.how != "exit" or e.status for e in look.play.outcome.ended),
     ),
     "loan kept": Defect(
@@ -293,7 +303,7 @@ DEFECTS: dict[str, Defect] = {
     ),
     "short replies": Defect(
         "the replies of a bus are not counted", SpiBus, "_checked", _unchecked,
-        differs=lambda result, error, args: error is not None,
+        differs=_objects,
         needs=lambda story: any(_has(step, "short") for step in story.steps),
     ),
     "not durable": Defect(
@@ -309,7 +319,7 @@ DEFECTS: dict[str, Defect] = {
     ),
     "journal orphaned": Defect(
         "a session set aside loses its journal", archive, "set_aside", _set_aside,
-        needs=_dies,
+        reached=lambda look: look.play.journal, needs=_dies,
     ),
     "samples lost": Defect(
         "the row of a dwell is written without its samples",
@@ -318,7 +328,7 @@ DEFECTS: dict[str, Defect] = {
     "interruption lost": Defect(
         "the scans of a dwell that a bus error ends are not kept",
         dwell_recorder.DwellRecorder, "_record_or_keep", _forgetful_recording,
-        reached=lambda look: look.failed,
+        place=(dwell_recorder.DwellRecorder, "_interrupted"),
         needs=_fails,
     ),
     "interrupted counts": Defect(
@@ -386,13 +396,13 @@ DEFECTS: dict[str, Defect] = {
             (archive, "checked_value", lambda name, shape, value: value),
             (archive.ArchiveView, "_refuse_strangers", lambda self, stored: None),
         ),
-        differs=None, reached=lambda look: look.forged,
+        differs=_objects,
         needs=_is_forged,
     ),
     "forged schema": Defect(
         "a session file may hold other tables, views and triggers",
         archive, "_refuse_other_objects", lambda path, connection: None,
-        differs=None, reached=lambda look: look.forged,
+        differs=_objects,
         needs=_is_forged,
     ),
     "dead line served": Defect(
@@ -426,9 +436,11 @@ class Watch:
         """Observe the functions that the defects replace."""
         with ExitStack() as stack:
             for name, one in DEFECTS.items():
-                if one.differs is not None:
-                    observed = self._observed(name, getattr(one.target, one.name), one.differs)
-                    stack.enter_context(mock.patch.object(one.target, one.name, observed))
+                replaced = [(one.target, one.name), *((target, name) for target, name, _ in one.more)]
+                for target, attribute in replaced if one.place is None else [one.place]:
+                    if one.differs is not None:
+                        observed = self._observed(name, getattr(target, attribute), one.differs)
+                        stack.enter_context(mock.patch.object(target, attribute, observed))
             yield
 
     def ended(self, play: Play, step: Step, ended: Ended) -> None:

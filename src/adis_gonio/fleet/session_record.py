@@ -51,8 +51,8 @@ Status = Literal["ok", "failed"]
 class FoundEffect(JsonRecord):
     """An effect that the trace of a session found.
 
-    `axes` are the axes on which it acts, `parameters` its amplitudes by name, and `p_value` is the
-    probability of as large an improvement of the fit without the effect.
+    `axes` are the axes on which it acts, `parameters` its amplitudes by name. `p_value` is the probability
+    of at least this improvement of the fit if the effect is absent.
     """
 
     effect: str

@@ -346,7 +346,8 @@ class Effect(ABC):
     in_base: ClassVar[bool] = False
     """True if a fit of a session already contains the effect: bias, scale, misalignment, gravity."""
     prior: ClassVar[str] = ""
-    """Group of effects with another prior weight than 1: `constant`, `curvature`, `force`; empty for 1."""
+    """Group that sets the effect's prior weight in a trace: `constant`, `curvature` or `force`.
+    Empty for the weight 1."""
     remedy: ClassVar[str] = ""
     """Advice to the operator if no further position separates the effect from others that look alike."""
     remedy_in_space: ClassVar[str] = ""
@@ -360,7 +361,8 @@ class Effect(ABC):
     parts: ClassVar[tuple[str, ...]] = ("accelerometer",)
     """Parts of the sensor that show the effect: `accelerometer`, `gyro`."""
     options: ClassVar[dict[str, tuple[int, ...]]] = {}
-    """Values that the trace tries for a choice, by its name; parameter names identify the choice."""
+    """Values that the trace tries, by the name of the choice. The list of an effect's parameters shows the
+    value."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
