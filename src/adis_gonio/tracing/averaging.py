@@ -17,7 +17,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.estimation.fit import Fit, nameless_spread
-from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm, Term
+from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm, Term, Where
 from adis_gonio.model.effects import Conditions
 from adis_gonio.tracing.selection import Selection
 from adis_gonio.tracing.session_blocks import orthonormal
@@ -260,14 +260,22 @@ def _average(selection: Selection, candidates: Sequence[Process] | None) -> Aver
     return Averaged(spent, promising[0].term, weight, promising)
 
 
+def _covered_by_process(term: NamelessTerm, covered: set[tuple[Where, tuple[str, ...]]]) -> bool:
+    """Return True if an unnamed term approximates a function that a Gaussian process also describes.
+
+    `covered` has the place and covariates of each process. Such a term is omitted: it is a polynomial,
+    which fits the readings as well as the process but diverges outside their range.
+    """
+    return term.basis.approximates and (term.where, term.covariates) in covered
+
+
 def _formulas(
     selection: Selection, named: tuple[int, ...], candidates: Sequence[Process]
 ) -> list[tuple[float, tuple[NamelessTerm, ...]]]:
     """Return the unnamed terms of each probable model that has exactly the named terms `named`.
 
     Each entry begins with the log evidence of its model minus the log evidence of the named terms alone.
-    A term that approximates a function which a process in `candidates` also describes is omitted: it is a
-    polynomial, which fits the readings as well as the process but diverges outside their range.
+    Terms that approximate a function which a process in `candidates` also describes are omitted.
     """
     problem, found = selection.problem, selection.found
 
@@ -282,7 +290,7 @@ def _formulas(
     for model in sorted({*near, tuple(selection.verdict.best)}):
         rest = tuple(problem.terms[k] for k in model if k not in named)
         nameless = tuple(term for term in rest if isinstance(term, NamelessTerm))
-        twice = any(t.basis.approximates and (t.where, t.covariates) in covered for t in nameless)
+        twice = any(_covered_by_process(term, covered) for term in nameless)
         if rest and len(nameless) == len(rest) and not twice:
             pool.append((score(model) - alone, nameless))
     return pool
