@@ -139,7 +139,7 @@ def test_what_rests_on_one_estimate_is_drawn_with_one_factor() -> None:
 @pytest.mark.parametrize("kind", ["normal", "uniform", "arcsine", "exponential"])
 def test_the_doubt_is_the_scatter_of_the_standard_deviation(few: FitResult, kind: str) -> None:
     rng = np.random.default_rng(2)
-    linear = Estimate("delta_k", 0.0, 1.0, "1")
+    linear = Estimate(0.0, 1.0, "1", name="delta_k")
     draw = {
         "normal": rng.standard_normal,
         "uniform": rng.uniform,
@@ -155,7 +155,7 @@ def test_the_doubt_is_the_scatter_of_the_standard_deviation(few: FitResult, kind
 
 def test_the_interval_leaves_as_much_below_as_above(few: FitResult) -> None:
     values = 3.0 + np.random.default_rng(3).standard_exponential(100_000)
-    found = module._propagated(few.origin, Estimate("delta_k", 4.0, 1.0, "1"), values, 0)
+    found = module._propagated(few.origin, Estimate(4.0, 1.0, "1", name="delta_k"), values, 0)
     assert found.low == pytest.approx(3.0 - math.log(0.975), abs=0.003)
     assert found.high == pytest.approx(3.0 - math.log(0.025), abs=0.06)
     assert found.u == pytest.approx(1.0, abs=0.02)
@@ -163,7 +163,7 @@ def test_the_interval_leaves_as_much_below_as_above(few: FitResult) -> None:
 
 def test_angles_on_both_sides_of_half_a_turn_are_neighbours(few: FitResult) -> None:
     values = np.array([179.9, -179.9, 180.0, 179.8, -179.8])
-    found = module._propagated(few.origin, Estimate("alpha", -179.9, 0.1, "deg"), values, 0)
+    found = module._propagated(few.origin, Estimate(-179.9, 0.1, "deg", name="alpha"), values, 0)
     assert found.u == pytest.approx(np.std([-0.1, 0.1, 0.0, -0.2, 0.2], ddof=1))
     assert -180.3 < found.low < -180.0 < found.high < -179.7
 

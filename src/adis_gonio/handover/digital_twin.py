@@ -146,7 +146,7 @@ class TermEffect(Effect):
         )
 
     def _bounds(self) -> Floats:
-        bounds = self.term.bounds()
+        bounds = self.term.bounds
         return np.zeros((0, 2)) if bounds is None else bounds
 
     def attitude_rad(self, values: Floats, conditions: Conditions) -> Floats:
