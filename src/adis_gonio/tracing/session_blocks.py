@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,17 +107,18 @@ class SessionBlocks:
         columns, length = project_off_base(own, columns, width)
         seen = np.zeros(length.shape, dtype=bool)
         back: list[Floats] = []
+        prior: list[Floats] = []
         for _, places, size in runs(width):
             stack = _by_term(columns[..., places], size)
             half = orthonormalising(stack.swapaxes(-1, -2) @ stack)
             columns[..., places] = _by_row(stack @ half)
             seen[:, places] = _by_row(half).any(axis=1)
-            back.extend(half / _by_term(length[:, None, places], size).swapaxes(-1, -2))
-        first = np.cumsum(width) - width
-        away = [own / spread[k : k + own.shape[1], None] for k, own in zip(first, back, strict=True)]
-        none = tuple(np.zeros_like(one) for one in away)
-        free = cls(rows, place, shared, columns, width, seen, tuple(back), none)
-        return free, [one.swapaxes(-1, -2) @ one for one in away]
+            half = half / _by_term(length[:, None, places], size).swapaxes(-1, -2)
+            away = half / spread[places].reshape(-1, 1, size, 1)
+            back.extend(half)
+            prior.extend(away.swapaxes(-1, -2) @ away)
+        none = tuple(np.zeros_like(one) for one in prior)
+        return cls(rows, place, shared, columns, width, seen, tuple(back), none), prior
 
     def by_row(self, values: Floats) -> Floats:
         """Arrange values (S, n, …) of all sessions as rows (rows, …)."""
@@ -124,15 +126,20 @@ class SessionBlocks:
         out[self.place] = values
         return out[:-1]
 
+    @cached_property
+    def first(self) -> NDArray[np.intp]:
+        """First column (M,) of each term."""
+        return (np.cumsum(self.width) - self.width).astype(np.intp)
+
     def places(self, term: int) -> slice:
         """Return the slice of the columns of one term."""
-        end = int(self.width[: term + 1].sum())
-        return slice(end - int(self.width[term]), end)
+        return slice(self.first[term], self.first[term] + self.width[term])
 
-    @property
+    @cached_property
     def total(self) -> NDArray[np.intp]:
-        """Number of columns (M,) of each term over all sessions."""
-        return np.array([self.seen[:, self.places(k)].sum() for k in range(len(self.width))], dtype=np.intp)
+        """Number of columns (M,) of each term that the sessions show, added up over the sessions."""
+        shown = self.seen.sum(axis=0)
+        return np.add.reduceat(shown, self.first) if len(self.first) else shown
 
     def of_term(self, term: int) -> Floats:
         """Return the columns (rows, S · width) of one term, without those that no session shows."""
