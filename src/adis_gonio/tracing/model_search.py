@@ -264,7 +264,11 @@ class _Climb:
         wider = np.empty((len(added), len(model) + added.shape[1]), dtype=np.intp)
         wider[:, : len(model)], wider[:, len(model) :] = model, added
         wider.sort(axis=1)
-        self.found.scores.update(zip(map(tuple, wider.tolist()), scores.tolist(), strict=True))
+        # The ridge of a gain only lowers it, so the largest score of a model is the most exact.
+        known = self.found.scores
+        for one, score in zip(map(tuple, wider.tolist()), scores.tolist(), strict=True):
+            if score > known.get(one, -math.inf):
+                known[one] = score
         self.top = max(self.top, float(scores.max(initial=-np.inf)))
         # Of the terms of one kind, all are named or none is, so only the best score of each can lead.
         group = (self.kind[added] * len(self.kind) ** np.arange(added.shape[1])).sum(axis=1)

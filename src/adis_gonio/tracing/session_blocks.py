@@ -226,7 +226,8 @@ class SessionBlocks:
         if with_prior:
             gram[held:, held:] = together
         gram -= np.tensordot(across, across, axes=((0, 1), (0, 1)))
-        turn = orthonormal_combinations(gram)
+        # A bias of all sessions beside one of each, of which the prior alone tells it apart, is short.
+        turn = orthonormal_combinations(gram, _RANK)
         turn = turn[:, turn.any(axis=0)]
         rank = int(half.any(axis=1).sum()) + turn.shape[1] - held
         return ModelBasis(columns, (every - columns @ across) @ turn, rank)
@@ -382,13 +383,13 @@ def orthonormalising(gram: Floats) -> Floats:
     return half
 
 
-def orthonormal_combinations(gram: Floats) -> Floats:
+def orthonormal_combinations(gram: Floats, least: float = limits.independent) -> Floats:
     """Return matrices (…, p, p) that turn p columns with these Gram matrices into orthonormal columns.
 
-    Columns of the result are zero for combinations that are too short.
+    Columns of the result are zero for combinations with a squared length of at most `least`.
     """
     values, vectors = np.linalg.eigh(gram)
-    seen = values > limits.independent
+    seen = values > least
     scale: Floats = np.where(seen, 1 / np.sqrt(np.where(seen, values, 1.0)), 0.0)
     return np.asarray(scale[..., None, :] * vectors)
 
