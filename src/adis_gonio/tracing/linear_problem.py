@@ -27,6 +27,7 @@ from adis_gonio.tracing.session_blocks import (
     ModelBasis,
     SessionBlocks,
     by_session,
+    columns_of,
     orthonormal,
     orthonormal_combinations,
     runs,
@@ -234,7 +235,7 @@ class LinearProblem:
         """Return the problem restricted to the terms with the numbers `chosen`, in ascending order."""
         count = len(self.first)
         shared, own = chosen[chosen < count].tolist(), (chosen[chosen >= count] - count).tolist()
-        index = [column for k in shared for column in range(self.first[k], self.first[k] + self.width[k])]
+        index = columns_of(self.first, self.width, shared)
         width = self.width[shared]
         return replace(
             self,
@@ -440,10 +441,13 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
     numbers, blocks, prior = _blocks(fit, shared, *whole)
     # Only the columns that the readings show, with terms of equal width side by side.
     order = np.lexsort((numbers, blocks.total))[int((blocks.total == 0).sum()) :].tolist()
-    shown = [blocks.seen[0, blocks.places(k)] for k in order]
-    every = [np.arange(blocks.rows)[:0]]
-    every += [blocks.first[k] + np.flatnonzero(seen) for k, seen in zip(order, shown, strict=True)]
-    columns = blocks.columns[0][:, np.concatenate(every)]
+    index = columns_of(blocks.first, blocks.width, order)
+    columns = blocks.columns[0][:, index[blocks.seen[0, index]]]
+    back, held = ([one[k][0] for k in order] for one in (blocks.back, prior))
+    for i, k in enumerate(order):
+        if blocks.total[k] < blocks.width[k]:
+            shown = blocks.seen[0, blocks.places(k)]
+            back[i], held[i] = back[i][:, shown], held[i][shown][:, shown]
     width = blocks.total[order]
     first = (np.cumsum(width) - width).astype(np.intp)
     made = LinearProblem(
@@ -453,13 +457,13 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
         width=width,
         target=target,
         dof=rows - base.shape[1],
-        back=tuple(blocks.back[k][0][:, seen] for k, seen in zip(order, shown, strict=True)),
+        back=tuple(back),
         hidden=(),
         cost=np.zeros(0),
         column_price=np.add.reduceat(_column_prices(columns), first) if len(first) else np.zeros(0),
         prior=tuple(np.zeros((size, size)) for size in width.tolist()),
         joint=bool(fit.data.model.origins),
-    )._with_prior([prior[k][0][seen][:, seen] for k, seen in zip(order, shown, strict=True)], 1.0)
+    )._with_prior(held, 1.0)
     if own:
         made = _with_split(made, fit, [terms[k] for k in own], list(own.values()))
     for k, term in enumerate(made.terms):
@@ -541,8 +545,7 @@ def _blocks(
     raw, width = fit.candidates(terms)
     spread = amplitude_spreads(fit.data.model, terms, width)
     numbers = np.argsort(width, kind="stable")
-    first = np.cumsum(width) - width
-    index = np.concatenate([np.zeros(0, dtype=np.intp), *(first[k] + np.arange(width[k]) for k in numbers)])
+    index = columns_of(np.cumsum(width) - width, width, numbers)
     white = fit.white(raw)
     columns = by_session(white[:, index], place)
     return numbers, *SessionBlocks.of(len(white), place, bases, columns, spread[index], width[numbers])

@@ -117,8 +117,8 @@ class SessionBlocks:
             away = half / spread[places].reshape(-1, 1, size, 1)
             back.extend(half)
             prior.extend(away.swapaxes(-1, -2) @ away)
-        none = tuple(np.zeros_like(one) for one in prior)
-        return cls(rows, place, shared, columns, width, seen, tuple(back), none), prior
+        none = [np.zeros((len(seen), size, size)) for size in width.tolist()]
+        return cls(rows, place, shared, columns, width, seen, tuple(back), tuple(none)), prior
 
     def by_row(self, values: Floats) -> Floats:
         """Arrange values (S, n, …) of all sessions as rows (rows, …)."""
@@ -165,7 +165,7 @@ class SessionBlocks:
 
     def subset(self, chosen: Sequence[int]) -> SessionBlocks:
         """Return the blocks of the chosen terms, in ascending order."""
-        index = [k for term in chosen for k in range(self.places(term).start, self.places(term).stop)]
+        index = columns_of(self.first, self.width, chosen)
         return replace(
             self,
             columns=np.ascontiguousarray(self.columns[..., index]),
@@ -312,6 +312,16 @@ def _by_term(columns: Floats, size: int) -> Floats:
 def _by_row(stack: Floats) -> Floats:
     """Arrange columns (M, S, n, size) of terms by row: (S, n, M · size)."""
     return stack.transpose(1, 2, 0, 3).reshape(*stack.shape[1:3], -1)
+
+
+def columns_of(
+    first: NDArray[np.intp], width: NDArray[np.intp], chosen: Sequence[int] | NDArray[np.intp]
+) -> NDArray[np.intp]:
+    """Return the numbers of the columns of chosen terms, from the first column and width of every term."""
+    chosen = np.asarray(chosen, dtype=np.intp)
+    own = width[chosen]
+    ends = np.cumsum(own)
+    return np.asarray(np.repeat(first[chosen] - ends + own, own) + np.arange(own.sum()))
 
 
 def runs(width: NDArray[np.intp]) -> list[tuple[slice, slice, int]]:
