@@ -15,29 +15,29 @@ from __future__ import annotations
 
 import argparse
 import gc
+import json
 import os
 import signal
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from itertools import count
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from simulated_bench.defects import DEFECTS, put_back
+from simulated_bench.defects import DEFECTS, Watch, put_back
 from simulated_bench.stories import Outcome, Story, draw, play, shrink, tell
 
 
-def played(story: Story) -> Outcome:
-    """Play a story in a folder of its own."""
+def played(story: Story, observe: Callable[..., object] | None = None) -> Outcome:
+    """Play a story in a folder of its own; `observe` as in `play`."""
     memory = "/dev/shm" if Path("/dev/shm").is_dir() else None
     with tempfile.TemporaryDirectory(dir=memory) as outer:
         folder = Path(outer) / "bench"
         folder.mkdir()
-        return play(story, folder)
+        return play(story, folder, observe)
 
 
 def name_of(outcome: Outcome) -> str:
@@ -90,24 +90,43 @@ def run(first: int, minutes: float) -> int:
     return len(failed)
 
 
-def find_defects(names: Sequence[str], first: int, most: int, *, motor: bool) -> int:
-    """Print how many seeds it takes to find each known defect; return the number of those not found."""
-    missed = 0
-    for name in names:
-        defect = DEFECTS[name]
-        for number, seed in enumerate(range(first, first + most), 1):
-            story = draw(seed)
-            if motor:  # several times faster than an operator, whose hands the program watches
-                story = replace(story, motor=True, only="none", plan="four-position", positions=4)
-            with put_back(name):
-                outcome = played(story)
-            if outcome.wrong and not played(story).wrong:
-                print(f"{name:20} {number:4}  {name_of(outcome):50}  {defect.text}", flush=True)
-                break
-        else:
-            missed += 1
-            print(f"{name:20} not found in {most} seeds  {defect.text}", flush=True)
-    return missed
+def find_defects(names: Sequence[str], first: int, most: int, state: Path | None) -> int:
+    """Print how many seeds it takes to find each known defect; return the number of those not found.
+
+    A story that may reach the place of a defect is played without one first; only the defects whose place
+    it reaches can change it, and are put back one by one, so that the numbers are those of playing all.
+    `state` is a file from which the search goes on, or None.
+    """
+    known = json.loads(state.read_text()) if state is not None and state.exists() else {}
+    next_seed, found = known.get("next", first), known.get("found", {})
+    for seed in range(next_seed, first + most):
+        story, watch = draw(seed), Watch()
+        missed = [name for name in names if name not in found]
+        wanted = [name for name in missed if DEFECTS[name].needs(story)]
+        if not missed:
+            break
+        if not wanted:
+            continue
+        with watch.watching():
+            outcome = played(story, watch.ended)
+        if outcome.wrong:
+            print(f"seed {seed} fails without a defect: {outcome.wrong[0]}", flush=True)
+        for name in wanted if not outcome.wrong else ():
+            if name in watch.reached:
+                with put_back(name):
+                    outcome = played(story)
+                if outcome.wrong:
+                    found[name] = seed - first + 1
+                    print(
+                        f"{name:20} {found[name]:4}  {name_of(outcome):50}  {DEFECTS[name].text}",
+                        flush=True,
+                    )
+        if state is not None:
+            state.write_text(json.dumps({"next": seed + 1, "found": found}))
+    missed = [name for name in names if name not in found]
+    for name in missed:
+        print(f"{name:20} not found in {most} seeds  {DEFECTS[name].text}", flush=True)
+    return len(missed)
 
 
 def main() -> int:
@@ -118,7 +137,7 @@ def main() -> int:
     parser.add_argument("--again", type=int, help="play one seed and tell it")
     parser.add_argument("--defects", nargs="*", choices=DEFECTS, help="without names: all")
     parser.add_argument("--most", type=int, default=200, help="with --defects: most seeds for each")
-    parser.add_argument("--motor", action="store_true", help="with --defects: no operator, which is faster")
+    parser.add_argument("--state", type=Path, help="with --defects: file to stop and go on with")
     options = parser.parse_args()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.freeze()
@@ -128,7 +147,7 @@ def main() -> int:
         return 1 if outcome.wrong else 0
     if options.defects is not None:
         names = options.defects or [*DEFECTS]
-        return 1 if find_defects(names, options.first, options.most, motor=options.motor) else 0
+        return 1 if find_defects(names, options.first, options.most, options.state) else 0
     return 1 if run(options.first, options.minutes) else 0
 
 

@@ -27,8 +27,7 @@ import numpy as np
 import turned_parts
 from adis_gonio.base.arrays import Floats
 from adis_gonio.device.sensor.registers import GYRO_LSB_DPS
-from adis_gonio.live.motion_model import GyroKnowledge, Sensing
-from adis_gonio.live.smoothed_meter import AngleSmoother
+from adis_gonio.live.motion_model import AngleSmoother, GyroKnowledge, Sensing
 from adis_gonio.sim import World, WorldSettings
 from turned_parts import FILTER_M, words
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from adis_gonio.fleet.fleet_pages import FleetResult
-from adis_gonio.fleet.fleet_run import files_of, run_fleet, survey
+from adis_gonio.base.budget import Budget, within
+from adis_gonio.fleet.fleet_run import Fleet, run_fleet, session_files
 from adis_gonio.fleet.fleet_summary import summarise
 from adis_gonio.fleet.session_record import Options
 from adis_gonio.fleet.session_table import COLUMNS
@@ -44,15 +44,17 @@ def drawn(path: Path, number: int, rng: np.random.Generator) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def seconds(files: list[str], options: Options, workers: int) -> tuple[float, FleetResult]:
+def seconds(files: list[str], options: Options, workers: int) -> tuple[float, Fleet]:
     """Seconds per session, measured from the end of the first session to the end of the last."""
-    found = survey(files)
     marks: list[float] = []
-    with LocalPool(workers) as pool, Store(IN_MEMORY) as store:
-        fleet = run_fleet(
-            found, options, pool, store, tell=lambda progress: marks.append(time.perf_counter())
-        )
-    return (marks[-1] - marks[0]) / (len(marks) - 1), FleetResult(fleet, options)
+
+    def mark(stage: str) -> None:
+        if " of " in stage:
+            marks.append(time.perf_counter())
+
+    with LocalPool(workers) as pool, Store(IN_MEMORY) as store, within(Budget(tell=mark)):
+        fleet = run_fleet(files, options, store, pool)
+    return (marks[-1] - marks[0]) / (len(marks) - 1), fleet
 
 
 def rows(rng: np.random.Generator, count: int) -> list[dict[str, object]]:
@@ -80,7 +82,7 @@ def measured(files: list[str], options: Options, most: int) -> dict[str, float |
     same = calm.as_dict() == other.as_dict()
     return {
         "sessions": len(files),
-        "failed": calm.fleet.failed,
+        "failed": calm.failed,
         "one_per_s": 1 / one,
         "many_per_s": 1 / many,
         "workers": most,
@@ -97,7 +99,7 @@ def run(effort: Effort) -> Section:
         rng = effort.generator()
         for k in range(count):
             drawn(Path(folder, f"{k:04d}.csv"), k, rng)
-        files = files_of([folder])
+        files = session_files([folder])
         fits = measured(files, Options(trace=False), most)
         traces = measured(files[:traced], Options(trace=True), most)
     synthetic = rows(effort.generator(), big)

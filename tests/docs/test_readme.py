@@ -22,7 +22,7 @@ def test_the_page_is_short_and_states_near_the_top_that_no_hardware_was_used():
 
 
 def test_the_first_block_installs_the_tool_and_the_second_runs_the_tests():
-    assert COMMANDS[:2] == ["python3 -m venv .venv", ".venv/bin/pip install '.[report]'"]
+    assert COMMANDS[:2] == ["python3 -m venv .venv", ".venv/bin/pip install '.[report,bench]'"]
     assert SHELL[1] == "bash scripts/run_tests.sh\n"
     assert "exec bash scripts/run_tests.sh" in (ROOT / ".ci" / "run").read_text("utf-8")
 

@@ -11,6 +11,7 @@ import pytest
 
 import adis_gonio
 from adis_gonio import fit, trace
+from adis_gonio.base.conformity import Tolerance, state_conformity
 from adis_gonio.base.errors import DataError, NotInstalledError, UsageError
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.faces.cli import main
@@ -267,12 +268,26 @@ def test_an_rms_error_above_u_is_explained_on_every_face():
     session = planar()
     answer = Answer.of(fit(session))
     assert not any("rms error" in text for text in answer.remarks)
-    large = {"angle": Value(3 * answer.values["angle"].U, answer.values["angle"].u, "deg")}
+    large = {"angle": Value(30 * answer.values["angle"].U, answer.values["angle"].u, "deg")}
     vars(answer)["values"] = large
     (said,) = (text for text in answer.remarks if "rms error" in text)
+    assert "not safe" in said
     assert said in " ".join(answer.text(80).split())
     page = certificate_section(session, answer, None)
     assert said in page.notes
+
+
+def test_a_pass_below_the_rms_error_of_single_dwells_is_explained_by_their_placement():
+    """24 placements with u = 0.2°: the mean is much better than each, and the certificate says so."""
+    session = planar(fixture=0.2)
+    answer = Answer.of(fit(session))
+    tolerance = Tolerance(0.12)
+    assert state_conformity(tolerance, answer.error_curves()).with_calibration.verdict == "pass"
+    assert answer.values["angle"].value > tolerance.limit_deg
+    page = certificate_section(session, answer, None, tolerance=tolerance)
+    (said,) = (text for text in page.notes if "rms error" in text)
+    assert "placement on the stage (u 0.2" in said
+    assert "conformity are about the calibrated angle" in said
 
 
 def test_a_stated_noise_is_not_called_the_noise_within_the_dwells():

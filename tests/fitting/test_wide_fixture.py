@@ -8,8 +8,7 @@ import pytest
 import plan_statistics as statistics
 from adis_gonio.base.errors import UsageError
 from adis_gonio.fitting.methods import fit_readings
-from adis_gonio.plan import Bench
-from adis_gonio.plan.prediction import LARGEST_FIXTURE_DEG, expected_readings, predict_uncertainty
+from adis_gonio.plan.prediction import LARGEST_FIXTURE_DEG, Bench, expected_readings, predict_uncertainty
 from adis_gonio.record.plans import plan
 
 ALPHA = statistics.NAMES.index("alpha")

@@ -10,8 +10,7 @@ import pytest
 
 from adis_gonio import __version__
 from adis_gonio.base.errors import DataError, OutputError
-from adis_gonio.fleet.fleet_pages import FleetResult
-from adis_gonio.fleet.fleet_run import run_fleet as run_in, survey
+from adis_gonio.fleet.fleet_run import run_fleet as run_in
 from adis_gonio.fleet.population_trace import trace_population
 from adis_gonio.fleet.session_evidence import SessionEvidence, evidence_of
 from adis_gonio.fleet.session_record import Options, work
@@ -45,49 +44,45 @@ def journal_at(path):
     return Store(path, strict=True)
 
 
-def run_fleet(found, options, workers, store=None):
+def run_fleet(files, options, workers, store=None):
     with store or journal_at(":memory:") as held:
-        return run_in(found, options, workers, held)
-
-
-def document_of(fleet):
-    return FleetResult(fleet, FITS).as_dict()
+        return run_in(files, options, held, workers)
 
 
 def test_the_order_of_arrival_changes_no_byte(files, tmp_path):
-    found, written = survey(files), []
+    written = []
     for seed in (1, 2):
-        fleet = run_fleet(found, FITS, Here(seed))
+        fleet = run_fleet(files, FITS, Here(seed))
         path = tmp_path / "a.parquet"
-        FleetResult(fleet, FITS).write(path)
-        written.append((document_of(fleet), path.read_bytes()))
+        fleet.write(path)
+        written.append((fleet.as_dict(), path.read_bytes()))
     assert written[0] == written[1]
 
 
 def test_a_full_disk_loses_nothing_and_the_run_goes_on_where_it_stopped(files, tmp_path):
     resource = pytest.importorskip("resource")
-    found, path = survey(files), tmp_path / "journal"
-    whole = run_fleet(found, FITS, Here())
+    path = tmp_path / "journal"
+    whole = run_fleet(files, FITS, Here())
     with journal_at(path) as journal:
-        run_fleet(survey(files[:2]), FITS, Here(), journal)
+        run_fleet(files[:2], FITS, Here(), journal)
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     with journal_at(path) as journal:
         resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size, limits[1]))  # as on a full disk
         try:
             with pytest.raises(OutputError, match=r"it holds \d sessions: make room"):
-                run_fleet(found, FITS, Here(), journal)
+                run_fleet(files, FITS, Here(), journal)
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     held = len(kept_in(path))
     again = Here()
     with journal_at(path) as journal:
-        fleet = run_fleet(found, FITS, again, journal)
+        fleet = run_fleet(files, FITS, again, journal)
     assert 2 <= held < 6
-    assert (fleet.again, len(again.given)) == (held, 6 - held)
-    assert document_of(fleet) == document_of(whole)
+    assert (fleet.known, len(again.given)) == (held, 6 - held)
+    assert fleet.as_dict() == whole.as_dict()
     nobody = Here()
     with journal_at(path) as journal:
-        assert document_of(run_fleet(found, FITS, nobody, journal)) == document_of(whole)
+        assert run_fleet(files, FITS, nobody, journal).as_dict() == whole.as_dict()
     assert nobody.given == []
 
 
@@ -99,13 +94,13 @@ def test_other_options_and_other_bytes_are_done_and_another_name_is_not(files, t
     changed = tmp_path / "changed.csv"
     changed.write_bytes(one.read_bytes().replace(b"# title: ", b"# title: new"))
     with journal_at(path) as journal:
-        run_fleet(survey([str(one)]), FITS, Here(), journal)
+        run_fleet([str(one)], FITS, Here(), journal)
     for name, options, done in (
         (copy, FITS, False), (changed, FITS, True), (one, Options(trace=False, evidence=True), True),
     ):  # fmt: skip
         hands = Here()
         with journal_at(path) as journal:
-            fleet = run_fleet(survey([str(name)]), options, hands, journal)
+            fleet = run_fleet([str(name)], options, hands, journal)
         assert bool(hands.given) == done
         assert fleet.records[0].path == str(name)
 
@@ -115,7 +110,7 @@ def test_the_same_session_by_two_names_or_in_two_files_counts_once(files, tmp_pa
     copy, retitled = tmp_path / "copy.csv", tmp_path / "retitled.csv"
     copy.write_bytes(one.read_bytes())
     retitled.write_bytes(one.read_bytes().replace(b"# title: ", b"# title: new"))
-    fleet = run_fleet(survey([str(copy), *files, files[0], str(retitled)]), FITS, Here())
+    fleet = run_fleet([str(copy), *files, files[0], str(retitled)], FITS, Here())
     assert len(fleet.records) == len(files)
     first, *others = sorted([files[0], str(copy), str(retitled)])
     assert [(r.path, r.same_as) for r in fleet.repeated] == [(other, first) for other in others]
@@ -126,7 +121,7 @@ def test_of_two_files_with_the_same_data_that_counts_that_says_more(files, tmp_p
     bare, whole = tmp_path / "0.csv", tmp_path / "1.csv"
     whole.write_text(text, "utf-8")
     bare.write_text(text.replace("# serial: ", "# title: "), "utf-8")
-    fleet = run_fleet(survey([str(bare), str(whole)]), FITS, Here())
+    fleet = run_fleet([str(bare), str(whole)], FITS, Here())
     (kept,) = fleet.records
     assert kept.serial
     assert [(r.path, r.same_as) for r in fleet.repeated] == [(str(bare), str(whole))]
@@ -138,21 +133,21 @@ def test_a_pipe_is_a_row_with_its_reason_and_nothing_waits_for_it(tmp_path, monk
     monkeypatch.setattr(
         "adis_gonio.fleet.fleet_run.digest_of_file", lambda path: pytest.fail(f"{path}: read")
     )
-    (row,) = survey([str(tmp_path / "pipe.csv")]).unreadable
+    (row,) = run_fleet([str(tmp_path / "pipe.csv")], FITS, Here()).records
     assert "no regular file" in row.reason
 
 
 def test_the_population_is_traced_from_the_journal_as_from_the_files(files, tmp_path):
     asked = Options(trace=False, evidence=True)
     with journal_at(tmp_path / "journal") as journal:
-        run_fleet(survey(files), asked, Here(), journal)
+        run_fleet(files, asked, Here(), journal)
     with journal_at(tmp_path / "journal") as journal:
-        kept = FleetResult(run_fleet(survey(files), asked, Here(), journal), asked)
+        kept = run_fleet(files, asked, Here(), journal)
     told = [evidence_of(load_session(path)).as_dict() for path in files]  # rounded, as evidence is kept
     own = trace_population([SessionEvidence.from_dict(one) for one in told])
     assert kept.as_dict()["population"] == own.as_dict()
     assert kept.population_lines == own.summary()
-    few = FleetResult(run_fleet(survey(files[:2]), asked, Here()), asked)
+    few = run_fleet(files[:2], asked, Here())
     assert "needs at least 5" in few.as_dict()["population"]["reason"]
 
 
@@ -167,7 +162,7 @@ def test_what_is_no_journal_is_refused_and_left_as_it_is(tmp_path):
 def test_a_damaged_journal_is_refused_and_left_as_it_is(tmp_path, files):
     path = tmp_path / "journal"
     with journal_at(path) as journal:
-        run_fleet(survey(files), FITS, Here(), journal)
+        run_fleet(files, FITS, Here(), journal)
     content = bytearray(path.read_bytes())
     content[4096:-4096] = bytes(len(content) - 8192)
     path.write_bytes(content)
@@ -177,9 +172,9 @@ def test_a_damaged_journal_is_refused_and_left_as_it_is(tmp_path, files):
 
 
 def test_two_runs_at_one_journal_lose_nothing(files, tmp_path):
-    found, path = survey(files), tmp_path / "journal"
+    path = tmp_path / "journal"
     with journal_at(path) as one, journal_at(path) as other:
-        run_in(survey(files[:4]), FITS, Here(), one)
-        both = run_in(found, FITS, Here(), other)
-    assert both.again == 4
+        run_in(files[:4], FITS, one, Here())
+        both = run_in(files, FITS, other, Here())
+    assert both.known == 4
     assert len(kept_in(path)) == len(files)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 from pathlib import Path
@@ -9,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from adis_gonio import __version__
-from adis_gonio.fleet.fleet_pages import FleetResult
-from adis_gonio.fleet.fleet_run import run_fleet, survey
+from adis_gonio.base.budget import Budget, within
+from adis_gonio.fleet.fleet_run import run_fleet
 from adis_gonio.fleet.session_record import Options, work
 from adis_gonio.fleet.store import IN_MEMORY, Store
 from adis_gonio.fleet.workers import LocalPool
@@ -23,25 +24,26 @@ pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="kills pr
 
 
 def test_a_worker_killed_in_the_middle_loses_nothing_and_changes_nothing(tmp_path):
-    found = survey(write_fleet(tmp_path / "fleet", 8, seed=1))
-    with LocalPool(1) as pool:
-        calm = run_fleet(found, FITS, pool, Store(IN_MEMORY))
+    files = write_fleet(tmp_path / "fleet", 8, seed=1)
+    with LocalPool(1) as pool, Store(IN_MEMORY) as store:
+        calm = run_fleet(files, FITS, store, pool)
     killed = []
 
     def kill(progress):
-        if progress.done == 3:
-            killed.append(pool.pids[0])
+        if progress.startswith("3 of 8 sessions"):
+            killed.append(multiprocessing.active_children()[0].pid)
             os.kill(killed[0], signal.SIGKILL)
 
     with LocalPool(2) as pool, Store(tmp_path / "journal", strict=True) as journal:
-        stormy = run_fleet(found, FITS, pool, journal, kill)
-        assert journal.sessions == len(found.jobs)
+        with within(Budget(tell=kill)):
+            stormy = run_fleet(files, FITS, journal, pool)
+        assert journal.sessions == len(files)
     assert killed
     assert stormy.failed == 0
     for name in ("a.json", "a.parquet", "a.html"):
-        FleetResult(calm, FITS).write(tmp_path / name)
+        calm.write(tmp_path / name)
         calm_bytes = (tmp_path / name).read_bytes()
-        FleetResult(stormy, FITS).write(tmp_path / name)
+        stormy.write(tmp_path / name)
         assert (tmp_path / name).read_bytes() == calm_bytes
 
 
@@ -49,15 +51,15 @@ def test_a_file_that_kills_every_worker_is_a_row_with_its_reason_and_is_tried_ag
     files = write_fleet(tmp_path / "fleet", 4, seed=2)
     deadly = tmp_path / "fleet" / "deadly.csv"
     Path(files[1]).rename(deadly)
-    found = survey([*files[:1], *files[2:], str(deadly)])
+    left = [*files[:1], *files[2:], str(deadly)]
     with LocalPool(2, work_or_die) as pool, Store(tmp_path / "journal", strict=True) as journal:
-        fleet = run_fleet(found, FITS, pool, journal)
+        fleet = run_fleet(left, FITS, journal, pool)
     failed = [record for record in fleet.records if record.status != "ok"]
     assert [record.path for record in failed] == [str(deadly)]
     assert "was killed (SIGKILL), 2 times" in failed[0].reason
     with LocalPool(1) as pool, Store(tmp_path / "journal", strict=True) as journal:
-        again = run_fleet(found, FITS, pool, journal)
-    assert (again.again, again.failed) == (3, 0)
+        again = run_fleet(left, FITS, journal, pool)
+    assert (again.known, again.failed) == (3, 0)
 
 
 def test_a_worker_of_another_version_or_before_another_file_does_not_answer_for_it(tmp_path):

@@ -101,10 +101,10 @@ def test_archive_shows_names_of_files_whole_and_a_link_that_leads_nowhere(tmp_pa
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes of POSIX")
-def test_a_pipe_is_no_archive_and_is_said(tmp_path, capsys):
+def test_a_pipe_is_no_session_and_is_said(tmp_path, capsys):
     os.mkfifo(tmp_path / "pipe")
-    assert main(["archive", str(tmp_path / "pipe")]) == 1
-    assert "neither a folder nor a file" in capsys.readouterr().err
+    assert main(["archive", str(tmp_path / "pipe")]) == 0
+    assert "is no regular file: save the data" in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.skipif(not shutil.which("setpriv"), reason="takes root's right to read everything")
@@ -214,5 +214,6 @@ def test_an_unknown_serial_number_is_one_line(sessions, capsys, command):
 
 
 def test_a_folder_that_is_not_there_is_one_line(tmp_path, capsys):
-    assert main(["archive", str(tmp_path / "nowhere")]) == 1
-    assert capsys.readouterr().err == f"adis-gonio: {tmp_path / 'nowhere'}: there is no such folder\n"
+    assert main(["archive", str(tmp_path / "nowhere")]) == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error == f"adis-gonio: {tmp_path / 'nowhere'}: there is no such file or folder"

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from adis_gonio.base.errors import DataError
+from adis_gonio.base.errors import DataError, OutputError
 from adis_gonio.fleet import fleet_run as run
 from adis_gonio.fleet.fleet_run import scan
 from adis_gonio.fleet.fleet_summary import summarise
@@ -37,15 +37,14 @@ def folder(originals, tmp_path):
 
 def listed(folder, **more):
     with Store.of([folder]) as store:
-        found = scan(store, [folder], **more)
-        return found, store.rows(), store.problems
+        return scan(store, [folder], **more), store.rows()
 
 
 def test_only_new_and_changed_files_are_computed(folder, originals):
     assert listed(folder)[0].computed == 3
     assert listed(folder)[0].computed == 0
     shutil.copy(originals / "0.session", folder / "1.session")  # other content under an old name
-    recorded_again, rows, _ = listed(folder)
+    recorded_again, rows = listed(folder)
     assert recorded_again.computed == 0  # this content is known already
     assert [len(row["copies"]) for row in rows] == [1, 0]
     os.utime(folder / "0.session", ns=(1, 1))  # another time, the same content
@@ -58,7 +57,7 @@ def test_a_file_that_was_changed_replaces_what_it_held(folder):
     listed(folder)
     text = csv.read_text("utf-8").replace("serial: A7", "serial: A8")
     csv.write_text(text, "utf-8")
-    found, rows, _ = listed(folder)
+    found, rows = listed(folder)
     assert found.computed == 1
     assert [row["serial"] for row in rows if row["path"].endswith("x.csv")] == ["A8"]
     assert len(rows) == 4
@@ -68,7 +67,7 @@ def test_a_file_that_is_gone_is_remembered_and_one_that_moved_is_the_same(folder
     listed(folder)
     (folder / "0.session").unlink()
     (folder / "1.session").rename(folder / "renamed.session")
-    found, rows, _ = listed(folder)
+    found, rows = listed(folder)
     assert found.computed == 0
     assert [row["gone"] for row in rows] == [True, False, False]
     assert {row["path"].rsplit("/")[-1] for row in rows} == {"0.session", "renamed.session", "2.session"}
@@ -108,34 +107,29 @@ def test_an_interruption_keeps_what_was_computed(folder, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         listed(folder)
     monkeypatch.setattr(run, "record_of", real)
-    found, rows, problems = listed(folder)
-    assert (found.computed, found.known, len(rows), problems) == (1, 2, 3, [])
+    found, rows = listed(folder)
+    assert (found.computed, found.known, len(rows)) == (1, 2, 3)
 
 
-def test_a_full_disk_shows_all_keeps_what_was_there_and_says_so(folder):
+def test_a_full_disk_loses_nothing_and_is_an_error_with_the_remedy(folder):
     listed(folder)
     with Store.of([folder]) as index:
+        before = index.rows()
         index._connection.execute("PRAGMA max_page_count = 1")  # what a full disk is to SQLite
-        for n in range(40):
-            index.keep(made_up(f"20{10 + n}-01-01", serial="Z9"))
-        assert len(index.rows(serial="Z9")) == 40
-        assert len(index.rows(serial="A7")) == 3
-        assert len(index.problems) == 1
-        assert "full" in index.problems[0]
-        assert "make room" in index.problems[0]
+        with pytest.raises(OutputError, match="full; it holds 3 sessions: make room"):
+            index.keep(*(made_up(f"20{10 + n}-01-01", serial="Z9") for n in range(40)))
+        assert index.rows() == before
     with Store.of([folder]) as index:
-        assert len(index.rows(serial="A7")) == 3
+        assert index.rows() == before
 
 
-def test_a_folder_that_cannot_be_written_is_listed_all_the_same(folder, tmp_path):
-    with Store(tmp_path / "no folder" / "index") as index:
-        assert scan(index, [folder]).computed == 3
-        assert len(index.rows()) == 3
-        assert "cannot be opened" in index.problems[0]
+def test_an_index_that_cannot_be_written_is_an_error_with_the_remedy(tmp_path):
+    with pytest.raises(OutputError, match=r"cannot be opened: .*name another file by --index"):
+        Store(tmp_path / "no folder" / "index")
 
 
 @pytest.mark.parametrize("harm", ["middle", "head", "cut"])
-def test_a_damaged_index_is_set_aside_and_made_anew(folder, harm):
+def test_a_damaged_index_is_refused_left_as_it_is_and_made_again_once_it_is_removed(folder, harm):
     before = listed(folder)[1]
     path = folder / NAME
     content = bytearray(path.read_bytes())
@@ -146,11 +140,12 @@ def test_a_damaged_index_is_set_aside_and_made_anew(folder, harm):
     else:
         del content[len(content) // 2 :]
     path.write_bytes(content)
-    found, rows, problems = listed(folder)
+    with pytest.raises(DataError, match=r"is damaged .*; remove it"):
+        listed(folder)
+    assert path.read_bytes() == bytes(content)
+    path.unlink()
+    found, rows = listed(folder)
     assert (found.computed, rows) == (3, before)
-    assert "is damaged" in problems[0]
-    assert (folder / f"{NAME}.damaged-1").read_bytes() == bytes(content)
-    assert listed(folder)[2] == []
 
 
 def test_another_database_is_refused_and_left_as_it_is(folder, tmp_path):
@@ -175,8 +170,8 @@ def test_two_programs_at_once_compute_one_index(folder):
     for program in both:
         _, error = program.communicate(timeout=120)
         assert program.returncode == 0, error
-    found, rows, problems = listed(folder)
-    assert (found.computed, len(rows), problems) == (0, 3, [])
+    found, rows = listed(folder)
+    assert (found.computed, len(rows)) == (0, 3)
 
 
 def test_a_trace_that_is_asked_for_later_is_made_once(folder, monkeypatch):
@@ -199,7 +194,7 @@ def test_a_trace_that_is_asked_for_later_is_made_once(folder, monkeypatch):
 def test_the_index_is_no_session_and_hidden_files_are_none(folder):
     listed(folder)
     (folder / ".hidden.csv").write_text("x")
-    found, rows, _ = listed(folder)
+    found, rows = listed(folder)
     assert (found.known, len(rows)) == (3, 3)
 
 

@@ -10,10 +10,9 @@ import pytest
 
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.fleet.fleet_pages import build_page, history_page
-from adis_gonio.fleet.fleet_run import Repeated
 from adis_gonio.fleet.fleet_summary import summarise
 from adis_gonio.fleet.sensor_history import history_of
-from adis_gonio.fleet.session_record import FoundEffect, SessionRecord
+from adis_gonio.fleet.session_record import FoundEffect, Repeated, SessionRecord
 from fleet.sessions import quiet_rows, row
 from handover.browser import missing
 

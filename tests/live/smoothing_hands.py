@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adis_gonio.live.motion_model import Sensing
-from adis_gonio.live.smoothed_meter import AngleSmoother, SmoothedAngle
+from adis_gonio.live.motion_model import AngleSmoother, Sensing, SmoothedAngle
 
 NOISE_MG, GYRO_NOISE_DPS = 4.7, 0.6
 

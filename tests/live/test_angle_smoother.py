@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.live.motion_model import GyroKnowledge, Sensing
-from adis_gonio.live.smoothed_meter import AngleSmoother
+from adis_gonio.live.motion_model import AngleSmoother, GyroKnowledge, Sensing
 from live.smoothing_hands import Turning, during, errors, sensing, told
 
 SHAKEN = Turning(shake_mg=30.0, zero_dps=1.5, scale=1.005)

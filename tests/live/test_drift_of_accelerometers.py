@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.live import motion_model as drift
-from adis_gonio.live.motion_model import Sensing
-from adis_gonio.live.smoothed_meter import AngleSmoother
+from adis_gonio.live.motion_model import AngleSmoother, Sensing
 from live.smoothing_hands import GYRO_NOISE_DPS, NOISE_MG
 
 RATE_HZ, COUNT = 50.0, 120

@@ -19,7 +19,7 @@ class ThirdHarmonic(StageEffect):
     name = "third_harmonic"
     cause = "The bearing has three lobes."
     needs = ("angle_rad",)
-    coefficients: ClassVar = (Parameter("third", "degree", -1.0, 1.0, 0.02),)
+    parameters: ClassVar = (Parameter("third", "degree", -1.0, 1.0, 0.02),)
 
     def basis(self, conditions):
         return (np.sin(3 * conditions.covariate("angle_rad")),)
@@ -113,9 +113,8 @@ def test_catalogue_without_other_packages_is_the_built_in_one():
 
 
 def test_unknown_name_is_answered_with_the_nearest_one():
-    with pytest.raises(UsageError, match="did you mean 'quadratic'") as error:
+    with pytest.raises(UsageError, match=r"'quadratc'; did you mean 'quadratic'\?$"):
         effect("quadratc")
-    assert "bias" in one_line(error)
     with pytest.raises(UsageError, match="no effect is called 'zzz'; known"):
         effect("zzz")
 
@@ -198,7 +197,7 @@ def test_wrong_text_is_one_line_of_usage(text, says):
 def test_defaults_by_name_refuse_what_the_effect_has_not():
     one = effect("quadratic")
     assert one.defaults({"k2_y": 3.0}).tolist() == [1.0, 3.0]
-    with pytest.raises(UsageError, match="did you mean 'k2_y'"):
+    with pytest.raises(UsageError, match="it has k2_x, k2_y"):
         one.defaults({"k2y": 3.0})
 
 

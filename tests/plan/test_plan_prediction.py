@@ -12,8 +12,8 @@ from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.estimation.readings import readings_of
-from adis_gonio.plan import Bench, best_plan, predict
-from adis_gonio.plan.prediction import expected_readings, predict_uncertainty
+from adis_gonio.plan.optimal_plan import best_plan
+from adis_gonio.plan.prediction import Bench, expected_readings, predict, predict_uncertainty
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
 from adis_gonio.tracing.trace import trace_readings
@@ -112,7 +112,7 @@ def test_what_is_detectable_is_what_a_trace_of_such_a_session_says():
 def test_a_pair_that_nothing_tells_apart_is_named_and_order_tells_it():
     def alike(made):
         pairs = predict(made, Bench(0.02)).sight.confounded
-        return {frozenset((pair.one, pair.other)) for pair in pairs}
+        return {frozenset(pair.effects) for pair in pairs}
 
     assert frozenset(("quadratic", "cross_quadratic")) in alike(plan("mmpm"))
     assert frozenset(("bias_drift", "scale_drift")) in alike(plan("mmpm"))

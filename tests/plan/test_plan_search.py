@@ -8,9 +8,16 @@ import pytest
 
 from adis_gonio.base.conformity import Tolerance
 from adis_gonio.base.errors import FitError, UsageError
-from adis_gonio.plan import Bench, best_plan, fewest_positions, positions_in
-from adis_gonio.plan.optimal_plan import candidates, even_plan, interleaved_plan, search
-from adis_gonio.plan.prediction import LARGEST_FIXTURE_DEG, expected_readings, predict_uncertainty
+from adis_gonio.plan.optimal_plan import (
+    best_plan,
+    candidates,
+    even_plan,
+    fewest_positions,
+    interleaved_plan,
+    positions_in,
+    search,
+)
+from adis_gonio.plan.prediction import LARGEST_FIXTURE_DEG, Bench, expected_readings, predict_uncertainty
 from adis_gonio.record.plans import plan
 
 QUIET = Bench(0.02, flicker_mg=0.0)
@@ -134,7 +141,7 @@ def test_order_is_what_separates_drift_from_the_angle_and_both_sides_show_backla
     along = abs(np.corrcoef(time, np.cos(np.radians(angles)))[0, 1])
     assert along < 0.3
     assert found.prediction.sight.detectable["backlash"].amplitude is not None
-    alike = [{pair.one, pair.other} for pair in found.prediction.sight.confounded]
+    alike = [set(pair.effects) for pair in found.prediction.sight.confounded]
     assert {"bias_drift", "backlash"} not in alike
 
 

@@ -5,9 +5,10 @@ import time
 import numpy as np
 import pytest
 
-from adis_gonio.base.errors import DataError
+from adis_gonio import fit
+from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.record.loading import load_session
+from adis_gonio.record.loading import Overrides, load_session
 from adis_gonio.record.samples_reader import read_samples_csv
 from adis_gonio.record.samples_writer import write_samples_csv
 
@@ -308,3 +309,56 @@ def test_a_continuous_file_without_rest_says_so(tmp_path):
 def test_a_continuous_file_that_never_changes_is_named(tmp_path):
     lines = [f"{k / 100},3,4" for k in range(500)]
     assert "stuck data" in refused(write(tmp_path, "# accel_unit: mg", "time_s,ax,ay", *lines))
+
+
+# -- poses in space without a key ------------------------------------------------------------------
+
+SPACE = [(0.6, 0.0, 0.8), (-0.8, 0.6, 0.0), (0.0, -0.6, -0.8), (0.48, 0.64, -0.6), (0.0, 0.0, 1.0)]
+
+
+def poses(tmp_path, *keys, readings=SPACE, angles=None):
+    """A file with one row per pose; `readings` in g, with declared angles if they are given."""
+    rows = [
+        f"{k},{k},{1000 * x},{1000 * y},{1000 * z}" + ("" if angles is None else f",{angles[k]}")
+        for k, (x, y, z) in enumerate(readings)
+    ]
+    head = "time_s,position,ax,ay,az" + ("" if angles is None else ",angle_deg")
+    return write(tmp_path, "# accel_unit: mg", *keys, head, *rows)
+
+
+def test_poses_in_space_are_seen_without_the_key_and_said(tmp_path):
+    session = load_session(poses(tmp_path))
+    assert session.plane == "none"
+    assert "poses in space (plane none): az changes" in session.notes[-1]
+
+
+@pytest.mark.parametrize(
+    ("keys", "angles"),
+    [(("# plane: xy",), None), ((), [0, 10, 20, 30, 40]), (("# plane: xy",), [0, 1, 2, 3, 4])],
+)
+def test_a_stated_plane_is_kept_and_the_contradiction_said(tmp_path, keys, angles):
+    path = poses(tmp_path, *keys, angles=angles)
+    session = load_session(path)
+    assert session.plane == "xy"
+    assert "write '# plane: none'" in session.notes[-1]
+    with pytest.raises(DataError, match=r"lies flat.*write '# plane: none' for poses in space"):
+        fit(session)
+
+
+@pytest.mark.parametrize("drift_g", [0.0, 0.2])
+def test_a_turn_in_the_plane_stays_one_though_z_drifts_or_the_part_is_skewed(tmp_path, drift_g):
+    angles = np.radians(np.arange(0, 360, 45))
+    turn = [(np.cos(a), np.sin(a), 0.2 * np.sin(a) + drift_g * k / 8) for k, a in enumerate(angles)]
+    assert load_session(poses(tmp_path, readings=turn)).plane == "xy"
+    resting = [(0.0, 1.0, drift_g * k / 8) for k in range(8)]
+    assert load_session(poses(tmp_path, readings=resting)).plane == "xy"
+
+
+def test_prose_above_unknown_columns_is_not_taken_for_the_header(tmp_path):
+    prose = ["My log of Tuesday, made with a very good logger", "Operator, Jane Doe, at the bench"]
+    path = write(tmp_path, *prose, "t,X,Y,which", "0,9.215,3.354,0", "60,3.355,-9.214,1")
+    with pytest.raises(DataError, match=r"row 3: .*--columns 'ax=X,ay=Y'"):
+        read_samples_csv(path)
+    wanted = {"time_s": "t", "ax": "X", "ay": "YY"}
+    with pytest.raises(UsageError, match="there are 't', 'X', 'Y', 'which'"):
+        read_samples_csv(path, Overrides(columns=wanted))

@@ -13,9 +13,10 @@ import os
 import signal
 import sys
 import tempfile
+import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
+from contextlib import ExitStack, contextmanager, nullcontext, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from functools import cache
@@ -34,8 +35,9 @@ from adis_gonio.faces.cli import line_prompts, live_commands, main as run_progra
 from adis_gonio.sim import SimBus, SimulatedChip, State
 from fakes.faulty_chip import FAULTS, CutStream, FaultyChip
 from fakes.hand_part import HandPart, ShakenWorld
-from simulated_bench.disk import Disk, DiskFault, Killed, press_ctrl_c
+from simulated_bench.disk import Disk, DiskFault, Killed, OvertimeError, press_ctrl_c
 from simulated_bench.operator_at_bench import DeadEndError, Operator
+from simulated_bench.served import Client, virtual_serving
 
 URL = "bench:"
 BEGIN = datetime(2026, 1, 1, 8, 0, tzinfo=UTC)
@@ -45,13 +47,9 @@ HOST_LIMIT_S = 600.0
 """No command may take more time of the host than this: far more than on the slowest machine."""
 UNREAD_S, UNREAD_SAMPLES = 300.0, 50_000
 UNPLUGGED, BUSY, SHORT, LATE = "unplug", "busy", "short", "late"
-NOISE, SHAKE = "noise-on-data-ready", "shake"
-LINE_KINDS = (*FAULTS, UNPLUGGED, BUSY, SHORT, LATE, NOISE, SHAKE)
+NOISE, SHAKE, KILL = "noise-on-data-ready", "shake", "kill"
+LINE_KINDS = (*FAULTS, UNPLUGGED, BUSY, SHORT, LATE, NOISE, SHAKE, KILL)
 SHAKEN_MG = 30.0
-
-
-class OvertimeError(BaseException):
-    """A command waited for longer than any operator would; no handler of the program catches this."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +58,8 @@ class LineFault:
 
     Kinds are those of `fakes.faulty_chip.FAULTS`, and `unplug` (until the command ends), `busy` (the bridge
     refuses a batch), `short` (a batch is answered with `size` words too few), `late` (a batch takes `size`
-    seconds), `noise-on-data-ready` (a stream loses scans), `shake` (the table shakes for `size` seconds).
+    seconds), `noise-on-data-ready` (a stream loses scans), `shake` (the table shakes for `size` seconds),
+    `kill` (the program is killed).
     """
 
     kind: str
@@ -83,6 +82,8 @@ class Ended:
         Standard output and standard error.
     began_s, ended_s : float
         Times on the clock of the bench.
+    clients : tuple of str
+        What each client of `serve` did and got.
     """
 
     words: tuple[str, ...]
@@ -92,6 +93,7 @@ class Ended:
     err: str
     began_s: float
     ended_s: float
+    clients: tuple[str, ...] = ()
 
     @property
     def last_line(self) -> str:
@@ -101,9 +103,22 @@ class Ended:
 
 
 class _BenchChip(SimulatedChip):
-    """A chip that counts its restarts, and does not compute the samples of a night without a reader."""
+    """A chip that counts its restarts, and does not compute the samples of a night without a reader.
+
+    Attributes
+    ----------
+    sent : list of (frames, replies, times) or None
+        All that it answered, while somebody wants to know.
+    """
 
     restarts = 0
+    sent: list[tuple[np.ndarray, np.ndarray, np.ndarray]] | None = None
+
+    def frames_at(self, words, starts_s, *, clock_hz):
+        replies = super().frames_at(words, starts_s, clock_hz=clock_hz)
+        if self.sent is not None:
+            self.sent.append((np.array(words), replies.copy(), np.array(starts_s)))
+        return replies
 
     def hard_reset(self, time_s: float) -> None:
         super().hard_reset(time_s)
@@ -168,6 +183,8 @@ class BenchBus(SimBus):
     def _meet_faults(self) -> None:
         bench = self.bench
         bench.require_alive()
+        if bench.take_fault(KILL) is not None:
+            bench.disk.die()
         if bench.unplugged:
             raise BusTimeoutError(f"{self.url}: no answer; is the cable plugged in?")
         if bench.take_fault(BUSY) is not None:
@@ -278,6 +295,7 @@ class Bench:
         self.disk = Disk(folder, np.random.default_rng([seed, 33]), self.advance)
         self.operator = Operator(self, seed, plan, positions, only)
         self.delivered: list[FrameBlock] = []
+        self.clients: list[Client] = []
         self.held: list[Held] = []
         self.note_settings()
         self._line: list[LineFault] = []
@@ -286,6 +304,9 @@ class Bench:
         self._interrupts: list[float] = []
 
     # -- time ------------------------------------------------------------------------------------------
+
+    begin_ns = round(BEGIN.timestamp()) * 10**9
+    """Time in ns since 1970 at which the clock of the bench began."""
 
     def utc(self) -> str:
         """UTC of the bench as ISO 8601 text, as the archive writes it."""
@@ -307,9 +328,15 @@ class Bench:
             self.unplugged = True
         if self.now_s > self._limit_s:
             raise OvertimeError(f"{self.now_s - self._began_s:.0f} s of virtual time")
-        if self._interrupts and self.now_s >= self._interrupts[0] and not self.disk.dead:
+        due = self._interrupts and self.now_s >= self._interrupts[0] and not self.disk.dead
+        if due and threading.current_thread() is threading.main_thread():
             self._interrupts.pop(0)
             press_ctrl_c()
+
+    def next_event_s(self, timeout_s: float | None) -> float:
+        """Time in s at which a program that waits for so long goes on; Ctrl-C ends the wait."""
+        end_s = np.inf if timeout_s is None else self.now_s + timeout_s
+        return min([end_s, *self._interrupts])
 
     def interrupt_in(self, seconds: float) -> None:
         """Let Ctrl-C come after some seconds."""
@@ -377,8 +404,9 @@ class Bench:
         disk: DiskFault | None = None,
         interrupt_s: float | None = None,
         patience_s: float = PATIENCE_S,
+        draw: int = 0,
     ) -> Ended:
-        """Run a command line as a process of its own, with faults, to its end."""
+        """Run a command line as a process of its own, with faults, to its end; `draw` draws clients."""
         self._line = list(line)
         self._began_s, self._limit_s, self.unplugged = self.now_s, self.now_s + patience_s, False
         self._interrupts = [] if interrupt_s is None else [self.now_s + interrupt_s]
@@ -393,11 +421,16 @@ class Bench:
         self.disk.begin(disk)
         out, err = io.StringIO(), io.StringIO()
         how, status = "exit", None
-        with self._surroundings(out, err):
+        serves = words[0] == "serve"
+        self.clients, self.chip.inner.sent = [], [] if serves else None
+        with (
+            self._surroundings(out, err),
+            virtual_serving(self, draw) if serves else nullcontext(),
+        ):
             try:
                 status = run_program(list(words))
             except Killed:
-                how = "killed" if disk is not None and disk.kind == "kill" else "cut"
+                how = "cut" if disk is not None and disk.kind == "cut" else "killed"
             except OvertimeError as error:
                 how = "overtime"
                 err.write(str(error))
@@ -412,7 +445,10 @@ class Bench:
             gc.collect()  # connections of a killed program are closed before its files are as it left them
         self.disk.end()
         self._end_line()
-        return Ended(tuple(words), how, status, out.getvalue(), err.getvalue(), self._began_s, self.now_s)
+        told = tuple(client.told for client in self.clients)
+        return Ended(
+            tuple(words), how, status, out.getvalue(), err.getvalue(), self._began_s, self.now_s, told
+        )
 
     def _end_line(self) -> None:
         """Faults that have not come by the end of a command never come; the cable is in again."""

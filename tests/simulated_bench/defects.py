@@ -1,6 +1,8 @@
 """Known defects of the past, put back one by one: what the bench has to find.
 
 Each is a replacement of one function, as the package once was or would be without the mended mechanism.
+`Watch` notes without any defect in which commands of a story the replacement could have had an effect: a
+defect needs to be played only in stories that reach it.
 """
 
 from __future__ import annotations
@@ -8,12 +10,15 @@ from __future__ import annotations
 import json
 import math
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from unittest import mock
+
+import numpy as np
 
 from adis_gonio.base import output
 from adis_gonio.bench import dwell_recorder, runner
@@ -21,8 +26,101 @@ from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.bench.writeback import offset_writer
 from adis_gonio.device.bus.contract import SpiBus
 from adis_gonio.faces.cli import calibrate_command
+from adis_gonio.faces.serve import iio_device
 from adis_gonio.record import archive, archive_tables
 from adis_gonio.record.source import ChipSource
+
+if TYPE_CHECKING:
+    from simulated_bench.bench import Ended
+    from simulated_bench.stories import Play, Step, Story
+
+
+LONG_S = 20.0
+"""Time in s after which a program that waits for rest gives up, or less."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """A command without defects that has just ended.
+
+    Attributes
+    ----------
+    fired : set of str
+        Defects whose function was called and did there what its replacement does not do.
+    """
+
+    fired: set[str]
+    play: Play
+    step: Step
+    ended: Ended
+
+    @property
+    def failed(self) -> bool:
+        """True if the command was killed or did not end with status 0."""
+        return self.ended.how != "exit" or self.ended.status != 0
+
+    @property
+    def cut(self) -> bool:
+        """True if the computer lost its power in the command."""
+        return self.ended.how == "cut"
+
+    @property
+    def forged(self) -> bool:
+        """True if a stranger changes the session file in this story."""
+        return _is_forged(self.play.story)
+
+    @property
+    def shaken(self) -> bool:
+        """True if the part did not come to rest for long, as the program says or the story."""
+        long = any(fault.kind == "shake" and fault.size >= LONG_S for fault in self.step.line)
+        return long or "not still within" in self.ended.err
+
+    @property
+    def clumsy(self) -> bool:
+        """True if the operator makes mistakes, or a guard has objected."""
+        return (
+            self.play.story.only != "none" or self.play.bench.operator.guards > 0 or self.ended.status == 1
+        )
+
+
+def _writes(story: Story) -> bool:
+    return any(step.command in ("write", "write --save", "undo") for step in story.steps)
+
+
+def _dies(story: Story) -> bool:
+    """True if the program is killed or the power is cut."""
+    return any(
+        (step.disk is not None and step.disk.kind in ("kill", "cut")) or _has(step, "kill")
+        for step in story.steps
+    )
+
+
+def _is_cut(story: Story) -> bool:
+    return any(step.disk is not None and step.disk.kind == "cut" for step in story.steps)
+
+
+def _fails(story: Story) -> bool:
+    return story.only != "none" or any(step.faults for step in story.steps)
+
+
+def _is_forged(story: Story) -> bool:
+    return any(step.command.startswith("forged") for step in story.steps)
+
+
+def _has(step: Step, *kinds: str) -> bool:
+    return any(fault.kind in kinds for fault in step.line)
+
+
+def _always(result: Any, error: BaseException | None, args: tuple[Any, ...]) -> bool:
+    return True
+
+
+def _objects(result: Any, error: BaseException | None, args: tuple[Any, ...]) -> bool:
+    return isinstance(error, Exception)
+
+
+def _speaks(result: Any, error: BaseException | None, args: tuple[Any, ...]) -> bool:
+    return error is not None or bool(result)
 
 
 @dataclass(frozen=True)
@@ -33,6 +131,15 @@ class Defect:
     ----------
     more : tuple of (target, name, new)
         Further protections against the same harm, which back the first one up.
+    differs : callable or None
+        Gets result, error and arguments of a call of a sound function; False if the replacement would
+        have done the same. None: calls are not watched.
+    place : tuple of (target, name) or None
+        The function that is watched in the place of the replaced ones.
+    reached : callable
+        Gets a `Look`; False if the replacement has no effect in such a command.
+    needs : callable
+        Gets a `Story`; False if the replacement can have no effect in it, which need not be played then.
     """
 
     text: str
@@ -40,6 +147,10 @@ class Defect:
     name: str
     new: Any
     more: tuple[tuple[Any, str, Any], ...] = ()
+    differs: Callable[[Any, BaseException | None, tuple[Any, ...]], bool] | None = _always
+    place: tuple[Any, str] | None = None
+    reached: Callable[[Look], bool] = lambda look: True
+    needs: Callable[[Story], bool] = lambda story: True
 
 
 def _set_aside(path: Path) -> Path:
@@ -128,6 +239,11 @@ def _pool_interrupted(self: archive.ArchiveView) -> list[Any]:
     return [a for a in self.attempts() if a.number in latest.values()]
 
 
+def _pools(result: Any, error: BaseException | None, args: tuple[Any, ...]) -> bool:
+    """True if interrupted dwells would count."""
+    return error is not None or [a.number for a in result] != [a.number for a in _pool_interrupted(*args)]
+
+
 def _update_rows(self: archive.Archive, kind: str, value: Any, bus_s: float) -> None:
     """A record of a kind replaces the earlier one."""
     with self._transaction():
@@ -146,18 +262,29 @@ def _values_unchecked(table: str, row: Any) -> dict[str, Any]:
     return {column.name: json.loads(value) if column.json else value for column, value in pairs}
 
 
+def _published(self: iio_device.Sampler, block: Any, since_1970_ns: int) -> None:
+    """A scan is not compared with SENS_AVG."""
+    numbers = block.numbers()[:, 1:-1]
+    self.newest = dict(zip(self.names, numbers[-1].tolist(), strict=True))
+    time_ns = np.rint(block.time_s * 1e9).astype(np.int64) + since_1970_ns
+    self._on_scans(iio_device.FreshScans(numbers, time_ns, block.lost))
+
+
 DEFECTS: dict[str, Defect] = {
     "restart": Defect(
         "a restart or a changed register between two dwells is not noticed",
         SessionBench, "settings_lost", lambda self: "",
+        differs=_speaks,
     ),
     "no mark": Defect(
         "a restart that changes no other register is not noticed",
-        ChipSource, "mark_restart", lambda self: None
+        ChipSource, "mark_restart", lambda self: None,
+        reached=lambda look: "restart" in look.fired,
     ),
     "mark left": Defect(
         "the mark of a killed session stays in the alarm level",
-        ChipSource, "_forget_old_mark", lambda self: None
+        ChipSource, "_forget_old_mark", lambda self: None,
+        reached=lambda look: any(e.how != "exit" or e.status for e in look.play.outcome.ended),
     ),
     "loan kept": Defect(
         "a session leaves its mark and data-ready in the registers", ChipSource, "give_back", _kept_loan
@@ -165,23 +292,33 @@ DEFECTS: dict[str, Defect] = {
     "self-test": Defect(
         "a session runs while the manual self-test shifts all readings",
         ChipSource, "refuse_self_test", lambda self: None,
+        differs=_speaks,
+        needs=lambda story: any(s.command == "self-test on" or _has(s, "control") for s in story.steps),
     ),
     "other settings": Defect(
         "a resumed session does not compare the registers with those before",
         SessionBench, "require_same_settings", lambda self, archive, now: None,
+        differs=_speaks,
     ),
     "short replies": Defect(
-        "the replies of a bus are not counted", SpiBus, "_checked", _unchecked
+        "the replies of a bus are not counted", SpiBus, "_checked", _unchecked,
+        differs=_objects,
+        needs=lambda story: any(_has(step, "short") for step in story.steps),
     ),
     "not durable": Defect(
-        "a dwell is announced before it is on the disk", archive, "make_durable", _not_durable
+        "a dwell is announced before it is on the disk", archive, "make_durable", _not_durable,
+        reached=lambda look: look.cut,
+        needs=_is_cut,
     ),
     "hot journal": Defect(
         "the journal of a killed program makes the file unreadable",
-        archive, "connect", _connect_strictly
+        archive, "connect", _connect_strictly,
+        reached=lambda look: look.play.journal or look.forged,
+        needs=lambda story: _dies(story) or _is_forged(story),
     ),
     "journal orphaned": Defect(
-        "a session set aside loses its journal", archive, "set_aside", _set_aside
+        "a session set aside loses its journal", archive, "set_aside", _set_aside,
+        reached=lambda look: look.play.journal, needs=_dies,
     ),
     "samples lost": Defect(
         "the row of a dwell is written without its samples",
@@ -190,38 +327,57 @@ DEFECTS: dict[str, Defect] = {
     "interruption lost": Defect(
         "the scans of a dwell that a bus error ends are not kept",
         dwell_recorder.DwellRecorder, "_record_or_keep", _forgetful_recording,
+        place=(dwell_recorder.DwellRecorder, "_interrupted"),
+        needs=_fails,
     ),
     "interrupted counts": Defect(
-        "interrupted dwells count like complete ones", archive.ArchiveView, "dwells", _pool_interrupted
+        "interrupted dwells count like complete ones", archive.ArchiveView, "dwells", _pool_interrupted,
+        differs=_pools,
+        needs=_fails,
     ),
     "half a report": Defect(
-        "a report is written in place, so that a power cut leaves a half", output, "replacing", _in_place
+        "a report is written in place, so that a power cut leaves a half", output, "replacing", _in_place,
+        reached=lambda look: look.step.faults > 0,
+        needs=lambda story: any(s.faults and s.command in ("export", "bringup") for s in story.steps),
     ),
     "no fsync": Defect(
-        "a report is renamed before it is on the disk", output, "_flushed", lambda path: None
+        "a report is renamed before it is on the disk", output, "_flushed", lambda path: None,
+        reached=lambda look: look.cut,
+        needs=lambda story: _is_cut(story) and any(s.command in ("export", "bringup") for s in story.steps),
     ),
     "late journal": Defect(
-        "the journal of a write is written at its end", offset_writer.Logbook, "note", _late_note
+        "the journal of a write is written at its end", offset_writer.Logbook, "note", _late_note,
+        reached=lambda look: look.failed or look.step.faults > 0,
+        needs=_writes,
     ),
     "not set back": Defect(
         "an interrupted write leaves the new numbers without a word",
         offset_writer.OffsetWriter, "_restore", _restored_nothing,
+        needs=_writes,
     ),
     "said saved": Defect(
         "numbers are said to be saved that are only in the registers",
         offset_writer, "held_offsets", _reported_saved,
+        differs=lambda result, error, args: error is None and result.registers == "new",
+        needs=_writes,
     ),
     "unexplained": Defect(
         "offsets are written although the registers hold unexplained numbers",
         offset_writer.OffsetWriter, "_require_explained", _always_explained,
+        differs=_speaks,
+        needs=_writes,
     ),
     "doubts unsaid": Defect(
         "an incomplete or doubtful session ends with status 0",
-        calibrate_command, "_status", _status_without_doubts
+        calibrate_command, "_status", _status_without_doubts,
+        differs=_speaks,
+        needs=_fails,
     ),
     "no guards": Defect(
         "a part that was not moved, or moved the wrong way, is not noticed",
         runner.SessionRunner, "judges_places", False,
+        differs=None, reached=lambda look: look.clumsy,
+        needs=_fails,
     ),
     "records replaced": Defect(
         "a record replaces the earlier one of its kind", archive.Archive, "add_record", _update_rows
@@ -229,6 +385,8 @@ DEFECTS: dict[str, Defect] = {
     "endless wait": Defect(
         "a part that never comes to rest is waited for without end",
         dwell_recorder, "WINDOWS_TO_STILLNESS", math.inf,
+        differs=None, reached=lambda look: look.shaken,
+        needs=lambda story: story.only != "none" or any(_has(step, "shake") for step in story.steps),
     ),
     "forged values": Defect(
         "a value with a fitting checksum is taken without a check of its type and range",
@@ -237,10 +395,19 @@ DEFECTS: dict[str, Defect] = {
             (archive, "checked_value", lambda name, shape, value: value),
             (archive.ArchiveView, "_refuse_strangers", lambda self, stored: None),
         ),
+        differs=_objects,
+        needs=_is_forged,
     ),
     "forged schema": Defect(
         "a session file may hold other tables, views and triggers",
         archive, "_refuse_other_objects", lambda path, connection: None,
+        differs=_objects,
+        needs=_is_forged,
+    ),
+    "dead line served": Defect(
+        "serve publishes words of a dead line, and fails with a traceback if no scan of a block is new",
+        iio_device.Sampler, "_publish", _published, reached=lambda look: bool(look.step.line),
+        needs=lambda story: any(s.command == "serve" and s.line for s in story.steps),
     ),
 }  # fmt: skip
 """Defects by a short name."""
@@ -254,3 +421,45 @@ def put_back(name: str) -> Iterator[None]:
         for target, attribute, new in ((one.target, one.name, one.new), *one.more):
             stack.enter_context(mock.patch.object(target, attribute, new))
         yield
+
+
+class Watch:
+    """Notes while it is entered which defects a story reaches, without putting any back."""
+
+    def __init__(self) -> None:
+        self.reached: set[str] = set()
+        self._fired: set[str] = set()
+
+    @contextmanager
+    def watching(self) -> Iterator[None]:
+        """Observe the functions that the defects replace."""
+        with ExitStack() as stack:
+            for name, one in DEFECTS.items():
+                replaced = [(one.target, one.name), *((target, name) for target, name, _ in one.more)]
+                for target, attribute in replaced if one.place is None else [one.place]:
+                    if one.differs is not None:
+                        observed = self._observed(name, getattr(target, attribute), one.differs)
+                        stack.enter_context(mock.patch.object(target, attribute, observed))
+            yield
+
+    def ended(self, play: Play, step: Step, ended: Ended) -> None:
+        """Judge a command that has ended."""
+        look, self._fired = Look(self._fired, play, step, ended), set()
+        for name, one in DEFECTS.items():
+            if (one.differs is None or name in look.fired) and one.reached(look):
+                self.reached.add(name)
+
+    def _observed(self, name: str, sound: Callable[..., Any], differs: Callable[..., bool]) -> Any:
+        @wraps(sound)
+        def observed(*args: Any, **options: Any) -> Any:
+            try:
+                result = sound(*args, **options)
+            except BaseException as error:
+                if differs(None, error, args):
+                    self._fired.add(name)
+                raise
+            if name not in self._fired and differs(result, None, args):
+                self._fired.add(name)
+            return result
+
+        return observed

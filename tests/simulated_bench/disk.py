@@ -48,6 +48,10 @@ class Killed(BaseException):
     """The program was killed; no handler of the program may catch this."""
 
 
+class OvertimeError(BaseException):
+    """A command waited for longer than any operator would; no handler of the program catches this."""
+
+
 def press_ctrl_c() -> None:
     """Call the handler of Ctrl-C that the program has now; no signal of the system is sent."""
     handler = signal.getsignal(signal.SIGINT)

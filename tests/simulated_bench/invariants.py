@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import sqlite3
@@ -14,18 +15,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from adis_gonio.base.errors import AdisGonioError
+from adis_gonio.device.sensor import DEFAULT_SCAN, REGISTERS
 from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, READING_BITS
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.write_journal import operations
 from fakes.faulty_chip import FAULTS
-from simulated_bench.bench import Bench, Ended
+from simulated_bench.bench import LATE, Bench, Ended
 
 if TYPE_CHECKING:
     from simulated_bench.stories import Step, Story
 
 SESSION = "a.session"
 LARGEST_FILE = 40_000_000
+MOST_GROWTH = 400_000_000
+"""Largest growth of the program in bytes over a story: its modules and caches need less than half."""
 MOST_FILES = 24
 LSB_MG = 0.4672
 HONEST = frozenset(
@@ -37,6 +43,8 @@ FAR = 3.0
 NOTHING = {"1": 1.0, "deg": 60.0}
 """U by unit beyond which an answer says nothing."""
 COLDER_C = 0.5
+SLACK_S = 0.1
+"""Longest time in s between a word of the part and the time of its scan."""
 STIMULUS = BY_NAME["MSC_CTRL"].field("positive").mask | BY_NAME["MSC_CTRL"].field("negative").mask
 TAMPERING = frozenset(FAULTS) - {"stuck-high", "stuck-low", "dip"}
 """Faults that change registers of the part."""
@@ -64,6 +72,8 @@ class Record:
         A stranger has changed the session file; the program can still read it.
     base, found : tuple of int
         Offsets of the part before any write of the session, and before the present command.
+    controls_before : dict of str to int
+        Control registers before the present command.
     by_hand : tuple of int or None
         Offsets that somebody wrote by hand during the session.
     """
@@ -75,8 +85,8 @@ class Record:
         self.tampered = self.forged = self.sound = False
         self.base = self.found = self.offsets()
         self.by_hand: tuple[int, ...] | None = None
-        self.loaned = self.borrowed()
-        self.files = _open_files()
+        self.loaned, self.controls_before = self.borrowed(), self.controls()
+        self.files, self.memory = _open_files(), _memory_bytes()
 
     def offsets(self) -> tuple[int, int, int]:
         """Offsets of the accelerometers in the part's registers."""
@@ -91,6 +101,11 @@ class Record:
         """Registers that a command borrows and gives back."""
         memory = self.bench.chip.inner.memory
         return {name: memory[name] for name in ("ALM_MAG1", "ALM_MAG2")}
+
+    def controls(self) -> dict[str, int]:
+        """All control registers of the part that keep what is written to them."""
+        memory = self.bench.chip.inner.memory
+        return {row.name: memory[row.name] for row in REGISTERS if row.writable and row.readable}
 
     def forget(self) -> None:
         """A new session begins in a new file."""
@@ -285,9 +300,57 @@ def the_last_scans_before_an_error_are_kept(case: Case) -> str:
     return "" if kept else f"the scans from {last_s:.2f} s on are not in the archive"
 
 
+def every_client_is_answered(case: Case) -> str:
+    """A client of `serve` gets an answer to every request, or the end of its connection."""
+    if case.ended.how in ("killed", "cut"):
+        return ""
+    return next((client.complaint for client in case.bench.clients if client.complaint), "")
+
+
+def clients_get_words_of_the_sensor_only(case: Case) -> str:
+    """Each number that a client of `serve` gets is one that the part sent about that time."""
+    sent = case.bench.chip.inner.sent
+    if case.ended.words[0] != "serve" or not sent:
+        return ""
+    frames, replies, times = (np.concatenate(one) for one in zip(*sent, strict=True))
+    slack_s = SLACK_S + sum(fault.size for fault in case.step.line if fault.kind == LATE)
+    numbers: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    for name in DEFAULT_SCAN:
+        row = BY_NAME[name]
+        asked = np.flatnonzero(frames[:-1] >> 8 & 0x3E == row.address)
+        content = replies[asked + 1].astype(np.int64) & (1 << row.bits) - 1
+        sign = row.signed << row.bits - 1
+        numbers[name] = (times[asked], (content ^ sign) - sign)
+    for client in case.bench.clients:
+        for time_s, name, number in client.raws:
+            if not _was_sent(numbers[name], np.array([number]), np.array([time_s]), 1.0 + slack_s).all():
+                return f"client {client.number} was told {name} = {number} at {time_s:.3f} s"
+        for names, rows, times_s in client.scans:
+            for k, name in enumerate(names):
+                found = _was_sent(numbers[name], rows[:, k], times_s, slack_s)
+                if not found.all():
+                    bad = int(np.argmin(found))
+                    count = f"{int((~found).sum())} of {len(found)} scans"
+                    where = f"{name} = {rows[bad, k]} at {times_s[bad]:.4f} s"
+                    return f"client {client.number} got {where}, {count}"
+    return ""
+
+
+def _was_sent(
+    sent: tuple[np.ndarray, np.ndarray], numbers: np.ndarray, times_s: np.ndarray, slack_s: float
+) -> np.ndarray:
+    """True (n,) for each number that is among those sent within a slack before or after its time."""
+    first, last = (np.searchsorted(sent[0], times_s + sign * slack_s) for sign in (-1, 1))
+    return np.array([n in sent[1][a:b] for n, a, b in zip(numbers, first, last, strict=True)], bool)
+
+
 def registers_are_as_before_or_as_planned(case: Case) -> str:
     """What a command borrows it gives back; of offsets the next invariant speaks."""
     record = case.record
+    if case.ended.words[0] == "serve" and case.ended.status == 0 and not _changed_by_a_fault(case):
+        now = record.controls()
+        other = {name: word for name, word in now.items() if word != record.controls_before[name]}
+        return f"serve leaves registers behind: {other}" if other else ""
     if record.tampered or case.ended.status != 0 or case.step.line:
         return ""
     if case.ended.words[0] == "calibrate" and record.borrowed() != record.loaned:
@@ -408,8 +471,11 @@ def the_live_angle_is_right(case: Case) -> str:
     return ""
 
 
-def files_are_bounded(case: Case) -> str:
-    """No file grows without end, and a command that has ended leaves none open."""
+def memory_and_files_are_bounded(case: Case) -> str:
+    """Neither the program nor a file grows without end, and a command leaves no file open."""
+    grown = _memory_bytes() - case.record.memory
+    if grown > MOST_GROWTH:
+        return f"the program has grown by {grown / 1e6:.0f} MB"
     paths = list(case.bench.folder.iterdir())
     large = [path.name for path in paths if path.stat().st_size > LARGEST_FILE]
     if large or len(paths) > MOST_FILES:
@@ -442,13 +508,15 @@ INVARIANTS: tuple[Callable[[Case], str], ...] = (
     a_session_set_aside_is_whole,
     the_session_can_be_read,
     no_accepted_word_is_wrong,
+    every_client_is_answered,
+    clients_get_words_of_the_sensor_only,
     dwells_are_measured_alike,
     the_last_scans_before_an_error_are_kept,
     registers_are_as_before_or_as_planned,
     the_journal_says_what_the_part_holds,
     status_0_means_a_right_answer,
     the_live_angle_is_right,
-    files_are_bounded,
+    memory_and_files_are_bounded,
     reports_are_whole,
 )
 
@@ -456,10 +524,9 @@ INVARIANTS: tuple[Callable[[Case], str], ...] = (
 def check(record: Record, ended: Ended, step: Step, story: Story) -> Found:
     """Check every invariant after a command; update the record."""
     found = Found()
-    if any(fault.kind in TAMPERING for fault in step.line):
-        record.tampered = True
     before, after = record.rows, _rows(record.bench.folder / SESSION)
     case = Case(record, ended, step, story, before, after, found)
+    record.tampered |= _changed_by_a_fault(case)
     for invariant in INVARIANTS:
         wrong = invariant(case)
         if wrong:
@@ -469,6 +536,10 @@ def check(record: Record, ended: Ended, step: Step, story: Story) -> Found:
 
 
 # -- looking -------------------------------------------------------------------------------------------
+
+
+def _changed_by_a_fault(case: Case) -> bool:
+    return any(fault.kind in TAMPERING for fault in case.step.line)
 
 
 def _lies(case: Case) -> bool:
@@ -542,3 +613,7 @@ def _signed(word: int) -> int:
 
 def _open_files() -> int:
     return sum(1 for _ in Path("/proc/self/fd").iterdir())
+
+
+def _memory_bytes() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")

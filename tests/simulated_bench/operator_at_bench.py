@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 
 _KEYS = KEYS | GUARD_KEYS
+LONGEST_AWAY_S = 300.0
+"""Longest time in s for which an operator leaves a running command; nights pass between commands."""
 
 
 class DeadEndError(BaseException):
@@ -169,8 +171,9 @@ class Operator:
             case "unplug":
                 bench.unplug_in(numbers[0])
             case "sleep":
-                self._until_s = bench.now_s + numbers[0]
-                bench.be_patient(numbers[0])
+                away_s = min(numbers[0], LONGEST_AWAY_S)
+                self._until_s = bench.now_s + away_s
+                bench.be_patient(away_s)
             case _:
                 raise AssertionError(name)
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from simulated_bench.bench import LINE_KINDS, PATIENCE_S, SHORT, URL, Bench, Ended, LineFault
+from simulated_bench.bench import LINE_KINDS, PATIENCE_S, SHAKE, SHORT, URL, Bench, Ended, LineFault
 from simulated_bench.disk import FAILURES, SIDES, DiskFault
 from simulated_bench.forging import FORGERIES, forge
 from simulated_bench.invariants import Record, check
@@ -27,12 +27,17 @@ PLANS = (
     ("poses", 9, 0.1),
 )
 IN_SPACE = ("tumble", "poses")
-COMMANDS = ("fit", "angle", "export", "write", "write --save", "undo", "status")
+COMMANDS = ("fit", "angle", "export", "write", "write --save", "undo", "status", "serve")
 CALIBRATE, AFRESH, NIGHT, POWER = "calibrate", "calibrate afresh", "night", "power"
 SELF_TEST, OFFSET = "self-test on", "offset by hand"
 HAND_LSB = 40
 SIGNS = (0x100, 0x200)
 """Bits of the manual self-test: positive, negative."""
+LENGTHS = {
+    "fit": (0.1, 4), "angle": (1.5, 4), "export": (0.1, 9), "write": (6.0, 28), "write --save": (6.0, 34),
+    "undo": (0.5, 29), "status": (0.4, 5), "serve": (8.0, 0), "bringup": (10.0, 10),
+}  # fmt: skip
+"""Time in s and number of operations of the disk that a command takes: faults are drawn from them."""
 MOST_TRIES = 4
 FORGED_PATIENCE_S = 300.0
 """A forged session may ask for a dwell of a year: no virtual time is spent on it."""
@@ -55,7 +60,7 @@ class Step:
         When Ctrl-C comes.
     hours : float
     draw : int
-        Draws what a stranger changes, and the sign of the self-test.
+        Draws what a stranger changes, the sign of the self-test, and the clients of `serve`.
     """
 
     command: str
@@ -128,7 +133,7 @@ def draw(seed: int) -> Story:
     names, counts, shares = zip(*PLANS, strict=True)
     which = int(rng.choice(len(names), p=shares))
     plane = names[which] not in IN_SPACE
-    motor = plane and bool(rng.random() < 0.4)
+    motor = plane and bool(rng.random() < 0.7)
     story = Story(
         seed,
         (),
@@ -140,15 +145,17 @@ def draw(seed: int) -> Story:
         only="" if rng.random() < 0.4 else "none",
     )
     steps: list[Step] = []
-    if rng.random() < 0.08:
-        steps.append(_step(rng, "bringup", 10.0, 30))
-    for _ in range(int(rng.integers(1, 4))):
-        steps.append(_step(rng, CALIBRATE, 5.0 * counts[which], 40 * counts[which], share=0.9))
+    if rng.random() < 0.16:
+        command = str(rng.choice(["bringup", "serve"]))
+        steps.append(_step(rng, command, *LENGTHS[command], share=0.6))
+    for number in range(int(rng.integers(1, 4))):
+        command = AFRESH if number and rng.random() < 0.15 else CALIBRATE
+        length_s, share = 4.0 + 3.0 * counts[which], 0.4 if number else 0.8
+        steps.append(_step(rng, command, length_s, 30 * counts[which], share))
         steps += _between(rng, motor=motor)
-    for _ in range(int(rng.integers(0, 4))):
+    for _ in range(int(rng.integers(0, 5))):
         command = str(rng.choice(COMMANDS))
-        length_s = 5.0 if command.startswith("write") else 1.0
-        steps.append(_step(rng, command, length_s, 40, share=0.6))
+        steps.append(_step(rng, command, *LENGTHS[command], share=0.6))
         steps += _between(rng, motor=motor)
     return replace(story, steps=tuple(steps))
 
@@ -160,27 +167,25 @@ def _between(rng: np.random.Generator, *, motor: bool) -> list[Step]:
         return [Step(NIGHT, hours=float(rng.choice([0.2, 2.0, 8.0, 14.0])))]
     if kind < 0.23:
         return [Step(POWER)]
-    if kind < 0.29:
-        return [Step(SELF_TEST if kind < 0.26 else OFFSET, draw=int(rng.integers(2)))]
-    if kind < 0.35 and motor:
+    if kind < 0.33:
+        return [Step(SELF_TEST if kind < 0.28 else OFFSET, draw=int(rng.integers(2)))]
+    if kind < 0.43 and motor:
         return [Step(str(rng.choice([*FORGERIES])), draw=int(rng.integers(1 << 16)))]
     return []
 
 
-def _step(
-    rng: np.random.Generator, command: str, length_s: float, operations: int, share: float = 0.5
-) -> Step:
+def _step(rng: np.random.Generator, command: str, length_s: float, operations: int, share: float) -> Step:
     """Draw the faults around a command that takes about so many seconds and operations of the disk."""
+    step = Step(command, draw=int(rng.integers(1 << 16)) if command == "serve" else 0)
     if rng.random() >= share:
-        return Step(command)
-    step = Step(command)
+        return step
     kind = rng.random()
-    if kind < 0.5:
+    if kind < 0.5 and operations:
         step = replace(step, disk=_disk_fault(rng, operations))
-    if kind > 0.4:
+    if kind > 0.4 or not operations:
         count = 1 + int(rng.random() < 0.2)
         step = replace(step, line=tuple(_line_fault(rng, length_s) for _ in range(count)))
-    if kind > 0.9 or 0.3 < kind < 0.35:
+    if kind > 0.9 or 0.2 < kind < 0.35:
         step = replace(step, interrupt_s=round(float(rng.uniform(0, length_s)), 2))
     return step
 
@@ -189,13 +194,14 @@ def _disk_fault(rng: np.random.Generator, operations: int) -> DiskFault:
     kind = str(
         rng.choice(["kill", "cut", *FAILURES, "slow", "interrupt"], p=[0.3, 0.3, 0.1, 0.05, 0.1, 0.05, 0.1])
     )
-    number = 1 + int(rng.integers(operations if rng.random() < 0.8 else 10))
+    number = 1 + int(rng.integers(operations if rng.random() < 0.8 else min(operations, 10)))
     return DiskFault(kind, number, str(rng.choice(SIDES)))
 
 
 def _line_fault(rng: np.random.Generator, length_s: float) -> LineFault:
     kind = str(rng.choice(LINE_KINDS))
-    size = float(rng.choice([0.5, 3.0, 20.0])) if kind != SHORT else float(rng.integers(1, 4))
+    sizes = {SHORT: [1.0, 2.0, 3.0], SHAKE: [0.5, 3.0, 20.0, 300.0]}
+    size = float(rng.choice(sizes.get(kind, [0.5, 3.0, 20.0])))
     at_s = rng.uniform(0, length_s) if rng.random() < 0.85 else rng.uniform(0, 0.3)
     return LineFault(kind, round(float(at_s), 3), size)
 
@@ -204,10 +210,20 @@ def _line_fault(rng: np.random.Generator, length_s: float) -> LineFault:
 
 
 class Play:
-    """A story that is being played; `do` takes its steps one by one, `finish` brings it to its end."""
+    """A story that is being played; `do` takes its steps one by one, `finish` brings it to its end.
 
-    def __init__(self, story: Story, folder: Path) -> None:
+    Attributes
+    ----------
+    journal : bool
+        The last command found the journal of a killed program.
+    """
+
+    def __init__(
+        self, story: Story, folder: Path, observe: Callable[[Play, Step, Ended], object] | None = None
+    ) -> None:
         self.story = story
+        self.journal = False
+        self._observe = observe
         self.bench = Bench(
             story.seed,
             folder,
@@ -244,7 +260,8 @@ class Play:
         words = self._words(step)
         if words is None:
             return None
-        self.record.found = self.record.offsets()
+        self.record.found, self.record.controls_before = self.record.offsets(), self.record.controls()
+        self.journal = any(bench.folder.glob("*-journal"))
         did = len(bench.operator.did)
         ended = bench.run(
             words,
@@ -252,6 +269,7 @@ class Play:
             disk=step.disk,
             interrupt_s=step.interrupt_s,
             patience_s=min(self.story.patience_s, FORGED_PATIENCE_S if self.record.forged else PATIENCE_S),
+            draw=step.draw,
         )
         if step.command == OFFSET:
             self.record.note_hand()
@@ -263,6 +281,8 @@ class Play:
             outcome.off, outcome.lied = found.off, found.lied
         self._afresh = "begin a new session" in ended.err
         outcome.measured_hours += (ended.ended_s - ended.began_s) / 3600
+        if self._observe is not None:
+            self._observe(self, step, ended)
         return ended
 
     def finish(self) -> None:
@@ -325,6 +345,8 @@ class Play:
         if command == OFFSET:
             by_hand = f"XACCL_OFF={self.record.offsets()[0] + HAND_LSB}"
             return None if self.record.written() else ["registers", URL, by_hand]
+        if command == "serve":
+            return ["serve", URL]
         if not self.record.readable() and not self.record.forged:
             return None
         return {
@@ -338,9 +360,14 @@ class Play:
         }[command]
 
 
-def play(story: Story, folder: Path) -> Outcome:
-    """Play a whole story in an empty folder; stop at the first invariant that does not hold."""
-    run = Play(story, folder)
+def play(
+    story: Story, folder: Path, observe: Callable[[Play, Step, Ended], object] | None = None
+) -> Outcome:
+    """Play a whole story in an empty folder; stop at the first invariant that does not hold.
+
+    `observe` is called after each command.
+    """
+    run = Play(story, folder, observe)
     for step in story.steps:
         run.do(step)
         if run.outcome.wrong:
@@ -405,6 +432,7 @@ def _tell(step: Step, ended: Ended, bench: Bench, did: Sequence[str]) -> list[st
     """Lines for people about a step."""
     lines = [f"adis-gonio {' '.join(ended.words)}   (at {ended.began_s:.1f} s)"]
     lines += [f"    operator, {what}" for what in did]
+    lines += [f"    {what}" for what in ended.clients]
     lines += [f"    {fault.at_s:g} s later: {fault.kind} ({fault.size:g})" for fault in step.line]
     if step.disk is not None:
         where = bench.disk.acted or "never reached"

@@ -95,6 +95,10 @@ STORIES = {
         "nothing recorded is lost",
         story(STOPPED, Step("forged session objects", draw=572), CALIBRATE),
     ),
+    "dead line served": (
+        "clients get words of the sensor only",
+        Story(115, (Step("serve", line=(LineFault("dip", 3.26),), draw=2325),), motor=True),
+    ),
 }  # fmt: skip
 """The invariant and the story by the defect."""
 

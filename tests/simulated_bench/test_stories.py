@@ -6,14 +6,17 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
 
+from adis_gonio.faces.serve.iio_device import Sampler
 from simulated_bench.bench import LineFault
 from simulated_bench.disk import Disk, DiskFault
-from simulated_bench.stories import Step, Story, draw, play, shrink, tell
+from simulated_bench.stories import Play, Step, Story, draw, play, shrink, tell
 
 SEEDS = [*range(1000, 1005)]
 
@@ -47,6 +50,42 @@ KEPT = {
     "offsets by hand are gone if the part is switched off before any session": Story(
         seed=3000119, motor=True, only="none", steps=(Step("offset by hand"), Step("power"))
     ),
+    "write --status that ends with 1 says why, also with --json": Story(
+        seed=2,
+        motor=True,
+        only="none",
+        steps=(
+            Step("calibrate"),
+            Step("write"),
+            Step("fit", line=(LineFault("offset", 0.0),)),
+            Step("status"),
+        ),
+    ),
+    "serve publishes no words of a line that is dead for a moment": Story(
+        seed=115,
+        motor=True,
+        only="none",
+        steps=(Step("serve", line=(LineFault("dip", 3.26),), draw=2325),),
+    ),
+    "serve publishes no noise of a dead line between polled words": Story(
+        seed=186,
+        motor=True,
+        streams=False,
+        only="none",
+        steps=(Step("serve", line=(LineFault("dip-and-restart", 1.802),), draw=27911),),
+    ),
+    "a block of a stream in which no scan is new ends serve with one line": Story(
+        seed=234,
+        motor=True,
+        only="none",
+        steps=(
+            Step(
+                "serve",
+                line=(LineFault("dip-and-restart", 4.146), LineFault("dip-and-restart", 3.975)),
+                draw=12874,
+            ),
+        ),
+    ),
 }
 """Shrunk stories that failed once, by what they show."""
 
@@ -79,13 +118,44 @@ def test_the_same_seed_gives_the_same_bytes(tmp_path, motor):
         steps=(
             Step("calibrate", line=(LineFault("unplug", 9.0),), disk=DiskFault("cut", 70, "within")),
             Step("write", disk=DiskFault("kill", 20)),
+            Step("serve", line=(LineFault("kill", 3.0),), draw=1),
+            Step("serve", line=(LineFault("late", 2.0, 3.0),), interrupt_s=6.0, draw=2),
         ),
     )
-    digests = set()
-    for name in ("one", "two"):
-        (tmp_path / name).mkdir()
-        digests.add(play(story, tmp_path / name).digest)
-    assert len(digests) == 1
+    one, two = tmp_path / "one", tmp_path / "two"
+    outcomes = []
+    for path in (one, two):
+        path.mkdir()
+        outcomes.append(play(story, path))
+        assert not outcomes[-1].wrong
+    assert outcomes[0].ended == outcomes[1].ended
+    assert outcomes[0].digest == outcomes[1].digest
+
+
+@pytest.mark.parametrize("draw_", range(6))
+def test_clients_of_a_sound_server_get_what_they_came_for(folder, draw_):
+    """The server cuts off a client of nonsense only, and ends in order after Ctrl-C."""
+    outcome = play(Story(3, (Step("serve", draw=draw_),), motor=True, streams=bool(draw_ % 2)), folder)
+    served = outcome.ended[0]
+    assert not outcome.wrong, tell(outcome)
+    assert served.status == 0
+    assert served.clients
+    assert all("is content" in told or "(wrong)" in told for told in served.clients), served.clients
+
+
+def test_a_served_number_that_the_part_never_sent_is_noticed(folder):
+    run = Play(Story(3, (), motor=True), folder)
+    publish = Sampler._publish
+    for change, wrong in ((0x0000, False), (0x0800, True)):
+
+        def changed(self, block, since_1970_ns, change=change):
+            words = block.words.copy()
+            words[:, 1:-1] ^= np.uint16(change)
+            publish(self, replace(block, words=words), since_1970_ns)
+
+        with mock.patch.object(Sampler, "_publish", changed):
+            run.do(Step("serve", draw=62785))
+        assert bool(run.outcome.wrong) is wrong
 
 
 def test_a_failing_story_is_shrunk_to_the_step_that_matters():

@@ -347,7 +347,11 @@ class TestErrors:
         assert [one.heldout_rms for one in figures] == pytest.approx([1.0, 2.0, 9.0])
         assert [one.heldout_kept for one in figures] == [None, None, 3.0 if averaged is None else None]
         said = ", 3 mg with those found kept" if averaged is None else ""
-        assert design == f"whole dwells (5 folds); effects chosen again in each fold{said}"
+        assert design == (
+            f"whole dwells (5 folds, {len(self.data) - 2} of {len(self.data)} dwells); effects chosen again"
+            f" in each fold{said}; a dwell counts if every model predicts it: the base model's error"
+            " depends on the others"
+        )
 
     def test_without_effects_nothing_is_chosen_anew(self) -> None:
         fold: Any = Answering(self.data, unknown=(2, 5))

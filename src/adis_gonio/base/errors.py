@@ -130,10 +130,13 @@ class FleetError(AdisGonioError):
     """A group of worker processes (fleet) has no worker: no process starts, or no scheduler answers."""
 
 
-def suggest(word: str, known: Iterable[str]) -> str:
-    """Return the end of a message about an unknown word: the most similar known word, or all of them."""
+def suggest(word: str, known: Iterable[str], otherwise: str = "") -> str:
+    """Return the end of a message about an unknown word: the most similar known word.
+
+    If none is similar, it is the text `otherwise`, or the list of all known words if that is empty.
+    """
     import difflib
 
     words = list(known)
     near = difflib.get_close_matches(word, words, n=1)
-    return f"did you mean '{near[0]}'?" if near else f"known: {', '.join(words) or 'none'}"
+    return f"did you mean '{near[0]}'?" if near else otherwise or f"known: {', '.join(words) or 'none'}"

@@ -85,6 +85,15 @@ def json_object(**entries: Any) -> dict[str, Any]:
     return {name: finite(entry) for name, entry in entries.items()}
 
 
+def json_text(document: Any, *, ascii_only: bool = False) -> str:
+    """Format a JSON document as indented text with a line end; NaN and infinity become null.
+
+    Numbers have as many digits as are needed to restore them exactly. `ascii_only` writes other letters
+    than those of ASCII as escape sequences.
+    """
+    return json.dumps(finite(document), ensure_ascii=ascii_only, indent=2, allow_nan=False) + "\n"
+
+
 def finite(value: Any) -> Any:
     """Convert a value to JSON types: records become objects, and NaN and infinity become null."""
     if isinstance(value, Mapping):

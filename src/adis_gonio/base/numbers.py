@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from adis_gonio.base.uncertainty import Value
@@ -199,9 +198,8 @@ def join_words(words: Sequence[str], last: str = "and") -> str:
     return f" {last} ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
-@dataclass(frozen=True)
-class QuantityRow:
-    """Table row of one quantity, as texts.
+class QuantityRow(NamedTuple):
+    """Table row of one quantity: a text for each column of `HEAD`.
 
     Attributes
     ----------
@@ -234,11 +232,6 @@ class QuantityRow:
         decimals = count_decimals(value.u)
         value_, u, expanded = (format_fixed(each, decimals) for each in (value.value, value.u, value.U))
         return cls(shown, unit, value_, u, expanded, f"{value.k:.2f}")
-
-    @property
-    def cells(self) -> tuple[str, ...]:
-        """The texts of the row as a tuple, one for each column."""
-        return (self.name, self.unit, self.value, self.u, self.expanded, self.k)
 
 
 def power_of_ten(exponent: int) -> str:

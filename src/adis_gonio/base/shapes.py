@@ -35,72 +35,59 @@ def _refuse(value: Any, expected: str) -> ShapeError:
     return ShapeError(f" is {shown(value)}: expected {expected}")
 
 
+def _values(expected: str, passes: Callable[[Any], bool]) -> Shape:
+    """Return a check that `passes` returns True for a value; `expected` describes such values."""
+
+    def check(value: Any) -> None:
+        if not passes(value):
+            raise _refuse(value, expected)
+
+    return check
+
+
 def number(low: float, high: float) -> Shape:
     """Return a check that a value is a number from `low` to `high`; booleans and NaN fail."""
 
-    def check(value: Any) -> None:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-            raise _refuse(value, f"a number from {low:g} to {high:g}")
+    def passes(value: Any) -> bool:
+        return isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high
 
-    return check
+    return _values(f"a number from {low:g} to {high:g}", passes)
 
 
 def whole(low: int, high: int) -> Shape:
     """Return a check that a value is an integer from `low` to `high`."""
-
-    def check(value: Any) -> None:
-        if type(value) is not int or not low <= value <= high:
-            raise _refuse(value, f"an integer from {low} to {high}")
-
-    return check
-
-
-def text(value: Any) -> None:
-    """Check that a value is a text of at most `LONGEST_TEXT` characters."""
-    if not isinstance(value, str) or len(value) > LONGEST_TEXT:
-        raise _refuse(value, f"a text of at most {LONGEST_TEXT} characters")
-
-
-def truth_value(value: Any) -> None:
-    """Check that a value is a boolean."""
-    if type(value) is not bool:
-        raise _refuse(value, "true or false")
-
-
-def blob(value: Any) -> None:
-    """Check that a value is a bytes object."""
-    if not isinstance(value, bytes):
-        raise _refuse(value, "bytes")
-
-
-def moment(value: Any) -> None:
-    """Check that a value is a date and time as ISO 8601 text with an offset from UTC."""
-    text(value)
-    try:
-        if datetime.fromisoformat(value).tzinfo is not None:
-            return
-    except ValueError:
-        pass
-    raise _refuse(value, "a time such as 2026-11-24T10:00:00+00:00")
-
-
-def anything(value: Any) -> None:
-    """Accept any value; for entries that no computation uses."""
+    return _values(
+        f"an integer from {low} to {high}", lambda value: type(value) is int and low <= value <= high
+    )
 
 
 def choice(*allowed: str | int | None) -> Shape:
     """Return a check that a value is one of the `allowed` texts or integers."""
+    expected = f"one of {', '.join(map(repr, allowed))}" if len(allowed) <= 8 else "a known name"
+    # A boolean and a float may equal an integer, and a list cannot be looked up.
+    return _values(expected, lambda value: type(value) in (str, int, type(None)) and value in allowed)
 
-    def check(value: Any) -> None:
-        if (
-            isinstance(value, bool | float)
-            or not isinstance(value, str | int | None)
-            or value not in allowed
-        ):
-            few = len(allowed) <= 8
-            raise _refuse(value, f"one of {', '.join(map(repr, allowed))}" if few else "a known name")
 
-    return check
+def _is_moment(value: Any) -> bool:
+    try:
+        return datetime.fromisoformat(value).tzinfo is not None
+    except (TypeError, ValueError):
+        return False
+
+
+text = _values(
+    f"a text of at most {LONGEST_TEXT} characters",
+    lambda value: isinstance(value, str) and len(value) <= LONGEST_TEXT,
+)
+"""Check that a value is a text of at most `LONGEST_TEXT` characters."""
+truth_value = _values("true or false", lambda value: type(value) is bool)
+"""Check that a value is a boolean."""
+blob = _values("bytes", lambda value: isinstance(value, bytes))
+"""Check that a value is a bytes object."""
+moment = _values("a time such as 2026-11-24T10:00:00+00:00", _is_moment)
+"""Check that a value is a date and time as ISO 8601 text with an offset from UTC."""
+anything = _values("", lambda value: True)
+"""Accept any value; for entries that no computation uses."""
 
 
 def nullable(shape: Shape) -> Shape:
@@ -128,14 +115,7 @@ def list_of(shape: Shape, least: int, most: int) -> Shape:
 
 def mapping_of(shape: Shape) -> Shape:
     """Return a check for an object with any names, in which each value passes the check `shape`."""
-
-    def check(value: Any) -> None:
-        if not isinstance(value, dict):
-            raise _refuse(value, "an object")
-        for key, entry in value.items():
-            _inside(_way(key), shape, entry)
-
-    return check
+    return fields({}, others=shape)
 
 
 def fields(

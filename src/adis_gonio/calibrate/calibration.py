@@ -11,7 +11,6 @@ effects(a) converges in a few passes to the ideal reading a = diag(K) D g.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -24,7 +23,7 @@ from numpy.typing import ArrayLike
 from adis_gonio.base.arrays import Floats, central_differences, wrap_radians
 from adis_gonio.base.conformity import ErrorCurve
 from adis_gonio.base.errors import DataError, FitError, UsageError
-from adis_gonio.base.jsonable import HIDDEN, OPTIONAL, JsonRecord, json_object
+from adis_gonio.base.jsonable import HIDDEN, OPTIONAL, JsonRecord, json_object, json_text
 from adis_gonio.base.numbers import counted, join_words
 from adis_gonio.base.output import check_output, replacing, write_utf8
 from adis_gonio.base.tables import ParameterTable
@@ -45,11 +44,6 @@ independent cause."""
 
 VERSION = 1
 """Version of the format of calibration documents."""
-
-
-def json_text(document: Mapping[str, Any]) -> str:
-    """Format a JSON document as text; numbers have as many digits as are needed to restore them exactly."""
-    return json.dumps(document, ensure_ascii=False, indent=2, allow_nan=False) + "\n"
 
 
 class Coefficient(JsonRecord):
@@ -141,6 +135,11 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
         return [one.name for one in self.parameters]
 
     @property
+    def needs(self) -> tuple[str, ...]:
+        """Names of the conditions on which the calibration depends, such as `temperature_c`."""
+        return ()
+
+    @property
     def values(self) -> Floats:
         """Values (p,) of the parameters."""
         return np.array([one.value for one in self.parameters])
@@ -203,6 +202,24 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
             "offsets_lsb": where.offsets_lsb,
         }
 
+    def _condition(
+        self,
+        name: str,
+        given: ArrayLike | None,
+        n: int,
+        covered: Covered | None,
+        default: float | None = None,
+        dies: int = 1,
+    ) -> Floats | None:
+        """Return a condition for each of n readings, (n, dies), by `checked_condition`.
+
+        Without a given value it is the mean of the session if the calibration depends on this condition and
+        the session recorded it (`covered`), else `default`.
+        """
+        if covered is not None and name in self.needs:
+            default = covered.mean
+        return checked_condition(name, given, n, default, dies)
+
     def _moved(self, by: Mapping[str, float]) -> tuple[Coefficient, ...]:
         """Return a copy of the parameters with the amounts `by` (by name) added to their values."""
         return tuple(replace(one, value=one.value + by.get(one.name, 0.0)) for one in self.parameters)
@@ -220,20 +237,8 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
         value = function(self.values)
         if self.covariance is None:
             return value, np.full(value.shape, np.nan)
-        return value, np.asarray((self._rises(function, difference) ** 2).sum(axis=0))
-
-    def _rises(
-        self, function: Callable[[Floats], Floats], difference: Callable[[Floats, Floats], Floats]
-    ) -> Floats:
-        """Return the changes (k, …) of a function of the parameters by one u of each independent cause.
-
-        The k causes are the principal axes of the parameters' covariance. `difference` subtracts two
-        results of the function, such as angles on a circle.
-        """
-        assert self.covariance is not None
-        steps = STEP * _directions(self.covariance)
-        rises = [difference(function(self.values + step), function(self.values - step)) for step in steps]
-        return np.asarray(rises) / (2 * STEP)
+        rises = central_differences(function, self.values, STEP, _directions(self.covariance), difference)
+        return value, np.asarray((rises**2).sum(axis=-1))
 
 
 def _directions(covariance: Floats) -> Floats:
@@ -433,6 +438,11 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         """Local gravity at the place of the session, in mg."""
         return self.provenance.gravity_mps2 * MG_PER_MPS2
 
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Names of the conditions on which the corrected effects depend."""
+        return tuple(dict.fromkeys(name for term in self.effects for name in term.effect.needs))
+
     def __repr__(self) -> str:
         space = "in the plane xy" if self.planar else "in space"
         effects = "".join(f" + {term.effect.name}" for term in self.effects)
@@ -577,12 +587,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
             Wrong shape, another unit, NaN or infinity; a missing plane, or another than the calibrated one;
             a negative uncertainty.
         """
-        i, j = self._plane(plane)
-
-        def shown(values: Floats, readings: Floats, conditions: Conditions) -> Floats:
-            gravity = self._gravity(values, readings, conditions)
-            return np.asarray(np.arctan2(gravity[:, j], gravity[:, i]))
-
+        shown = self._angle_of(*self._plane(plane))
         return self._with_u(shown, accel, temperature_c, supply_v, reading_u)
 
     def stage_angle(
@@ -608,13 +613,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         """
         if "alpha" not in self:
             raise UsageError("this calibration has no start angle alpha: only .angle() can be given")
-        k = self.names.index("alpha")
-
-        def shown(values: Floats, readings: Floats, conditions: Conditions) -> Floats:
-            gravity = self._gravity(values, readings, conditions)
-            return np.asarray(np.radians(values[k]) - np.arctan2(gravity[:, 1], gravity[:, 0]))
-
-        return self._with_u(shown, accel, temperature_c, supply_v, reading_u)
+        return self._with_u(self._angle_of(stage=True), accel, temperature_c, supply_v, reading_u)
 
     def error_curves(self, *, stage: bool = True) -> tuple[ErrorCurve | None, ErrorCurve]:
         """Return the error of the angle over the turn in the plane xy, without and with the calibration.
@@ -635,19 +634,22 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         gravity[:, 0], gravity[:, 1] = np.cos(psi), np.sin(psi)
         readings = self.readings_of(gravity)
         conditions = self._conditions(CURVE_PLACES, None, None)
-        # A stage angle is the start angle minus the angle of gravity.
         start = stage and "alpha" in self
         sign, zero = (-1.0, self["alpha"].value) if start else (1.0, 0.0)
-        varying = np.array([start and name == "alpha" for name in self.names])
-
-        def angle(values: Floats) -> Floats:
-            found = self._gravity(values, readings, conditions)
-            return np.asarray(sign * np.arctan2(found[:, 1], found[:, 0]) + np.radians(values @ varying))
-
-        rises = np.degrees(self._rises(angle, lambda up, down: wrap_radians(up - down)))
+        angle = self._angle_of(stage=start)
+        # Change of the angle by each independent cause, (m, k).
+        roots = central_differences(
+            lambda values: angle(values, readings, conditions),
+            self.values,
+            STEP,
+            _directions(self.covariance),
+            _turn_between,
+        )
         dof = min((one.dof for one in self.parameters if one.dof is not None), default=math.inf)
         raw = np.degrees(sign * wrap_radians(np.arctan2(readings[:, 1], readings[:, 0]) - psi))
-        after = ErrorCurve((zero + sign * np.degrees(psi)) % 360, np.zeros(CURVE_PLACES), rises.T, dof)
+        after = ErrorCurve(
+            (zero + sign * np.degrees(psi)) % 360, np.zeros(CURVE_PLACES), np.degrees(roots), dof
+        )
         return None if self.provenance.counts else replace(after, error_deg=raw), after
 
     def with_offsets(self, offsets_lsb: Sequence[int]) -> Calibration:
@@ -743,6 +745,23 @@ class Calibration(Coefficients, eq=False, kw_only=True):
                 ideal = _solved(free, terms, conditions)
         return self.measurement.calibrated(base, ideal)
 
+    def _angle_of(
+        self, i: int = 0, j: int = 1, *, stage: bool = False
+    ) -> Callable[[Floats, Floats, Conditions], Floats]:
+        """Return a function of parameters (p,), readings (n, axes) and conditions: the angles (n,) in rad.
+
+        They are the angles of gravity from axis i towards axis j. If `stage` is True, they are the angles
+        of the stage: the start angle `alpha` minus the angle of gravity.
+        """
+        k = self.names.index("alpha") if stage else None
+
+        def angle_rad(values: Floats, readings: Floats, conditions: Conditions) -> Floats:
+            gravity = self._gravity(values, readings, conditions)
+            psi = np.arctan2(gravity[:, j], gravity[:, i])
+            return np.asarray(psi if k is None else np.radians(values[k]) - psi)
+
+        return angle_rad
+
     def _terms(self, values: Floats) -> list[tuple[Effect, Floats]]:
         names = self.names
         return [(t.effect, values[[names.index(n) for n in t.parameters]]) for t in self.effects]
@@ -750,19 +769,11 @@ class Calibration(Coefficients, eq=False, kw_only=True):
     def _conditions(
         self, n: int, temperature_c: ArrayLike | None, supply_v: ArrayLike | None
     ) -> Conditions:
-        needs = {name for term in self.effects for name in term.effect.needs}
-
-        def of_session(name: str, given: ArrayLike | None, covered: Covered | None) -> Floats | None:
-            default = covered.mean if covered is not None and name in needs else None
-            found = checked_condition(name, given, n, default)
-            return None if found is None else found[:, 0]
-
         where = self.provenance
-        return Conditions(
-            time_s=np.zeros(n),
-            temperature_c=of_session("temperature_c", temperature_c, where.temperature_c),
-            supply_v=of_session("supply_v", supply_v, where.supply_v),
-        )
+        warm = self._condition("temperature_c", temperature_c, n, where.temperature_c)
+        volts = self._condition("supply_v", supply_v, n, where.supply_v)
+        rows = [None if found is None else found[:, 0] for found in (warm, volts)]
+        return Conditions(time_s=np.zeros(n), temperature_c=rows[0], supply_v=rows[1])
 
     def _plane(self, plane: str | None) -> tuple[int, int]:
         planes = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
@@ -788,19 +799,17 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         readings, single = checked_readings(accel, self)
         conditions = self._conditions(len(readings), temperature_c, supply_v)
         values = self.values
-
-        def apart(up: Floats, down: Floats) -> Floats:
-            return wrap_radians(up - down)
-
-        angle, variance = self._with_variance(lambda values: shown(values, readings, conditions), apart)
+        angle, variance = self._with_variance(
+            lambda values: shown(values, readings, conditions), _turn_between
+        )
         for change in self._left_to_temperature(readings, temperature_c):
-            variance += apart(shown(values, readings + change, conditions), angle) ** 2
+            variance += _turn_between(shown(values, readings + change, conditions), angle) ** 2
         if reading_u is not None:
             u = self._reading_u(reading_u)
             steps = np.maximum(STEP * u, 1e-6)
             # Derivative of the angle by the reading, for the noise of the reading.
             slopes = central_differences(
-                lambda r: shown(values, r, conditions), readings, steps, np.eye(self.axes), apart
+                lambda r: shown(values, r, conditions), readings, steps, np.eye(self.axes), _turn_between
             )
             variance += ((slopes * u) ** 2).sum(axis=1)
         angle_deg, u_deg = np.degrees(wrap_radians(angle)), np.degrees(np.sqrt(variance))
@@ -839,6 +848,11 @@ class Calibration(Coefficients, eq=False, kw_only=True):
                 f"reading_u is one number, or {self.axes}, none of them negative; not {reading_u}"
             )
         return np.broadcast_to(u, (self.axes,))
+
+
+def _turn_between(up_rad: Floats, down_rad: Floats) -> Floats:
+    """Return the differences (n,) of angles (n,) in rad, by the shorter way round the circle."""
+    return wrap_radians(up_rad - down_rad)
 
 
 def _solved(free: Floats, terms: Sequence[tuple[Effect, Floats]], conditions: Conditions) -> Floats:

@@ -24,7 +24,7 @@ from adis_gonio.base.shapes import (
     whole,
 )
 from adis_gonio.calibrate.calibration import VERSION, Calibration, Coefficient, EffectTerm, NotCorrected
-from adis_gonio.calibrate.gyro_calibration import GyroCalibration, kind_of
+from adis_gonio.calibrate.gyro_calibration import KIND_OF, GyroCalibration
 from adis_gonio.device.sensor.registers import BY_NAME
 from adis_gonio.model.effects import AXES, effect
 from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
@@ -173,7 +173,7 @@ def _read_gyro(document: Mapping[str, Any]) -> GyroCalibration:
     if (reference["temperature_c"], reference["supply_v"]) != (REFERENCE_C, REFERENCE_V):
         raise ValueError(f"its reference is not {REFERENCE_C:g} °C and {REFERENCE_V:g} V")
     names = list(document["parameters"])
-    strange = [name for name in names if kind_of(name) is None]
+    strange = [name for name in names if name not in KIND_OF]
     missing = [f"gyro_bias_{axis}" for axis in AXES if f"gyro_bias_{axis}" not in names]
     if strange:
         raise ValueError(f"{strange[0]} is no parameter of a gyro")
@@ -194,8 +194,7 @@ def _read_body(document: Mapping[str, Any]) -> dict[str, Any]:
         "covariance": None if covariance is None else matrix_of(covariance, list(document["parameters"])),
         "not_corrected": tuple(NotCorrected(**one) for one in document["not_corrected"]),
         "assumed": tuple(document["assumed"]),
-        "temperature_c": _covered(reference["session_temperature_c"]),
-        "supply_v": _covered(reference["session_supply_v"]),
+        **{name: _covered(reference[f"session_{name}"]) for name in ("temperature_c", "supply_v")},
         "offsets_lsb": None if offsets is None else tuple(offsets),
     }
 

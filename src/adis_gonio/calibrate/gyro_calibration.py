@@ -13,7 +13,6 @@ of the accelerometers, because gyros may be calibrated before accelerometers.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
@@ -28,7 +27,6 @@ from adis_gonio.calibrate.calibration import (
     VERSION,
     Coefficient,
     Coefficients,
-    checked_condition,
     checked_offsets,
     finite_numbers,
 )
@@ -40,22 +38,25 @@ from adis_gonio.record.provenance import Covered
 GYRO_OFFSET_DPS = VARIANTS["adis16354"].lsb(Kind.GYRO_OFFSET)[0]
 """Size in °/s of the LSB of the registers XGYRO_OFF …, equal at every range (data sheet, A)."""
 
-_ONE, _PAIR, _OTHER = "one axis", "two axes", "two different axes"
-_KINDS: dict[str, tuple[str, str]] = {
-    "gyro_bias": (_ONE, "dps"),
-    "gyro_scale": (_ONE, "1"),
-    "gyro_misalignment": (_OTHER, "deg"),
-    "g_sensitivity": (_PAIR, "dps/g"),
-    "g2_sensitivity": (_PAIR, "dps/g²"),
-    "gyro_bias_temperature": (_ONE, "dps/°C"),
-    "gyro_bias_temperature2": (_ONE, "dps/°C²"),
-    "gyro_bias_temperature3": (_ONE, "dps/°C³"),
-    "gyro_scale_temperature": (_ONE, "ppm/°C"),
-    "gyro_supply": (_ONE, "dps/V"),
-}
-"""Axes that the name of a gyro parameter ends with, and its unit, by the first part of the name."""
 PAIRS = tuple(i + j for i in AXES for j in AXES)
-_NAME = re.compile(r"(?P<kind>[a-z0-9_]+)_(?P<axes>[xyz]{1,2})")
+OTHER_PAIRS = tuple(pair for pair in PAIRS if pair[0] != pair[1])
+_KINDS: dict[str, tuple[Sequence[str], str]] = {
+    "gyro_bias": (AXES, "dps"),
+    "gyro_scale": (AXES, "1"),
+    "gyro_misalignment": (OTHER_PAIRS, "deg"),
+    "g_sensitivity": (PAIRS, "dps/g"),
+    "g2_sensitivity": (PAIRS, "dps/g²"),
+    "gyro_bias_temperature": (AXES, "dps/°C"),
+    "gyro_bias_temperature2": (AXES, "dps/°C²"),
+    "gyro_bias_temperature3": (AXES, "dps/°C³"),
+    "gyro_scale_temperature": (AXES, "ppm/°C"),
+    "gyro_supply": (AXES, "dps/V"),
+}
+"""Letters with which the names of the parameters of a kind end, and their unit, by kind of parameter."""
+KIND_OF = {f"{kind}_{letters}": kind for kind, (ends, _) in _KINDS.items() for letters in ends}
+"""Kind of each gyro parameter by its name, such as `gyro_scale` of `gyro_scale_x`, in the usual order."""
+_EXPECTED = ("gyro_scale", "gyro_misalignment", "g_sensitivity")
+"""Kinds of parameters that a calibration lists as assumed if the session does not determine them."""
 LEAST_DETERMINANT = 0.1
 """Smallest determinant of the matrix of gains times directions that is accepted; three working gyros have
 about 1."""
@@ -130,24 +131,27 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
             A gyro has no zero rate, a parameter has a wrong unit, or gains and directions are impossible
             for three gyros.
         """
-        known = [name for name in estimates if kind_of(name) and _determined(estimates[name])]
+        known = [name for name in KIND_OF if name in estimates and _determined(estimates[name])]
         missing = [f"gyro_bias_{axis}" for axis in AXES if f"gyro_bias_{axis}" not in known]
         if missing:
             raise FitError(
                 f"the session does not determine {', '.join(missing)}: its gyros are not calibrated"
             )
-        known.sort(key=_order)
         parameters = tuple(Coefficient.of(name, estimates[name]) for name in known)
-        matrix = _taken(known, parameters, covariance)
-        assumed = _assumed(known)
-        made = cls(method=method, parameters=parameters, covariance=matrix, assumed=assumed, **about)
+        made = cls(
+            method=method,
+            parameters=parameters,
+            covariance=_taken(parameters, covariance),
+            assumed=tuple(n for n, kind in KIND_OF.items() if kind in _EXPECTED and n not in known),
+            **about,
+        )
         made.check()
         return made
 
     def check(self) -> None:
         """Raise `FitError` for a wrong unit, or for impossible scale factors or misalignments."""
         for one in self.parameters:
-            kind = kind_of(one.name)
+            kind = KIND_OF.get(one.name)
             if kind is None or one.unit != _KINDS[kind][1]:
                 raise FitError(f"{one.name} in {one.unit} is no parameter of a gyro")
         misalignment = self._values(self.values)["gyro_misalignment"]
@@ -183,7 +187,7 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
     @property
     def needs(self) -> tuple[str, ...]:
         """Names of the conditions that `correct` needs, from `force_g`, `temperature_c` and `supply_v`."""
-        found = {kind_of(one.name) for one in self.parameters}
+        found = {KIND_OF[one.name] for one in self.parameters}
         wanted = {
             "force_g": {"g_sensitivity", "g2_sensitivity"},
             "temperature_c": {kind for kind in _KINDS if "temperature" in kind},
@@ -340,11 +344,11 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
     def _values(self, values: Floats) -> _Values:
         held = dict(zip(self.names, values.tolist(), strict=True))
         made = {}
-        for kind, (axes, _) in _KINDS.items():
+        for kind, (ends, _) in _KINDS.items():
             nominal = 1.0 if kind == "gyro_scale" else 0.0
-            named = AXES if axes is _ONE else PAIRS
-            rows = np.array([held.get(f"{kind}_{suffix}", nominal) for suffix in named])
-            made[kind] = rows if axes is _ONE else rows.reshape(3, 3)
+            letters = AXES if ends is AXES else PAIRS
+            rows = np.array([held.get(f"{kind}_{end}", nominal) for end in letters])
+            made[kind] = rows if ends is AXES else rows.reshape(3, 3)
         return made
 
     def _conditions(
@@ -357,53 +361,21 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
 
         Return the force (n, 3) in g, degrees above 25 °C (n, 3) and volts above 5 V (n, 1).
         """
-        needs = self.needs
-        if force_g is None and "force_g" in needs:
+        if force_g is None and "force_g" in self.needs:
             raise UsageError(
                 "these gyros are sensitive to force: give force_g, the readings of the accelerometers in g"
             )
         force = np.zeros((n, 3)) if force_g is None else _spread("force_g", force_g, n)
-
-        def above(
-            name: str, given: ArrayLike | None, covered: Covered | None, zero: float, dies: int
-        ) -> Floats:
-            default = covered.mean if covered is not None and name in needs else zero
-            found = checked_condition(name, given, n, default, dies)
-            assert found is not None
-            return found - zero
-
-        warm = above("temperature_c", temperature_c, self.temperature_c, REFERENCE_C, 3)
-        return force, warm, above("supply_v", supply_v, self.supply_v, REFERENCE_V, 1)
+        warm = self._condition("temperature_c", temperature_c, n, self.temperature_c, REFERENCE_C, 3)
+        volts = self._condition("supply_v", supply_v, n, self.supply_v, REFERENCE_V)
+        # With a default there is always a value.
+        assert warm is not None
+        assert volts is not None
+        return force, warm - REFERENCE_C, volts - REFERENCE_V
 
     def _with_u(self, function: Callable[[Floats], Floats]) -> tuple[Floats, Floats]:
         value, variance = self._with_variance(function)
         return value, np.sqrt(variance)
-
-
-def kind_of(name: str) -> str | None:
-    """Return the kind of a gyro parameter: its name without the axes, such as `gyro_scale`.
-
-    None if the name is no gyro parameter.
-    """
-    match = _NAME.fullmatch(name)
-    if match is None or match["kind"] not in _KINDS:
-        return None
-    axes, wanted = match["axes"], _KINDS[match["kind"]][0]
-    if len(axes) != (1 if wanted is _ONE else 2) or (wanted is _OTHER and axes[0] == axes[1]):
-        return None
-    return match["kind"]
-
-
-def _order(name: str) -> tuple[int, str]:
-    kind = kind_of(name)
-    return list(_KINDS).index(kind or ""), name
-
-
-def _assumed(known: Sequence[str]) -> tuple[str, ...]:
-    wanted = [f"gyro_scale_{axis}" for axis in AXES]
-    wanted += [f"gyro_misalignment_{pair}" for pair in PAIRS if pair[0] != pair[1]]
-    wanted += [f"g_sensitivity_{pair}" for pair in PAIRS]
-    return tuple(name for name in wanted if name not in known)
 
 
 def _determined(estimate: Any) -> bool:
@@ -412,25 +384,22 @@ def _determined(estimate: Any) -> bool:
 
 
 def _taken(
-    names: Sequence[str],
-    parameters: Sequence[Coefficient],
-    covariance: tuple[Sequence[str], Floats] | None,
+    parameters: Sequence[Coefficient], covariance: tuple[Sequence[str], Floats] | None
 ) -> Floats | None:
-    """Return the covariance (p, p) of the named parameters; None if any u is unknown.
+    """Return the covariance (p, p) of the parameters; None if any u is unknown.
 
     `covariance` has names of parameters and their covariance matrix, or is None. Parameters that it does
     not name are uncorrelated and have the variance u².
     """
     if any(one.u is None for one in parameters):
         return None
-    if covariance is None:
-        return np.diag([float(one.u or 0.0) ** 2 for one in parameters])
-    given, matrix = list(covariance[0]), np.asarray(covariance[1], dtype=float)
     taken: Floats = np.diag([float(one.u or 0.0) ** 2 for one in parameters])
-    inside = [k for k, name in enumerate(names) if name in given]
-    # Replace the diagonal by the given covariance for the parameters in it.
-    rows = [given.index(names[k]) for k in inside]
-    taken[np.ix_(inside, inside)] = (matrix[np.ix_(rows, rows)] + matrix[np.ix_(rows, rows)].T) / 2
+    if covariance is not None:
+        given, matrix = list(covariance[0]), np.asarray(covariance[1], dtype=float)
+        inside = [k for k, one in enumerate(parameters) if one.name in given]
+        # Replace the diagonal by the given covariance for the parameters in it.
+        rows = [given.index(parameters[k].name) for k in inside]
+        taken[np.ix_(inside, inside)] = (matrix[np.ix_(rows, rows)] + matrix[np.ix_(rows, rows)].T) / 2
     return taken
 
 

@@ -40,17 +40,6 @@ def fit(
 ) -> GyroFit: ...
 
 
-@overload
-def fit(
-    session: Session | str | PathLike[str],
-    method: str | None = None,
-    *,
-    part: str,
-    accelerometers: Calibration | None = None,
-    gyros: GyroCalibration | str | PathLike[str] | None = None,
-) -> FitResult | GyroFit: ...
-
-
 def fit(
     session: Session | str | PathLike[str],
     method: str | None = None,

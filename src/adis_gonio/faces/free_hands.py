@@ -53,19 +53,14 @@ class Hands:
             return "the part is still turning"
 
         def turn() -> None:
-            with self._busy_until_end():
+            try:
                 for by_deg in turns_deg:
                     self._stage.move_to(self._stage.angle_deg + by_deg)
+            finally:
+                self._busy.release()
 
         threading.Thread(target=turn, name="hands", daemon=True).start()
         return "turned" if len(turns_deg) == 1 else "bumped"
-
-    @contextmanager
-    def _busy_until_end(self) -> Iterator[None]:
-        try:
-            yield
-        finally:
-            self._busy.release()
 
 
 @contextmanager

@@ -31,7 +31,7 @@ from adis_gonio.base.tables import align_columns, fold_text
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.fit_result import FitResult
 from adis_gonio.fitting.method_comparison import MethodComparison, Recommendation, Score
-from adis_gonio.fitting.uncertainty import BudgetRow
+from adis_gonio.fitting.uncertainty import FIXTURE, FLICKER, REPEATABILITY, BudgetRow
 
 _SPATIAL = ("scale", "skew", "bias")
 
@@ -162,9 +162,23 @@ class Answer:
         angle = self.values.get("angle")
         if angle is None or angle.U is None or not angle.value > angle.U:
             return ()
+        # Errors that one dwell has and that average out over the dwells of the fit, in degrees.
+        single = [
+            math.degrees(row.u / 1000) if row.unit == "mg" else row.u
+            for row in self.budget.get("angle", ())
+            if row.source in (REPEATABILITY, FLICKER, FIXTURE) and row.u and math.isfinite(row.u)
+        ]
+        placed = f"{format_number(math.hypot(*single), 2)}°"
+        if angle.value <= math.hypot(angle.U, *(2 * u for u in single)):
+            return (
+                "The rms error of the angle is the error of single dwells, which contains noise and"
+                f" placement on the stage (u {placed}). U and a statement of conformity are about the"
+                " calibrated angle, in which they average out.",
+            )
         return (
-            "The rms error of the angle is larger than U: it is the error on dwells that the fit did not"
-            " use. With few positions such a fit is weak; with many positions U is too small.",
+            "The rms error of the angle, on dwells that the fit did not use, is larger than U and the error"
+            f" of a single dwell (u {placed}) explain. With few positions such a fit is weak; with many"
+            " positions U is too small, and a statement of conformity is not safe.",
         )
 
     @property
@@ -184,7 +198,7 @@ class Answer:
         """Return lines of text that show the method, the main results, and the reason for the method."""
         return [
             f"Answer by method {self.title}",
-            *align_columns([HEAD, *(line.cells for line in self.lines)]),
+            *align_columns([HEAD, *self.lines]),
             *fold_text(self.why, width, indent=2),
             *(line for remark in self.remarks for line in fold_text(remark, width, indent=2)),
         ]
@@ -315,7 +329,7 @@ def parameter_row(name: str, value: Value) -> list[str]:
 
     ν are the degrees of freedom of u.
     """
-    return [*QuantityRow.of(name, value).cells, format_dof(value.dof) if value.u is not None else "–"]
+    return [*QuantityRow.of(name, value), format_dof(value.dof) if value.u is not None else "–"]
 
 
 def format_dof(dof: float) -> str:

@@ -7,7 +7,7 @@ from adis_gonio.base import lazily
 
 _HOMES = {
     "calibration_due": "Rules due_of",
-    "fleet_run": "files_of run_fleet scan survey",
+    "fleet_run": "Fleet run_fleet scan session_files",
     "fleet_summary": "summarise",
     "population_trace": "trace_population",
     "sensor_history": "history_of",

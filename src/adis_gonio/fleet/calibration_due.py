@@ -19,6 +19,7 @@ since an angle depends on the ratio of the gains alone (K_x = K_y (1 + ΔK)) and
 from __future__ import annotations
 
 import math
+from bisect import bisect
 from collections.abc import Mapping
 from dataclasses import field, replace
 
@@ -312,12 +313,10 @@ def _control_chart(history: History, limits: Rules) -> Rule:
             f"not {limit}: calibrate with more dwells, or raise the tolerance"
         )
         return Rule(method, date_of(last), why, assumes)
-    # The error grows with time: the first day without a pass, by bisection.
-    good, bad = 0, round(LONGEST_DAYS) + 1
-    while bad - good > 1:
-        middle = (good + bad) // 2
-        good, bad = (middle, bad) if passes(middle) else (good, middle)
-    if bad > LONGEST_DAYS:
+    # The error grows with time: the last day with a pass, by bisection.
+    days = range(1, round(LONGEST_DAYS) + 1)
+    good = bisect(days, False, key=lambda day: not passes(day))
+    if good == len(days):
         years = f"{LONGEST_DAYS / YEAR_DAYS:.0f} years, the longest interval"
         why = f"the error conforms to {limit} for {years}"
         return Rule(method, date_of(last + LONGEST_DAYS), why, assumes)

@@ -98,7 +98,9 @@ def control_chart(value: Floats, u: Floats) -> ControlChart:
 
     `value` (n,) and `u` (n,) are the values and their standard uncertainties, in order of time.
     """
-    from scipy.special import ndtr, ndtri, stdtr, stdtrit
+    from scipy.special import ndtr, stdtrit
+
+    from adis_gonio.fleet.fleet_statistics import as_normal
 
     expected, sigma = np.full(len(value), np.nan), np.full(len(value), np.nan)
     dof = np.full(len(value), np.inf)
@@ -114,8 +116,7 @@ def control_chart(value: Floats, u: Floats) -> ControlChart:
             spread = between**2 + float((u[others] ** 2).mean())
             dof[k] = _MOVING_RANGE_DOF * (len(value) - 2) * (variance[k] / spread) ** 2
     t = (value - expected) / sigma
-    # Student's t as a standard normal value of equal probability, by the smaller tail.
-    z = np.copysign(ndtri(stdtr(dof, -np.abs(t))), t)
+    z = as_normal(t, dof)
     up, down = cusum(z[1:])
     limit = sigma * -stdtrit(dof, ndtr(-SHEWHART))
     low, high = expected - limit, expected + limit
@@ -161,11 +162,9 @@ def cusum(z: Floats) -> tuple[Floats, Floats]:
 
     They are S⁺ = max(0, S⁺ + z − k) and S⁻ = max(0, S⁻ − z − k), with k = `CUSUM_K`.
     """
-    up, down = np.zeros(len(z)), np.zeros(len(z))
-    high = low = 0.0
-    for n, one in enumerate(z):
-        up[n] = high = max(0.0, high + one - CUSUM_K)
-        down[n] = low = max(0.0, low - one - CUSUM_K)
+    sums = np.cumsum([z - CUSUM_K, -z - CUSUM_K], axis=1)
+    # A sum that starts again at 0 is the whole sum above its lowest value so far, at most 0.
+    up, down = sums - np.minimum(np.minimum.accumulate(sums, axis=1), 0.0)
     return up, down
 
 

@@ -1,31 +1,18 @@
-"""The outcome of a fleet as files (page, JSON, Parquet), and the page of a sensor's history."""
+"""Pages with figures: the summary of a fleet, and the history of a sensor."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from adis_gonio.base import __version__
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.errors import AdisGonioError, UsageError
-from adis_gonio.base.jsonable import finite, json_object
 from adis_gonio.base.numbers import NAMES, counted, format_percent, label_quantity
-from adis_gonio.base.output import replacing, write_utf8
 from adis_gonio.fleet import fleet_summary, sensor_history
-from adis_gonio.fleet.fleet_run import Fleet, Repeated
-from adis_gonio.fleet.fleet_summary import GROUPS, Outlying, QuantitySummary, Summary, summarise
+from adis_gonio.fleet.fleet_summary import GROUPS, Outlying, QuantitySummary, Summary
 from adis_gonio.fleet.sensor_history import History, Track
-from adis_gonio.fleet.session_record import Options
+from adis_gonio.fleet.session_record import Repeated
 from adis_gonio.page.document import Figure, KeyFigure, Section, Series, Table, plot, render
-
-if TYPE_CHECKING:
-    from adis_gonio.fleet.population_trace import PopulationResult
 
 _MOST_BINS = 40
 _MOST_GROUPS = 12
@@ -303,110 +290,3 @@ def _cusum(track: Track) -> Figure:
     return Figure(
         drawn, f"Sums of differences beyond {chart.k:g} σ; above the limit the quantity has changed."
     )
-
-
-ENDINGS = (".parquet", ".json", ".html")
-
-
-@dataclass(frozen=True)
-class FleetResult:
-    """Records of a fleet with their summary.
-
-    They do not depend on the number of workers and the order in which these finish. `options` are the
-    computations that were made.
-    """
-
-    fleet: Fleet
-    options: Options
-
-    @cached_property
-    def rows(self) -> list[dict[str, Any]]:
-        """Rows of the table of the fleet, one per session, with the columns `session_table.COLUMNS`."""
-        return [record.row() for record in self.fleet.records]
-
-    @cached_property
-    def summary(self) -> Summary:
-        """Statistics over all sessions of the fleet."""
-        return summarise(self.rows)
-
-    @cached_property
-    def population(self) -> PopulationResult | str | None:
-        """Result of the population trace, or the reason if it failed; None if it was not requested."""
-        if not self.options.evidence:
-            return None
-        from adis_gonio.fleet.population_trace import trace_population
-        from adis_gonio.fleet.session_evidence import SessionEvidence
-
-        known = [record.evidence for record in self.fleet.records if record.evidence is not None]
-        try:
-            return trace_population([SessionEvidence.from_dict(evidence) for evidence in known])
-        except AdisGonioError as error:
-            return str(error)
-
-    @property
-    def population_lines(self) -> tuple[str, ...]:
-        """Lines of text on the result of the population trace; empty if it was not requested."""
-        found = self.population
-        if found is None:
-            return ()
-        return (f"No population trace: {found}.",) if isinstance(found, str) else found.summary()
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the JSON document that `adis-gonio fleet` writes.
-
-        It has summary, options, and the files that are not counted.
-        """
-        found = self.population
-        population = {"reason": found} if isinstance(found, str) else found
-        return self.summary.as_dict() | json_object(
-            options=self.options,
-            repeated=self.fleet.repeated,
-            **{} if found is None else {"population": population},
-        )
-
-    def write(self, path: Path) -> None:
-        """Write the result to a file, in the format of the file's ending; an existing file is replaced.
-
-        Raises
-        ------
-        OutputError
-            The file cannot be written; an existing file stays as it is.
-        """
-        with replacing(path) as temporary:
-            if path.suffix.lower() == ".parquet":
-                from adis_gonio.fleet.session_table import write_parquet
-
-                about = {"software": f"adis-gonio {__version__}", "options": self.options.as_dict()}
-                write_parquet(self.rows, temporary, about)
-            elif path.suffix.lower() == ".html":
-                write_utf8(temporary, build_page(self.summary, self.fleet.repeated, self.population_lines))
-            else:
-                text = json.dumps(finite(self.as_dict()), ensure_ascii=False, indent=2, allow_nan=False)
-                write_utf8(temporary, text + "\n")
-
-
-def check_outputs(paths: Sequence[Path], files: Sequence[str]) -> None:
-    """Check before the work begins that the output files can be written.
-
-    `files` are the session files.
-
-    Raises
-    ------
-    UsageError
-        An output file has an unknown ending, or is one of the session files.
-    OutputError, NotInstalledError
-        A file cannot be written, or its format needs a package that is not installed.
-    """
-    for path in paths:
-        if path.suffix.lower() not in ENDINGS:
-            raise UsageError(f"{path}: unknown ending; use {', '.join(ENDINGS)}")
-        if str(path) in files:
-            raise UsageError(f"{path}: is one of the sessions; name another file")
-        if path.suffix.lower() == ".parquet":
-            from adis_gonio.fleet.session_table import require_pyarrow
-
-            require_pyarrow()
-        elif path.suffix.lower() == ".html":
-            from adis_gonio.page.document import require_matplotlib
-
-            require_matplotlib()

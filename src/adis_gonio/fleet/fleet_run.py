@@ -1,64 +1,52 @@
-"""The way from files to records: each session counts once, and none is computed twice."""
+"""The way from files to the results of a fleet: each session counts once, and none is computed twice."""
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-from adis_gonio.base.budget import with_progress
-from adis_gonio.base.errors import DataError, UsageError
-from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.base import __version__
+from adis_gonio.base.budget import current
+from adis_gonio.base.errors import AdisGonioError, UsageError
+from adis_gonio.base.jsonable import json_object, json_text
 from adis_gonio.base.numbers import counted, format_duration
-from adis_gonio.base.output import ends_in
-from adis_gonio.fleet.session_record import Job, Options, SessionRecord, lost, once, record_of
+from adis_gonio.base.output import ends_in, replacing, write_utf8
+from adis_gonio.fleet.fleet_summary import Summary, summarise
+from adis_gonio.fleet.session_record import Job, Options, Repeated, SessionRecord, lost, once, record_of
 from adis_gonio.fleet.store import Store
 from adis_gonio.record.archive import is_archive
 from adis_gonio.record.provenance import digest_of_file
 
+if TYPE_CHECKING:
+    from adis_gonio.fleet.population_trace import PopulationResult
+
 ENDINGS = (".session", ".csv", ".csv.gz")
 """Endings of session files; archives are also recognised by their content."""
+OUTPUTS = (".parquet", ".json", ".html")
+"""Endings of the files to which a fleet can be written."""
 
 
-def files_of(given: Iterable[str | Path]) -> list[str]:
-    """List the given files, and the session files in given folders and below, sorted, each once.
+def session_files(places: Iterable[str | Path]) -> list[str]:
+    """List the given files, and the session files in given folders and their subfolders.
+
+    The list is sorted, and each file occurs once.
 
     Raises
     ------
     UsageError
-        There is no session, or a given file or folder does not exist.
+        A given file or folder does not exist.
     """
-    places = list(map(Path, given))
-    for place in places:
-        if not place.exists():
-            raise UsageError(f"{place}: there is no such file or folder")
-    found = {str(path) for place in places for path in _below(place)}
-    if not found:
-        folders = ", ".join(str(place) for place in places)
-        where = f" in {folders}" if folders else ""
-        raise UsageError(f"there is no session{where}: give files, or folders with {', '.join(ENDINGS)}")
-    return sorted(found)
-
-
-def session_files(places: Sequence[str | Path]) -> list[Path]:
-    """Return absolute paths of the session files in folders and their subfolders, each once.
-
-    Raises
-    ------
-    DataError
-        A place does not exist, or is neither a folder nor a file.
-    """
-    found: dict[Path, None] = {}
+    found: set[str] = set()
     for place in map(Path, places):
         if not place.exists():
-            raise DataError(f"{place}: there is no such folder")
-        if not (place.is_dir() or place.is_file()):
-            raise DataError(f"{place}: is neither a folder nor a file; save the data of a pipe first")
-        found |= dict.fromkeys(_below(place.resolve()))
-    return list(found)
+            raise UsageError(f"{place}: there is no such file or folder")
+        found |= {str(path) for path in _below(place)}
+    return sorted(found)
 
 
 def _below(place: Path) -> Iterator[Path]:
@@ -82,116 +70,158 @@ def _below(place: Path) -> Iterator[Path]:
 
 
 class Workers(Protocol):
-    """Interface of objects that compute the records of sessions: `LocalPool`, `Cluster`, `ThisProcess`."""
+    """Interface of objects that compute the records of sessions: `LocalPool`, `Cluster`."""
 
     def results(self, jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, SessionRecord]]:
         """Yield each job once with the record that was computed for it, in any order."""
 
 
-class ThisProcess:
-    """Computes the records of sessions one after another in the calling process."""
-
-    def results(self, jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, SessionRecord]]:
-        """Yield each job with its record, computed in the order of the jobs."""
-        for job in with_progress(jobs):
-            yield job, record_of(job.path, **options.as_dict())
-
-
-class Repeated(JsonRecord):
-    """A file that does not count, because the file `same_as` has the same data."""
-
-    path: str
-    same_as: str
-
-
-@dataclass(frozen=True)
-class Survey:
-    """The sessions to compute, found by reading the files once.
-
-    Attributes
-    ----------
-    jobs : tuple of Job
-        Sessions to compute, sorted by path.
-    repeated : tuple of Repeated
-        Files with the same bytes as a session of `jobs`.
-    unreadable : tuple of SessionRecord
-        Records of unreadable files.
-    """
-
-    jobs: tuple[Job, ...]
-    repeated: tuple[Repeated, ...]
-    unreadable: tuple[SessionRecord, ...]
-
-
 @dataclass(frozen=True)
 class Fleet:
-    """The records of many sessions.
+    """The records of many sessions, with their summary.
+
+    Nothing but `computed` and `known` depends on the workers, on the order in which they finish, and on the
+    records that the store had before.
 
     Attributes
     ----------
+    options : Options
+        Computations that were made for each session.
     records : tuple of SessionRecord
         One per session, sorted by path.
     repeated : tuple of Repeated
         Files that do not count, because another file has the same data.
-    again : int
-        Number of sessions that had a record in the store before the run.
+    computed, known : int
+        Number of sessions that were computed now, and of sessions that had a record in the store.
     """
 
+    options: Options
     records: tuple[SessionRecord, ...]
     repeated: tuple[Repeated, ...]
-    again: int
+    computed: int
+    known: int
 
     @property
     def failed(self) -> int:
         """Number of sessions for which no result could be computed."""
         return sum(record.status != "ok" for record in self.records)
 
+    @property
+    def unreadable(self) -> tuple[SessionRecord, ...]:
+        """Records without a digest, of files that could not be read; the store does not have them."""
+        return tuple(record for record in self.records if record.sha256 is None)
 
-def survey(
-    files: Sequence[str], share: Callable[[float], None] | None = None, store: Store | None = None
-) -> Survey:
-    """Read every file once; files with equal bytes are one session, under the first name.
+    @cached_property
+    def rows(self) -> list[dict[str, Any]]:
+        """Rows of the table of the fleet, one per session, with the columns `session_table.COLUMNS`."""
+        return [record.row() for record in self.records]
 
-    `share` is called with the finished share of the files. With a store, only new or changed files are
-    read; None reads all files.
-    """
-    names: dict[str, str] = {}
-    repeated, unreadable = [], []
-    digest_of = digest_of_file if store is None else store.digest_of
-    for done, path in enumerate(sorted(set(files))):
-        if share is not None:
-            share(done / len(files))
-        if _special(Path(path)):
-            unreadable.append(lost(path, "is no regular file: save the data of a pipe first"))
-            continue
+    @cached_property
+    def summary(self) -> Summary:
+        """Statistics over all sessions of the fleet."""
+        return summarise(self.rows)
+
+    @cached_property
+    def population(self) -> PopulationResult | str | None:
+        """Result of the population trace, or the reason if it failed; None if it was not requested."""
+        if not self.options.evidence:
+            return None
+        from adis_gonio.fleet.population_trace import trace_population
+        from adis_gonio.fleet.session_evidence import SessionEvidence
+
+        known = [record.evidence for record in self.records if record.evidence is not None]
         try:
-            digest = digest_of(path)
-        except OSError as error:
-            unreadable.append(lost(path, f"cannot be read: {error.strerror or error}"))
-            continue
-        if digest in names:
-            repeated.append(Repeated(path, names[digest]))
-        else:
-            names[digest] = path
-    jobs = tuple(Job(path, digest) for digest, path in names.items())
-    return Survey(jobs, tuple(repeated), tuple(unreadable))
+            return trace_population([SessionEvidence.from_dict(evidence) for evidence in known])
+        except AdisGonioError as error:
+            return str(error)
+
+    @property
+    def population_lines(self) -> tuple[str, ...]:
+        """Lines of text on the result of the population trace; empty if it was not requested."""
+        found = self.population
+        if found is None:
+            return ()
+        return (f"No population trace: {found}.",) if isinstance(found, str) else found.summary()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the JSON document that `adis-gonio fleet` writes.
+
+        It has summary, options, and the files that are not counted.
+        """
+        found = self.population
+        population = {"reason": found} if isinstance(found, str) else found
+        return self.summary.as_dict() | json_object(
+            options=self.options,
+            repeated=self.repeated,
+            **{} if found is None else {"population": population},
+        )
+
+    def write(self, path: Path) -> None:
+        """Write the result to a file, in the format of the file's ending; an existing file is replaced.
+
+        Raises
+        ------
+        OutputError
+            The file cannot be written; an existing file stays as it is.
+        """
+        with replacing(path) as temporary:
+            if path.suffix.lower() == ".parquet":
+                from adis_gonio.fleet.session_table import write_parquet
+
+                about = {"software": f"adis-gonio {__version__}", "options": self.options.as_dict()}
+                write_parquet(self.rows, temporary, about)
+            elif path.suffix.lower() == ".html":
+                from adis_gonio.fleet.fleet_pages import build_page
+
+                write_utf8(temporary, build_page(self.summary, self.repeated, self.population_lines))
+            else:
+                write_utf8(temporary, json_text(self.as_dict()))
 
 
-def _special(path: Path) -> bool:
-    return path.exists() and not (path.is_file() or path.is_dir())
+def check_outputs(paths: Sequence[Path], files: Sequence[str]) -> None:
+    """Check before the work begins that the output files can be written.
+
+    `files` are the session files.
+
+    Raises
+    ------
+    UsageError
+        An output file has an unknown ending, or is one of the session files.
+    OutputError, NotInstalledError
+        A file cannot be written, or its format needs a package that is not installed.
+    """
+    for path in paths:
+        if path.suffix.lower() not in OUTPUTS:
+            raise UsageError(f"{path}: unknown ending; use {', '.join(OUTPUTS)}")
+        if str(path) in files:
+            raise UsageError(f"{path}: is one of the sessions; name another file")
+        if path.suffix.lower() == ".parquet":
+            from adis_gonio.fleet.session_table import require_pyarrow
+
+            require_pyarrow()
+        elif path.suffix.lower() == ".html":
+            from adis_gonio.page.document import require_matplotlib
+
+            require_matplotlib()
 
 
 def run_fleet(
-    found: Survey,
-    options: Options,
-    workers: Workers,
-    store: Store,
-    tell: Callable[[FleetProgress], None] | None = None,
+    files: Iterable[str], options: Options, store: Store, workers: Workers | None = None
 ) -> Fleet:
     """Compute the record of every session that has no record in the store yet; return all records.
 
-    `tell` is called with the progress after each session; None reports none. `found` has the sessions,
-    `options` the computations to make.
+    The progress is reported to the current `base.budget.Budget`, which may be infinite.
+
+    Parameters
+    ----------
+    files : iterable of str
+        Paths of session files. Files with equal bytes are one session, under the first name.
+    options : Options
+        Computations to make for each session.
+    store : Store
+        Store of the records. If it is strict, every file is read; else only new and changed files are.
+    workers : Workers, optional
+        Processes that compute the records; by default the sessions are computed here, one after another.
 
     Raises
     ------
@@ -200,39 +230,61 @@ def run_fleet(
     FleetError
         The workers have gone.
     """
-    known = ((job.path, store.found(job, options)) for job in found.jobs)
-    records = {path: record for path, record in known if record is not None}
-    todo = [job for job in found.jobs if job.path not in records]
-    progress = FleetProgress(len(todo), again=len(records))
-    for job, record in workers.results(todo, options) if todo else ():
+    budget, names = current(), sorted(set(files))
+    budget.tell("reading")
+    jobs: dict[str, Job] = {}
+    repeated, records = list[Repeated](), list[SessionRecord]()
+    for done, path in enumerate(names):
+        budget.share(done / len(names))
+        digest = _digest_or_reason(path, store)
+        if isinstance(digest, SessionRecord):
+            records.append(digest)
+        elif digest in jobs:
+            repeated.append(Repeated(path, jobs[digest].path))
+        else:
+            jobs[digest] = Job(path, digest)
+    found = {job: store.found(job, options) for job in jobs.values()}
+    records += [record for record in found.values() if record is not None]
+    todo = [job for job, record in found.items() if record is None]
+    budget.tell("waiting for workers")
+    begun, failed = time.monotonic(), 0
+    results = _computed_here(todo, options) if workers is None else workers.results(todo, options)
+    for done, (_, record) in enumerate(results, 1):
         store.keep(record, options=options)
-        records[job.path] = record
-        progress.arrived(record)
-        if tell is not None:
-            tell(progress)
-    kept, copies = once([*records.values(), *found.unreadable])
-    repeated = [*found.repeated, *(Repeated(path, same_as) for path, same_as in copies.items())]
-    return Fleet(tuple(kept), tuple(sorted(repeated, key=lambda one: one.path)), progress.again)
+        records.append(record)
+        failed += record.status != "ok"
+        progress = _progress(done, len(todo), time.monotonic() - begun)
+        budget.tell(progress + f", {failed} failed" * bool(failed))
+    budget.tell("summary")
+    kept, copies = once(records)
+    repeated = sorted([*repeated, *copies], key=lambda one: one.path)
+    return Fleet(options, tuple(kept), tuple(repeated), len(todo), len(jobs) - len(todo))
 
 
-@dataclass(frozen=True)
-class Scan:
-    """Result of a search for sessions in folders.
-
-    Attributes
-    ----------
-    computed, known : int
-        Number of files that were computed now, and of files that had a record in the store before.
-    unreadable : tuple of SessionRecord
-        Records of unreadable files, which are not in the store.
-    """
-
-    computed: int = 0
-    known: int = 0
-    unreadable: tuple[SessionRecord, ...] = ()
+def _digest_or_reason(path: str, store: Store) -> str | SessionRecord:
+    """Return the digest of a file, or a record with the reason if the file cannot be read."""
+    place = Path(path)
+    if place.exists() and not (place.is_file() or place.is_dir()):
+        return lost(path, "is no regular file: save the data of a pipe first")
+    try:
+        return digest_of_file(path) if store.strict else store.digest_of(path)
+    except OSError as error:
+        return lost(path, f"cannot be read: {error.strerror or error}")
 
 
-def scan(store: Store, places: Sequence[str | Path], *, trace: bool = False) -> Scan:
+def _computed_here(jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, SessionRecord]]:
+    for job in jobs:
+        yield job, record_of(job.path, **options.as_dict())
+
+
+def _progress(done: int, total: int, elapsed_s: float) -> str:
+    """Return a text such as `120 of 1000 sessions, 4.1 a second, 3 min 35 s left`."""
+    rate = done / max(elapsed_s, 1e-9)
+    each = f"{rate:.1f} a second" if rate >= 1 else f"{1 / rate:.1f} s each"
+    return f"{done} of {counted(total, 'session')}, {each}, {format_duration((total - done) / rate)} left"
+
+
+def scan(store: Store, places: Sequence[str | Path], *, trace: bool = False) -> Fleet:
     """Search folders for session files, and compute new or changed sessions in this process.
 
     Parameters
@@ -244,47 +296,6 @@ def scan(store: Store, places: Sequence[str | Path], *, trace: bool = False) -> 
     trace : bool
         True also traces the residual; records without a trace are then made again.
     """
-    paths = session_files(places)
-    store.mark_gone(places, paths)
-    found = survey([str(path) for path in paths], store=store)
-    fleet = run_fleet(found, Options(trace=trace), ThisProcess(), store)
-    unreadable = tuple(record for record in fleet.records if record.sha256 is None)
-    computed = len(found.jobs) - fleet.again
-    return Scan(computed, len(paths) - len(found.unreadable) - computed, unreadable)
-
-
-class FleetProgress:
-    """Counts the computed sessions of a fleet, to show the progress.
-
-    Attributes
-    ----------
-    total, done, failed, again : int
-        Number of sessions to compute in this run, of sessions computed so far, of failures among them, and
-        of sessions with a record from an earlier run.
-    """
-
-    def __init__(self, total: int, again: int, clock: Callable[[], float] = time.monotonic) -> None:
-        self.total, self.again = total, again
-        self.done = self.failed = 0
-        self._clock = clock
-        self._begun = clock()
-
-    def arrived(self, record: SessionRecord) -> None:
-        """Count the record of a session that has been computed."""
-        self.done += 1
-        self.failed += record.status != "ok"
-
-    def __str__(self) -> str:
-        """Return the progress as text.
-
-        An example is `120 of 1000, 4.1 a second, 3 min 35 s left, 2 failed`.
-        """
-        elapsed = self._clock() - self._begun
-        parts = [f"{self.done} of {counted(self.total, 'session')}"]
-        if self.done and elapsed > 0:
-            rate = self.done / elapsed
-            parts.append(f"{rate:.1f} a second" if rate >= 1 else f"{1 / rate:.1f} s each")
-            parts.append(f"{format_duration((self.total - self.done) / rate)} left")
-        parts += [f"{self.failed} failed"] * bool(self.failed)
-        parts += [f"{self.again} done before"] * bool(self.again)
-        return ", ".join(parts)
+    files = session_files(Path(place).resolve() for place in places)
+    store.mark_gone(places, map(Path, files))
+    return run_fleet(files, Options(trace=trace), store)

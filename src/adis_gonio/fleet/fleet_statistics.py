@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri, stdtr
 from scipy.stats import hypergeom, rankdata
@@ -163,8 +164,8 @@ def as_normal(t: Floats, dof: Floats) -> Floats:
 def tau_of(q_at: Callable[[float], float], goal: float, values: Floats) -> float:
     """Return the standard deviation τ between sessions at which Cochran's Q equals `goal`.
 
-    `q_at(τ)` computes Q; `values` (n,) set the range of the search. The result is 0 if Q is at most `goal`
-    without any τ (Paule and Mandel).
+    `q_at(τ)` computes Q of the `values` (n,), whose range is the first guess of τ. The result is 0 if Q is
+    at most `goal` at τ = 0 (Paule and Mandel).
     """
     from scipy.optimize import brentq
 
@@ -279,7 +280,7 @@ class FamilyOfTests:
     count : int
         Number of tests.
     find : callable
-        Function that takes a significance level and returns the tests with a smaller p-value.
+        Function that takes a significance level and returns the tests with a p-value below this level.
     """
 
     count: int
@@ -404,11 +405,7 @@ def _medians(values: Floats, index: Codes) -> Floats:
 
     The numbers have no gaps.
     """
-    # Sorted within each group, so that the median is the mean of its two middle values.
-    x = values[np.lexsort((values, index))]
-    count = np.bincount(index)
-    first = np.cumsum(count) - count
-    return np.asarray(0.5 * (x[first + (count - 1) // 2] + x[first + count // 2]))
+    return np.asarray(ndimage.median(values, index, np.arange(index.max() + 1)))
 
 
 def _normal_scores(values: Floats, index: Codes, count: Codes) -> tuple[Floats, Floats]:

@@ -136,9 +136,10 @@ def history_of(serial: str, records: Sequence[SessionRecord]) -> History:
     """Make the history of a sensor from the records of its sessions."""
     left_out = tuple((record, reason) for record in records if (reason := _unfit(record)))
     good = sorted((r for r in records if not _unfit(r)), key=lambda r: (day_of(r.when or ""), r.path))
-    tracks = [_track(name, good) for name in _names(good)]
-    tested = sum(track.drift is not None for track in tracks)
-    judged = {track.name: _judged(track, tested) for track in tracks if track.sessions}
+    tracks = [track for track in (_track(name, good) for name in _names(good)) if track.sessions]
+    drifts = {track.name: track.drift for track in tracks if track.drift is not None}
+    moving = {name for name, drift in drifts.items() if drift.p_value * len(drifts) <= DRIFTING}
+    judged = {track.name: replace(track, drifts=track.name in moving) for track in tracks}
     return History(serial, tuple(good), judged, left_out)
 
 
@@ -235,11 +236,6 @@ def _stated(value: Value | None) -> bool:
     return value is not None and bool(np.isfinite(value.value)) and value.u is not None and value.u > 0
 
 
-def _judged(track: Track, tested: int) -> Track:
-    found = track.drift is not None and track.drift.p_value * tested <= DRIFTING
-    return replace(track, drifts=found)
-
-
 _ROWS = 9
 
 
@@ -305,17 +301,11 @@ def _date(record: SessionRecord) -> str:
 
 def headline(history: History) -> str:
     """Return one line on a history: number of sessions, drifting quantities, signals of control charts."""
-    moving = [NAMES.get(name, name) for name, track in history.tracks.items() if track.drifts]
-    signals = [
-        NAMES.get(name, name)
-        for name, track in history.tracks.items()
-        if track.chart is not None and track.chart.signal is not None
-    ]
-    outside = [
-        NAMES.get(name, name)
-        for name, track in history.tracks.items()
-        if track.chart is not None and track.chart.outside
-    ]
+    names = {NAMES.get(name, name): track for name, track in history.tracks.items()}
+    charts = {name: track.chart for name, track in names.items() if track.chart is not None}
+    moving = [name for name, track in names.items() if track.drifts]
+    signals = [name for name, chart in charts.items() if chart.signal is not None]
+    outside = [name for name, chart in charts.items() if chart.outside]
     parts = [counted(len(history.sessions), "session")]
     parts.append(f"drift in {', '.join(moving)}" if moving else "no drift shown")
     if signals:

@@ -20,9 +20,7 @@ from adis_gonio.base.uncertainty import Value, finite_or_none
 from adis_gonio.record.provenance import digest_of_file, provenance_of
 
 if TYPE_CHECKING:
-    from adis_gonio.fitting.answer import Answer
     from adis_gonio.model.records import Session
-    from adis_gonio.tracing.trace_result import TraceResult
 
 ANGLE = "angle"
 """Name of the quantity that is the root mean square over the turn of the angle's error.
@@ -53,8 +51,8 @@ Status = Literal["ok", "failed"]
 class FoundEffect(JsonRecord):
     """An effect that the trace of a session found.
 
-    `axes` are the axes on which it acts, `parameters` its amplitudes by name, and `p_value` is the
-    probability of as large an improvement of the fit without the effect.
+    `axes` are the axes on which it acts, `parameters` its amplitudes by name. `p_value` is the probability
+    of at least this improvement of the fit if the effect is absent.
     """
 
     effect: str
@@ -199,23 +197,29 @@ class SessionRecord(JsonRecord):
         return row
 
 
-def once(records: Iterable[SessionRecord]) -> tuple[list[SessionRecord], dict[str, str]]:
+class Repeated(JsonRecord):
+    """A file that does not count, because the file `same_as` has the same data."""
+
+    path: str
+    same_as: str
+
+
+def once(records: Iterable[SessionRecord]) -> tuple[list[SessionRecord], list[Repeated]]:
     """Remove records with equal data.
 
-    Returns the remaining records, sorted by path, and for each removed record the path of the record with
-    the same data. For an archive and the CSV exported from it, the record of the file that states more
-    facts remains.
+    Returns the remaining records, sorted by path, and the files of the removed records. For an archive and
+    the CSV exported from it, the record of the file that states more facts remains.
     """
-    kept, copies, names = [], {}, dict[str, str]()
+    kept, repeated, names = [], [], dict[str, str]()
     for record in sorted(records, key=_unstated):
         data = record.data_sha256 if record.status == "ok" else None
         if data in names:
-            copies[record.path] = names[data]
+            repeated.append(Repeated(record.path, names[data]))
             continue
         if data:
             names[data] = record.path
         kept.append(record)
-    return sorted(kept, key=lambda record: record.path), copies
+    return sorted(kept, key=lambda record: record.path), repeated
 
 
 def _unstated(record: SessionRecord) -> tuple[int, str]:
@@ -383,27 +387,19 @@ def _results(session: Session, *, trace: bool) -> dict[str, Any]:
     found = traced_by(session) if trace else None
     answer = answer_with_trace(fit(session), found, own=False)
     score = answer.scores.get(answer.scored_as)
-    return {
+    known = {**answer.parameters, **answer.values}
+    results: dict[str, Any] = {
         "method": answer.recommended.method,
         "model_effects": answer.recommended.effects,
-        "values": _values(answer),
+        "values": {name: known[name] for name in QUANTITIES if name in known},
         "stage_curve": "" if session.stage_curve is None else session.stage_curve.digest,
         "stage_influence": {n: tuple(c.tolist()) for n, c in answer.result.stage_influence.items()},
         "angle_max_deg": None if score is None else finite_or_none(score.angle_max_deg),
-        **_of_trace(found),
     }
-
-
-def _values(answer: Answer) -> dict[str, Value]:
-    known = {**answer.parameters, **answer.values}
-    return {name: known[name] for name in QUANTITIES if name in known}
-
-
-def _of_trace(found: TraceResult | None) -> dict[str, Any]:
-    if found is None:
-        return {}
-    effects = tuple(FoundEffect(f.effect, f.axes, f.p_value, f.parameters) for f in found.found)
-    return {"traced": True, "effects": effects, "adequate": found.adequate}
+    if found is not None:
+        effects = tuple(FoundEffect(f.effect, f.axes, f.p_value, f.parameters) for f in found.found)
+        results |= {"traced": True, "effects": effects, "adequate": found.adequate}
+    return results
 
 
 def _evidence(session: Session) -> dict[str, Any] | None:

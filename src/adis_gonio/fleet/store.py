@@ -15,19 +15,17 @@ store contains no data that cannot be computed again from the session files.
 from __future__ import annotations
 
 import json
-import os
 import sqlite3
 from collections.abc import Iterable, Sequence
-from contextlib import closing, suppress
+from contextlib import ExitStack, closing
 from dataclasses import replace
-from itertools import count
 from pathlib import Path
 from typing import Any
 
 from adis_gonio.base.errors import DataError, OutputError
 from adis_gonio.base.jsonable import finite
 from adis_gonio.base.numbers import counted
-from adis_gonio.fleet.session_record import Job, Options, SessionRecord, once
+from adis_gonio.fleet.session_record import Job, Options, Repeated, SessionRecord, once
 from adis_gonio.record.provenance import digest_of_file
 
 NAME = "adis-gonio.index"
@@ -65,43 +63,26 @@ class Store:
         File of the store, created if it does not exist; `IN_MEMORY` keeps the store in memory.
     strict : bool
         True makes the store the journal of a fleet: only results with equal options and version are used
-        again, and a damaged or unwritable file is an error. False: a damaged file is renamed and replaced,
-        and on a full disk the store continues in memory.
-
-    Attributes
-    ----------
-    problems : list of str
-        Problems of the file, one line each.
+        again. False makes it an index: a stored result is used for any options that it fulfils.
 
     Raises
     ------
     DataError
-        The file is no store, or, if `strict`, it is damaged.
+        The file is no store, is damaged, or has another version.
     OutputError
-        If `strict`, the file cannot be opened or written.
+        The file cannot be opened or written.
     """
 
     def __init__(self, path: str | Path, *, strict: bool = False) -> None:
         self.path = Path(path)
         self.strict = strict
-        self.problems: list[str] = []
         self._connection = self._opened()
 
     @classmethod
     def of(cls, places: Sequence[str | Path], path: str | Path | None = None) -> Store:
-        """Open the store at `path` or, if it is None, in the first folder of `places`.
-
-        Raises
-        ------
-        DataError
-            There is no such folder, or the file is no store.
-        """
-        if path is None:
-            first = Path(places[0])
-            if not first.exists():
-                raise DataError(f"{first}: there is no such folder")
-            path = (first if first.is_dir() else first.parent) / NAME
-        return cls(path)
+        """Open the store at `path` or, if it is None, in the first folder of `places`."""
+        first = Path(places[0])
+        return cls(path or (first if first.is_dir() else first.parent) / NAME)
 
     def __enter__(self) -> Store:
         return self
@@ -118,33 +99,18 @@ class Store:
 
     def _opened(self) -> sqlite3.Connection:
         try:
-            return self._checked()
+            with ExitStack() as undo:
+                connection = undo.enter_context(closing(_connected(self.path)))
+                self._prepare(connection)
+                undo.pop_all()
         except sqlite3.OperationalError as error:
-            return self._without_file("opened", error)
+            raise self._unusable("opened", error) from error
         except sqlite3.DatabaseError as error:
             if not self._ours():
                 raise self._foreign() from None
-            if self.strict:
-                raise DataError(
-                    f"{self.path}: is damaged ({error}); remove it, and its sessions are computed again"
-                ) from error
-            aside = self._set_aside()
-            self.problems.append(
-                f"{self.path}: is damaged ({error}); renamed to {aside.name} and created again"
-            )
-            return self._checked()
-
-    def _foreign(self) -> DataError:
-        option = "--journal" if self.strict else "--index"
-        return DataError(f"{self.path}: is no index of sessions; name another file by {option}")
-
-    def _checked(self) -> sqlite3.Connection:
-        connection = _connected(self.path)
-        try:
-            self._prepare(connection)
-        except BaseException:
-            connection.close()
-            raise
+            raise DataError(
+                f"{self.path}: is damaged ({error}); remove it, and its sessions are computed again"
+            ) from error
         return connection
 
     def _prepare(self, connection: sqlite3.Connection) -> None:
@@ -154,11 +120,11 @@ class Store:
         damaged file.
         """
         if not _tables(connection):
-            connection.execute("BEGIN IMMEDIATE")
-            if not _tables(connection):  # another program may have created them
-                for statement in _CREATE:
-                    connection.execute(statement)
-            connection.execute("COMMIT")
+            with connection:
+                connection.execute("BEGIN IMMEDIATE")
+                if not _tables(connection):  # another program may have created them
+                    for statement in _CREATE:
+                        connection.execute(statement)
         (application,) = connection.execute("PRAGMA application_id").fetchone()
         (version,) = connection.execute("PRAGMA user_version").fetchone()
         if application != APPLICATION_ID:
@@ -180,72 +146,39 @@ class Store:
             head = file.read(72)
         return int.from_bytes(head[68:72], "big") == APPLICATION_ID or self.path.name == NAME
 
-    def _set_aside(self) -> Path:
-        for number in count(1):
-            aside = self.path.with_name(f"{self.path.name}.damaged-{number}")
-            if not aside.exists():
-                return self.path.rename(aside)
-        raise AssertionError("unreachable")
+    @property
+    def _option(self) -> str:
+        """Option of the command line that names another file for the store."""
+        return "--journal" if self.strict else "--index"
 
-    def _without_file(
-        self, verb: str, error: sqlite3.Error, known: sqlite3.Connection | None = None
-    ) -> sqlite3.Connection:
-        """Continue with a store in memory that has the records of the file; new records are not saved.
+    def _foreign(self) -> DataError:
+        return DataError(f"{self.path}: is no index of sessions; name another file by {self._option}")
 
-        `verb` names the failed action in the message (`opened`, `written`), `error` is the failure, `known`
-        the open connection to the file, None if it could not be opened.
+    def _unusable(self, verb: str, error: sqlite3.Error, held: str = "") -> OutputError:
+        return OutputError(
+            f"{self.path}: cannot be {verb}: {error}{held}: make room or name another file by"
+            f" {self._option}, and repeat the command to continue from there"
+        )
+
+    def _write(self, statements: Iterable[tuple[str, Sequence[Any]]]) -> None:
+        """Execute all SQL statements, each given with its arguments, or none.
 
         Raises
         ------
         OutputError
-            If `strict`, always.
-        """
-        if self.strict:
-            held = "" if known is None else f"; it holds {counted(self.sessions, 'session')}"
-            raise OutputError(
-                f"{self.path}: cannot be {verb}: {error}{held}:"
-                " make room, and repeat the command to continue from there"
-            ) from error
-        self.problems.append(
-            f"{self.path}: cannot be {verb} ({error}); its records stay, new ones are not kept: make"
-            " room, or name a file by --index"
-        )
-        connection = _connected(IN_MEMORY)
-        if known is None and self.path.exists():
-            with suppress(sqlite3.Error), closing(_connected(self.path, "ro")) as there:
-                there.backup(connection)
-        elif known is not None:
-            with suppress(sqlite3.Error):
-                known.rollback()
-            known.backup(connection)
-            known.close()
-        self._prepare(connection)
-        return connection
-
-    def _write(self, statements: Iterable[tuple[str, Sequence[Any]]]) -> None:
-        """Execute all SQL statements or none; on a full or read-only disk continue in memory.
-
-        Each statement is given with its arguments.
+            The file cannot be written, such as on a full disk; the store is unchanged.
         """
         todo = list(statements)
         if not todo:
             return
         try:
-            self._commit(todo)
+            with self._connection:
+                self._connection.execute("BEGIN IMMEDIATE")
+                for sql, values in todo:
+                    self._connection.execute(sql, values)
         except sqlite3.OperationalError as error:
-            self._connection = self._without_file("written", error, self._connection)
-            self._commit(todo)
-
-    def _commit(self, todo: Sequence[tuple[str, Sequence[Any]]]) -> None:
-        try:
-            self._connection.execute("BEGIN IMMEDIATE")
-            for sql, values in todo:
-                self._connection.execute(sql, values)
-            self._connection.execute("COMMIT")
-        except BaseException:
-            if self._connection.in_transaction:
-                self._connection.rollback()
-            raise
+            held = f"; it holds {counted(self.sessions, 'session')}"
+            raise self._unusable("written", error, held) from error
 
     # -- writing -----------------------------------------------------------------------------------
 
@@ -284,7 +217,7 @@ class Store:
         Raises
         ------
         OutputError
-            If `strict`, the records cannot be written; the store is unchanged.
+            The records cannot be written; the store is unchanged.
         """
         key = None if options is None else options.key
         todo: list[tuple[str, Sequence[Any]]] = []
@@ -357,8 +290,8 @@ class Store:
         """
         return sorted(once(self._records(serial))[0], key=lambda record: record.when or "")
 
-    def copies(self, serial: str) -> dict[str, str]:
-        """Map each file of a sensor that is not counted to the file with equal data that is counted."""
+    def copies(self, serial: str) -> list[Repeated]:
+        """Return the files of a sensor that do not count, because another file has equal data."""
         return once(self._records(serial))[1]
 
     def _records(self, serial: str | None) -> list[SessionRecord]:
@@ -382,13 +315,8 @@ def _place(row: dict[str, Any]) -> tuple[Any, ...]:
     )
 
 
-def _connected(path: str | Path, mode: str = "rwc") -> sqlite3.Connection:
-    if str(path) == IN_MEMORY:
-        return sqlite3.connect(IN_MEMORY, isolation_level=None)
-    from urllib.parse import quote
-
-    name = f"file:{quote(os.fsencode(Path(path).absolute()))}?mode={mode}"
-    return sqlite3.connect(name, uri=True, timeout=30.0, isolation_level=None)
+def _connected(path: Path) -> sqlite3.Connection:
+    return sqlite3.connect(path, timeout=30.0, isolation_level=None)
 
 
 def _tables(connection: sqlite3.Connection) -> int:

@@ -73,11 +73,6 @@ class LocalPool:
             worker.end()
         self._running = []
 
-    @property
-    def pids(self) -> tuple[int, ...]:
-        """Process identifiers of the running workers."""
-        return tuple(worker.process.pid or 0 for worker in self._running)
-
     def results(self, jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, SessionRecord]]:
         """Yield each job with its record, in the order in which the records arrive."""
         waiting, deaths = deque(jobs), Counter[str]()
@@ -189,8 +184,6 @@ class Cluster:
     ----------
     address : str
         Address of the scheduler, such as `tcp://10.0.0.1:8786`.
-    connect_s, alone_s : float
-        Time limits in s for the scheduler's answer, and for a cluster without a worker.
 
     Raises
     ------
@@ -202,19 +195,18 @@ class Cluster:
         No scheduler answers, it has no worker, or a worker has another version of adis-gonio.
     """
 
-    def __init__(self, address: str, connect_s: float = CONNECT_S, alone_s: float = ALONE_S) -> None:
+    def __init__(self, address: str) -> None:
         try:
             import distributed  # noqa: F401
         except ImportError:
             raise NotInstalledError(f"a cluster needs dask: {install_extra('fleet')}") from None
         self.address = address
-        self._alone_s = alone_s
         self._count, self._looked, self._peopled = 0, 0.0, time.monotonic()
-        self._client = _connected(address, connect_s)
+        self._client = _connected(address)
         try:
-            self._check(connect_s)
+            self._check()
         except BaseException:
-            self._client.close(timeout=connect_s)
+            self._client.close(timeout=CONNECT_S)
             raise
 
     def __enter__(self) -> Cluster:
@@ -232,35 +224,27 @@ class Cluster:
         FleetError
             The scheduler has gone, or all of its workers have gone.
         """
-        arrived: queue.SimpleQueue[str] = queue.SimpleQueue()
+        arrived: queue.SimpleQueue[Future] = queue.SimpleQueue()
         waiting = iter(jobs)
-        running: dict[str, tuple[Job, Future]] = {}
+        running: dict[Future, Job] = {}
         try:
             while True:
                 # Submit few jobs at a time: waiting jobs cannot be lost here and do not slow the scheduler.
                 wanted = max(1, 2 * self._threads()) - len(running)
                 for job in islice(waiting, max(0, wanted)):
-                    future = self._submit(job, options)
-                    running[future.key] = job, future
-                    future.add_done_callback(lambda future: arrived.put(future.key))
+                    request = (job.path, job.digest, options.as_dict(), __version__)
+                    future = self._client.submit(work, *request, pure=False)
+                    running[future] = job
+                    future.add_done_callback(arrived.put)
                 if not running:
                     return
-                job, future = running.pop(self._next(arrived))
-                yield job, self._record(job, future)
+                with suppress(queue.Empty):
+                    future = arrived.get(timeout=_LOOK_S)
+                    job = running.pop(future)
+                    yield job, self._record(job, future)
         finally:
             with suppress(Exception):
-                self._client.cancel([future for _, future in running.values()], force=True)
-
-    def _submit(self, job: Job, options: Options) -> Future:
-        request = (job.path, job.digest, options.as_dict(), __version__)
-        return self._client.submit(work, *request, pure=False)
-
-    def _next(self, arrived: queue.SimpleQueue[str]) -> str:
-        while True:
-            try:
-                return arrived.get(timeout=_LOOK_S)
-            except queue.Empty:
-                self._threads()
+                self._client.cancel(list(running), force=True)
 
     def _record(self, job: Job, future: Future) -> SessionRecord:
         """Wait for the record of a job; if its worker dies, the cluster computes the job again.
@@ -287,31 +271,29 @@ class Cluster:
         Raises
         ------
         FleetError
-            The cluster has had no worker for longer than `alone_s`.
+            The scheduler does not answer, or has had no worker for longer than `ALONE_S`.
         """
         now = time.monotonic()
         if now - self._looked >= _LOOK_S:
             self._looked = now
-            self._count = sum(self._asked_threads().values())
+            try:
+                self._count = sum(self._client.nthreads().values())
+            except (OSError, RuntimeError, TimeoutError) as error:
+                raise FleetError(
+                    f"the scheduler at {self.address} has gone: {_error_text(error)}"
+                ) from error
             self._peopled = now if self._count else self._peopled
-        if now - self._peopled > self._alone_s:
-            raise FleetError(f"the scheduler at {self.address} has had no worker for {self._alone_s:g} s")
+        if now - self._peopled > ALONE_S:
+            raise FleetError(f"the scheduler at {self.address} has had no worker for {ALONE_S:g} s")
         return self._count
 
-    def _asked_threads(self) -> dict[str, int]:
-        try:
-            threads: dict[str, int] = self._client.nthreads()
-        except (OSError, RuntimeError, TimeoutError) as error:
-            raise FleetError(f"the scheduler at {self.address} has gone: {_error_text(error)}") from error
-        return threads
-
-    def _check(self, limit_s: float) -> None:
+    def _check(self) -> None:
         """Check that the cluster has workers and that they run this version of the program.
 
-        `limit_s` is the time in s to wait for the first worker. Raises `FleetError` otherwise.
+        Raises `FleetError` otherwise, after `CONNECT_S` without a worker.
         """
         try:
-            self._client.wait_for_workers(1, timeout=limit_s)
+            self._client.wait_for_workers(1, timeout=CONNECT_S)
         except TimeoutError:
             raise FleetError(
                 f"the scheduler at {self.address} has no worker: start some with"
@@ -326,7 +308,7 @@ class Cluster:
                 )
 
 
-def _connected(address: str, limit_s: float) -> Client:
+def _connected(address: str) -> Client:
     from distributed import Client
     from distributed.comm import parse_address
     from distributed.comm.registry import get_backend
@@ -340,7 +322,7 @@ def _connected(address: str, limit_s: float) -> Client:
     for name in ("distributed", "tornado"):  # this module reports the errors
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
-        return Client(address, timeout=limit_s, set_as_default=False)
+        return Client(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TypeError, TimeoutError) as error:
         raise FleetError(
             f"no scheduler answers at {address}: {_error_text(error)}; start one with dask scheduler"

@@ -11,7 +11,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.calibrate.calibration import Calibration, Coefficient, NotCorrected, json_text
+from adis_gonio.base.jsonable import json_text
+from adis_gonio.calibrate.calibration import Calibration, Coefficient, NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, GyroCalibration
 from adis_gonio.handover import fixed_point
 from adis_gonio.model.effects import AXES

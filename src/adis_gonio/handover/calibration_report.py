@@ -95,7 +95,7 @@ def answer_section(answer: Answer) -> Section:
     """Return the section on the recommended answer: values with u, U, k, and the reason for its method."""
     table = Table(
         HEAD,
-        [line.cells for line in answer.lines],
+        answer.lines,
         numeric=(2, 3, 4, 5),
         caption="u: standard uncertainty; U = k·u covers 95 %. The error of the angle is the root mean "
         "square over held-out dwells; its u belongs to a displayed angle.",
@@ -139,7 +139,7 @@ def certificate_section(
     ]
     signature = [["date", NO_BREAK], ["name, signature", NO_BREAK]]
     key = _key(answer.values)
-    results = [] if key else [Table(HEAD, [line.cells for line in answer.lines], numeric=(2, 3, 4, 5))]
+    results = [] if key else [Table(HEAD, answer.lines, numeric=(2, 3, 4, 5))]
     return Section(
         "Certificate",
         key=key,

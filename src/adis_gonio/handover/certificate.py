@@ -20,7 +20,7 @@ from adis_gonio.base.conformity import Tolerance, Verdict, state_conformity
 from adis_gonio.base.errors import DataError, FitError, one_line
 from adis_gonio.base.uncertainty import coverage_factor
 from adis_gonio.calibrate.calibration import CURVE_PLACES, Calibration, Coefficient
-from adis_gonio.calibrate.gyro_calibration import GyroCalibration, kind_of
+from adis_gonio.calibrate.gyro_calibration import KIND_OF, GyroCalibration
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, StageCurve
 
@@ -353,7 +353,7 @@ def _condition(parent: ET.Element, name: str, value: float, unit: str) -> None:
 
 def _label(name: str) -> str:
     """Return the description of a parameter for the certificate, with its name in brackets."""
-    stem, _, axes = name.rpartition("_") if kind_of(name) else name.partition("_")
+    stem, _, axes = name.rpartition("_") if name in KIND_OF else name.partition("_")
     words = _NAMES.get(name) or (f"{_NAMES[stem]} {axes.upper()}" if stem in _NAMES else "Coefficient")
     return f"{words} ({name})"
 

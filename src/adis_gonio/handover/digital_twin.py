@@ -13,7 +13,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats, solvable
 from adis_gonio.base.errors import AdisGonioError, DataError
-from adis_gonio.calibrate.gyro_calibration import PAIRS, GyroCalibration
+from adis_gonio.calibrate.gyro_calibration import OTHER_PAIRS, PAIRS, GyroCalibration
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, VARIANTS
 from adis_gonio.device.sensor.settings import filter_weights, sample_period_s, smpl_prd_for
@@ -253,7 +253,6 @@ class LikeWorld(World):
         return np.interp(time_s - self._offset_s, conditions.time_s, conditions.supply_v)
 
 
-_OTHERS = tuple(pair for pair in PAIRS if pair[0] != pair[1])
 _GYRO_SETTINGS = (
     ("gyro_bias_{}_dps", "gyro_bias_{}", AXES, 0.0),
     ("gyro_bias_tempco_{}_dps_per_c", "gyro_bias_temperature_{}", AXES, 0.0),
@@ -262,7 +261,7 @@ _GYRO_SETTINGS = (
     ("gyro_supply_{}_dps_per_v", "gyro_supply_{}", AXES, 0.0),
     ("gyro_g_sensitivity_{}_dps_per_g", "g_sensitivity_{}", PAIRS, 0.0),
     ("gyro_g2_sensitivity_{}_dps_per_g2", "g2_sensitivity_{}", PAIRS, 0.0),
-    ("gyro_misalignment_{}_deg", "gyro_misalignment_{}", _OTHERS, 0.0),
+    ("gyro_misalignment_{}_deg", "gyro_misalignment_{}", OTHER_PAIRS, 0.0),
 )
 """Setting of a simulation and parameter of a calibration, their axes, and the nominal value."""
 

@@ -51,7 +51,7 @@ from numpy.typing import ArrayLike, NDArray
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import FitError
 from adis_gonio.calibrate.calibration import Calibration, EffectTerm
-from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, GyroCalibration, kind_of
+from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, KIND_OF, GyroCalibration
 from adis_gonio.device.sensor.registers import VARIANTS, Kind
 from adis_gonio.model.effects import AXES, Conditions
 from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
@@ -584,7 +584,7 @@ def rate_polynomial_of(calibration: Calibration, gyro: GyroCalibration) -> Polyn
         raise FitError("gains of the gyros are too far from 1 for a fixed-point header")
     terms, warm = [], [0.0, 0.0, 0.0]
     for one in gyro.parameters:
-        kind, axes = kind_of(one.name) or "", one.name.rpartition("_")[2]
+        kind, axes = KIND_OF.get(one.name, ""), one.name.rpartition("_")[2]
         own = AXES.index(axes[0])
         if one.value == 0.0:
             continue

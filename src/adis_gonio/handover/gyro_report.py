@@ -101,7 +101,7 @@ def _every(result: GyroFit) -> list[Table]:
     return [
         Table(
             numbers.HEAD,
-            [numbers.QuantityRow.of(*one).cells for one in values.items()],
+            [numbers.QuantityRow.of(*one) for one in values.items()],
             caption,
             numeric=(2, 3, 4, 5),
         )

@@ -12,9 +12,9 @@ import numpy as np
 
 from adis_gonio.base.conformity import Tolerance
 from adis_gonio.base.errors import DataError, FitError, NotInstalledError, UsageError, install_extra
-from adis_gonio.base.jsonable import finite
+from adis_gonio.base.jsonable import json_text
 from adis_gonio.base.output import write_utf8
-from adis_gonio.calibrate.calibration import Calibration, json_text
+from adis_gonio.calibrate.calibration import Calibration
 from adis_gonio.calibrate.calibration_document import calibration_in
 from adis_gonio.handover.c_header import DEFAULT_NAME
 from adis_gonio.handover.formats import BY_NAME
@@ -216,7 +216,7 @@ class ExportSource:
         result = self._result(session)
         document: dict[str, Any] = {"coefficients": result.as_dict(), "session": about}
         if changed_registers(session):
-            return json_text(finite(document))
+            return json_text(document)
         try:
             calibration = result.calibration()
         except FitError:  # the coefficients then hold the known parameters
@@ -224,4 +224,4 @@ class ExportSource:
                 document["gyro"] = gyro_calibration_of(session, traced=self.traced).as_dict()
         else:
             document = {**self._with_gyros(calibration, session).as_dict(), **document}
-        return json_text(finite(document))
+        return json_text(document)

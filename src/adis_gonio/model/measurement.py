@@ -120,6 +120,12 @@ class Measurement(ABC):
         Unit of the readings and of the terms that effects add.
     full : float
         Reading in `unit` for which the trace states the amplitude of a function that has no named cause.
+    constant : bool
+        True if the base model contains a constant (bias) for each axis.
+    planar : bool
+        True if the sensor turns in a known plane.
+    origins : tuple of SessionOrigin
+        Part and stage of each session, if the dwells are of several sessions; else empty.
     driven_by : tuple of str
         Covariates on which an unnamed function may depend in addition to the recorded conditions:
         `reading`, `force`, `rotation`.
@@ -134,6 +140,9 @@ class Measurement(ABC):
     part: str = "accelerometer"
     unit: str = "mg"
     full: float = MG_PER_G
+    constant: bool = False
+    planar: bool = False
+    origins: tuple[SessionOrigin, ...] = ()
     driven_by: tuple[str, ...] = ("reading",)
     named_forms: Mapping[str, tuple[str, ...]] = {
         "time": ("bias", "gain"),
@@ -146,11 +155,6 @@ class Measurement(ABC):
     def size(self) -> float:
         """Typical size of a reading: local gravity in mg for accelerometers, 100 °/s for gyros."""
         return float(getattr(self, "gravity_mg", self.full))
-
-    @property
-    def constant(self) -> bool:
-        """True if the base model contains a constant (bias) for each axis."""
-        return False
 
     def stimulus(self, ideal: Floats, conditions: Conditions) -> Floats:
         """Return the quantity (n, axes) that the gains multiply, in units of 1 g (gyros: 100 °/s)."""
@@ -238,19 +242,9 @@ class Measurement(ABC):
     def calibrated(self, base: Floats, reading: Floats) -> Floats:
         """Return the calibrated output (n, axes) for readings: gravity in local gravity, or °/s."""
 
-    @property
-    def planar(self) -> bool:
-        """True if the sensor turns in a known plane."""
-        return False
-
     def start_rad(self, base: Floats) -> float | Floats:
         """Return the start angle α in rad of all dwells, or of each (n,); 0 without a plane."""
         return 0.0
-
-    @property
-    def origins(self) -> tuple[SessionOrigin, ...]:
-        """Part and stage of each session, if the dwells are of several sessions; else empty."""
-        return ()
 
     @property
     def sessions(self) -> list[tuple[Measurement, NDArray[np.intp]]]:
@@ -580,7 +574,8 @@ class JointMeasurement(Measurement):
     def __init__(
         self, models: Sequence[Measurement], origins: Sequence[SessionOrigin], session: NDArray[np.intp]
     ) -> None:
-        self.models, self._origins, self.session = tuple(models), tuple(origins), session
+        self.models, self.session = tuple(models), session
+        self.origins = tuple(origins)
         several = len({origin.part for origin in origins}) > 1
         places: dict[str, int] = {}
         found: list[BaseParameter] = []
@@ -597,23 +592,13 @@ class JointMeasurement(Measurement):
         self.parameters, self.numbers = tuple(found), np.array(index)
         first = models[0]
         self.axes, self.freedom, self.part = first.axes, first.freedom, first.part
-        self.unit, self.full = first.unit, first.full
+        self.unit, self.full, self.planar = first.unit, first.full, first.planar
         self.driven_by, self.named_forms = first.driven_by, first.named_forms
-
-    @property
-    def origins(self) -> tuple[SessionOrigin, ...]:
-        """Part and stage of each session."""
-        return self._origins
 
     @property
     def sessions(self) -> list[tuple[Measurement, NDArray[np.intp]]]:
         """Measurement of each session, and the numbers of its parameters among all base parameters."""
         return list(zip(self.models, self.numbers, strict=True))
-
-    @property
-    def planar(self) -> bool:
-        """True if the sensors turn in a known plane."""
-        return self.models[0].planar
 
     @property
     def size(self) -> float:
@@ -633,24 +618,16 @@ class JointMeasurement(Measurement):
         In the plane all dwells are one group, with the indices (p, n) of the parameters of each dwell. In
         space a group has all sessions with the same parameters, whose indices are (p,).
         """
-        kinds = [
-            (model, () if self.planar else tuple(own))
-            for model, own in zip(self.models, self.numbers.tolist(), strict=True)
-        ]
-        different = list(dict.fromkeys(kinds))
-        keys = np.array([different.index(kind) for kind in kinds])
+        together: dict[tuple[Measurement, tuple[int, ...]], list[int]] = {}
+        for k, model in enumerate(self.models):
+            kind = model, () if self.planar else tuple(self.numbers[k].tolist())
+            together.setdefault(kind, []).append(k)
         found = []
-        for key in range(len(different)):
-            rows = np.flatnonzero(keys[self.session] == key)
-            k = int(np.flatnonzero(keys == key)[0])
+        for (model, _), sessions in together.items():
+            rows = np.flatnonzero(np.isin(self.session, sessions))
+            own = self.numbers[self.session[rows]].T if self.planar else self.numbers[sessions[0]]
             if len(rows):
-                found.append(
-                    (
-                        self.models[k],
-                        rows,
-                        self.numbers[self.session[rows]].T if self.planar else self.numbers[k],
-                    )
-                )
+                found.append((model, rows, own))
         return found
 
     def rows(self, index: NDArray[np.bool_] | NDArray[np.intp]) -> JointMeasurement:
@@ -752,15 +729,11 @@ class MeanRate(Measurement):
     part = "gyro"
     unit = "dps"
     full = FULL_DPS
+    constant = True
     driven_by = ("force", "rotation")
     named_forms = MappingProxyType(
         {"time": ("bias",), "temperature": ("bias", "gain"), "supply": ("bias",)}
     )
-
-    @property
-    def constant(self) -> bool:
-        """True: the base model contains a zero rate for each axis."""
-        return True
 
     def stimulus(self, ideal: Floats, conditions: Conditions) -> Floats:
         """Return the true rates of turn (n, 3) in units of 100 °/s; 0 for dwells at rest."""

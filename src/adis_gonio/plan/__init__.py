@@ -10,19 +10,8 @@ Names are imported when first used, so that reading a plan file does not import 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from adis_gonio.base import lazily
 from adis_gonio.record.plans import find_plan, read_plan, write_plan
-
-if TYPE_CHECKING:
-    from adis_gonio.plan.optimal_plan import (
-        BestPlan as BestPlan,
-        best_plan as best_plan,
-        fewest_positions as fewest_positions,
-        positions_in as positions_in,
-    )
-    from adis_gonio.plan.prediction import Bench as Bench, Prediction as Prediction, predict as predict
 
 __all__ = ["find_plan", "read_plan", "write_plan"]
 _HOMES = {

@@ -30,6 +30,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -78,7 +79,7 @@ from adis_gonio.tracing.proposals import TYPICALS
 Best = Literal["angle", "parameters", "tell-apart"]
 MEANING: dict[Best, str] = {
     "angle": "u of the angle by the fitted parameters, worst place of the turn, in degrees",
-    "parameters": "generalised u of the parameters, (det V)^(1/2p) in natural units",
+    "parameters": "geometric mean of the u along the axes of the parameters' covariance, in natural units",
     "tell-apart": "least separation of a typical effect from all others, in standard uncertainties",
 }
 """Quantity that each criterion of a search describes, as the user sees it (`Criterion.figure`)."""
@@ -115,8 +116,9 @@ class Criterion:
     Attributes
     ----------
     name : {"angle", "parameters", "tell-apart"}
-        Quantity that a plan is scored by: the largest u of the angle over the turn, the generalised u of
-        all parameters, or the least separation of a typical effect from all others.
+        Quantity that a plan is scored by: the largest u of the angle over the turn, the geometric mean of
+        the u along the axes of the parameters' covariance, or the least separation of a typical effect from
+        all others.
     base : int
         Number of parameters of the base model.
     gradient : (m, base) float
@@ -155,9 +157,9 @@ class Criterion:
         return np.asarray(np.einsum("mp,kpq,mq->km", self.gradient, own, self.gradient).max(axis=1))
 
     def separations(self, information: Floats) -> Floats:
-        """Return each effect's typical amplitude divided by its standard uncertainty, (k, q), for k plans.
+        """Return the typical size of each of q amplitudes divided by its standard uncertainty, (k, q).
 
-        `information` (k, p, p) are their information matrices, which include the prior.
+        `information` (k, p, p) are the information matrices of k plans, which include the prior.
         """
         # Diagonal of each covariance matrix, for the amplitudes.
         variance = np.einsum("kpp->kp", np.linalg.inv(information))[:, self.base :]
@@ -166,8 +168,8 @@ class Criterion:
     def figure(self, information: Floats) -> float:
         """Return the quantity by which the criterion judges a plan, for people instead of as a score.
 
-        It is the largest u of the angle in degrees, the generalised u of the b base parameters (root of the
-        determinant of their covariance, to the power 1/b, in natural units), or the least number of
+        It is the largest u of the angle in degrees, the geometric mean of the u along the principal axes of
+        the covariance V of the b base parameters (in natural units, (det V)^(1/2b)), or the least number of
         standard uncertainties by which an effect of typical size is detected. `information` (p, p) is the
         plan's information matrix, which includes the prior.
         """
@@ -201,6 +203,8 @@ class Candidates:
         Number of parameters of the base model and biases, the first of the p.
     gradient : (k, base) float
         Derivative of the calibrated angle in degrees by the base parameters, at k angles around the turn.
+    amplitudes : tuple of str
+        Names of the amplitudes of effects, the last of the p parameters.
     """
 
     angle_deg: Floats
@@ -211,6 +215,7 @@ class Candidates:
     shared: Floats
     base: int
     gradient: Floats
+    amplitudes: tuple[str, ...]
 
     @property
     def dwells(self) -> int:
@@ -284,10 +289,8 @@ class Candidates:
         If no effect depends on the side of approach, all positions are approached from below: an unexpected
         backlash of the stage then changes only the start angle.
         """
-        positions = tuple(
-            Position(float(self.angle_deg[k]), _side(float(self.approach[k]))) for k in choice.tolist()
-        )
-        return Plan(name, positions)
+        places = zip(self.angle_deg[choice].tolist(), self.approach[choice], strict=True)
+        return Plan(name, tuple(Position(angle, -1 if side < 0 else 1) for angle, side in places))
 
     def nearest(self, plan: Plan) -> Choice:
         """Return the candidate positions (n,) that are nearest to the positions of a plan."""
@@ -297,10 +300,6 @@ class Candidates:
             off = np.abs(wrap_degrees(self.angle_deg - (position.angle_deg or 0.0)))
             choice.append(int((off + 1e-3 * (self.approach != position.approach)).argmin()))
         return np.array(choice, dtype=np.intp)
-
-
-def _side(approach: float) -> Approach:
-    return -1 if approach < 0 else 1
 
 
 def candidates(bench: Bench, dwells: int, beware: Sequence[str], grid_deg: float) -> Candidates:
@@ -318,8 +317,7 @@ def candidates(bench: Bench, dwells: int, beware: Sequence[str], grid_deg: float
     # The grid and the even spacing, without duplicates.
     even = 360.0 * np.arange(dwells) / dwells
     angles = np.unique(np.round(np.concatenate([np.arange(0.0, 360.0 - 1e-9, grid_deg), even]), 9))
-    up = Plan("even", tuple(Position(float(a), _side((-1.0) ** k)) for k, a in enumerate(even)))
-    readings = expected_readings(up, bench)
+    readings = expected_readings(even_plan(dwells, both_sides=True), bench)
     terms = planned_terms(readings, beware)
     sided = any("approach" in term.effect.needs for term in terms)
     sides = [1.0, -1.0] if sided else [0.0]
@@ -348,6 +346,7 @@ def candidates(bench: Bench, dwells: int, beware: Sequence[str], grid_deg: float
         shared=np.asarray(slow @ slow.T),
         base=base,
         gradient=ShownAngle.around(fit).gradient,
+        amplitudes=tuple(f"{t.name}.{t.effect.parameters[k].name}" for t in terms for k in t.amplitudes),
     )
 
 
@@ -620,32 +619,26 @@ def best_plan(
     information = ground.information(choice)
     prediction = predict(ground.plan(f"{best}-{positions}", choice), bench)
     figure = criterion.figure(information)
-    terms = planned_terms(expected_readings(_both_sides_plan(positions), bench), beware)
-    amplitudes = [f"{t.name}.{t.effect.parameters[k].name}" for t in terms for k in t.amplitudes]
     separations = criterion.separations(information[None])[0].tolist()
     return BestPlan(
         prediction,
         best,
         beware,
         figure,
-        dict(zip(amplitudes, separations, strict=True)),
+        dict(zip(ground.amplitudes, separations, strict=True)),
         tuple(_gain(prediction, figure, other, ground, criterion) for other in _rivals(positions)),
         seed,
         grid_deg,
     )
 
 
-def even_plan(positions: int) -> Plan:
-    """Return a plan with this number of evenly spaced angles in one turn, in ascending order."""
-    return Plan("even", tuple(Position(360.0 * k / positions) for k in range(positions)))
+def even_plan(positions: int, *, both_sides: bool = False) -> Plan:
+    """Return a plan with this number of evenly spaced angles in one turn, in ascending order.
 
-
-def _both_sides_plan(positions: int) -> Plan:
-    """Return a plan of evenly spaced angles in which every second angle is approached from above."""
-    return Plan(
-        "even, both sides",
-        tuple(Position(360.0 * k / positions, 1 if k % 2 == 0 else -1) for k in range(positions)),
-    )
+    With `both_sides`, every second angle is approached from above.
+    """
+    sides: tuple[Approach, Approach] = (1, -1) if both_sides else (1, 1)
+    return Plan("even", tuple(Position(360.0 * k / positions, sides[k % 2]) for k in range(positions)))
 
 
 def interleaved_plan(positions: int) -> Plan:
@@ -670,8 +663,8 @@ def _rivals(positions: int) -> tuple[Plan, ...]:
 
 
 def _starts(ground: Candidates, positions: int, rng: np.random.Generator) -> list[Choice]:
-    known = (*_rivals(positions), _both_sides_plan(positions), interleaved_plan(positions))
-    starts = [ground.nearest(other) for other in known]
+    known = (even_plan(positions, both_sides=True), interleaved_plan(positions))
+    starts = [ground.nearest(other) for other in (*_rivals(positions), *known)]
     starts.append(rng.permutation(starts[0]))
     for _ in range(DRAWN):
         # Random candidates, repeated if there are fewer candidates than positions.
@@ -756,12 +749,7 @@ def _fewest_interleaved(bench: Bench, tolerance: Tolerance) -> int:
             f"{counted(MOST, 'position')} cannot decide on {tolerance}: take longer dwells, a better stage"
             " or a quieter part"
         )
-    # `high` always decides, `low` does not.
-    low, high = LEAST - 1, MOST
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if decides(middle) else (middle, high)
-    return high
+    return LEAST + bisect_left(range(LEAST, MOST), True, key=decides)
 
 
 def positions_in(bench: Bench, minutes: float) -> int:
@@ -798,7 +786,7 @@ _ASKED: dict[Best, str] = {
 }
 _FIGURE: dict[Best, str] = {
     "angle": "u of the angle by the fitted parameters, worst place: {:.2g}°",
-    "parameters": "generalised u of the parameters: {:.2g}",
+    "parameters": "mean u of the parameters, along the axes of their covariance: {:.2g}",
     "tell-apart": "an effect of typical size exceeds the others by at least {:.2g} standard uncertainties",
 }
 
@@ -900,7 +888,7 @@ def _sight_lines(sight: Sight) -> Iterator[str]:
     yield "Cannot tell apart"
     others = defaultdict(list)
     for pair in sight.confounded:
-        others[pair.one].append(pair.other)
+        others[pair.effects[0]].append(pair.effects[1])
     for name, several in others.items():
         yield from fold_text(f"{name} from {', '.join(several)}", WIDTH, 2)
     if not others:

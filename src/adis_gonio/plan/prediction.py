@@ -24,8 +24,8 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.conformity import Conformity, ErrorCurve, Tolerance
-from adis_gonio.base.errors import FitError, UsageError
-from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.base.errors import FitError, UsageError, suggest
+from adis_gonio.base.jsonable import INLINE, JsonRecord
 from adis_gonio.base.numbers import join_words
 from adis_gonio.base.uncertainty import Detectable, Value
 from adis_gonio.device.sensor.registers import VARIANTS, Variant, variant
@@ -37,7 +37,6 @@ from adis_gonio.fitting.fit_result import FitResult
 from adis_gonio.fitting.methods import fit_readings
 from adis_gonio.fitting.uncertainty import ShownAngle
 from adis_gonio.model.effects import Conditions, catalogue
-from adis_gonio.model.effects.base import did_you_mean
 from adis_gonio.model.measurement import PlanarTurn
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.record.plans import Plan
@@ -328,26 +327,20 @@ def _without_value(value: Value) -> dict[str, Any]:
     return {name: entry for name, entry in value.as_dict().items() if name != "value"}
 
 
-@dataclass(frozen=True)
-class ConfoundedPair:
-    """Two effects that a session with a plan cannot distinguish.
+class ConfoundedPair(JsonRecord):
+    """Two effects that a session with a plan cannot distinguish; an entry of the JSON list `confounded`.
 
     Attributes
     ----------
-    one, other : str
+    effects : tuple of str
         Names of the two effects.
     separation : float
         Distance in standard uncertainties between one effect at its detectable amplitude and the best
         imitation of it by the other effect; the smaller distance of both directions.
     """
 
-    one: str
-    other: str
+    effects: tuple[str, str]
     separation: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the pair as an entry of the JSON list `confounded`."""
-        return {"effects": [self.one, self.other], "separation": self.separation}
 
 
 class Sight(JsonRecord):
@@ -365,32 +358,28 @@ class Sight(JsonRecord):
     confounded: tuple[ConfoundedPair, ...]
 
 
-@dataclass(frozen=True)
-class Prediction:
+class Prediction(JsonRecord):
     """Prediction for a session with a plan on a bench: uncertainties and detectable effects.
 
     `reach` has the uncertainties, `sight` the detectable effects.
     """
 
+    document_keys = ("positions", "seconds", "bench", "reach", "sight")
+
     plan: Plan
     bench: Bench
-    reach: PlanUncertainty
-    sight: Sight
+    reach: PlanUncertainty = field(metadata=INLINE)
+    sight: Sight = field(metadata=INLINE)
+
+    @property
+    def positions(self) -> int:
+        """Number of positions of the plan."""
+        return len(self.plan)
 
     @property
     def seconds(self) -> float:
         """Duration of the session in s."""
         return self.bench.seconds(self.plan)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the JSON object of the prediction."""
-        return {
-            "positions": len(self.plan),
-            "seconds": self.seconds,
-            "bench": self.bench.as_dict(),
-            **self.reach.as_dict(),
-            **self.sight.as_dict(),
-        }
 
 
 def predict(plan: Plan, bench: Bench) -> Prediction:
@@ -554,7 +543,7 @@ def _confounded_pairs(
             _separation(columns[other], columns[one], seen[other]),
         )
         if separation < LEAST_SEPARATION:
-            found.append(ConfoundedPair(one, other, separation))
+            found.append(ConfoundedPair((one, other), separation))
     return tuple(sorted(found, key=lambda pair: pair.separation))
 
 
@@ -594,8 +583,8 @@ def planned_terms(readings: Readings, names: Sequence[str]) -> tuple[NamedTerm, 
         if name in known:
             continue
         if name not in catalogue("accelerometer"):
-            near = did_you_mean(name, list(catalogue("accelerometer")))
-            raise UsageError(f"beware: no effect is called '{name}'{near}")
+            hint = suggest(name, catalogue("accelerometer"))
+            raise UsageError(f"beware: no effect is called '{name}'; {hint}")
         if name in of_base:
             why = "lies in the model that every session fits: leave it out"
         elif name in offered:

@@ -20,6 +20,7 @@ import re
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import IO, Any, NamedTuple, cast
 
@@ -388,6 +389,10 @@ def read_head(path: Path, wanted: Mapping[str, str]) -> Head:
     return Head(path, row, len(cells), dialect, columns, keys, (*remarks, *notes))
 
 
+_NUMBERS = re.compile(r"[\s\d.,;:+\-/eETZ\"]+")
+"""A line of numbers and times of the wall clock."""
+
+
 def _find_header(path: Path, wanted: Mapping[str, str]) -> tuple[int, str, list[str], Lines, Lines]:
     """Find the header of a file; return its line number, delimiter and cells, and the lines above it.
 
@@ -410,7 +415,10 @@ def _find_header(path: Path, wanted: Mapping[str, str]) -> tuple[int, str, list[
             others.append((number, line))
         if others and number >= others[0][0] + _PREAMBLE_LINES:
             break
-    row, line = others[0] if others else (0, "")
+    # Text above the first row of numbers is the header; prose may be above it.
+    texts = list(takewhile(lambda other: not _NUMBERS.fullmatch(other[1]), others))
+    header = len(texts) - 1 if 0 < len(texts) < len(others) else 0
+    row, line = others[header] if others else (0, "")
     comments = [comment for comment in comments if not row or comment[0] < row]
     delimiter, cells = _split(line, separator, wanted)
     if comments and not wanted and not any(map(recognise_column, cells)):
@@ -418,7 +426,7 @@ def _find_header(path: Path, wanted: Mapping[str, str]) -> tuple[int, str, list[
         found = _split(comments[-1][1].lstrip("# "), separator, wanted)
         if sum(recognise_column(cell) is not None for cell in found[1]) > 1:
             return comments[-1][0], *found, comments[:-1], []
-    return row, delimiter, cells, comments, []
+    return row, delimiter, cells, comments, others[:header]
 
 
 def _first_lines(path: Path) -> Iterator[tuple[int, str]]:

@@ -410,13 +410,38 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
         free_turn=free,
         **settings,
     )
-    session = overrides.apply(session)
+    session = _with_plane(overrides.apply(session), stated="plane" in settings)
     if session.sensor == "generic" and session.accel_unit == "lsb":
         raise DataError(
             f"{path.name}: accel_unit 'lsb' needs a sensor with a known LSB; for a generic one add a "
             "line '# accel_unit: mg' (or g, mps2, counts), or give --unit"
         )
     return session
+
+
+_OUT_OF_PLANE = 0.25
+"""Least change of Z between dwells, relative to gravity, that no turn in the plane of X and Y explains."""
+
+
+def _with_plane(session: Session, *, stated: bool) -> Session:
+    """Return the session, as poses in space if Z changes between its dwells like X and Y.
+
+    A session with declared angles, and a file that states its plane (`stated`), keep the plane and get a
+    note instead.
+    """
+    means = np.array([dwell.accel.mean(axis=0) for dwell in session.dwells if len(dwell)])
+    if session.plane == "none" or means.ndim < 2 or means.shape[1] < 3:
+        return session
+    x, y, z = np.ptp(means, axis=0)
+    # Counts have an unknown zero, so that the length of their mean is not gravity.
+    gravity = 0.0 if session.accel_unit == "counts" else np.median(np.linalg.norm(means, axis=1))
+    if z <= max(x, y) / 2 or z <= _OUT_OF_PLANE * gravity:
+        return session
+    if stated or any(dwell.angle_deg is not None for dwell in session.dwells):
+        note = "az changes between dwells: for poses in space, write '# plane: none' and no angle_deg"
+        return replace(session, notes=(*session.notes, note))
+    note = "poses in space (plane none): az changes between dwells, and no angle or plane is stated"
+    return replace(session, plane="none", notes=(*session.notes, note))
 
 
 # -- dwells ---------------------------------------------------------------------------------------

@@ -427,7 +427,9 @@ def error_figures(
         anew = fold.left_out(data, designs) if len(fits) > 1 else {}
         counts = drop_unpredicted(counts, anew) if anew else counts
         designs = {name: designs[name] for name in counts}
-        design = "; ".join(f"{name} ({len(masks)} folds)" for name, masks in designs.items())
+        shown = {name: f", {mask.sum()} of {len(data)} dwells" for name, mask in counts.items()}
+        shown = {name: "" if counts[name].all() else text for name, text in shown.items()}
+        design = "; ".join(f"{name} ({len(masks)} folds{shown[name]})" for name, masks in designs.items())
         kept = fits[:-1] if len(fits) > 1 else fits
         lefts = [select_counted(fold.left_out(data, designs, fit), counts) for fit in kept]
         if len(fits) > 1:
@@ -436,6 +438,10 @@ def error_figures(
             if fold.averaged is None:
                 again = _heldout(select_counted(fold.left_out(data, designs, fits[-1]), counts), data)
                 design += f", {again:.3g} {data.model.unit} with those found kept"
+        if any(shown.values()):
+            design += (
+                "; a dwell counts if every model predicts it: the base model's error depends on the others"
+            )
     figures = [figures_of_fit(fit, measured, left) for fit, left in zip(fits, lefts, strict=True)]
     return [*figures[:-1], replace(figures[-1], heldout_kept=again)], design
 

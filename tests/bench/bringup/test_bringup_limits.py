@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from adis_gonio.bench.bringup import bring_up
 from adis_gonio.bench.bringup.bringup_step import FALSE_ALARM, MOST_TESTS, AlarmBudget, at_most
 from adis_gonio.bench.bringup.noise_steps import degrees_of_freedom, flicker, spectrum
-from adis_gonio.bench.bringup.update_steps import nearest_code
+from adis_gonio.bench.bringup.update_steps import Rate, nearest_code
 from adis_gonio.device.sensor.settings import filter_response, rounding_spectrum, sample_period_s
 from adis_gonio.sim.noise import Flicker
 from adis_gonio.sim.sampling import bartlett_sums, history_rows, taps
+from fakes.changed_chips import CHANGES, open_chip
 
 
 def test_the_limits_of_a_whole_run_add_up_to_the_false_alarm_rate_of_a_board():
@@ -70,6 +72,14 @@ def test_the_level_of_flicker_is_that_of_the_simulated_world():
     band = (hz > 0.3) & (hz < 1.2)
     model = flicker(np.array([1.0]), hz[band], rate)[:, 0]
     assert np.mean(np.mean(powers, axis=0)[band] / model) == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_chip_without_the_new_data_flag_is_not_watched_for_minutes():
+    with open_chip(CHANGES["ND never comes"], 2) as bus:
+        begin_s = bus.now_s()
+        done = bring_up(bus, steps=(Rate(),))
+        assert "ND never came" in str(done.as_dict())
+        assert bus.now_s() - begin_s < 5.0
 
 
 def test_a_period_belongs_to_the_nearest_code():

@@ -6,8 +6,9 @@ import pytest
 
 from adis_gonio import fit, load_session
 from adis_gonio.faces.cli import main
-from adis_gonio.plan import Bench, predict, read_plan
+from adis_gonio.plan import read_plan
 from adis_gonio.plan.optimal_plan import arrange_in_columns
+from adis_gonio.plan.prediction import Bench, predict
 from adis_gonio.record.archive import ArchiveView
 
 

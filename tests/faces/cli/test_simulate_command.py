@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from adis_gonio import load_session
+from adis_gonio import load_session, trace
 from adis_gonio.faces.cli import main
 from adis_gonio.record.samples_writer import write_samples_csv
 from programs import running
@@ -78,3 +78,21 @@ def test_each_date_is_another_session_of_one_part_and_a_copy_of_its_samples_coun
 def test_a_date_in_another_form_is_answered_in_the_accepted_form(tmp_path, capsys, given, form):
     assert main(["simulate", "--date", given, "-o", str(tmp_path / "a.session")]) == 2
     assert capsys.readouterr().err.endswith(f"'{given}' is no date of the form YYYY-MM-DD: write {form}\n")
+
+
+@pytest.mark.parametrize("effect", ["stage_eccentricity", "position_slip:dwell=3"])
+def test_an_effect_without_a_value_gets_a_stated_size_that_the_plan_shows(tmp_path, capsys, effect):
+    path, name = tmp_path / "planted.session", effect.partition(":")[0]
+    assert main(["simulate", "--plan", "tumble", "--effect", effect, "-o", str(path)]) == 0
+    (line,) = (line for line in capsys.readouterr().err.splitlines() if line.startswith("effect "))
+    size = re.fullmatch(rf"effect {name}: \w+ (\d+\.\d+)°.*", line)
+    assert name in {found.effect for found in trace(path).found}
+    assert 0.05 < float(size[1]) < 0.5
+    url = load_session(path).facts["url"]
+    assert f"={size[1]}" in url  # so that the file repeats it
+
+
+def test_a_stated_size_of_an_effect_is_kept_and_told(tmp_path, capsys):
+    words = ["simulate", "--plan", "two-position", "--dwell", "0.5", "-o", str(tmp_path / "a.session")]
+    assert main([*words, "--effect", "quadratic:k2_x=0.01"]) == 0
+    assert "effect quadratic: k2_x 0.01 mg/g², k2_y 0 mg/g²" in capsys.readouterr().err

@@ -20,7 +20,7 @@ def state_of(**changes):
     settings = {"smpl_prd": 1, "filter_m": 2, "gyro_range_dps": 300}
     configuration = Configuration(**(settings | changes), data_ready=False, linear_g=False, origin=False)
     return SensorState(
-        configuration, {row.name: k for k, row in enumerate(REGISTERS) if "_OFF" in row.name}
+        configuration, {row.name: k for k, row in enumerate(REGISTERS) if "_OFF" in row.name}, 0x0402
     )
 
 

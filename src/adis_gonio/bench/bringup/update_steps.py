@@ -35,6 +35,8 @@ _LONGEST_FRAME_US = 20_000.0
 """Largest time between two frames of a scan in µs; the timers of the bridges reach about 50 ms."""
 _BENT = 0.02
 """Largest relative error of a bridge's times while the rate of its clock is being estimated."""
+_LONGEST_LOOK = 256
+"""Number of sample periods after which a bit ND that has not come never comes."""
 _UNBROKEN_PERIODS = 3
 """Number of sample periods that an unbroken batch of frames must span to serve as a clock."""
 
@@ -65,7 +67,7 @@ def measured_period(bench: BringupBench, expected_s: float, updates: int) -> Per
     unbroken = bench.bus.unbroken_frames
     if unbroken is not None and unbroken * frame_s < _UNBROKEN_PERIODS * expected_s:
         return _by_clock(bench, expected_s, updates)
-    spans, periods, ends = 0.0, 0, 0
+    spans, looked_s, periods, ends = 0.0, 0.0, 0, 0
     batch = math.ceil(min(updates, 256) * expected_s / frame_s)
     for _ in range(64 + 2 * updates):
         words, frame_s = bench.repeated(_READ, batch)
@@ -77,7 +79,8 @@ def measured_period(bench: BringupBench, expected_s: float, updates: int) -> Per
                 spans += float(at[-1] - at[0]) * frame_s
                 periods += len(at) - 1
                 ends += 1
-        if periods >= updates:
+        looked_s += len(words) * frame_s
+        if periods >= updates or (not periods and looked_s > _LONGEST_LOOK * expected_s):
             break
     if not periods:
         return "no update was seen: bit ND never came"

@@ -22,7 +22,7 @@ from typing import Literal, cast
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.errors import UsageError
+from adis_gonio.base.errors import UsageError, suggest
 from adis_gonio.device.bus import SpiTiming, Words
 
 Confidence = Literal["A", "B", "C", "D"]
@@ -322,10 +322,7 @@ def register(name: str | Register) -> Register:
     try:
         return BY_NAME[key]
     except KeyError:
-        import difflib
-
-        near = difflib.get_close_matches(key, BY_NAME, n=1)
-        hint = f"did you mean {near[0]}?" if near else "see `adis-gonio registers`"
+        hint = suggest(key, BY_NAME, "see `adis-gonio registers`")
         raise UsageError(f"no register is called '{name}'; {hint}") from None
 
 

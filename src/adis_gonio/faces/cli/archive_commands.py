@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, date as date_type, datetime
@@ -16,12 +17,11 @@ from adis_gonio.faces.cli import options as option, show
 
 if TYPE_CHECKING:
     from adis_gonio.base.conformity import Tolerance
-    from adis_gonio.fleet.fleet_pages import FleetResult
-    from adis_gonio.fleet.fleet_run import Scan
+    from adis_gonio.fleet.fleet_run import Fleet
     from adis_gonio.fleet.session_record import SessionRecord
     from adis_gonio.fleet.store import Store
 
-_HEAD = ("serial", "operator", "stage", "date", "plan", "ΔK", "Δφ / °", "angle / °", "effects", "file")
+_HEAD = ("file", "serial", "operator", "stage", "date", "plan", "ΔK", "Δφ / °", "angle / °", "effects")
 _HISTORY_WIDTH = 80
 _MOST_ROWS = 40
 """Largest number of rows in a table of `fleet` on the terminal."""
@@ -30,10 +30,10 @@ _MOST_ROWS = 40
 @contextmanager
 def _indexed(
     places: Sequence[Path], index_path: Path | None, *, trace: bool
-) -> Iterator[tuple[Store, Scan]]:
+) -> Iterator[tuple[Store, Fleet]]:
     """Context with the open index of sessions, to which all sessions in the folders were added.
 
-    It yields the index and the result of the search in the folders, and prints problems of the index file.
+    It yields the index and the records of the sessions in the folders.
     `places` are the folders (none: the current one); `index_path` is None for the usual place of the index;
     `trace` is True if new sessions are also traced.
     """
@@ -44,8 +44,6 @@ def _indexed(
     with Store.of(places, index_path) as store:
         with show.report_progress(f"reading {', '.join(map(str, places))}"):
             found = scan(store, places, trace=trace)
-        for problem in store.problems:
-            click.echo(problem, err=True)
         yield store, found
 
 
@@ -59,8 +57,8 @@ def _records_of(store: Store, serial: str) -> list[SessionRecord]:
 
     known = store.serials()
     found = store.records(known_serial(serial, known))
-    for path, kept in store.copies(serial).items():
-        click.echo(f"{path} holds the same samples as {kept}: counted once", err=True)
+    for one in store.copies(serial):
+        click.echo(f"{one.path} holds the same samples as {one.same_as}: counted once", err=True)
     for other in alike(serial, known):
         click.echo(f"sessions of '{other}' are not included with '{serial}': another sensor?", err=True)
     return found
@@ -75,7 +73,7 @@ def _records_of(store: Store, serial: str) -> list[SessionRecord]:
 @option.json
 def archive_command(
     *, places: tuple[Path, ...], index_path: Path | None, trace: bool, as_json: bool, **asked: str | None
-) -> int:
+) -> None:
     """List the sessions in folders and their subfolders: archives and samples CSV.
 
     An index keeps the results, so that only new or changed files are computed. Files that cannot be used
@@ -95,14 +93,13 @@ def archive_command(
             "known": scan.known,
             "sessions": good,
             "failed": broken,
-            "problems": list(store.problems),
         }
     if as_json:
         show.print_json(document)
-        return 1 if document["problems"] else 0
+        return
     screen = show.console(most=160)
     if good:
-        show.print_table(screen, _HEAD, [_archive_cells(row) for row in good], texts={0, 1, 2, 3, 4, 8, 9})
+        show.print_table(screen, _HEAD, [_archive_cells(row) for row in good], texts={0, 1, 2, 3, 4, 5, 9})
     for row in good:
         if row["copies"]:
             screen.print(f"the same file, counted once: {', '.join([row['path'], *row['copies']])}")
@@ -112,11 +109,14 @@ def archive_command(
         f"{counted(len(good), 'session')}, {counted(len(broken), 'file')} not used; "
         f"{scan.computed} computed now, {scan.known} known before ({store.path})"
     )
-    return 1 if document["problems"] else 0
 
 
 def _archive_cells(row: Mapping[str, Any]) -> list[str]:
+    path = os.path.relpath(row["path"])
     return [
+        (row["path"] if path.startswith("..") else path)
+        + (" (gone)" if row["gone"] else "")
+        + (" (doubtful)" if row["doubts"] else ""),
         *(row[name] or "–" for name in ("serial", "operator", "stage")),
         (row["when"] or "–")[:16].replace("T", " "),
         row["plan"] or "–",
@@ -125,7 +125,6 @@ def _archive_cells(row: Mapping[str, Any]) -> list[str]:
             for name in ("delta_k", "delta_phi", "angle")
         ),
         row["effects"] or ("none" if row["traced"] else "not traced"),
-        row["path"] + (" (gone)" if row["gone"] else "") + (" (doubtful)" if row["doubts"] else ""),
     ]
 
 
@@ -232,7 +231,8 @@ def due_command(
         if rule.assumes:
             show.print_indented(screen, f"assumes: {rule.assumes}", 4)
     if found.limits.assumed:
-        screen.print(f"  {found.limits.tolerance} is assumed as tolerance: set yours with --tolerance")
+        assumed = f"{found.limits.tolerance} is assumed as tolerance: set yours with --tolerance"
+        show.print_indented(screen, assumed)
 
 
 @option.command("fleet")
@@ -279,38 +279,34 @@ def fleet_command(
     there: after Ctrl-C, a crash or a full disk, the same command continues. The exit status is 1 if a
     session failed.
     """
-    from adis_gonio.base.budget import current
-    from adis_gonio.fleet.fleet_pages import FleetResult, check_outputs
-    from adis_gonio.fleet.fleet_run import files_of, run_fleet, survey
+    from adis_gonio.fleet.fleet_run import ENDINGS, check_outputs, run_fleet, session_files
     from adis_gonio.fleet.session_record import Options
     from adis_gonio.fleet.workers import Cluster, LocalPool
 
     if workers is not None and scheduler is not None:
         raise UsageError("--workers and --scheduler: the one is for this machine, the other for a cluster")
-    names = files_of(files)
+    names = session_files(files)
+    if not names:
+        where = ", ".join(map(str, files))
+        raise UsageError(
+            f"there is no session in {where}: give files, or folders with {', '.join(ENDINGS)}"
+        )
     check_outputs(outputs, names)
     if journal is None and outputs:
         journal = outputs[0].with_name(f"{outputs[0].name}.journal")
-    options = Options(trace=trace, evidence=population)
     with _journal(journal) as store, show.report_progress(f"fleet of {counted(len(names), 'file')}"):
-        tell = current().tell
-        tell("reading")
-        found = survey(names, current().share)
-        tell("waiting for workers")
         with LocalPool(workers) if scheduler is None else Cluster(scheduler) as pool:
-            fleet = run_fleet(found, options, pool, store, lambda progress: tell(str(progress)))
-        tell("summary")
-        outcome = FleetResult(fleet, options)
+            fleet = run_fleet(names, Options(trace=trace, evidence=population), store, pool)
         for path in outputs:
-            outcome.write(path)
+            fleet.write(path)
     if as_json:
-        show.print_json(outcome.as_dict())
+        show.print_json(fleet.as_dict())
     else:
-        _show_fleet(outcome)
+        _show_fleet(fleet)
     for path in outputs:
-        show.report_written(path, counted(len(outcome.rows), "session"))
+        show.report_written(path, counted(len(fleet.records), "session"))
     if fleet.failed:
-        click.echo(f"{counted(fleet.failed, 'session')} of {len(outcome.rows)} failed", err=True)
+        click.echo(f"{counted(fleet.failed, 'session')} of {len(fleet.records)} failed", err=True)
     return 1 if fleet.failed else 0
 
 
@@ -332,11 +328,11 @@ def _journal(path: Path | None) -> Iterator[Store]:
             raise
 
 
-def _show_fleet(outcome: FleetResult) -> None:
+def _show_fleet(fleet: Fleet) -> None:
     from adis_gonio.fleet import fleet_summary
 
     screen = show.console()
-    summary = outcome.summary
+    summary = fleet.summary
 
     def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]], texts: int = 1) -> None:
         if not rows:
@@ -355,10 +351,10 @@ def _show_fleet(outcome: FleetResult) -> None:
     screen.print()
     screen.print(fleet_summary.outlying_text(summary))
     table("Outlying groups", fleet_summary.OUTLYING_HEAD, fleet_summary.outlying_rows(summary))
-    if outcome.population_lines:
+    if fleet.population_lines:
         screen.print()
-    for line in outcome.population_lines:
+    for line in fleet.population_lines:
         screen.print(line)
     table("Failed", ["file", "reason"], [list(failure) for failure in summary.failures], texts=2)
-    repeated = [[one.path, one.same_as] for one in outcome.fleet.repeated]
+    repeated = [[one.path, one.same_as] for one in fleet.repeated]
     table("Count once", ["file", "same session as"], repeated, texts=2)

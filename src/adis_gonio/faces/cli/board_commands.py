@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.jsonable import json_text
 from adis_gonio.base.numbers import signed, use_minus
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import console, json_text, print_json, print_table, report_written, say
+from adis_gonio.faces.cli.show import console, print_json, print_table, report_written, say
 
 if TYPE_CHECKING:
     from adis_gonio.bench.bringup import Bringup, Row
@@ -124,7 +125,7 @@ def _write_report(found: Bringup, page: Path, document: Path) -> None:
     from adis_gonio.base.output import replacing, write_utf8
     from adis_gonio.bench.bringup.bringup_page import build_page
 
-    for path, text in ((document, json_text(found.as_dict()) + "\n"), (page, build_page(found))):
+    for path, text in ((document, json_text(found.as_dict())), (page, build_page(found))):
         with replacing(path) as temporary:
             write_utf8(temporary, text)
         report_written(path)
@@ -215,11 +216,12 @@ def write_command(
                 if undo
                 else _write(writer, yes=yes, dry_run=dry_run, quiet=as_json, null=null)
             )
+    known = document["state"]["registers"] in ("untouched", "old", "new")
     if as_json:
         print_json(document)
-    else:
-        say(document["state"]["text"], err=False)
-    return 0 if document["state"]["registers"] in ("untouched", "old", "new") else 1
+    if not (as_json and known):
+        say(document["state"]["text"], err=as_json)
+    return 0 if known else 1
 
 
 def _write(

@@ -12,7 +12,7 @@ from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.output import exists_error
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import print_json, report_progress, say
+from adis_gonio.faces.cli.show import WIDTH, console, print_json, report_progress, say
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 if TYPE_CHECKING:
@@ -166,16 +166,16 @@ def calibrate_command(
     advisor = TraceAdvisor(MOST_EXTRA if max_extra is None else max_extra) if closing else None
     if resume and not closing and _is_complete(output):
         click.echo(f"{output}: complete, nothing is left to do", err=True)
-        complete = True
+        complete, on_screen = True, False
     else:
-        complete = _run(url, output, plain=plain, resume=resume, advisor=advisor, **options)
+        complete, on_screen = _run(url, output, plain=plain, resume=resume, advisor=advisor, **options)
     session = load_session(output)
     if session.facts["plan"]["name"] == GYRO_TURNS:
         from adis_gonio.faces.cli.fit_commands import show_gyro_fit
 
         show_gyro_fit(session, None, as_json=as_json)
     else:
-        _show_result(session, advisor, complete=complete, as_json=as_json)
+        _show_result(session, advisor, complete=complete, as_json=as_json, brief=on_screen)
     if not as_json:
         click.echo(f"session: {session.source}")
     return _status(session, complete=complete)
@@ -183,8 +183,10 @@ def calibrate_command(
 
 def _run(
     url: str, output: Path, *, plain: bool, resume: bool, advisor: TraceAdvisor | None, **options: Any
-) -> bool:
-    """Run the session on the screen or by plain prompts; return True if it is complete.
+) -> tuple[bool, bool]:
+    """Run the session on the screen or by plain prompts.
+
+    Return True if the session is complete, and True if it was on the screen.
 
     `options` are further options of the command. `resume` is True for the session of an earlier run;
     `advisor` is None without a trace.
@@ -212,14 +214,17 @@ def _run(
         finally:  # also if the device is lost
             if not complete:
                 click.echo(f"what was recorded is kept; go on with {resume_by}", err=True)
-        return complete
+        return complete, face is not prompts
 
 
-def _show_result(session: Session, advisor: TraceAdvisor | None, *, complete: bool, as_json: bool) -> None:
+def _show_result(
+    session: Session, advisor: TraceAdvisor | None, *, complete: bool, as_json: bool, brief: bool
+) -> None:
     """Show the fit of a session, the scale factors of its gyros, and its trace if requested.
 
     The trace is requested if `advisor` is not None. `complete` is True if all positions were measured;
-    `as_json` prints a JSON document instead of text.
+    `as_json` prints a JSON document instead of text; `brief` prints the answer only, because a terminal of
+    24 lines follows a session on the screen.
     """
     from adis_gonio.faces.cli.fit_commands import print_answer, print_gains
     from adis_gonio.faces.cli.trace_commands import print_loop, print_trace
@@ -240,6 +245,11 @@ def _show_result(session: Session, advisor: TraceAdvisor | None, *, complete: bo
         if traced is not None:
             document |= {"trace": traced.as_dict(), "rounds": session.facts["advised"]}
         print_json(document)
+        return
+    if brief:
+        click.echo(answer.text(min(console().width, WIDTH)))
+        more = ["fit", *(["trace"] if traced is not None else []), "report"]
+        click.echo(f"more: adis-gonio {' | '.join(more)} {shlex.quote(str(session.source))}")
         return
     print_answer(answer, truth)
     print_gains(session)

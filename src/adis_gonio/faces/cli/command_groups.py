@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import click
+
+from adis_gonio.base.errors import suggest
 
 
 class Home(NamedTuple):
@@ -48,8 +49,7 @@ class LazyGroup(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Find a command by its name; the error for an unknown name suggests the most similar one."""
         if args and args[0] not in self._homes and not args[0].startswith("-"):
-            near = difflib.get_close_matches(args[0], self._homes, n=1)
-            hint = f"did you mean '{near[0]}'?" if near else "see adis-gonio --help"
+            hint = suggest(args[0], self._homes, "see adis-gonio --help")
             raise click.UsageError(f"no command is called '{args[0]}'; {hint}")
         return super().resolve_command(ctx, args)
 

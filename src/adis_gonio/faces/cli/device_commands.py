@@ -305,14 +305,10 @@ def _show_registers(
             documents.append(_register_document(row, quantity) | more)
         print_json({"registers": documents})
         return
-    from rich.table import Table
-
     with_values = any(quantity is not None for _, quantity in rows)
-    columns = (">number", ">value", *([">by the calibration"] if wanted else []))
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for name in ("register", "at", *(columns if with_values else (">bits", "access", "evidence"))):
-        table.add_column(name.lstrip(">"), justify="right" if name[0] == ">" else "left")
-    table.add_column("meaning", overflow="fold")
+    columns = ("number", "value", *(["by the calibration"] if wanted else []))
+    head = ("register", "at", *(columns if with_values else ("bits", "access", "evidence")), "meaning")
+    listed: list[list[str]] = []
     for row, quantity in rows:
         meaning = row.meaning
         if with_values:
@@ -325,15 +321,15 @@ def _show_registers(
             access = row.access.value + (", flash" if row.flash_mask else "")
             cells = [f"{row.bits}{'s' if row.signed else 'u'}", access, row.confidence]
             meaning += f" (default 0x{row.default:04X})" if row.default else ""
-        table.add_row(row.name, f"0x{row.address:02X}", *cells, meaning)
-        if fields or (with_values and len(rows) <= 4):
-            for field in row.fields:
-                bits = f"[{field.high}:{field.low}]" if field.high != field.low else f"[{field.low}]"
-                held = [str(field.of(quantity.number))] if with_values else []
-                spare = [""] * (len(cells) - len(held))
-                table.add_row(f"  {field.name}", bits, *held, *spare, field.meaning, style="dim")
+        listed.append([row.name, f"0x{row.address:02X}", *cells, meaning])
+        for field in row.fields if fields or (with_values and len(rows) <= 4) else ():
+            bits = f"[{field.high}:{field.low}]" if field.high != field.low else f"[{field.low}]"
+            held = [str(field.of(quantity.number))] if with_values else []
+            spare = [""] * (len(cells) - len(held))
+            listed.append([f"  {field.name}", bits, *held, *spare, field.meaning])
     screen = console()
-    screen.print(table)
+    texts = {0, 1, len(head) - 1} | (set() if with_values else {3, 4})
+    print_table(screen, head, listed, texts)
     if not with_values:
         for letter, meaning in CONFIDENCES.items():
             screen.print(f"evidence {letter}: {meaning}")

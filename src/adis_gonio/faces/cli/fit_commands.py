@@ -116,8 +116,7 @@ def fit_command(
         return
     title = f"{loaded.title}: " if loaded.title else ""
     written = [f"{name} {getattr(loaded, name)}" for name in METADATA if getattr(loaded, name)]
-    head = [f"{title}{what}, {loaded.sensor}", *([f"  {', '.join(written)}"] if written else [])]
-    head += [f"  {note}" for note in loaded.notes]
+    head = [f"{title}{what}, {loaded.sensor}", *([", ".join(written)] if written else []), *loaded.notes]
     # `calibrate` shows the truth of simulated positions, `fit` the truth of a simulated free turn.
     truth = loaded.facts.get("truth") if loaded.free_turn else None
     print_answer(answer, truth, head, shown=loaded.notes, everything=everything)
@@ -144,7 +143,7 @@ def print_answer(
     truth : mapping of str to float, optional
         True parameters of a simulation, shown next to the estimates.
     head : sequence of str
-        Lines about the session, printed below the doubts about the model.
+        Lines about the session, printed below the doubts about the model; the first one in bold.
     shown : collection of str
         Warnings that were printed already.
     everything : bool
@@ -153,10 +152,14 @@ def print_answer(
     screen = show.console(most=show.WIDTH)
     for line in answer.doubt_lines(screen.width):
         screen.print(line, style="bold")
-    for lines in (head, answer.headline(screen.width)):
-        for k, line in enumerate(lines):
-            screen.print(line, style=None if k else "bold")
+    if head:
+        screen.print(head[0], style="bold")
+        for line in head[1:]:
+            show.print_indented(screen, line)
         screen.print()
+    for k, line in enumerate(answer.headline(screen.width)):
+        screen.print(line, style=None if k else "bold")
+    screen.print()
     if truth is not None or answer.has_more:
         _print_parameters(screen, answer, truth)
     for line in answer.facts():

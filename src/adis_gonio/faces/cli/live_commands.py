@@ -26,7 +26,7 @@ from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import say
 from adis_gonio.faces.cli.terminal import Interrupt
 from adis_gonio.live.live_angle import LiveAngle, LiveBlocks, LiveSource, live_angles, open_live
-from adis_gonio.live.smoothed_meter import LAG_S
+from adis_gonio.live.motion_model import LAG_S
 from adis_gonio.record.blocks import Block, count_alarms
 from adis_gonio.record.source import SampleStream, Settings, has_frames, open_source, refuse_chip_options
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
-from functools import wraps
+from functools import reduce, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -57,6 +57,11 @@ def command(
     shared = {heading: flags for heading, flags in _SHARED_SECTIONS.items() if heading not in own}
     listed = {"Main options": first, **own, **shared} if first else {}
     return click.command(name, cls=SectionedCommand, sections=listed)
+
+
+def _with(function: Callable[..., Any], *options: Option[Any]) -> Callable[..., Any]:
+    """Return a function of a command with these options, which the help lists in this order."""
+    return reduce(lambda made, option: option(made), reversed(options), function)
 
 
 def parse_gravity(text: str) -> float:
@@ -194,7 +199,7 @@ def output(
         Name of the command's argument.
     """
 
-    def decorate(function: F) -> F:
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(function)
         def checked(*, force: bool, **arguments: Any) -> Any:
             from adis_gonio.base.output import check_output
@@ -209,8 +214,8 @@ def output(
                     path.unlink()
             return function(**arguments)
 
-        forced = flag("--force", help="Replace an existing file.")(checked)
-        return file("--output", "-o", name, help=help, **more)(forced)  # type: ignore[no-any-return]
+        force = flag("--force", help="Replace an existing file.")
+        return _with(checked, file("--output", "-o", name, help=help, **more), force)
 
     return decorate
 
@@ -261,7 +266,7 @@ def time_limit(help: str) -> Option[Any]:
     return click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help=help)
 
 
-def what_if(function: F) -> F:
+def what_if(function: Callable[..., Any]) -> Callable[..., Any]:
     """Decorate a command with the options `--with`, `--without` and `--only`."""
     include = click.option(
         "--with",
@@ -275,7 +280,7 @@ def what_if(function: F) -> F:
         "--without", "exclude", multiple=True, metavar="NAME", help="Leave this effect out of the model."
     )
     only = flag("--only", help="No term but those of --with.")
-    return include(exclude(only(function)))  # type: ignore[no-any-return]
+    return _with(function, include, exclude, only)
 
 
 url = click.argument("url")
@@ -345,7 +350,7 @@ _OVERRIDES = (
 )
 
 
-def index(function: F) -> F:
+def index(function: Callable[..., Any]) -> Callable[..., Any]:
     """Decorate a command with the options `--index` and `--trace`."""
     index = file(
         "--index",
@@ -354,8 +359,7 @@ def index(function: F) -> F:
         help="Index of the results (default: adis-gonio.index in the first folder).",
     )
     trace = flag("--trace", help="Also look for effects: up to half a minute a session, once.")
-    with_trace: F = index(trace(function))
-    return with_trace
+    return _with(function, index, trace)
 
 
 def _parse_tolerance(text: str) -> float:
@@ -393,7 +397,7 @@ def tolerance(help: str) -> Option[Any]:
         ),
     )
 
-    def decorate(function: F) -> F:
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(function)
         def with_tolerance(
             tolerance: float | None, rule: str | None, risk: float | None, **arguments: Any
@@ -409,14 +413,12 @@ def tolerance(help: str) -> Option[Any]:
             made = None if tolerance is None else Tolerance(tolerance, **chosen)
             return function(tolerance=made, **arguments)
 
-        for option in reversed(options):
-            with_tolerance = option(with_tolerance)
-        return with_tolerance  # type: ignore[return-value]
+        return _with(with_tolerance, *options)
 
     return decorate
 
 
-def overrides(function: F) -> F:
+def overrides(function: Callable[..., Any]) -> Callable[..., Any]:
     """Decorate a command with the options that replace statements of a session file, such as `--gravity`.
 
     The command gets the values of these options as one argument, `overrides`.
@@ -437,9 +439,7 @@ def overrides(function: F) -> F:
         taken |= {"fixture_sigma_deg": next(iter(sigmas), None), "stage_curve": next(iter(curves), None)}
         return function(overrides=Overrides(**taken), **arguments)
 
-    for option in reversed(_OVERRIDES):
-        with_overrides = option(with_overrides)
-    return with_overrides  # type: ignore[return-value]
+    return _with(with_overrides, *_OVERRIDES)
 
 
 def measuring_settings(*, rate_hz: float | None, **more: Any) -> Settings:

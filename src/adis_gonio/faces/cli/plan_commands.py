@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Callable
 from contextlib import suppress
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -13,17 +14,21 @@ from urllib.parse import quote
 import click
 import numpy as np
 
-from adis_gonio.base.errors import DataError, UsageError
+from adis_gonio.base.errors import DataError, FitError, UsageError
 from adis_gonio.base.jsonable import json_object
-from adis_gonio.base.numbers import counted
+from adis_gonio.base.numbers import counted, use_minus, with_unit
 from adis_gonio.base.output import ends_in, replacing
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import print_json, report_progress, report_written
+from adis_gonio.faces.cli.show import print_json, report_progress, report_written, say
 from adis_gonio.model.records import SENSORS, STANDARD_GRAVITY_MPS2
 
 if TYPE_CHECKING:
     from adis_gonio.base.conformity import Tolerance
-    from adis_gonio.plan import Bench, BestPlan, Prediction
+    from adis_gonio.base.uncertainty import Detectable
+    from adis_gonio.plan.optimal_plan import BestPlan
+    from adis_gonio.plan.prediction import Bench, Prediction
+    from adis_gonio.record.plans import Plan
+    from adis_gonio.record.source import Settings
 
 
 @option.command(
@@ -118,7 +123,7 @@ def plan_command(
 
 
 def _bench(*, gravity_mps2: float | None, **options: Any) -> Bench:
-    from adis_gonio.plan import Bench
+    from adis_gonio.plan.prediction import Bench
 
     bench = ("fixture_deg", "sensor", "noise_mg", "flicker_mg", "start_deg")
     measuring = ("dwell_s", "settle_s", "rate_hz", "filter_m")
@@ -130,7 +135,8 @@ def _bench(*, gravity_mps2: float | None, **options: Any) -> Bench:
 
 
 def _predict_given(bench: Bench, **options: Any) -> Prediction:
-    from adis_gonio.plan import find_plan, predict
+    from adis_gonio.plan import find_plan
+    from adis_gonio.plan.prediction import predict
 
     search = {"--minutes": "minutes", "--best": "best"}
     wrong = [flag for flag, name in search.items() if options[name] is not None]
@@ -154,7 +160,7 @@ def _search(
     check: int,
     **_: Any,
 ) -> BestPlan:
-    from adis_gonio.plan import best_plan, fewest_positions, positions_in
+    from adis_gonio.plan.optimal_plan import best_plan, fewest_positions, positions_in
 
     given = sum(value is not None for value in (positions, minutes))
     if given > 1 or (not given and tolerance is None):
@@ -327,6 +333,7 @@ def simulate_command(*, output: Path, date: datetime | None, **options: Any) -> 
     )
     positions = find_plan(options["plan_name"], options["positions"], options["check"])
     positions = positions.ordered(options["order"], np.random.default_rng(options["seed"]))
+    options["effects"] = _sized_effects(positions, settings, **options)
     with (
         tempfile.TemporaryDirectory() as folder,
         open_sensor(_simulator_url(date, **options), variant=options["variant"]) as sensor,
@@ -355,6 +362,51 @@ def simulate_command(*, output: Path, date: datetime | None, **options: Any) -> 
         click.echo(f"{output}: {done} of {counted(len(positions), 'dwell')}", err=True)
         raise KeyboardInterrupt
     report_written(output, counted(done, "dwell"))
+
+
+def _sized_effects(
+    plan: Plan, measuring: Settings, *, effects: tuple[str, ...], settings: tuple[str, ...], variant: str,
+    **_: Any,
+) -> tuple[str, ...]:  # fmt: skip
+    """Return each effect with the values of its parameters as text, and print the values.
+
+    An effect without values has its typical size, or twice the size that a session with this plan shows if
+    the typical size is smaller.
+    """
+    from adis_gonio.model.effects import parse_effect
+    from adis_gonio.plan.prediction import Bench, expected_readings, predict_sight
+    from adis_gonio.sim.settings import WorldSettings
+
+    @cache
+    def shown() -> dict[str, Detectable]:
+        given = dict(text.split("=", 1) for text in settings if "=" in text)
+        fixture = option.parse_fixture(given.get("fixture_sigma_deg", str(WorldSettings.fixture_sigma_deg)))
+        try:
+            readings = expected_readings(plan, Bench(fixture, variant, settings=measuring))
+            return predict_sight(readings.training).detectable
+        except (UsageError, FitError):  # poses in space, or too few positions
+            return {}
+
+    written = []
+    for text in effects:
+        effect, values = parse_effect(text)
+        stated = {item.partition("=")[0].strip() for item in text.partition(":")[2].split(",")}
+        sizes = {
+            one.name: (float(value), one) for one, value in zip(effect.parameters, values, strict=True)
+        }
+        least = None if stated & set(sizes) else shown().get(effect.name)
+        factor = 1.0
+        if least is not None and least.amplitude is not None and sizes.get(least.parameter, (0.0,))[0]:
+            factor = max(1.0, 2 * least.amplitude / abs(sizes[least.parameter][0]))
+        texts = {
+            name: f"{value:g}" if one.shape or factor == 1 else f"{min(factor * value, one.high):.2g}"
+            for name, (value, one) in sizes.items()
+        }
+        each = (f"{name} {with_unit(use_minus(size), sizes[name][1].unit)}" for name, size in texts.items())
+        say(f"effect {effect.name}: {', '.join(each)}")
+        chosen = {name: str(getattr(effect, name)) for name in effect.choices()} | texts
+        written.append(f"{effect.name}:{','.join(f'{name}={value}' for name, value in chosen.items())}")
+    return tuple(written)
 
 
 def _simulate_twin(path: Path, output: Path, seed: int) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import threading
@@ -11,19 +10,15 @@ from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Literal
 
 import click
 from rich.cells import cell_len
 from rich.console import Console
 
-from adis_gonio.base.jsonable import finite
+from adis_gonio.base.jsonable import json_text
 from adis_gonio.base.numbers import format_duration
 from adis_gonio.base.tables import fold_text
-
-if TYPE_CHECKING:
-    pass
-
 
 WIDTH = 100
 """Largest width in columns of running text, since longer lines are hard to read."""
@@ -85,8 +80,11 @@ def print_table(
     rows: Sequence[Sequence[str]],
     texts: Container[int] = (0,),
     bold: Container[str] = (),
+    indent: int = 0,
 ) -> None:
-    """Print a table without its empty columns; if too wide, print each row as `name value; name value; …`.
+    """Print a table without its empty columns, in several parts if it is too wide for the screen.
+
+    Each part repeats the first column, which names the row.
 
     Parameters
     ----------
@@ -99,28 +97,33 @@ def print_table(
         right.
     bold : container of str
         First cells of those rows that are printed in bold.
+    indent : int
+        Number of columns of the screen to the left of the table.
     """
+    from rich.padding import Padding
     from rich.table import Table
+    from rich.text import Text
 
     shown = [k for k in range(len(head)) if any(row[k] not in ("", "–") for row in rows)]
-    head, rows = [head[k] for k in shown], [[row[k] for k in shown] for row in rows]
-    texts = {new for new, k in enumerate(shown) if k in texts}
-    widths = [max(cell_len(row[k]) for row in (head, *rows)) for k in range(len(head))]
-    least = sum(min(w, LEAST_TEXT) if k in texts else w for k, w in enumerate(widths)) + 2 * len(head)
-    if least > screen.width:
+    least: dict[int, int] = {}
+    for k in shown:
+        widest = max(cell_len(line) for row in (head, *rows) for line in row[k].split("\n"))
+        least[k] = 2 + (min(widest, LEAST_TEXT) if k in texts else widest)
+    room = screen.width - indent
+    parts: list[list[int]] = [[]]
+    for k in shown:
+        if len(parts[-1]) > 1 and sum(least[j] for j in (*parts[-1], k)) > room:
+            parts.append(shown[:1])
+        parts[-1].append(k)
+    for part in parts:
+        fits = sum(least[k] for k in part) <= room
+        table = Table(box=None, padding=(0, 2, 0, 0))
+        for k in part:
+            side: Literal["left", "right"] = "left" if k in texts else "right"
+            table.add_column(Text(head[k]), justify=side, overflow="fold", no_wrap=fits and k not in texts)
         for row in rows:
-            pairs = zip(head, row, strict=True)
-            screen.print("; ".join(f"{name} {cell}" for name, cell in pairs if cell not in ("", "–")))
-        return
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for k, name in enumerate(head):
-        if k in texts:
-            table.add_column(name, overflow="fold")
-        else:
-            table.add_column(name, justify="right", no_wrap=True)
-    for row in rows:
-        table.add_row(*row, style="bold" if row[0] in bold else None)
-    screen.print(table)
+            table.add_row(*(Text(row[k]) for k in part), style="bold" if row[0] in bold else None)
+        screen.print(Padding(table, (0 if part is parts[0] else 1, 0, 0, indent)))
 
 
 def check_page(output: Path | None) -> None:
@@ -148,18 +151,10 @@ def report_written(path: Path | str, content: str = "") -> None:
     click.echo(f"written: {path}, {content or f'{Path(path).stat().st_size // 1024 + 1} kB'}", err=True)
 
 
-def json_text(document: Any, *, ascii_only: bool = False) -> str:
-    """Return a document as JSON text; numbers that are not finite become null.
-
-    `ascii_only` writes other letters as escape sequences.
-    """
-    return json.dumps(finite(document), ensure_ascii=ascii_only, indent=2, allow_nan=False)
-
-
 def print_json(document: Any) -> None:
     """Write a JSON document to standard output, in pure ASCII unless the output's encoding is a UTF."""
     unicode = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().startswith("utf")
-    click.echo(json_text(document, ascii_only=not unicode))
+    click.echo(json_text(document, ascii_only=not unicode), nl=False)
 
 
 def report_times_s() -> Iterator[float]:

@@ -14,7 +14,15 @@ import click
 from adis_gonio.base.errors import AdisGonioError, UsageError
 from adis_gonio.base.numbers import counted, format_number, format_percent
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import WIDTH, check_page, console, print_json, report_progress, write_page
+from adis_gonio.faces.cli.show import (
+    WIDTH,
+    check_page,
+    console,
+    print_json,
+    print_table,
+    report_progress,
+    write_page,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -100,7 +108,8 @@ def print_trace(sessions: Sequence[Session], result: TraceResult) -> None:
         screen.print(f"{summary.title(session)}: {summary.shape(session)}")
     if result.what_if is not None:
         _print_heading(screen, summary.asked(result.what_if))
-        _print_table(screen, summary.compared(result.what_if))
+        _print_models(screen, summary.compared(result.what_if))
+        screen.print("   left out: the dwells that all three models predict", style="dim")
         _print_list(screen, "Asked for (± U, 95 %)", summary.forced(result.what_if))
     screen.print()
     screen.print(summary.headline(result), style="bold")
@@ -180,25 +189,17 @@ def _print_errors(screen: Console, result: TraceResult) -> None:
     from adis_gonio.tracing import trace_summary as summary
 
     _print_heading(screen, "Error before and after")
-    _print_table(screen, summary.error_rows(result))
+    _print_models(screen, summary.error_rows(result))
     if result.heldout_design:
         screen.print(Padding(_plain(f"left out: {result.heldout_design}", "dim"), (0, 0, 0, 3)))
 
 
-def _print_table(screen: Console, cells: tuple[list[str], list[list[str]]]) -> None:
+def _print_models(screen: Console, cells: tuple[list[str], list[list[str]]]) -> None:
     """Print a table of models from its column names and rows; the last row is emphasized."""
-    from rich.table import Table
-
-    head, rows = cells
-    table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False)
-    table.add_column(f"   {head[0]}")
-    for name in head[1:]:
-        short = name.replace("error of the angle", "angle")
-        table.add_column(short if name.endswith("dof") else short.replace(" / ", "\n"), justify="right")
-    for k, (name, *others) in enumerate(rows):
-        last = 0 < k == len(rows) - 1
-        table.add_row(_plain(f"   {name}"), *others, style="bold" if last else None)
-    screen.print(table)
+    (first, *names), rows = cells
+    head = [name if name.endswith("dof") else name.replace(" / ", "\n") for name in names]
+    head = [first, *(name.replace("error of the angle", "angle") for name in head)]
+    print_table(screen, head, rows, bold=[rows[-1][0]] if len(rows) > 1 else (), indent=3)
 
 
 def _plain(text: str, style: str = "") -> Text:
@@ -242,9 +243,6 @@ def print_loop(session: Session, result: TraceResult) -> None:
 
     Nothing is printed if the trace proposed no position.
     """
-    from rich.table import Table
-    from rich.text import Text
-
     from adis_gonio.bench.advisor import summarise_trace
 
     rounds = session.facts.get("advised", [])
@@ -256,9 +254,7 @@ def print_loop(session: Session, result: TraceResult) -> None:
     before, after = rounds[0]["summary"], summarise_trace(result, len(session.dwells))
     _print_heading(screen, "Closing the loop")
     if extra:
-        table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False)
-        for name in ("", "after the plan", f"with {extra} more" if extra > 1 else "with one more"):
-            table.add_column(name)
+        head = ("", "after the plan", f"with {extra} more" if extra > 1 else "with one more")
         rows = [
             ("model", _adequacy(before), _adequacy(after)),
             ("found", _join(before["found"]), _join(after["found"])),
@@ -267,9 +263,7 @@ def print_loop(session: Session, result: TraceResult) -> None:
         ]
         for key, name in _ERRORS.items():
             rows.append((name, format_number(before["error"][key]), format_number(after["error"][key])))
-        for name, first, second in rows:
-            table.add_row(f"   {name}", Text(first), Text(second))
-        screen.print(table)
+        print_table(screen, head, rows, range(3), indent=3)
     ended = rounds[-1]["ended"]
     if not ended:
         declined = planned == rounds[-1]["planned"]

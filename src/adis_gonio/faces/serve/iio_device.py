@@ -30,7 +30,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.errors import AdisGonioError, UsageError
+from adis_gonio.base.errors import AdisGonioError, SilentChipError, UsageError
 from adis_gonio.device.sensor import Adis16354, ScanBlock, registers as register_table
 from adis_gonio.device.sensor.settings import Configuration, low_pass_3db_hz, sample_period_s, scales
 from adis_gonio.faces.serve.iiod_protocol import Errno, Refused
@@ -43,6 +43,12 @@ BLOCK_S = 0.04
 """Length of a block of scans in s, the longest delay of a scan in addition to the delay of the bus."""
 
 MOST_BLOCK = 256
+
+_CHECK = "SENS_AVG"
+"""Register that is read before and after the outputs of a scan, to see that the sensor answers."""
+
+_LONGEST_UNSOUND_S = 1.0
+"""Time in s without a sound scan after which the stream has failed."""
 
 
 @dataclass(frozen=True)
@@ -145,6 +151,22 @@ class Sampler:
 
     # -- inside the thread --------------------------------------------------------------------------
 
+    def read_output(self, row: register_table.Register) -> int:
+        """Read an output register once; return its number. Raise `SilentChipError` if the check fails."""
+        words = self._sensor.read_words([_CHECK, row, _CHECK])
+        self._require_sound(words)
+        return row.number(words[1])
+
+    def _require_sound(self, words: Sequence[int]) -> None:
+        """Raise `SilentChipError` if the first or the last word is not the known content of SENS_AVG."""
+        known = self.state.sens_avg
+        for word in (words[0], words[-1]):
+            if word != known:
+                raise SilentChipError(
+                    f"{self._sensor.bus.url}: SENS_AVG reads 0x{word:04X}, not 0x{known:04X}: the sensor"
+                    " has other settings, or is not connected; check supply, chip select and wires"
+                )
+
     def _run(self) -> None:
         try:
             while not self._stopping:
@@ -188,8 +210,9 @@ class Sampler:
         wall_s = time.monotonic()
         bus_s = sensor.bus.now_s()
         since_1970_ns = time.time_ns() - round(bus_s * 1e9)
+        self._sound_s = bus_s
         try:
-            with sensor.stream(self.names, block_scans=block_scans) as stream:
+            with sensor.stream((_CHECK, *self.names, _CHECK), block_scans=block_scans) as stream:
                 for block in stream:
                     if self._simulated:  # its clock may run ahead, but clients expect the rate
                         self._wait_until(wall_s + float(block.time_s[-1]) - bus_s)
@@ -211,18 +234,27 @@ class Sampler:
                 return
 
     def _publish(self, block: ScanBlock, since_1970_ns: int) -> None:
-        numbers = block.numbers()
-        self.newest = dict(zip(block.registers, numbers[-1].tolist(), strict=True))
-        time_ns = np.rint(block.time_s * 1e9).astype(np.int64) + since_1970_ns
-        self._on_scans(FreshScans(numbers, time_ns, block.lost))
+        """Publish the scans of a block between whose checks SENS_AVG has not changed; count the others."""
+        if not len(block):
+            return
+        sound = (block.words[:, [0, -1]] == self.state.sens_avg).all(axis=1)
+        if sound.any():
+            self._sound_s = float(block.time_s[sound][-1])
+        elif block.time_s[-1] > self._sound_s + _LONGEST_UNSOUND_S:
+            self._require_sound(block.words[-1])
+        numbers = block.numbers()[sound, 1:-1]
+        if len(numbers):
+            self.newest = dict(zip(self.names, numbers[-1].tolist(), strict=True))
+        time_ns = np.rint(block.time_s[sound] * 1e9).astype(np.int64) + since_1970_ns
+        self._on_scans(FreshScans(numbers, time_ns, block.lost + int((~sound).sum())))
 
 
 def state_of(sensor: Adis16354) -> SensorState:
     """Read configuration and offsets of the sensor, from which the values of attributes are computed."""
-    rows = register_table.registers([*register_table.ACCEL_OFF, *register_table.GYRO_OFF])
+    rows = register_table.registers([*register_table.ACCEL_OFF, *register_table.GYRO_OFF, _CHECK])
     words = sensor.read_checked(rows)
-    offsets = {row.name: row.number(word) for row, word in zip(rows, words, strict=True)}
-    return SensorState(sensor.configuration(), offsets)
+    offsets = {row.name: row.number(word) for row, word in zip(rows[:-1], words[:-1], strict=True)}
+    return SensorState(sensor.configuration(), offsets, words[-1])
 
 
 class ScanQueue:
@@ -413,10 +445,13 @@ class SensorState:
         Sample rate, filter and range.
     offsets : mapping of str to int
         Content of each of the six offset registers.
+    sens_avg : int
+        Content of SENS_AVG.
     """
 
     configuration: Configuration
     offsets: Mapping[str, int]
+    sens_avg: int
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,9 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from adis_gonio.base import __version__
-from adis_gonio.base.errors import AdisGonioError, CannotOpenError, SilentChipError, UsageError
+from adis_gonio.base.errors import AdisGonioError, CannotOpenError, UsageError
 from adis_gonio.base.numbers import counted
-from adis_gonio.device.sensor import DEFAULT_SCAN, Adis16354, Register
-from adis_gonio.device.sensor.registers import BY_NAME
-from adis_gonio.device.sensor.settings import Configuration
+from adis_gonio.device.sensor import DEFAULT_SCAN, Adis16354
 from adis_gonio.faces.serve import iio_device, iiod_protocol
 from adis_gonio.faces.serve.iiod_protocol import Errno, Parser, Refused, Request, Target
 
@@ -89,7 +87,7 @@ class AttributePort:
             newest = self.sampler.newest
             if newest is not None:  # the sensor streams
                 return str(newest[row.name])
-            return str(await self._do(self.sampler.submit(lambda s: _read_output(s, row))))
+            return str(await self._do(self.sampler.submit(lambda _: self.sampler.read_output(row))))
         return self.device.channel_value(channel, name, self.sampler.state)
 
     async def write(self, target: Target, name: str, value: bytes) -> None:
@@ -128,18 +126,6 @@ class AttributePort:
             raise Refused(Errno.EINVAL, str(error)) from error
         except AdisGonioError as error:
             raise Refused(Errno.EIO, str(error)) from error
-
-
-def _read_output(sensor: Adis16354, row: Register) -> int:
-    """Read an output register between two reads of SENS_AVG, which show that the sensor answers."""
-    check = BY_NAME["SENS_AVG"]
-    before, word, after = sensor.read_words([check, row, check])
-    if before != after or Configuration.from_words(0, before, 0).gyro_range_dps is None:
-        raise SilentChipError(
-            f"{sensor.bus.url}: SENS_AVG reads 0x{before:04X} and 0x{after:04X}: the replies are not the"
-            " sensor's; check supply, chip select and wires"
-        )
-    return row.number(word)
 
 
 def _number(value: bytes) -> float:

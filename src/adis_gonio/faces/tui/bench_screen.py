@@ -46,6 +46,9 @@ Result = TypeVar("Result")
 class _Finishing(ModalScreen[Result]):
     """Base class of dialogs that close only once, even if several keys follow quickly."""
 
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("ctrl+c,ctrl+q", "app.stop_now", show=False, priority=True)
+    ]
     _has_result = False
 
     def finish(self, result: Result | None = None) -> None:
@@ -74,7 +77,6 @@ class Dialog(_Finishing[str]):
         Binding("up,shift+tab", "move(-1)", show=False),
         Binding("down,tab", "move(1)", show=False),
         Binding("enter", "choose", show=False),
-        Binding("ctrl+c,ctrl+q", "app.stop_now", show=False, priority=True),
     ]
 
     def __init__(
@@ -139,10 +141,7 @@ class Dialog(_Finishing[str]):
 class LineDialog(_Finishing[str]):
     """Dialog in which the operator types a line, such as a note; after a cancel the result is empty."""
 
-    BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("escape", "give_up", show=False),
-        Binding("ctrl+c,ctrl+q", "app.stop_now", show=False, priority=True),
-    ]
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "give_up", show=False)]
 
     def __init__(self, heading: str, hint: str) -> None:
         super().__init__()
@@ -166,10 +165,6 @@ class LineDialog(_Finishing[str]):
 
 class HelpDialog(_Finishing[None]):
     """Dialog with a text to read, such as the keys; any key closes it."""
-
-    BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("ctrl+c,ctrl+q", "app.stop_now", show=False, priority=True)
-    ]
 
     def __init__(self, heading: str, text: str) -> None:
         super().__init__()
@@ -222,6 +217,8 @@ LARGE_SIZE = (120, 40)
 LOOK_S = 0.05
 """Shortest time in s between two readings during a question; a simulated sensor itself does not wait."""
 TICK_S = 0.1
+FLASH_TICKS = 6
+"""Number of ticks for which the line of keys is marked after a key that means nothing."""
 
 _STYLES = {
     "open": "",
@@ -326,6 +323,7 @@ class BenchApp(App[None]):
         self._ended = threading.Event()
         self._stopping = self._drawn = False
         self._news_s = time.monotonic()
+        self._flash_ticks = 0
         self._asked: events.Event | None = None
         self._open_question: Dialog | None = None
 
@@ -410,6 +408,7 @@ class BenchApp(App[None]):
             if isinstance(event, events.Started) and event.resumed:
                 self._remember(self.state)
         self.state.reversed = self._runner.reversed
+        self._flash_ticks = max(self._flash_ticks - 1, 0)
         self.show()
         if ended:
             self.exit()
@@ -442,7 +441,7 @@ class BenchApp(App[None]):
             "waits": Text(screen_text.waiting(state, silence_s)),
             "progress": Text(screen_text.progress(state, room), no_wrap=True),
             "messages": _messages(state),
-            "keys": _keys(state, self.size.width),
+            "keys": _keys(state, self.size.width, flash=self._flash_ticks > 0),
         }
         for name, text in texts.items():
             base.query_one(f"#{name}", Static).update(text)
@@ -502,6 +501,15 @@ class BenchApp(App[None]):
 
     # -- keys ---------------------------------------------------------------------------------------
 
+    def on_key(self, event: ui.Key) -> None:
+        """Mark the line of keys for a moment after a key that means nothing here."""
+        if event.key not in self.active_bindings:
+            self._flash()
+
+    def _flash(self) -> None:
+        self._flash_ticks = FLASH_TICKS
+        self.show()
+
     def action_answer_position(self, answer: str) -> None:
         """Answer the runner's question about a position, or report why that is not possible.
 
@@ -542,13 +550,17 @@ class BenchApp(App[None]):
     def action_move(self) -> None:
         """Ask for an angle, and turn a simulated part without a stage by it."""
         hands = self._hands
-        if hands is not None:
-            dialog = LineDialog("Turn the part by … degrees", "such as -30")
-            self._open(dialog, lambda text: self._tell(hands.move(text)) if text else None)
+        if hands is None:
+            self._flash()
+            return
+        dialog = LineDialog("Turn the part by … degrees", "such as -30")
+        self._open(dialog, lambda text: self._tell(hands.move(text)) if text else None)
 
     def action_bump(self) -> None:
         """Turn a simulated sensor without a stage a little, forth and back, as by a bump."""
-        if self._hands is not None:
+        if self._hands is None:
+            self._flash()
+        else:
             self._tell(self._hands.bump())
 
     def _tell(self, text: str) -> None:
@@ -616,8 +628,9 @@ def _messages(state: BenchState) -> Text:
     return text
 
 
-def _keys(state: BenchState, width: int) -> Text:
-    listed, text = screen_text.keys(state), Text(no_wrap=True)
+def _keys(state: BenchState, width: int, *, flash: bool) -> Text:
+    listed = screen_text.keys(state)
+    text = Text("no such key: " if flash else "", style="bold reverse" if flash else "", no_wrap=True)
     wide = sum(len(f"{key} {word}  ") for key, word in listed) < width
     for key, word in listed:
         text.append(key, style="bold reverse")

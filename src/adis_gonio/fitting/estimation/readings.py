@@ -413,24 +413,29 @@ def _refuse_other_units(session: Session, readings: Readings) -> None:
         return
     lengths = np.linalg.norm(readings.mean, axis=1) / session.gravity_mg
     length = float(np.median(lengths))
-    if 1 / OFF_UNIT < length < OFF_UNIT:
-        odd = readings.position[np.abs(lengths / length - 1) > UNEQUAL].tolist()
-        if odd and session.accel_unit != "counts":
-            raise DataError(
-                f"{session.source or 'session'}: readings of {name_positions(odd)} are not 1 g long as the"
-                " others: an axis is dead or saturated, or the part was not at rest; leave such dwells out"
-            )
+    odd = np.abs(lengths / length - 1) > UNEQUAL
+    source, right_unit = session.source or "session", 1 / OFF_UNIT < length < OFF_UNIT
+    if right_unit and (session.accel_unit == "counts" or not odd.any()):
         return
-    whole = [np.linalg.norm(dwell.accel.mean(axis=0)) for dwell in session.dwells if len(dwell)]
-    flat = float(np.median(whole)) * (mg_per_unit(session) or math.nan) / session.gravity_mg
-    if session.plane == "xy" and length < 1 and 1 / OFF_UNIT < flat < OFF_UNIT:
+    whole = np.array([np.linalg.norm(dwell.accel.mean(axis=0)) for dwell in session.dwells if len(dwell)])
+    whole *= (mg_per_unit(session) or math.nan) / session.gravity_mg
+    flat = float(np.median(whole))
+    odd_positions = name_positions(readings.position[odd].tolist())
+    left = 1 / OFF_UNIT < flat < OFF_UNIT and (length < 1 / OFF_UNIT or np.ptp(whole) < UNEQUAL)
+    if session.plane == "xy" and left:
+        where = f" at {odd_positions}" if right_unit else ""
         raise DataError(
-            f"{session.source or 'session'}: the part lies flat, X and Y read {length:.2g} g of"
-            f" {flat:.3g} g: a plane that is turned has to be vertical; give plane none for poses in space"
+            f"{source}: the part lies flat, X and Y read {lengths.min():.2g} g of {flat:.3g} g{where}: a"
+            " plane that is turned has to be vertical; write '# plane: none' for poses in space"
+        )
+    if right_unit:
+        raise DataError(
+            f"{source}: readings of {odd_positions} are not 1 g long as the others: an axis is dead or"
+            " saturated, or the part was not at rest; leave such dwells out"
         )
     also = "; a plane that is turned has to be vertical" if session.plane == "xy" and length < 1 else ""
     raise DataError(
-        f"{session.source or 'session'}: readings are {length:.3g} g long instead of 1 g: accel_unit "
+        f"{source}: readings are {length:.3g} g long instead of 1 g: accel_unit "
         f"{session.accel_unit} cannot be right (lsb goes by the sensor, {session.sensor}); state the unit "
         f"of the file, or counts if it is unknown{_as_another(session, length)}{also}"
     )

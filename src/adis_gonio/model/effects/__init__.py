@@ -17,7 +17,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.errors import UsageError
+from adis_gonio.base.errors import UsageError, suggest
 from adis_gonio.model.effects import gyro_terms, sensor_terms, stage_terms
 from adis_gonio.model.effects.base import (
     AXES,
@@ -26,14 +26,6 @@ from adis_gonio.model.effects.base import (
     Effect,
     Enters,
     Parameter,
-    did_you_mean,
-)
-from adis_gonio.model.effects.stage_terms import (
-    NoiseChange,
-    OutlierDwell,
-    Quantization,
-    Saturation,
-    Settling,
 )
 
 ENTRY_POINT_GROUP = "adis_gonio.effects"
@@ -135,10 +127,7 @@ def constant_effect(axes: Sequence[str]) -> Effect:
 def _kind(name: str) -> type[Effect]:
     known = catalogue()
     if name not in known:
-        raise UsageError(
-            f"no effect is called '{name}'{did_you_mean(name, list(known))}; "
-            f"known: {', '.join(sorted(known))}"
-        )
+        raise UsageError(f"no effect is called '{name}'; {suggest(name, sorted(known))}")
     return known[name]
 
 
@@ -180,10 +169,14 @@ def parse_effect(text: str, axes: Sequence[str] = ("x", "y")) -> tuple[Effect, F
             raise UsageError(f"effect '{text}': write {name}:parameter=value, not '{item.strip()}'")
         if key in given or key in choices:
             raise UsageError(f"effect '{text}': {key} is given twice")
-        if key in kind.choices():
-            choices[key] = _whole(text, key, value)
-        else:
-            given[key] = _number(text, key, value)
+        try:
+            if key in kind.choices():
+                choices[key] = int(value)
+            else:
+                given[key] = float(value)
+        except ValueError:
+            wanted = "whole number" if key in kind.choices() else "number"
+            raise UsageError(f"effect '{text}': {key} is a {wanted}, not '{value}'") from None
 
     made = effect(name, axes, **choices)
     if kind.by_axis and any(key not in _names(made) for key in given):
@@ -197,20 +190,6 @@ def _names(made: Effect) -> set[str]:
     return {parameter.name for parameter in made.parameters}
 
 
-def _whole(text: str, key: str, value: str) -> int:
-    try:
-        return int(value)
-    except ValueError:
-        raise UsageError(f"effect '{text}': {key} is a whole number, not '{value}'") from None
-
-
-def _number(text: str, key: str, value: str) -> float:
-    try:
-        return float(value)
-    except ValueError:
-        raise UsageError(f"effect '{text}': {key} is a number, not '{value}'") from None
-
-
 __all__ = [
     "AXES",
     "BUILT_IN",
@@ -219,12 +198,7 @@ __all__ = [
     "Conditions",
     "Effect",
     "Enters",
-    "NoiseChange",
-    "OutlierDwell",
     "Parameter",
-    "Quantization",
-    "Saturation",
-    "Settling",
     "catalogue",
     "effect",
     "parse_effect",

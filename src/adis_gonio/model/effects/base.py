@@ -32,7 +32,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from difflib import get_close_matches
 from enum import StrEnum
 from functools import cached_property, lru_cache
 from typing import Any, ClassVar, Literal
@@ -267,6 +266,17 @@ class Conditions:
             raise UsageError(f"the session does not record {name}")
         return found
 
+    def die_c(self, axis: int) -> Floats:
+        """Return the temperature (n,) in °C of the die of an axis; of all dies if only their mean is known.
+
+        Raises
+        ------
+        UsageError
+            The session does not record the temperature.
+        """
+        mean = self.covariate("temperature_c")
+        return mean if self.temperatures_c is None else self.temperatures_c[:, axis]
+
     @cached_property
     def _late(self) -> dict[tuple[str, int | None, float], tuple[Floats, Floats]]:
         """Results of `late` by its arguments, since a search repeats the same few time constants."""
@@ -294,9 +304,7 @@ class Conditions:
     def rows(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Conditions:
         """Return the conditions of the selected rows; the histories stay complete."""
         chosen: dict[str, Any] = {name: rows[index] for name, rows in self._rows().items()}
-        return Conditions(
-            **chosen, temperature_history=self.temperature_history, load_history=self.load_history
-        )
+        return replace(self, **chosen)
 
 
 @dataclass(frozen=True)
@@ -338,7 +346,8 @@ class Effect(ABC):
     in_base: ClassVar[bool] = False
     """True if a fit of a session already contains the effect: bias, scale, misalignment, gravity."""
     prior: ClassVar[str] = ""
-    """Group of effects with another prior weight than 1: `constant`, `curvature`, `force`; empty for 1."""
+    """Group that sets the effect's prior weight in a trace: `constant`, `curvature` or `force`.
+    Empty for the weight 1."""
     remedy: ClassVar[str] = ""
     """Advice to the operator if no further position separates the effect from others that look alike."""
     remedy_in_space: ClassVar[str] = ""
@@ -352,7 +361,8 @@ class Effect(ABC):
     parts: ClassVar[tuple[str, ...]] = ("accelerometer",)
     """Parts of the sensor that show the effect: `accelerometer`, `gyro`."""
     options: ClassVar[dict[str, tuple[int, ...]]] = {}
-    """Values that the trace tries for a choice, by its name; parameter names identify the choice."""
+    """Values that the trace tries, by the name of the choice. The list of an effect's parameters shows the
+    value."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -467,8 +477,7 @@ class Effect(ABC):
         for name in given:
             if name not in known:
                 raise UsageError(
-                    f"{self.name} has no parameter '{name}'{did_you_mean(name, known)}; "
-                    f"it has {', '.join(known)}"
+                    f"{self.name} has no parameter '{name}'; it has {', '.join(known) or 'none'}"
                 )
         return np.array(
             [
@@ -490,23 +499,13 @@ class Effect(ABC):
         return columns
 
 
-def did_you_mean(name: str, known: Sequence[str]) -> str:
-    """Return a text such as " (did you mean 'bias'?)" with the known name most similar to `name`, or ""."""
-    near = get_close_matches(name, known, n=1)
-    return f" (did you mean '{near[0]}'?)" if near else ""
-
-
-def by_letters(prototypes: Sequence[Parameter], letters: Sequence[str]) -> tuple[Parameter, ...]:
+@lru_cache(maxsize=1024)
+def by_letters(prototypes: tuple[Parameter, ...], letters: tuple[str, ...]) -> tuple[Parameter, ...]:
     """Return a copy of each parameter for each axis letter: `k2` becomes `k2_x`, `k2_y`.
 
     `prototypes` are the parameters without a letter, `letters` the letters to append. All parameters of
     one letter are together.
     """
-    return _by_letters(tuple(prototypes), tuple(letters))
-
-
-@lru_cache(maxsize=1024)
-def _by_letters(prototypes: tuple[Parameter, ...], letters: tuple[str, ...]) -> tuple[Parameter, ...]:
     return tuple(replace(p, name=f"{p.name}_{suffix}") for suffix in letters for p in prototypes)
 
 
@@ -515,6 +514,24 @@ class AxisEffect(Effect):
     """Base class of effects that act on each of their axes independently; by default on x and y."""
 
     axes: tuple[str, ...] = ("x", "y")
+
+    coefficients: ClassVar[tuple[Parameter, ...]] = ()
+    """Parameters that each axis has, without the axis; `letters` are appended to their names."""
+    common: ClassVar[tuple[Parameter, ...]] = ()
+    """Parameters common to all axes, such as a time constant."""
+
+    def active(self) -> tuple[Parameter, ...]:
+        """Return the coefficients in use; a choice of the effect, such as `degree`, may omit some."""
+        return self.coefficients
+
+    def letters(self) -> tuple[str, ...]:
+        """Return the letters of the axis or axes of each group of coefficients, in their order."""
+        return self.axes
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Parameters: the active coefficients of the first axis, of the second, …, then the common ones."""
+        return (*by_letters(self.active(), self.letters()), *self.common)
 
 
 class LinearEffect(AxisEffect):
@@ -534,31 +551,18 @@ class LinearEffect(AxisEffect):
 class LinearAxisEffect(LinearEffect):
     """Base class of effects that add Σ_k value_ik · basis_k(i) to the reading of axis i alone."""
 
-    coefficients: ClassVar[tuple[Parameter, ...]]
-    """Parameter of each basis function without the axis; the letter of the axis is appended to its name."""
-
-    def active(self) -> tuple[Parameter, ...]:
-        """Return the coefficients in use; a choice of the effect, such as `degree`, may omit some."""
-        return self.coefficients
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters: the coefficients of the first axis, then of the second axis, and so on."""
-        return by_letters(self.active(), self.axes)
-
     @abstractmethod
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
-        """Return the basis functions (n,) for column `axis` of the readings, one per coefficient."""
+        """Return the basis functions (n,) for column `axis` of the readings, one per parameter."""
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Return the derivative of the readings (n, axes, p): basis functions, whatever the `values`."""
-        columns = self.columns_of(ideal)
-        count = len(self.active())
-        design = np.zeros((*ideal.shape, count * len(columns)))
-        for k, column in enumerate(columns):
-            # Column k · count + j is coefficient j of axis k.
-            for j, rows in enumerate(self.basis(column, ideal, conditions)):
-                design[:, column, k * count + j] = rows
+        design = np.zeros((*ideal.shape, len(self.parameters)))
+        place = 0  # the parameters of an axis are together
+        for column in self.columns_of(ideal):
+            for rows in self.basis(column, ideal, conditions):
+                design[:, column, place] = rows
+                place += 1
         return design
 
 
@@ -571,17 +575,10 @@ class CrossEffect(LinearEffect):
     in both letters, `name_ip`.
     """
 
-    coefficient: ClassVar[Parameter]
-
-    def pairs(self) -> tuple[tuple[str, str], ...]:
-        """Return the pairs (axis, other axis) of letters in the order of the parameters."""
+    def letters(self) -> tuple[str, ...]:
+        """Return the pairs of letters, the axis and the other axis, in the order of the parameters."""
         reach = AXES if "z" in self.axes else AXES[:2]
-        return tuple((axis, other) for axis in self.axes for other in reach if other != axis)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters: one coefficient for each pair of axes in `pairs`."""
-        return by_letters((self.coefficient,), [axis + other for axis, other in self.pairs()])
+        return tuple(axis + other for axis in self.axes for other in reach if other != axis)
 
     @abstractmethod
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
@@ -593,10 +590,10 @@ class CrossEffect(LinearEffect):
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Return the derivative of the readings (n, axes, p): basis functions, whatever the `values`."""
         self.columns_of(ideal)
-        pairs = self.pairs()
+        pairs = self.letters()
         design = np.zeros((*ideal.shape, len(pairs)))
-        for k, (axis, other) in enumerate(pairs):
-            i, p = AXES.index(axis), AXES.index(other)
+        for k, pair in enumerate(pairs):
+            i, p = (AXES.index(letter) for letter in pair)
             design[:, i, k] = self.basis(ideal[:, i], ideal[:, p], conditions)
         return design
 
@@ -609,14 +606,6 @@ class CourseEffect(AxisEffect):
     parameter (such as a time constant) for all axes. A course is a function of time or of another
     condition, with a value for each of n dwells.
     """
-
-    amplitude: ClassVar[Parameter]
-    shape: ClassVar[Parameter]
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters: the amplitude of each axis, then the common shape, such as a time constant."""
-        return (*by_letters((self.amplitude,), self.axes), self.shape)
 
     def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
         """Return the function of time (n,) that all axes share, and its derivative (n,) by `shape`."""
@@ -653,20 +642,17 @@ def decay(time_s: Floats, tau_s: float) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True)
 class StageEffect(Effect):
-    """Base class of effects of the stage that add Σ_k value_k · basis_k, in degrees, to the true angle."""
+    """Base class of effects of the stage that add Σ_k value_k · basis_k, in degrees, to the true angle.
 
-    coefficients: ClassVar[tuple[Parameter, ...]]
+    `parameters` has one coefficient in degrees for each basis function.
+    """
+
     enters = Enters.ATTITUDE
     by_axis = False
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters: one coefficient, in degrees, for each basis function."""
-        return self.coefficients
-
     @abstractmethod
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
-        """Return the dimensionless basis functions (n,) of the angle, one for each coefficient."""
+        """Return the dimensionless basis functions (n,) of the angle, one for each parameter."""
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Return the derivative (n, p) of the true angle by the coefficients, in rad per degree."""

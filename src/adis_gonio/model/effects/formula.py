@@ -25,8 +25,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.errors import UsageError
-from adis_gonio.model.effects.base import AXES, Conditions, LinearAxisEffect, Parameter, did_you_mean
+from adis_gonio.base.errors import UsageError, suggest
+from adis_gonio.model.effects.base import AXES, Conditions, LinearAxisEffect, Parameter
 from adis_gonio.model.records import MG_PER_G
 
 Column = Callable[[Floats, Conditions], Floats]
@@ -189,7 +189,7 @@ class _Source:
                 self.names[name] = None
                 return _covariate(name)
             case ast.Name(id=name):
-                raise self.error(f"no covariate is called '{name}'{_known(name)}", node)
+                raise self.error(f"no covariate is called '{name}'; {suggest(name, _KNOWN)}", node)
             case ast.UnaryOp(op=sign, operand=inner) if type(sign) in _OPERATORS:
                 return self.applied(_OPERATORS[type(sign)], inner)
             case ast.BinOp(left=left, op=sign, right=right) if type(sign) in _OPERATORS:
@@ -217,13 +217,9 @@ class _Source:
         if name in _FUNCTIONS or name in _OF_SEVERAL:
             many = "one argument" if name in _FUNCTIONS else "two arguments or more"
             raise self.error(f"{name} takes {many}, not {len(arguments)}", node)
-        raise self.error(f"no function is called '{name}'{_known(name)}", node)
+        raise self.error(f"no function is called '{name}'; {suggest(name, _KNOWN)}", node)
 
     def applied(self, function: Callable[..., Any], *nodes: ast.expr) -> Column:
         """Return the function that applies `function` to the values of the nodes."""
         parts = [self.translated(node) for node in nodes]
         return lambda ideal, conditions: function(*(part(ideal, conditions) for part in parts))
-
-
-def _known(name: str) -> str:
-    return f"{did_you_mean(name, _KNOWN)}; known: {', '.join(_KNOWN)}"

@@ -20,7 +20,6 @@ from adis_gonio.model.effects.base import (
     Conditions,
     LinearAxisEffect,
     Parameter,
-    by_letters,
 )
 from adis_gonio.model.effects.sensor_terms import REFERENCE_C, BiasTemperature, SupplyBias, WarmUp
 from adis_gonio.model.effects.stage_terms import OutlierDwell
@@ -28,12 +27,6 @@ from adis_gonio.model.effects.stage_terms import OutlierDwell
 GYRO = ("gyro",)
 _OTHER_ORDER = "repeat the first poses last, or all in another order: a drift goes on, a force comes back"
 WHOLE_TURNS = "turn the part by whole turns about each axis, to both sides (plan gyro-turns)"
-
-
-def _die_c(axis: int, conditions: Conditions) -> Floats:
-    """Return the die temperature (n,) in °C of one gyro; without own readings the mean of all gyros."""
-    mean = conditions.covariate("temperature_c")
-    return mean if conditions.temperatures_c is None else conditions.temperatures_c[:, axis]
 
 
 @dataclass(frozen=True)
@@ -63,10 +56,6 @@ class GyroBiasTemperature(BiasTemperature):
         Parameter("gyro_bias_temperature2", "dps/°C²", -0.05, 0.05, 0.0005),
         Parameter("gyro_bias_temperature3", "dps/°C³", -0.0025, 0.0025, 0.00001),
     )
-
-    def die_c(self, axis: int, conditions: Conditions) -> Floats:
-        """Return the die temperature (n,) of the gyro in °C, or the mean of all gyros if unknown."""
-        return _die_c(axis, conditions)
 
 
 @dataclass(frozen=True)
@@ -102,14 +91,9 @@ class GSensitivity(LinearAxisEffect):
     def _along(self) -> list[int]:
         return [self.force - 1] if self.force else [0, 1, 2]
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters: one for each gyro and force axis, named by both letters, the gyro's letter first."""
-        return by_letters(self.coefficients, [own + AXES[k] for own in self.axes for k in self._along])
-
-    def active(self) -> tuple[Parameter, ...]:
-        """Return the coefficients of one gyro without its letter: one for each axis of the force."""
-        return self.coefficients * len(self._along)
+    def letters(self) -> tuple[str, ...]:
+        """Return both letters of each gyro and force axis, the gyro's letter first."""
+        return tuple(own + AXES[k] for own in self.axes for k in self._along)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Return the components (n,) of the force in g along the axes that the choice `force` selects."""
@@ -147,10 +131,9 @@ class G2Sensitivity(LinearAxisEffect):
     options: ClassVar[dict[str, tuple[int, ...]]] = {"force": (0, 1, 2)}
     coefficients = (Parameter("g2_sensitivity", "dps/g²", -2.0, 2.0, 0.02),)
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters: one for each gyro, named by the gyro's letter and then the force's letter."""
-        return by_letters(self.coefficients, [axis + AXES[self.force] for axis in self.axes])
+    def letters(self) -> tuple[str, ...]:
+        """Return both letters for each gyro, the gyro's letter first and then the force's letter."""
+        return tuple(axis + AXES[self.force] for axis in self.axes)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Return the square (n,) of the force component along the axis `force`, in g²."""
@@ -201,7 +184,7 @@ class GyroScaleTemperature(LinearAxisEffect):
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Return the true rate times (T − 25 °C), (n,), scaled by 10⁻⁶ for a coefficient in ppm/°C."""
-        above = _die_c(axis, conditions) - REFERENCE_C
+        above = conditions.die_c(axis) - REFERENCE_C
         return (1e-6 * above * conditions.covariate("rate_dps")[:, axis],)
 
 
@@ -223,16 +206,15 @@ class GyroMisalignment(AxisEffect):
     correctable = True
     needs = ("rate_dps",)
     parts = GYRO
-    coefficient = Parameter("gyro_misalignment", "deg", -10.0, 10.0, 0.5)
+    coefficients = (Parameter("gyro_misalignment", "deg", -10.0, 10.0, 0.5),)
 
     def _pairs(self) -> list[tuple[int, int]]:
         own = [AXES.index(axis) for axis in self.axes]
         return [(i, p) for i in own for p in range(len(AXES)) if p != i]
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters: two misalignment angles for each gyro, towards each of the other two axes."""
-        return by_letters((self.coefficient,), [AXES[i] + AXES[p] for i, p in self._pairs()])
+    def letters(self) -> tuple[str, ...]:
+        """Return both letters for each gyro and each of the other two axes, the gyro's letter first."""
+        return tuple(AXES[i] + AXES[p] for i, p in self._pairs())
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Return the change of the gyro readings by the misalignments, (n, 3) in °/s."""
@@ -317,7 +299,7 @@ class GyroWarmUp(WarmUp):
     not_corrected = "follows the clock of the session; the zero rate applies to the warm part"
     covariates = ("time",)
     parts = GYRO
-    amplitude = Parameter("gyro_warm_up", "dps", -10.0, 10.0, 0.2)
+    coefficients = (Parameter("gyro_warm_up", "dps", -10.0, 10.0, 0.2),)
 
 
 class GyroSupply(SupplyBias):

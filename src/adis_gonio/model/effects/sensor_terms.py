@@ -103,7 +103,7 @@ class Misalignment(CrossEffect):
     remedy = "repeat the session in another plane"
     correctable = True
     in_base = True
-    coefficient = Parameter("misalignment", "deg", -5.0, 5.0, 0.25)
+    coefficients = (Parameter("misalignment", "deg", -5.0, 5.0, 0.25),)
 
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
         """Return the ideal reading (n,) of the other axis, times π/180, for a coefficient in degrees."""
@@ -129,7 +129,7 @@ class CrossAxis(CrossEffect):
     remedy = ONE_TURN
     correctable = True
     shown_over = "angle"
-    coefficient = Parameter("kip", "mg/g²", -100.0, 100.0, 1.0)
+    coefficients = (Parameter("kip", "mg/g²", -100.0, 100.0, 1.0),)
 
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
         """Return the product (n,) of the ideal readings of the affected and the other axis, in g²."""
@@ -220,7 +220,7 @@ class CrossQuadratic(CrossEffect):
     remedy_in_space = _OBLIQUE
     correctable = True
     shown_over = "angle"
-    coefficient = Parameter("kpp", "mg/g²", -100.0, 100.0, 1.0)
+    coefficients = (Parameter("kpp", "mg/g²", -100.0, 100.0, 1.0),)
 
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
         """Return the square (n,) of the ideal reading of the other axis, in g²."""
@@ -293,12 +293,8 @@ class BiasTemperature(LinearAxisEffect):
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Return the powers 1 to `degree` of the temperature above 25 °C, each (n,)."""
-        above = self.die_c(axis, conditions) - REFERENCE_C
+        above = conditions.die_c(axis) - REFERENCE_C
         return tuple(above**power for power in range(1, self.degree + 1))
-
-    def die_c(self, axis: int, conditions: Conditions) -> Floats:
-        """Return the die temperature (n,) in °C that shifts the bias of an axis."""
-        return conditions.covariate("temperature_c")
 
 
 class ScaleTemperature(LinearAxisEffect):
@@ -341,7 +337,7 @@ class MisalignmentTemperature(CrossEffect):
     correctable = True
     needs = ("temperature_c",)
     one_axis = True
-    coefficient = Parameter("misalignment_tempco", "deg/°C", -0.1, 0.1, 0.002)
+    coefficients = (Parameter("misalignment_tempco", "deg/°C", -0.1, 0.1, 0.002),)
 
     def basis(self, own_mg: Floats, across_mg: Floats, conditions: Conditions) -> Floats:
         """Return the ideal reading of the other axis times (T − 25 °C), (n,), for a coefficient in °/°C."""
@@ -367,8 +363,8 @@ class ThermalLag(CourseEffect):
     not_corrected = MEMORY
     shown_over = "temperature_lag"
     needs = ("temperature_c", "temperature_history")
-    amplitude = Parameter("lag", "mg/°C", -50.0, 50.0, 0.5)
-    shape = Parameter("tau", "s", 1.0, 36000.0, 300.0, shape=True)
+    coefficients = (Parameter("lag", "mg/°C", -50.0, 50.0, 0.5),)
+    common = (Parameter("tau", "s", 1.0, 36000.0, 300.0, shape=True),)
 
     def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
         """Return the lagged minus the present temperature (n,) in °C, and its derivative by τ in °C/s."""
@@ -474,8 +470,8 @@ class WarmUp(CourseEffect):
     remedy = "switch the sensor off, let it cool, and repeat a few positions after switching on"
     not_corrected = "follows the clock of the session; the bias applies to the warm part"
     covariates = ("time",)
-    amplitude = Parameter("warm_up", "mg", -200.0, 200.0, 2.0)
-    shape = Parameter("tau", "s", 1.0, 36000.0, 300.0, shape=True)
+    coefficients = (Parameter("warm_up", "mg", -200.0, 200.0, 2.0),)
+    common = (Parameter("tau", "s", 1.0, 36000.0, 300.0, shape=True),)
 
     def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
         """Return the decay exp(−t/τ) since the session's start, (n,), and its derivative by τ."""
@@ -501,11 +497,7 @@ class Gravity(Effect):
     not_corrected = "belongs to the place: state its gravity; no angle depends on it"
     in_base = True
     by_axis = False
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters: one, the relative error of the declared gravity."""
-        return (Parameter("gravity", "1", -0.01, 0.01, 0.001),)
+    parameters = (Parameter("gravity", "1", -0.01, 0.01, 0.001),)
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Return the change of the readings by the error of gravity, (n, axes) in mg."""

@@ -31,7 +31,6 @@ from adis_gonio.model.effects.base import (
     LinearAxisEffect,
     Parameter,
     StageEffect,
-    by_letters,
     decay,
 )
 from adis_gonio.model.records import MG_PER_G
@@ -66,7 +65,21 @@ def of_one_phase(cycles: NDArray[np.int_], angle_rad: Floats) -> NDArray[np.bool
     return np.asarray(length > 1 - _SAME_PHASE)
 
 
-class StageEccentricity(StageEffect):
+@dataclass(frozen=True)
+class StageHarmonic(StageEffect):
+    """Base class of angle errors of the stage with a whole number of cycles per turn."""
+
+    cycles: ClassVar[int]
+
+    def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
+        """Return the sine and cosine, each (n,), of `cycles` times the declared angle."""
+        turned = self.cycles * conditions.covariate("angle_rad")
+        # At 2·cycles equally spaced angles one of the two contains only rounding errors.
+        waves = (np.sin(turned), np.cos(turned))
+        return tuple(np.where(np.abs(wave) > _ROUNDING, wave, 0.0) for wave in waves)
+
+
+class StageEccentricity(StageHarmonic):
     """The divided circle is off-centre: an angle error with one cycle a turn.
 
     Its amplitude in rad is eccentricity divided by radius of the circle.
@@ -82,18 +95,14 @@ class StageEccentricity(StageEffect):
     remedy = ONE_TURN
     not_corrected = _STAGE
     needs = ("angle_rad",)
-    coefficients = (
+    cycles = 1
+    parameters = (
         Parameter("ecc_sin", "deg", -2.0, 2.0, 0.01),
         Parameter("ecc_cos", "deg", -2.0, 2.0, 0.01),
     )
 
-    def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
-        """Return the sine and cosine, each (n,), of the declared angle."""
-        angle = conditions.covariate("angle_rad")
-        return np.sin(angle), np.cos(angle)
 
-
-class StageEllipticity(StageEffect):
+class StageEllipticity(StageHarmonic):
     """The divided circle is oval: an angle error of the stage with two cycles a turn.
 
     Formula: ψ += ell_sin · sin 2θ + ell_cos · cos 2θ
@@ -107,19 +116,15 @@ class StageEllipticity(StageEffect):
     remedy = "remount the part turned by 90° and repeat some angles"
     not_corrected = _STAGE
     needs = ("angle_rad",)
-    coefficients = (
+    cycles = 2
+    parameters = (
         Parameter("ell_sin", "deg", -2.0, 2.0, 0.01),
         Parameter("ell_cos", "deg", -2.0, 2.0, 0.01),
     )
 
-    def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
-        """Return the sine and cosine, each (n,), of twice the declared angle."""
-        angle = conditions.covariate("angle_rad")
-        return np.sin(2 * angle), np.cos(2 * angle)
-
 
 @dataclass(frozen=True)
-class StagePeriodic(StageEffect):
+class StagePeriodic(StageHarmonic):
     """The stage has an angle error with any whole number of cycles a turn, three or more.
 
     Formula: ψ += per_sin · sin cycles·θ + per_cos · cos cycles·θ
@@ -139,14 +144,14 @@ class StagePeriodic(StageEffect):
     of these.
     """
 
-    cycles: int = 3
+    cycles: int = 3  # type: ignore[misc]  # a choice of this effect alone
 
     name = "stage_periodic"
     cause = "A worm, a gear or the division of the stage repeats its error a whole number of times a turn."
     remedy = BETWEEN
     not_corrected = _STAGE
     needs = ("angle_rad",)
-    coefficients = (
+    parameters = (
         Parameter("per_sin", "deg", -2.0, 2.0, 0.01),
         Parameter("per_cos", "deg", -2.0, 2.0, 0.01),
     )
@@ -158,13 +163,6 @@ class StagePeriodic(StageEffect):
                 f"{self.name}: cycles is {self.cycles}, it can be {LEAST_CYCLES} or more; one cycle a turn "
                 "is stage_eccentricity, two are stage_ellipticity"
             )
-
-    def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
-        """Return the sine and cosine, each (n,), of `cycles` times the declared angle."""
-        turned = self.cycles * conditions.covariate("angle_rad")
-        # At 2·cycles equally spaced angles one of the two contains only rounding errors.
-        waves = (np.sin(turned), np.cos(turned))
-        return tuple(np.where(np.abs(wave) > _ROUNDING, wave, 0.0) for wave in waves)
 
 
 class Backlash(StageEffect):
@@ -184,7 +182,7 @@ class Backlash(StageEffect):
     remedy = "approach several positions from both sides"
     not_corrected = _STAGE
     needs = ("approach",)
-    coefficients = (Parameter("backlash", "deg", -5.0, 5.0, 0.02),)
+    parameters = (Parameter("backlash", "deg", -5.0, 5.0, 0.02),)
 
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
         """Return the direction of approach divided by 2, (n,): +½ from below, −½ from above, or 0."""
@@ -213,7 +211,7 @@ class PositionSlip(StageEffect):
     remedy = "repeat the position"
     not_corrected = OF_DWELL
     needs = ("order",)
-    coefficients = (Parameter("slip", "deg", -190.0, 190.0, 0.1),)
+    parameters = (Parameter("slip", "deg", -190.0, 190.0, 0.1),)
 
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
         """Return the indicator (n,): 1 for rows of the slipped dwell, 0 for all other rows."""
@@ -266,8 +264,8 @@ class Creep(CourseEffect):
     not_corrected = MEMORY
     needs = ("load_history",)
     covariates = ("previous_angle",)
-    amplitude = Parameter("creep", "mg/g", -100.0, 100.0, 1.0)
-    shape = Parameter("tau", "s", 1.0, 36000.0, 120.0, shape=True)
+    coefficients = (Parameter("creep", "mg/g", -100.0, 100.0, 1.0),)
+    common = (Parameter("tau", "s", 1.0, 36000.0, 120.0, shape=True),)
 
     def courses(self, shape: float, ideal: Floats, conditions: Conditions) -> list[tuple[Floats, Floats]]:
         """Return for each axis the lagged minus the present load in g, (n,), and its derivative by `shape`.
@@ -305,11 +303,8 @@ class AxisTilt(Effect):
     remedy = "level the stage's axis with a spirit level"
     not_corrected = _STAGE
     by_axis = False
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters: one, the tilt ε of the axis of rotation, positive if it raises the reading of z."""
-        return (Parameter("tilt", "deg", -45.0, 45.0, 0.5),)
+    parameters = (Parameter("tilt", "deg", -45.0, 45.0, 0.5),)
+    """The tilt ε of the axis of rotation, positive if it raises the reading of z."""
 
     @staticmethod
     def _parts(ideal: Floats) -> tuple[Floats, Floats, Floats]:
@@ -379,14 +374,9 @@ class Saturation(SampleEffect):
     name = "saturation"
     covariates = ("reading",)
     cause = "The output stops at the end of the range."
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters: one, the limit in mg at which samples are clipped.
-
-        The typical value is 1.7 g, the range of the ADIS16354; its 14-bit numbers end at 3.83 g.
-        """
-        return (Parameter("limit", "mg", 1.0, 20000.0, 1700.0, shape=True),)
+    common = (Parameter("limit", "mg", 1.0, 20000.0, 1700.0, shape=True),)
+    """The limit at which samples are clipped. The typical value is 1.7 g, the range of the ADIS16354; its
+    14-bit numbers end at 3.83 g."""
 
     def change(
         self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
@@ -407,11 +397,8 @@ class Quantization(SampleEffect):
     name = "quantization"
     covariates = ("reading",)
     cause = "The converter gives whole steps; if noise is below a step the mean follows a staircase."
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters: one, the size of the converter's LSB in mg; 0 leaves the samples unrounded."""
-        return (Parameter("lsb", "mg", 0.0, 100.0, 0.4672),)
+    common = (Parameter("lsb", "mg", 0.0, 100.0, 0.4672),)
+    """The size of the converter's LSB; 0 leaves the samples unrounded."""
 
     def change(
         self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
@@ -433,15 +420,12 @@ class Tone(SampleEffect):
     name = "tone"
     covariates = ("reading",)
     cause = "A machine or the mains shakes the table: a spectral line within the dwells."
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters: amplitude on each axis, frequency, and phase at time 0 of the session."""
-        return (
-            *by_letters((Parameter("tone", "mg", -2000.0, 2000.0, 5.0),), self.axes),
-            Parameter("frequency", "Hz", 1e-3, 2000.0, 50.0, shape=True),
-            Parameter("phase", "deg", -360.0, 360.0, 0.0, shape=True),
-        )
+    coefficients = (Parameter("tone", "mg", -2000.0, 2000.0, 5.0),)
+    common = (
+        Parameter("frequency", "Hz", 1e-3, 2000.0, 50.0, shape=True),
+        Parameter("phase", "deg", -360.0, 360.0, 0.0, shape=True),
+    )
+    """Frequency, and phase at time 0 of the session."""
 
     def change(
         self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
@@ -466,14 +450,10 @@ class NoiseChange(SampleEffect):
     covariates = ("reading",)
     cause = "From a moment on the samples scatter more: a loose contact, a machine, a supply."
     not_corrected = OF_DWELL
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters: standard deviation of the added noise on each axis, and its start in the session."""
-        return (
-            *by_letters((Parameter("extra", "mg", 0.0, 1000.0, 5.0),), self.axes),
-            Parameter("start", "s", 0.0, 1e6, 60.0, shape=True),
-        )
+    coefficients = (Parameter("extra", "mg", 0.0, 1000.0, 5.0),)
+    """Standard deviation of the added noise."""
+    common = (Parameter("start", "s", 0.0, 1e6, 60.0, shape=True),)
+    """Time in the session at which the noise begins."""
 
     def change(
         self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
@@ -503,8 +483,8 @@ class Settling(CourseEffect):
     remedy = "wait longer before some of the dwells"
     needs = ("time_in_dwell_s",)
     within_dwell = True
-    amplitude = Parameter("settling", "mg", -1000.0, 1000.0, 2.0)
-    shape = Parameter("tau", "s", 1e-3, 3600.0, 1.0, shape=True)
+    coefficients = (Parameter("settling", "mg", -1000.0, 1000.0, 2.0),)
+    common = (Parameter("tau", "s", 1e-3, 3600.0, 1.0, shape=True),)
 
     def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
         """Return the decay exp(−t/τ) since the end of the move, (n,), and its derivative by τ."""
