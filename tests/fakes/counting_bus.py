@@ -2,6 +2,7 @@
 
 from adis_gonio.device.bus import Words
 from adis_gonio.sim.bus import SimBus
+from adis_gonio.sim.world import World
 
 DATA_READY = 0xB400
 """Write frame to the low byte of MSC_CTRL, which a stream sets and sets back."""
@@ -10,8 +11,8 @@ DATA_READY = 0xB400
 class CountingBus(SimBus):
     """`writes` holds every write frame in order."""
 
-    def __init__(self, **options) -> None:
-        super().__init__(**options)
+    def __init__(self, world: World, **options) -> None:
+        super().__init__(world, **options)
         self.writes: list[int] = []
 
     def _exchange(self, frames: Words) -> Words:

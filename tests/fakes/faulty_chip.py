@@ -213,15 +213,7 @@ FAULTS: dict[str, Callable[[FaultyChip, float], None]] = {
 
 
 class FaultyStage(SimStage):
-    """A stage whose moves start the fault's clock."""
-
-    def move_to(self, angle_deg, approach=0):
-        self._bus.note_move()
-        return super().move_to(angle_deg, approach)
-
-    def orient(self, vector):
-        self._bus.note_move()
-        return super().orient(vector)
+    """A stage whose moves start the fault's clock; `move_to` and `orient` begin like the other moves."""
 
     def turn_about(self, angle_deg, axis=None):
         self._bus.note_move()

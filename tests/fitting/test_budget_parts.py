@@ -159,7 +159,8 @@ def test_variances_and_estimates_follow_the_gradients() -> None:
 def test_an_angle_between_axes_that_the_stage_alone_knows_is_remarked_on(
     u_rad: float, sigma_rad: float, told: bool
 ) -> None:
-    found = [Estimate("alpha", 0.0, 9.0, "deg"), Estimate("delta_phi", 0.0, math.degrees(u_rad), "deg")]
+    names = {"alpha": 9.0, "delta_phi": math.degrees(u_rad)}
+    found = [Estimate(0.0, u_deg, "deg", name=name) for name, u_deg in names.items()]
     lines = stage_warnings(found, sigma_rad)
     assert len(lines) == told
     if told:
@@ -170,9 +171,9 @@ def test_an_angle_between_axes_that_the_stage_alone_knows_is_remarked_on(
 
 def test_a_result_without_a_session_tells_what_it_has() -> None:
     found = (
-        Estimate("scale_x", 1.5, 0.1, "1"),
-        Estimate("bias_x", 3.0, None, "mg"),
-        Estimate("b", 1.0, 0.2, "1"),
+        Estimate(1.5, 0.1, "1", name="scale_x"),
+        Estimate(3.0, None, "mg", name="bias_x"),
+        Estimate(1.0, 0.2, "1", name="b"),
     )
     plain = FitResult(
         "ml", found, np.diag([1.0, 2.0, 3.0]), 5.0, 2, np.array([[3.0, 4.0], [0.0, 0.0]]), (1, 2),

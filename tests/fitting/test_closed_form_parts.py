@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -15,7 +13,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import FitError, SingularError
 from adis_gonio.fitting import methods as module
 from adis_gonio.fitting.estimation.fit import Fit
-from adis_gonio.fitting.estimation.readings import Readings, Unit, from_means
+from adis_gonio.fitting.estimation.readings import Readings, Unit, from_means, in_mg
 from adis_gonio.fitting.fit_result import Origin
 from adis_gonio.fitting.methods import (
     METHOD_TABLE,
@@ -267,11 +265,13 @@ def test_what_a_bias_does_to_two_positions_is_its_slope() -> None:
 def applicable(
     *angles: float, planar: bool = True, free: bool = False, known_zero: bool = True
 ) -> tuple[str, ...]:
-    readings: Any = SimpleNamespace(
-        angle_rad=np.radians(angles),
-        planar=planar,
+    n, axes = len(angles), 2 if planar else 3
+    readings = from_means(
+        np.ones((n, axes)),
+        np.tile(np.eye(axes), (n, 1, 1)),
+        Conditions(time_s=np.arange(float(n)), angle_rad=np.radians(angles)),
         fixture_rad=math.inf if free else 0.0,
-        unit=SimpleNamespace(known=known_zero),
+        unit=replace(in_mg(axes), name="mg" if known_zero else "counts"),
     )
     return applicable_to(readings)
 

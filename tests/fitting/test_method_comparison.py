@@ -22,7 +22,7 @@ from adis_gonio.fitting.method_comparison import (
 def result(method: str, u: float | None = 1.0, *, bias: bool = True, other: float = 1.0) -> FitResult:
     names = ["delta_k", "delta_phi"] + ["bias_x"] * bias
     us = [u, 1.0, other][: len(names)]
-    found = tuple(Estimate(name, 0.0, one, "1") for name, one in zip(names, us, strict=True))
+    found = tuple(Estimate(0.0, one, "1", name=name) for name, one in zip(names, us, strict=True))
     return FitResult(method, found, None, 0.0, 0, np.zeros((1, 2)), (0,))
 
 

@@ -1,9 +1,11 @@
-"""The C header does what its reference does on every machine, and that is what the calibration says."""
+"""The C header gives equal bits on every machine, and the numbers of the calibration within its bounds."""
 
 from __future__ import annotations
 
+import re
 import subprocess
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,10 +13,10 @@ import pytest
 from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.calibrate import Calibration
 from adis_gonio.handover.c_header import FIXED_UDEG, c_header
-from adis_gonio.handover.fixed_point import FLOAT_DEG, ONE, PARTS, FixedPoint, atan2_udeg, polynomial_of
+from adis_gonio.handover.fixed_point import CORDIC_UDEG, FLOAT_DEG, ONE, PARTS, polynomial_of
 from handover.calibrations import CURVED, EVERY, PLANE, SPACE, calibration, of_counts
 from handover.machines import MACHINES, STRICT
-from handover.sweep import Scans, parsed, scans
+from handover.sweep import Printed, Scans, parsed, scans
 
 KINDS = {
     "plain": lambda: calibration(PLANE),
@@ -67,57 +69,72 @@ def off(shown_deg, angle_deg):
     return (shown_deg - angle_deg + 180) % 360 - 180
 
 
+def shown_on(machine: str, folder: Path, kind: str, n: int, *, words: bool) -> Printed:
+    """What the compiled header prints for n scans; `words` draws every second one as register words."""
+    own = KINDS[kind]()
+    folder.mkdir(exist_ok=True)
+    (folder / "own.h").write_text(c_header(own))
+    angle = "_angle_##u" if own.planar else "_angle_xy_##u"
+    options = [
+        '-DHEADER="own.h"', "-DPREFIX=adis_gonio", f"-DSCANS={n}", f"-DSPAN={span_of(kind)}UL",
+        f"-DAXES={own.axes}", f"-DANGLE(u)={angle}", *(["-DWORDS"] if words else []),
+    ]  # fmt: skip
+    return parsed(machine_named(machine).run(folder, *options), own.axes)
+
+
 @pytest.mark.parametrize("machine", [one.name for one in MACHINES])
 @pytest.mark.parametrize(
     ("kind", "n"),
     [("curved", SCANS), *((kind, OTHERS) for kind in KINDS if kind != "curved")],
 )
-def test_fixed_point_is_bit_equal_and_float_within_its_bound_on_every_machine(tmp_path, machine, kind, n):
+def test_every_machine_gives_the_bits_of_the_host_and_float_within_its_bound(tmp_path, machine, kind, n):
     own = KINDS[kind]()
-    polynomial = polynomial_of(own)
-    (tmp_path / "own.h").write_text(c_header(own))
-    angle = "_angle_##u" if own.planar else "_angle_xy_##u"
-    options = [
-        '-DHEADER="own.h"', "-DPREFIX=adis_gonio", f"-DSCANS={n}", f"-DSPAN={span_of(kind)}UL",
-        f"-DAXES={own.axes}", f"-DANGLE(u)={angle}", *(["-DWORDS"] if polynomial.words else []),
-    ]  # fmt: skip
-    got = parsed(machine_named(machine).run(tmp_path, *options), own.axes)
-    drawn = scans(n, span_of(kind), words=polynomial.words)
-    given = (drawn.numbers, drawn.temperature, drawn.supply)
-    fixed = FixedPoint.of(polynomial)
+    words = polynomial_of(own).words
+    got, host = (
+        shown_on(name, tmp_path / str(k), kind, n, words=words) for k, name in enumerate((machine, "host"))
+    )
     assert got.self_check == 0
     assert len(got.udeg) == n
-    assert np.array_equal(got.fixed, fixed.correct(*given))
-    assert np.array_equal(got.udeg, fixed.angle_udeg(*given))
-    every = slice(None, None, 2 if polynomial.words else 1)  # words may be beyond the header's range
+    assert np.array_equal(got.fixed, host.fixed)
+    assert np.array_equal(got.udeg, host.udeg)
+    every = slice(None, None, 2 if words else 1)  # words may be beyond the header's range
+    drawn = scans(n, span_of(kind), words=words)
+    given = (drawn.numbers, drawn.temperature, drawn.supply)
     gravity, angle, rows = shown_by(own, Scans(*(one[every] for one in given)))
     assert np.abs(off(got.deg[every][rows].astype(float), angle[rows])).max() < FLOAT_DEG
     assert np.abs(got.single[every][rows] - gravity[rows]).max() < 2e-6
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_fixed_point_gives_the_calibration_s_angle_within_the_bound_of_the_header(kind):
+def test_the_fixed_point_gives_the_calibration_s_angle_within_the_bound_of_the_header(tmp_path, kind):
     own = KINDS[kind]()
-    drawn = scans(SCANS, span_of(kind), words=False)
-    gravity, angle, rows = shown_by(own, drawn)
+    gravity, angle, rows = shown_by(own, scans(SCANS, span_of(kind), words=False))
     assert rows.sum() > 1000
-    given = (drawn.numbers[rows], drawn.temperature[rows], drawn.supply[rows])
-    fixed = FixedPoint.of(polynomial_of(own))
-    assert np.abs(off(fixed.angle_udeg(*given) * 1e-6, angle[rows])).max() * 1e6 < FIXED_UDEG
+    got = shown_on("host", tmp_path, kind, SCANS, words=False)
+    assert np.abs(off(got.udeg[rows] * 1e-6, angle[rows])).max() * 1e6 < FIXED_UDEG
     at_half_g = 0.5 * np.radians(FIXED_UDEG * 1e-6)
-    assert np.abs(fixed.correct(*given) / ONE - gravity[rows]).max() < at_half_g
+    assert np.abs(got.fixed[rows] / ONE - gravity[rows]).max() < at_half_g
 
 
-def test_the_angle_of_whole_numbers_is_right_in_every_octant_and_at_every_size():
+def test_the_angle_of_whole_numbers_is_right_in_every_octant_and_at_every_size(tmp_path):
     rng = np.random.default_rng(1)
     size = 2.0 ** rng.uniform(0, 30.9, 20_000)
     psi = rng.uniform(-np.pi, np.pi, 20_000)
-    x, y = np.rint(size * np.cos(psi)).astype(np.int64), np.rint(size * np.sin(psi)).astype(np.int64)
-    off = atan2_udeg(y, x) - np.degrees(np.arctan2(y, x)) * 1e6
-    assert np.abs((off + 180e6) % 360e6 - 180e6).max() < 7
+    points = np.rint(size * [np.sin(psi), np.cos(psi)]).astype(np.int64).T
     exact = {(0, 5): 0, (5, 0): 90, (0, -5): 180, (-5, 0): -90, (0, 0): 0, (7, 7): 45, (-7, -7): -135}
-    for (y1, x1), degrees in exact.items():
-        assert abs(int(atan2_udeg(np.array([y1]), np.array([x1]))[0]) - degrees * 10**6) <= 7
+    (tmp_path / "own.h").write_text(c_header(calibration(PLANE)))
+    listed = ",\n".join(f"{{ {y}, {x} }}" for y, x in [*exact, *points.tolist()])
+    source = tmp_path / "angles.c"
+    source.write_text(
+        f'#include "own.h"\n#include <stdio.h>\nstatic const int32_t points[][2] = {{ {listed} }};\n'
+        "int main(void) { unsigned k; for (k = 0; k < sizeof points / sizeof *points; k++)"
+        ' printf("%ld\\n", (long)adis_gonio_atan2_udeg_(points[k][0], points[k][1])); return 0; }\n'
+    )
+    udeg = np.array(machine_named("host").run(tmp_path, source=source).split(), dtype=np.int64)
+    few, many = udeg[: len(exact)], udeg[len(exact) :]
+    error = many - np.degrees(np.arctan2(*points.T)) * 1e6
+    assert np.abs((error + 180e6) % 360e6 - 180e6).max() < CORDIC_UDEG
+    assert np.abs(few - 1e6 * np.array(list(exact.values()))).max() <= CORDIC_UDEG
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -145,11 +162,11 @@ def test_two_headers_stand_in_one_program_and_two_of_one_name_are_refused(tmp_pa
 def test_the_self_check_notices_a_changed_number(tmp_path):
     machine = machine_named("host")
     text = c_header(calibration(PLANE, CURVED))
-    bias = FixedPoint.of(polynomial_of(calibration(PLANE, CURVED))).bias[0]
+    (bias,) = map(int, re.findall(r"const int32_t raw_x = .* - (\d+)L, ", text))
     source = tmp_path / "check.c"
     source.write_text('#include "own.h"\nint main(void) { return adis_gonio_self_check() == 1 ? 0 : 1; }\n')
     assert f"- {bias}L" in text
-    (tmp_path / "own.h").write_text(text.replace(f"- {bias}L", f"- {bias + 100}L"))
+    (tmp_path / "own.h").write_text(text.replace(f"- {bias}L", f"- {bias + 1000}L"))
     machine.run(tmp_path, source=source)
 
 

@@ -23,7 +23,6 @@ from adis_gonio.handover.fixed_point import (
     FLOAT_DPS,
     PARTS,
     STEP_DPS,
-    FixedPoint,
     rate_polynomial_of,
 )
 from adis_gonio.handover.register_offsets import gyro_offset_words, registers_text
@@ -89,43 +88,51 @@ def exact_rates(own, turn, scan, warm, volts):
     return exact, rows
 
 
-@pytest.mark.parametrize(("kind", "name", "n"), RUNS)
-def test_the_compiled_rates_are_bit_equal_to_their_reference_on_every_machine(tmp_path, kind, name, n):
+def shown_on(name: str, folder: Path, kind: str, n: int, span: int, *, words: bool) -> np.ndarray:
+    """Rates (n, 6) of n turns by the compiled header: fixed point (int32), and the bits of float."""
     machine = next(one for one in MACHINES if one.name == name)
     if reason := machine.missing():
         pytest.skip(reason)
-    own = KINDS[kind]()
-    polynomial = rate_polynomial_of(own, own.gyro)
-    words = polynomial.words
-    span = SPAN.get(kind, 256 * 5400)
-    (tmp_path / "own.h").write_text(c_header(own), encoding="ascii")
+    folder.mkdir(exist_ok=True)
+    (folder / "own.h").write_text(c_header(KINDS[kind]()), encoding="ascii")
     options = [
         '-DHEADER="own.h"', "-DPREFIX=adis_gonio", f"-DSCANS={n}", f"-DSPAN={span}UL", f"-DTURNS={TURNS}UL",
         *(["-DWORDS"] if words else []),
         *(["-Os"] if name == "avr" else []),  # by speed two copies of the gyros fill its 32 kB
     ]  # fmt: skip
-    printed = machine.run(tmp_path, *options, source=HERE / "sweep_rates.c").splitlines()
+    printed = machine.run(folder, *options, source=HERE / "sweep_rates.c").splitlines()
     lines = [line.removeprefix("O:").strip() for line in printed]
     lines = [line for line in lines if re.fullmatch("([0-9a-f]{8} ?)+", line)]  # simavr talks between them
     assert int(lines[0], 16) == 0, "the header's own check"
     table = np.array([[int(word, 16) for word in line.split()] for line in lines[1:]], dtype=np.uint32)
     assert table.shape == (n, 6)
+    return table
+
+
+@pytest.mark.parametrize(("kind", "name", "n"), RUNS)
+def test_every_machine_gives_the_rates_of_the_host_bit_by_bit_and_float_within_its_bound(
+    tmp_path, kind, name, n
+):
+    own = KINDS[kind]()
+    words, span = rate_polynomial_of(own, own.gyro).words, SPAN.get(kind, 256 * 5400)
+    table, host = (
+        shown_on(one, tmp_path / str(k), kind, n, span, words=words) for k, one in enumerate((name, "host"))
+    )
+    assert np.array_equal(table[:, :3], host[:, :3])
     given = drawn(n, span, words=words)
-    assert np.array_equal(table[:, :3].astype(np.int32), FixedPoint.of(polynomial).rates_udps(*given))
     every = np.arange(n) % 3 > 0 if words else np.full(n, True)  # words may be beyond the header's range
     exact, rows = exact_rates(own, *(one[every] for one in given))
     assert np.abs(table[every, 3:].copy().view(np.float32)[rows] - exact).max() < FLOAT_DPS
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_fixed_point_gives_the_calibration_s_rates_within_the_bound_of_the_header(kind):
-    own = KINDS[kind]()
-    given = drawn(4000, SPAN.get(kind, 256 * 4000), words=False)
-    exact, rows = exact_rates(own, *given)
+def test_the_fixed_point_gives_the_calibration_s_rates_within_the_bound_of_the_header(tmp_path, kind):
+    span = SPAN.get(kind, 256 * 4000)
+    exact, rows = exact_rates(KINDS[kind](), *drawn(4000, span, words=False))
     assert rows.sum() > 1000
     assert np.abs(exact).max() > 250
-    fixed = FixedPoint.of(rate_polynomial_of(own, own.gyro)).rates_udps(*(one[rows] for one in given))
-    assert np.abs(fixed - 1e6 * exact).max() < FIXED_UDPS
+    table = shown_on("host", tmp_path, kind, 4000, span, words=False)
+    assert np.abs(table[rows, :3].astype(np.int32) - 1e6 * exact).max() < FIXED_UDPS
 
 
 def test_the_self_check_notices_a_changed_zero_rate(tmp_path):
@@ -133,10 +140,10 @@ def test_the_self_check_notices_a_changed_zero_rate(tmp_path):
     if reason := machine.missing():
         pytest.skip(reason)
     own = KINDS["plane"]()
-    bias = FixedPoint.of(rate_polynomial_of(own, own.gyro)).bias[0]
     text = c_header(own)
+    bias = int(re.findall(r"const int32_t raw_x = .* - (\d+)L, ", text)[-1])
     assert f" - {bias}L, " in text
-    (tmp_path / "own.h").write_text(text.replace(f" - {bias}L, ", f" - {bias + 100}L, "))
+    (tmp_path / "own.h").write_text(text.replace(f" - {bias}L, ", f" - {bias + 1000}L, "))
     source = tmp_path / "check.c"
     source.write_text(
         '#include "own.h"\nint main(void) { return adis_gonio_self_check() == 201 ? 0 : 1; }\n'

@@ -7,7 +7,7 @@ import pytest
 
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.device.sensor.registers import BY_NAME
-from adis_gonio.sim import SimBus, WorldSettings
+from adis_gonio.sim import SimBus, World, WorldSettings
 
 
 def open_quiet() -> SimBus:
@@ -19,7 +19,7 @@ def open_quiet() -> SimBus:
         "bias_instability_mg": 0.0,
     }
     quiet["gyro_instability_dps"] = 0.0
-    return SimBus(WorldSettings(**quiet, gyro_bias_x_dps=20.0), seed=1)
+    return SimBus(World(WorldSettings(**quiet, gyro_bias_x_dps=20.0), seed=1))
 
 
 def word(bus: SimBus, name: str) -> int:

@@ -8,7 +8,7 @@ import pytest
 from adis_gonio.base.errors import BusClosedError, BusTimeoutError, UsageError
 from adis_gonio.device.bus import Capability, SpiTiming, find_devices, open_bus
 from adis_gonio.device.bus.host import SAFE_TIMING
-from adis_gonio.sim import SimBus, WorldSettings
+from adis_gonio.sim import SimBus, World, WorldSettings
 from sim.chip_rig import signed
 
 FAST = SpiTiming(1e6, 9.0, 40.0)
@@ -17,7 +17,7 @@ READS = [a << 8 for a in (0x0A, 0x0C, 0x0E, 0x10)]
 
 @pytest.fixture
 def bus():
-    with SimBus(seed=2) as opened:
+    with SimBus(World(seed=2)) as opened:
         yield opened
 
 
@@ -67,7 +67,7 @@ def test_negative_sleep_is_refused(bus):
 
 
 def test_a_stream_equals_reading_the_registers_at_the_edges():
-    streamed, polled = on(SimBus(seed=4)), on(SimBus(seed=4))
+    streamed, polled = on(SimBus(World(seed=4))), on(SimBus(World(seed=4)))
     with streamed.stream(READS, block_scans=50) as stream:
         block = next(stream)
     for edge, words in zip(block.time_s, block.words, strict=True):
@@ -76,7 +76,7 @@ def test_a_stream_equals_reading_the_registers_at_the_edges():
 
 
 def test_streams_do_not_depend_on_the_size_of_blocks():
-    whole, parts = on(SimBus(seed=4)), on(SimBus(seed=4))
+    whole, parts = on(SimBus(World(seed=4))), on(SimBus(World(seed=4)))
     with whole.stream(READS, block_scans=300) as stream:
         expected = next(stream)
     with parts.stream(READS, block_scans=25) as stream:
@@ -116,7 +116,7 @@ def test_a_read_list_longer_than_the_period_loses_edges_and_says_how_many(bus):
 
 
 def test_a_stream_follows_smpl_prd():
-    bus = SimBus(seed=1)
+    bus = SimBus(World(seed=1))
     bus.exchange([0xB601 + 2, 0xB404])
     with bus.stream(READS, block_scans=10) as stream:
         block = next(stream)
@@ -186,7 +186,7 @@ def test_the_samples_of_a_move_come_out_of_a_stream(bus):
 
 def test_the_same_seed_gives_the_same_words_and_another_seed_others():
     def words(seed):
-        with on(SimBus(seed=seed)) as bus:
+        with on(SimBus(World(seed=seed))) as bus:
             bus.stage.move_to(45.0, approach=-1)
             return bus.exchange(READS * 50)
 
@@ -195,7 +195,7 @@ def test_the_same_seed_gives_the_same_words_and_another_seed_others():
 
 
 def test_a_closed_bus_moves_nothing():
-    bus = SimBus()
+    bus = SimBus(World())
     bus.close()
     for use in (
         lambda: bus.stage.move_to(1.0),
@@ -215,7 +215,7 @@ def test_closing_ends_a_stream(bus):
 
 
 def test_a_bus_in_real_time_follows_the_wall_clock():
-    with SimBus(realtime=True) as bus:
+    with SimBus(World(), realtime=True) as bus:
         wall, own = time.monotonic(), bus.now_s()
         bus.exchange([0] * 300)
         bus.sleep_s(0.05)
@@ -277,7 +277,7 @@ def test_the_simulator_is_listed_among_the_devices():
 
 
 def test_an_hour_of_eight_registers_runs_in_seconds():
-    bus = on(SimBus(seed=1))
+    bus = on(SimBus(World(seed=1)))
     before, start, scans = time.process_time(), bus.now_s(), 0
     with bus.stream([a << 8 for a in (4, 6, 8, 10, 12, 14, 16, 2)], block_scans=8192) as stream:
         while bus.now_s() - start < 240.0:

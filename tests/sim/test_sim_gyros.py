@@ -29,7 +29,7 @@ PERFECT = {
 
 
 def part(**given) -> Adis16354:
-    return Adis16354(SimBus(WorldSettings(**(PERFECT | given)), seed=1))
+    return Adis16354(SimBus(World(WorldSettings(**(PERFECT | given)), seed=1)))
 
 
 def three(name: str, values) -> dict[str, float]:
@@ -290,7 +290,9 @@ def test_a_precision_autonull_takes_everything_that_the_gyro_reads_for_its_zero_
 
 def test_a_precision_autonull_averages_the_noise_away_that_a_short_one_keeps():
     settings = WorldSettings(**(PERFECT | {"gyro_noise_dps": 2.0}))
-    nulls = [Adis16354(SimBus(settings, seed=seed)).precision_autonull().gyro_dps for seed in range(12)]
+    nulls = [
+        Adis16354(SimBus(World(settings, seed=seed))).precision_autonull().gyro_dps for seed in range(12)
+    ]
     assert np.std(nulls) == pytest.approx(2.0 / np.sqrt(30 * 819.2), rel=0.5)  # of an LSB of 0.018 °/s
 
 
@@ -311,7 +313,7 @@ def test_an_offset_register_holds_no_more_than_75_dps():
 @pytest.mark.parametrize(("average_s", "least"), [(0.0, 0.415), (0.2, 164**-0.5)])
 def test_how_long_an_autonull_averages_is_a_figure_of_the_chip(average_s, least):
     settings = WorldSettings(**(PERFECT | {"gyro_noise_dps": 2.0, "autonull_s": average_s}))
-    nulls = [Adis16354(SimBus(settings, seed=seed)).autonull().gyro_dps for seed in range(12)]
+    nulls = [Adis16354(SimBus(World(settings, seed=seed))).autonull().gyro_dps for seed in range(12)]
     assert np.std(nulls) == pytest.approx(2.0 * least, rel=0.3)
 
 
@@ -330,7 +332,7 @@ def test_how_long_an_autonull_averages_is_a_figure_of_the_chip(average_s, least)
 def test_effects_of_gyros_change_the_gyros_and_nothing_else(effect, face, conditions, expected):
     effects = [parse_effect(effect)]
     settings = WorldSettings(**(PERFECT | conditions))
-    plain, changed = (Adis16354(SimBus(settings, seed=1, effects=given)) for given in ((), effects))
+    plain, changed = (Adis16354(SimBus(World(settings, seed=1, effects=given))) for given in ((), effects))
     for sensor in (plain, changed):
         sensor.bus.stage.orient(face)
     (without, same, _), (found, accel, _) = rest(plain), rest(changed)
@@ -340,7 +342,7 @@ def test_effects_of_gyros_change_the_gyros_and_nothing_else(effect, face, condit
 
 def test_an_effect_of_the_gain_shows_in_turns():
     effects = [parse_effect("gyro_scale:gyro_scale_error_z=0.01", "z")]
-    sensor = Adis16354(SimBus(WorldSettings(**PERFECT), seed=1, effects=effects))
+    sensor = Adis16354(SimBus(World(WorldSettings(**PERFECT), seed=1, effects=effects)))
     sensor.bus.stage.orient((0.0, 0.0, -1.0))
     assert turned(sensor, 720.0)[2] == pytest.approx(720.0 * 1.01, abs=0.2)
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.sim import World, WorldSettings
-from adis_gonio.sim.noise import Flicker, White
+from adis_gonio.sim.noise import Flicker
 
 RATE = 819.2
 
@@ -46,7 +46,8 @@ def test_white_noise_has_its_rms_and_falls_by_the_root_of_time():
 
 
 def test_white_samples_do_not_know_each_other():
-    values = White(np.ones(2), np.random.default_rng(1)).next(100_000)
+    world = World(WorldSettings(noise_mg=4.7, bias_instability_mg=0.0, fixture_sigma_deg=0.0), seed=1)
+    values = world.sample(np.arange(1, 100_000) / RATE).accel_mg
     assert np.corrcoef(values.T)[0, 1] == pytest.approx(0, abs=0.012)
     assert np.corrcoef(values[1:, 0], values[:-1, 0])[0, 1] == pytest.approx(0, abs=0.012)
 

@@ -25,6 +25,7 @@ from adis_gonio.bench import dwell_recorder, runner
 from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.bench.writeback import offset_writer
 from adis_gonio.device.bus.contract import SpiBus
+from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.faces.cli import calibrate_command
 from adis_gonio.faces.serve import iio_device
 from adis_gonio.record import archive, archive_tables
@@ -256,7 +257,7 @@ def _update_rows(self: archive.Archive, kind: str, value: Any, bus_s: float) -> 
         self._record(kind, value, bus_s)
 
 
-def _values_unchecked(table: str, row: Any) -> dict[str, Any]:
+def _values_unchecked(table: str, row: Any, where: str) -> dict[str, Any]:
     """The checksum of a row is taken for the proof that its values are sound."""
     pairs = zip(archive_tables.TABLES[table], row, strict=True)
     return {column.name: json.loads(value) if column.json else value for column, value in pairs}
@@ -283,7 +284,7 @@ DEFECTS: dict[str, Defect] = {
     ),
     "mark left": Defect(
         "the mark of a killed session stays in the alarm level",
-        ChipSource, "_forget_old_mark", lambda self: None,
+        Adis16354, "forget_mark", lambda self: None,
         reached=lambda look: any(e.how != "exit" or e.status for e in look.play.outcome.ended),
     ),
     "loan kept": Defect(

@@ -28,6 +28,8 @@ PLANS = (
 )
 IN_SPACE = ("tumble", "poses")
 COMMANDS = ("fit", "angle", "export", "write", "write --save", "undo", "status", "serve")
+SHARES = (0.06, 0.08, 0.16, 0.24, 0.12, 0.1, 0.1, 0.14)
+"""Share of each command after a session."""
 CALIBRATE, AFRESH, NIGHT, POWER = "calibrate", "calibrate afresh", "night", "power"
 SELF_TEST, OFFSET = "self-test on", "offset by hand"
 HAND_LSB = 40
@@ -142,19 +144,21 @@ def draw(seed: int) -> Story:
         plan=names[which],
         positions=counts[which],
         drift_c_per_h=float(rng.choice([0.0, 0.0, 0.5, -2.0])),
-        only="" if rng.random() < 0.4 else "none",
+        only="" if rng.random() < 0.25 else "none",
     )
     steps: list[Step] = []
     if rng.random() < 0.16:
         command = str(rng.choice(["bringup", "serve"]))
         steps.append(_step(rng, command, *LENGTHS[command], share=0.6))
-    for number in range(int(rng.integers(1, 4))):
+    for number in range(int(rng.integers(1, 3))):
         command = AFRESH if number and rng.random() < 0.15 else CALIBRATE
         length_s, share = 4.0 + 3.0 * counts[which], 0.4 if number else 0.8
         steps.append(_step(rng, command, length_s, 30 * counts[which], share))
         steps += _between(rng, motor=motor)
-    for _ in range(int(rng.integers(0, 5))):
-        command = str(rng.choice(COMMANDS))
+    if rng.random() < 0.6:
+        steps.append(Step(CALIBRATE))
+    for _ in range(int(rng.integers(1, 5))):
+        command = str(rng.choice(COMMANDS, p=SHARES))
         steps.append(_step(rng, command, *LENGTHS[command], share=0.6))
         steps += _between(rng, motor=motor)
     return replace(story, steps=tuple(steps))

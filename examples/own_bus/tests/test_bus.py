@@ -71,7 +71,7 @@ class TestHexline(BusContract):
 
 
 def test_the_driver_reads_through_it():
-    bridge = Bridge(SimBus(seed=SEED))
+    bridge = Bridge(SimBus(World(seed=SEED)))
     with open_sensor(f"hexline:{bridge.place}") as sensor:
         assert sensor.read("SMPL_PRD") == 1
 

@@ -42,6 +42,25 @@ def mean_direction(angle_rad: Floats) -> float:
     return float(np.angle(np.exp(1j * angle_rad).sum()))
 
 
+def cumulative_integral(values: Floats, time_s: Floats) -> Floats:
+    """Return the integral (n, …) of `values` (n, …) over time, from the first sample to each sample.
+
+    It uses the trapezoidal rule at the times (n,) of the samples.
+    """
+    steps = np.diff(time_s).reshape(-1, *[1] * (values.ndim - 1))
+    means = (values[1:] + values[:-1]) / 2
+    return np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(means * steps, axis=0)])
+
+
+def block_means(values: Floats, starts: NDArray[np.intp]) -> Floats:
+    """Return the mean (b, …) of `values` (n, …) in each of b blocks of neighbouring rows.
+
+    `starts` (b,) is the first row of each block, increasing from 0.
+    """
+    counts = np.diff(np.append(starts, len(values)))
+    return np.asarray((np.add.reduceat(values, starts, axis=0).T / counts).T)
+
+
 def log_sum_exp(values: Floats, axis: int | tuple[int, ...] | None = None) -> Floats:
     """Return the logarithm of the sum of exponentials along `axis` (None: of all values), without overflow.
 

@@ -192,7 +192,7 @@ class RunningFit:
             return None
         self._fitted = count
         # The whole document would compare the methods, with one fit for each of them.
-        parameters = {estimate.name: estimate.stated.as_dict() for estimate in result.parameters}
+        parameters = {estimate.name: estimate.as_dict() for estimate in result.parameters}
         return Running(parameters, result.method, count)
 
     def _session(self, plan: Plan, *, reverse: bool) -> Session:

@@ -95,7 +95,7 @@ class Answer:
     @property
     def model_parameters(self) -> dict[str, Value]:
         """Parameters of the base model (without further effects), by name."""
-        return {e.name: e.stated for e in self.result.parameters}
+        return {e.name: e for e in self.result.parameters}
 
     @property
     def shows_another_method(self) -> bool:

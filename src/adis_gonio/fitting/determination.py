@@ -21,7 +21,7 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.model.effects import AXES
-from adis_gonio.model.measurement import SENSOR_SPREAD
+from adis_gonio.model.measurement import SENSOR_SPREAD, Measurement
 
 LIMIT = 0.1
 """Largest standard uncertainty with which a gain (1 is perfect) or a bias (as a share of local gravity)
@@ -69,7 +69,7 @@ class Determination:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all parameters: base parameters, then biases."""
-        return names_of(self.fit.data)
+        return names_of(self.fit.data.model)
 
     @property
     def dof(self) -> int:
@@ -98,9 +98,9 @@ class Determination:
         return fit.refit(_ITERATIONS, _CONVERGED, _directions(fit, self.free, self.null))
 
 
-def names_of(data: Readings) -> tuple[str, ...]:
+def names_of(model: Measurement) -> tuple[str, ...]:
     """Return the names of the base parameters, then of the biases."""
-    return (*data.model.names, *(f"bias_{axis}" for axis in AXES[: data.axes]))
+    return (*model.names, *(f"bias_{axis}" for axis in AXES[: model.axes]))
 
 
 def natural_units(data: Readings) -> Floats:
@@ -118,7 +118,7 @@ def limits(data: Readings) -> Floats:
     sensors on the market.
     """
     most = {"alpha": ANYWHERE_RAD, "delta_phi": SENSOR_SPREAD}
-    return np.array([most.get(name, LIMIT) for name in names_of(data)])
+    return np.array([most.get(name, LIMIT) for name in names_of(data.model)])
 
 
 def information(fit: Fit) -> Floats:
@@ -166,7 +166,7 @@ def determine(data: Readings, held: Sequence[int] = ()) -> Determination:
 
 
 def _may_hold(data: Readings) -> list[int]:
-    names = names_of(data)
+    names = names_of(data.model)
     if not data.planar:
         return [k for k, name in enumerate(names) if name.startswith("skew")]
     # A zero in counts has no nominal value to hold it at.

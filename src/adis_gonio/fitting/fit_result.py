@@ -37,34 +37,10 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """A parameter of a result: name, value, standard uncertainty, unit, degrees of freedom.
+class Estimate(Value):
+    """A parameter of a result: its value with uncertainty (JCGM 100:2008), unit and `name`."""
 
-    `u` is the standard uncertainty as in the GUM (JCGM 100:2008); None if the noise is unknown. `dof` are
-    its effective degrees of freedom; inf if unlimited. The expanded uncertainty for 95 % is `U` = `k`·`u`,
-    where k is the quantile of Student's distribution.
-    """
-
-    name: str
-    value: float
-    u: float | None
-    unit: str
-    dof: float = math.inf
-
-    @property
-    def stated(self) -> Value:
-        """Value with its uncertainty, unit and degrees of freedom, without the parameter's name."""
-        return Value(self.value, self.u, self.unit, self.dof)
-
-    @property
-    def k(self) -> float | None:
-        """Coverage factor for 95 % at `dof` degrees of freedom; None if `u` is None."""
-        return self.stated.k
-
-    @property
-    def U(self) -> float | None:  # noqa: N802 (GUM)
-        """Expanded uncertainty: value ± U covers 95 %; None if `u` is None."""
-        return self.stated.U
+    name: str = field(default="", kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -190,7 +166,7 @@ class FitResult(ParameterTable):
         lead = [one for one in self.parameters if one.name in ("delta_k", "delta_phi")] or self.parameters[
             :2
         ]
-        values = ", ".join(f"{one.name} {one.stated}" for one in lead)
+        values = ", ".join(f"{one.name} {one}" for one in lead)
         return f"FitResult({self.method}, {counted(len(self.positions), 'dwell')}, {values})"
 
     def calibration(self) -> Calibration:
@@ -365,7 +341,7 @@ class FitResult(ParameterTable):
         return json_object(
             method=self.method,
             recommended=None if comparison is None else comparison.recommended,
-            parameters={estimate.name: estimate.stated for estimate in self.parameters},
+            parameters={estimate.name: estimate for estimate in self.parameters},
             angle=self.angle,
             covariance={"names": names, "matrix": matrix},
             budget=self.budget,
@@ -405,7 +381,7 @@ def outputs_of(data: Readings, parameters: Floats) -> tuple[Output, ...]:
     Base parameters are in natural units, biases in mg. In the plane delta_k and delta_phi come first. For
     readings in counts, gains and biases are in counts.
     """
-    names = names_of(data)
+    names = names_of(data.model)
     eye = np.eye(len(names))
     at = {name: k for k, name in enumerate(names)}
     axes = AXES[: data.axes]
@@ -466,25 +442,71 @@ def estimates(outputs: Sequence[Output], sources: Sources | None) -> tuple[Estim
     found = []
     for output in outputs:
         u, dof = (None, math.inf) if sources is None else sources.uncertainty(output.gradient[None])
-        found.append(Estimate(output.name, output.value, u, output.unit, dof))
+        found.append(Estimate(output.value, u, output.unit, dof, name=output.name))
     return tuple(found)
 
 
 def angle_errors(fit: Fit) -> Floats | None:
     """Return the angle by the calibrated goniometer minus the declared angle, (m,) in rad.
 
-    None in space or without declared angles. The zero of the calibrated angle is α. If the attitudes were
-    fitted without declared angles, α is unknown, and the mean difference is subtracted instead.
+    None in space or without declared angles.
     """
-    data = fit.data
-    declared = np.isfinite(data.angle_rad)
-    if not isinstance(data.model, PlanarTurn) or not declared.any():
+    declared = np.isfinite(fit.data.angle_rad)
+    if not isinstance(fit.data.model, PlanarTurn) or not declared.any():
         return None
-    gravity = fit.gravity[declared]
-    shown = np.arctan2(gravity[:, 1], gravity[:, 0]) + data.angle_rad[declared]
-    zero = mean_direction(shown) if data.free else float(fit.values.base[0])
+    return differences_of_angle(fit, start_angle(fit))[declared]
+
+
+def start_angle(fit: Fit) -> float:
+    """Return the start angle α in rad, from which a planar fit counts angles.
+
+    If the attitudes were fitted without declared angles, α is unknown. The result is then the mean that the
+    dwells with a declared angle show; NaN without such a dwell.
+    """
+    if fit.data.visible[0]:
+        return float(fit.values.base[0])
+    shown = -differences_of_angle(fit, 0.0)
+    shown = shown[np.isfinite(shown)]
+    return mean_direction(shown) if shown.size else math.nan
+
+
+def differences_of_angle(fit: Fit, start_rad: float) -> Floats:
+    """Return the calibrated minus the declared angle (n,) in rad; NaN for a dwell without a declared angle.
+
+    `start_rad` is the start angle α.
+    """
     # Positive for a stage at a larger angle than declared: ψ = α − θ.
-    return -wrap_radians(shown - zero)
+    shown = np.arctan2(fit.gravity[:, 1], fit.gravity[:, 0]) - fit.turn_rad
+    return np.where(np.isfinite(fit.data.angle_rad), -wrap_radians(shown - start_rad), np.nan)
+
+
+def result_of(
+    made: Origin, method: str, chi2: float, dof: int, warnings: Sequence[str], undetermined: Sequence[str]
+) -> FitResult:
+    """Return the result of a fit: its parameters with uncertainties, residuals and warnings.
+
+    The arguments after `made` become attributes of the result. A warning is added if only the stage
+    determines the misalignment.
+    """
+    fit, noise, sources = made.fit, made.noise, made.sources
+    found = estimates(made.outputs, sources)
+    planar = fit.data.planar
+    norm = np.linalg.norm(fit.gravity, axis=1)[:, None] - 1
+    return FitResult(
+        method=method,
+        parameters=found,
+        covariance=None if sources is None else variances(made.outputs, sources.covariance),
+        chi2=chi2,
+        dof=dof,
+        residual_mg=fit.misfit if planar else norm * fit.data.gravity_mg,
+        positions=tuple(fit.data.position.tolist()),
+        angle_error_rad=angle_errors(fit),
+        warnings=(*warnings, *stage_warnings(found, noise.sigma_rad)),
+        undetermined=tuple(undetermined),
+        extra_mg=noise.extra_mg,
+        fixture_sigma_deg=math.degrees(noise.sigma_rad) if planar else None,
+        origin=made,
+    )
 
 
 def calibration_as_recorded(result: FitResult) -> Calibration:
@@ -507,8 +529,8 @@ def calibration_as_recorded(result: FitResult) -> Calibration:
     if where.plane == "xy" and "scale_x" not in estimates and "delta_k" in estimates:
         # Only the ratio of the gains is known, which is enough for an angle: the gain of Y is set to 1.
         ratio = estimates["delta_k"]
-        estimates["scale_x"] = Estimate("scale_x", 1 + ratio.value, ratio.u, "1")
-    names = [name for name in _names(model) if name in estimates]
+        estimates["scale_x"] = Estimate(1 + ratio.value, ratio.u, "1", name="scale_x")
+    names = [name for name in names_of(model) if name in estimates]
     given = [one.name for one in result.parameters]
     rows = [given.index("delta_k" if name not in given else name) for name in names]
     matrix = None if result.covariance is None else result.covariance[np.ix_(rows, rows)]
@@ -555,10 +577,6 @@ def known_provenance(where: Provenance | None) -> Provenance:
     return where
 
 
-def _names(model: Measurement) -> list[str]:
-    return [*model.names, *(f"bias_{axis}" for axis in AXES[: model.axes])]
-
-
 def assumed_parameters(model: Measurement, names: Sequence[str]) -> tuple[str, ...]:
     """Return the names of the model's parameters that are not in `names` and keep their nominal values.
 
@@ -569,7 +587,7 @@ def assumed_parameters(model: Measurement, names: Sequence[str]) -> tuple[str, .
     FitError
         An undetermined parameter is needed to compute an angle.
     """
-    missing = [name for name in _names(model) if name not in names]
+    missing = [name for name in names_of(model) if name not in names]
     needed = [name for name in missing if not name.startswith(("bias", "alpha", "scale_y"))]
     if needed:
         raise FitError(f"the session does not determine {', '.join(needed)}: it gives no calibration")

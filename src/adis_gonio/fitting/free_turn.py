@@ -40,13 +40,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats, wrap_degrees
+from adis_gonio.base.arrays import Floats, cumulative_integral, wrap_degrees
 from adis_gonio.base.errors import DataError, FitError, SingularError
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.uncertainty import Value, effective_dof, factor_over
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.readings import mg_per_unit
-from adis_gonio.fitting.fit_result import Estimate, FitResult
+from adis_gonio.fitting.fit_result import Estimate, FitResult, Output
 from adis_gonio.fitting.method_comparison import MethodComparison, Recommendation, Score
 from adis_gonio.fitting.uncertainty import BudgetRow, gradient_of_base
 from adis_gonio.model.measurement import SENSOR_SPREAD
@@ -80,8 +80,6 @@ class TurnRecording:
         Readings of the accelerometers X, Y and, if recorded, Z.
     rate : (n, 3) float
         Readings of the gyros X, Y, Z in rad/s.
-    temperature_c : (n,) float or None
-        Temperature of the sensor; None if not recorded.
     smear_s : float
         Standard deviation in time of the impulse response of the sensor's own filter; 0 without one.
     """
@@ -89,7 +87,6 @@ class TurnRecording:
     time_s: Floats
     accel_mg: Floats
     rate: Floats
-    temperature_c: Floats | None = None
     smear_s: float = 0.0
 
     @property
@@ -101,15 +98,6 @@ class TurnRecording:
     def length_s(self) -> float:
         """Duration of the recording in s."""
         return float(self.time_s[-1])
-
-    def integral(self, values: Floats) -> Floats:
-        """Return the integral (n, …) over time of sampled values, from the first sample to each sample.
-
-        It uses the trapezoidal rule.
-        """
-        from scipy.integrate import cumulative_trapezoid
-
-        return np.asarray(cumulative_trapezoid(values, self.time_s, axis=0, initial=0))
 
 
 class Windows:
@@ -282,16 +270,15 @@ class LeastSquaresProblem:
         unit = series.accel_mg[:, :2] / gravity_mg
         slope = np.gradient(rate, series.time_s)
         self._square, self._rate, self._slope = mean(rate**2), mean(rate), mean(slope)
-        self._integrals = np.column_stack(
-            [series.integral(rate), -series.time_s, -series.integral(unit), rate]
-        )
+        turned, pulled = (cumulative_integral(values, series.time_s) for values in (rate, unit))
+        self._integrals = np.column_stack([turned, -series.time_s, -pulled, rate])
         # Means in the windows, which make the fastest drifts smaller.
         drifts, self.drift_prior = drift_functions(series.time_s, series.length_s, floor_mg, MOST_DRIFTS)
         self.drifts: Floats = mean(drifts)
         gyro, self.gyro_prior = drift_functions(
             series.time_s, series.length_s, math.radians(GYRO_INSTABILITY_DPS), GYRO_DRIFTS
         )
-        self._gyro_drifts = -series.integral(gyro)
+        self._gyro_drifts = -cumulative_integral(gyro, series.time_s)
         at = np.clip(np.searchsorted(series.time_s, windows.centre_s), 0, len(rate) - 1)
         self._centre = at
         # The rate at a centre is the mean of its window, because a single sample is mostly noise.
@@ -333,8 +320,9 @@ class LeastSquaresProblem:
     def model(self, values: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Return the residuals of accelerometers and gyro, then their Jacobians.
 
-        The residuals are (m, 2) in mg, and (m − 1,) in rad for the turn between neighbouring windows.
-        `values` are the common parameters, the drifts and the angles.
+        The residuals are (m, 2) in mg, and (m − 1,) in rad for the turn between neighbouring windows. The
+        Jacobians (m, 2, p) and (m − 1, p) are the derivatives of the predictions by the p `values`: common
+        parameters, drifts and angles.
         """
         k_x, k_y, skew = values[:3]
         rest = values[: self.size - self.m]
@@ -501,6 +489,11 @@ def _inverse(information: Floats) -> Floats:
 def _step(
     problem: LeastSquaresProblem, values: Floats, variances: Variances
 ) -> tuple[Floats, Floats, float]:
+    """Return the values (p,) after one Gauss–Newton step, their covariance (p, p), and the largest change.
+
+    The change is the largest one of a common parameter, in its standard uncertainties, before the step is
+    shortened.
+    """
     information, right, _ = _system(problem, values, variances)
     covariance = _inverse(information)
     step = covariance @ right
@@ -776,13 +769,10 @@ class FreeTurnResult(FitResult):
         base = np.array([0.0, k_x, k_y, math.radians(self["delta_phi"].value)])
         natural = gradient_of_base(base, zero=False)
         mg = 1000.0 if self.provenance is None else MG_PER_MPS2 * self.provenance.gravity_mps2
-        # From natural units to the units of the result.
         found = np.zeros((len(natural), len(at)))
-        for column, (name, factor) in enumerate(
-            [("scale_x", 1.0), ("scale_y", 1.0), ("delta_phi", math.pi / 180), ("bias_x", 1 / mg),
-             ("bias_y", 1 / mg)], start=1,
-        ):  # fmt: skip
-            found[:, at[name]] = natural[:, column] * factor
+        # From natural units to the units of the result.
+        columns = [at[name] for name in ("scale_x", "scale_y", "delta_phi", "bias_x", "bias_y")]
+        found[:, columns] = natural[:, 1:] * [1.0, 1.0, math.pi / 180, 1 / mg, 1 / mg]
         return found
 
     @cached_property
@@ -867,15 +857,16 @@ def _fitted(session: Session) -> FreeTurnResult:
     solution = solve(problem)
     require_turn(solution.psi_rad)
     notes = require_plane(series, windows, solution.psi_rad, session.gravity_mg)
-    names, values, gradient, units = _outputs(solution, windows)
+    outputs = _outputs(solution, windows)
+    gradient = np.array([one.gradient for one in outputs])
     covariance = gradient @ solution.covariance @ gradient.T
     shares = tuple((gradient @ share @ gradient.T, dof) for share, dof in solution.parts)
     parameters = tuple(
         Estimate(
-            name, value, math.sqrt(float(covariance[k, k])), unit,
-            effective_dof([(float(share[k, k]), dof) for share, dof in shares]),
+            one.value, math.sqrt(float(covariance[k, k])), one.unit,
+            effective_dof([(float(share[k, k]), dof) for share, dof in shares]), name=one.name,
         )
-        for k, (name, value, unit) in enumerate(zip(names, values, units, strict=True))
+        for k, one in enumerate(outputs)
     )  # fmt: skip
     u_phi = next(one.u or 0.0 for one in parameters if one.name == "delta_phi")
     wanted = int(session.facts.get("plan", {}).get("turns", 0))
@@ -925,14 +916,13 @@ def series_of(session: Session) -> TurnRecording:
     # Root of the second moment of the chip's Bartlett window, if the file states its setting.
     taps = 2 ** int((session.facts.get("configuration") or {}).get("filter_m", 0))
     smear_s = math.sqrt((taps**2 - 1) / 6) * float(np.median(np.diff(whole.time_s)))
-    return TurnRecording(whole.time_s - whole.time_s[0], accel, rate, whole.temperature_c, smear_s)
+    return TurnRecording(whole.time_s - whole.time_s[0], accel, rate, smear_s)
 
 
-def _outputs(solution: Solution, windows: Windows) -> tuple[list[str], list[float], Floats, list[str]]:
-    """Return names, values, gradients (p, 12 + m) and units of the p reported parameters.
+def _outputs(solution: Solution, windows: Windows) -> list[Output]:
+    """Return the reported parameters, with the names of a planar session.
 
-    The names are those of a planar session. The gradients are by the 12 common parameters and the m angles
-    of the solution.
+    Their gradients (12 + m,) are by the 12 common parameters and the m angles of the solution.
     """
     size = len(solution.covariance)
     common = dict(zip(NAMES, np.eye(size), strict=False))
@@ -945,19 +935,18 @@ def _outputs(solution: Solution, windows: Windows) -> tuple[list[str], list[floa
     alpha[len(NAMES) : len(NAMES) + start] = 1 / start
     at_start = float(np.degrees(solution.psi_rad[:start].mean()))
     gain = value["gyro_gain_z"]
-    rows: list[tuple[str, float, Floats, str]] = [
-        ("delta_k", k_x / k_y - 1, common["scale_x"] / k_y - common["scale_y"] * k_x / k_y**2, "1"),
-        ("delta_phi", value["delta_phi"] * degrees, common["delta_phi"] * degrees, "deg"),
-        ("alpha", wrap_degrees(at_start), alpha * degrees, "deg"),
-        *((name, value[name], common[name], unit) for name, unit in _PLAIN),
-        ("gyro_scale_z", 1 / gain, -common["gyro_gain_z"] / gain**2, "1"),
+    by_ratio = common["scale_x"] / k_y - common["scale_y"] * k_x / k_y**2
+    return [
+        Output("delta_k", k_x / k_y - 1, "1", by_ratio),
+        Output("delta_phi", value["delta_phi"] * degrees, "deg", common["delta_phi"] * degrees),
+        Output("alpha", wrap_degrees(at_start), "deg", alpha * degrees),
+        *(Output(name, value[name], unit, common[name]) for name, unit in _PLAIN),
+        Output("gyro_scale_z", 1 / gain, "1", -common["gyro_gain_z"] / gain**2),
         *(
-            (name, value[name] * degrees / gain, common[name] * degrees / gain, unit)
+            Output(name, value[name] * degrees / gain, unit, common[name] * degrees / gain)
             for name, unit in _RATES
         ),
     ]
-    names, values, gradients, units = zip(*rows, strict=True)
-    return list(names), list(values), np.array(gradients), list(units)
 
 
 _PLAIN = (("scale_x", "1"), ("scale_y", "1"), ("bias_x", "mg"), ("bias_y", "mg"), ("lever_x", "mm"),

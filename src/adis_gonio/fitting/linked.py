@@ -154,101 +154,66 @@ def _linked(session: Session, gyros: GyroCalibration | None = None) -> tuple[Rea
             )
         return readings, None
     try:
-        judged = JudgedLinks.of(readings.training, found)
+        links, report = judge_links(readings.training, found)
     except (np.linalg.LinAlgError, UsageError):  # with few poses the fit can run to impossible axes
-        judged = JudgedLinks(None, found.refused, "a fit with them does not converge")
-    missed = 0.0 if judged.links is None else found.missed_deg
-    report = judged.report(calibrated=gyros is not None, missed_deg=missed)
-    if judged.links is None:
+        links, report = None, LinkReport(0, None, 0, found.refused, why="a fit with them does not converge")
+    report = replace(report, calibrated=gyros is not None)
+    if links is None:
         return readings, report
     # Links are numbered among the fitted readings: renumber them among all readings.
     rows = np.flatnonzero(~readings.check)
-    links = replace(judged.links, before=rows[judged.links.before], after=rows[judged.links.after])
+    links = replace(links, before=rows[links.before], after=rows[links.after])
     return replace(readings, links=links), report
 
 
-@dataclass(frozen=True)
-class JudgedLinks:
-    """Links (recorded turns between poses) that agree with gravity, and the refused links.
+def judge_links(readings: Readings, found: GyroLinks) -> tuple[Links | None, LinkReport]:
+    """Compare the gyros' links with gravity, and remove the worst link until the others agree with it.
 
-    Attributes
-    ----------
-    links : Links or None
-        Accepted links between these readings; None if there are none.
-    refused : tuple of (int, int, str)
-        Links that were not accepted: numbers of the dwells before and after, and the reason.
-    why : str
-        Reason why no link is accepted; empty if some are.
-    chi2, dof : float or None, int
-        Increase of χ² by the links, and the degrees of freedom that they add; None and 0 if not tested.
-    plain, linked : Determination or None
-        Fits by gravity alone and with the links, with equal noise; None if there was no such fit.
+    Return the accepted links between these readings, and a report. The links are None if too many disagree
+    or if they cannot be tested; the report then has the reason.
     """
+    refused = list(found.refused)
 
-    links: Links | None
-    refused: tuple[Refused, ...]
-    why: str = ""
-    chi2: float | None = None
-    dof: int = 0
-    plain: determination.Determination | None = None
-    linked: determination.Determination | None = None
+    def none(why: str, chi2: float | None = None, dof: int = 0) -> tuple[None, LinkReport]:
+        return None, LinkReport(0, chi2, dof, tuple(refused), why=why)
 
-    @classmethod
-    def of(cls, readings: Readings, found: GyroLinks) -> JudgedLinks:
-        """Compare the gyros' links with gravity, and remove the worst link until the others agree with it.
-
-        No link is accepted if too many disagree.
-        """
-        refused = list(found.refused)
-        if len(readings) < LEAST_POSES:
-            return cls(None, tuple(refused), "poses are too few to test them by")
-        alone = settle(readings)
-        if not alone.noise.known:
-            return cls(None, tuple(refused), "the noise of the poses is unknown")
-        data, plain = alone.noise.applied(readings), alone.determination
-        position = readings.position
-        links = found.at(found.prior.values, position.tolist())
-        near = _near(links, plain.fit)
-        count, far = len(links), int((~near).sum())
-        allowed = math.floor(MOST_LEFT_OUT * count)
-        refused += [(*_ends(links, position, int(k)), _FAR) for k in np.flatnonzero(~near)]
-        if far > allowed:
-            return cls(
-                None, tuple(refused), f"in {far} of {count} {_FAR}: a wrong sign, axis, range or unit"
+    if len(readings) < LEAST_POSES:
+        return none("poses are too few to test them by")
+    alone = settle(readings)
+    if not alone.noise.known:
+        return none("the noise of the poses is unknown")
+    data, plain = alone.noise.applied(readings), alone.determination
+    position = readings.position
+    links = found.at(found.prior.values, position.tolist())
+    near = _near(links, plain.fit)
+    count, far = len(links), int((~near).sum())
+    allowed = math.floor(MOST_LEFT_OUT * count)
+    refused += [(*_ends(links, position, int(k)), _FAR) for k in np.flatnonzero(~near)]
+    if far > allowed:
+        return none(f"in {far} of {count} {_FAR}: a wrong sign, axis, range or unit")
+    links = links.only(near)
+    left_out = far
+    while len(links):
+        links, linked = _settled(found, links, data)
+        chi2, dof = linked.fit.chi2 - plain.fit.chi2, linked.dof - plain.dof
+        if dof < 1:
+            return none("they are too few to be tested against gravity")
+        if chi2 <= chi2_quantile(dof, LINK_REFUSED):
+            gained, ratio = _gain(plain, linked)
+            report = LinkReport(len(links), chi2, dof, tuple(refused), gained=gained, ratio=ratio)
+            return links, replace(report, missed_deg=found.missed_deg)
+        if left_out >= allowed:
+            off = np.degrees(_misclosure(linked.fit))
+            reason = (
+                f"they contradict gravity (χ² {chi2:.3g} at {counted(dof, 'degree')} of freedom):"
+                f" {np.sqrt((off**2).mean()):.2g}° rms, at most {np.abs(off).max():.2g}°"
             )
-        links = links.only(near)
-        left_out = far
-        while len(links):
-            links, linked = _settled(found, links, data)
-            chi2, dof = linked.fit.chi2 - plain.fit.chi2, linked.dof - plain.dof
-            if dof < 1:
-                return cls(None, tuple(refused), "they are too few to be tested against gravity")
-            if chi2 <= chi2_quantile(dof, LINK_REFUSED):
-                return cls(links, tuple(refused), "", chi2, dof, plain, linked)
-            if left_out >= allowed:
-                off = np.degrees(_misclosure(linked.fit))
-                reason = (
-                    f"they contradict gravity (χ² {chi2:.3g} at {counted(dof, 'degree')} of freedom):"
-                    f" {np.sqrt((off**2).mean()):.2g}° rms, at most {np.abs(off).max():.2g}°"
-                )
-                return cls(None, tuple(refused), reason, chi2, dof)
-            worst = _worst(linked.fit)
-            refused.append((*_ends(links, position, worst), "it contradicts gravity and the other turns"))
-            links = links.only(np.arange(len(links)) != worst)
-            left_out += 1
-        why = refused[0][2] if refused else "none lies between two poses that are fitted"
-        return cls(None, tuple(refused), why)
-
-    def report(self, *, calibrated: bool, missed_deg: float = 0.0) -> LinkReport:
-        """Return the report for the user on these links.
-
-        `calibrated` is True if the gyros have a calibration; `missed_deg` is `GyroLinks.missed_deg`.
-        """
-        used = 0 if self.links is None else len(self.links)
-        gained, ratio = _gain(self.plain, self.linked)
-        return LinkReport(
-            used, self.chi2, self.dof, self.refused, calibrated, self.why, gained, ratio, missed_deg
-        )
+            return none(reason, chi2, dof)
+        worst = _worst(linked.fit)
+        refused.append((*_ends(links, position, worst), "it contradicts gravity and the other turns"))
+        links = links.only(np.arange(len(links)) != worst)
+        left_out += 1
+    return none(refused[0][2] if refused else "none lies between two poses that are fitted")
 
 
 _FAR = "the gyros turn gravity to a wrong direction"
@@ -334,15 +299,13 @@ def _worst(fit: Fit) -> int:
 
 
 def _gain(
-    plain: determination.Determination | None, linked: determination.Determination | None
+    plain: determination.Determination, linked: determination.Determination
 ) -> tuple[tuple[str, ...], float | None]:
     """Compare the uncertainties of the fits without links (`plain`) and with links.
 
     Return the names of the parameters that only the fit with links determines, and the median ratio of u
     with links to u without links, None if the fits have no parameter in common.
     """
-    if plain is None or linked is None:
-        return (), None
     without, together = _u_of(plain), _u_of(linked)
     names = zip(linked.names, without, together, strict=True)
     gained = tuple(name for name, a, b in names if math.isinf(a) and math.isfinite(b))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,21 +19,9 @@ from adis_gonio.fitting.determination import (
 )
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.fit_result import (
-    FitResult,
-    Origin,
-    Output,
-    angle_errors,
-    estimates,
-    outputs_of,
-    stage_warnings,
-    variances,
-)
+from adis_gonio.fitting.fit_result import FitResult, Origin, Output, outputs_of, result_of
 from adis_gonio.fitting.noise_estimation import Settled, settle
-from adis_gonio.fitting.uncertainty import Sources, Unseen, by_rotation_of, response_of, sources_of
-
-if TYPE_CHECKING:
-    pass
+from adis_gonio.fitting.uncertainty import Sources, by_rotation_of, response_of, sources_of
 
 
 def fit_ml(readings: Readings) -> FitResult:
@@ -65,25 +52,8 @@ def fit_ml(readings: Readings) -> FitResult:
             f"contain no information on {directions}; {advice}"
         )
     warnings = [*readings.notes, *noise.notes, *_warnings(determination, held, lost, reported)]
-    sources = _sources(readings, settled)
-    found = estimates(reported, sources)
-    warnings += stage_warnings(found, noise.sigma_rad)
-    norm = np.linalg.norm(fit.gravity, axis=1)[:, None] - 1
-    return FitResult(
-        method="ml",
-        parameters=found,
-        covariance=None if sources is None else variances(reported, sources.covariance),
-        chi2=settled.chi2,
-        dof=settled.dof,
-        residual_mg=fit.misfit if readings.planar else norm * readings.gravity_mg,
-        positions=tuple(readings.position.tolist()),
-        angle_error_rad=angle_errors(fit),
-        warnings=tuple(warnings),
-        undetermined=(*unseen, *held, *lost),
-        extra_mg=noise.extra_mg,
-        fixture_sigma_deg=math.degrees(noise.sigma_rad) if readings.planar else None,
-        origin=Origin(readings, noise, fit, tuple(reported), sources, determination),
-    )
+    made = Origin(readings, noise, fit, tuple(reported), _sources(readings, settled), determination)
+    return result_of(made, "ml", settled.chi2, settled.dof, warnings, (*unseen, *held, *lost))
 
 
 def _sources(readings: Readings, settled: Settled) -> Sources | None:
@@ -94,12 +64,8 @@ def _sources(readings: Readings, settled: Settled) -> Sources | None:
     inverse = covariance(found.fisher, found.free, found.null)
     natural = natural_units(found.fit.data)
     response = response_of(found.fit, inverse, natural)
-    first = len(found.fit.data.model.parameters)
     rotation = by_rotation_of(found.fit, inverse, natural)
-    unseen = Unseen(
-        tuple(k - first for k in found.held if k >= first), tuple(k for k in found.held if k < first)
-    )
-    return sources_of(readings, settled.noise, found.fit, response, unseen, rotation)
+    return sources_of(readings, settled.noise, found.fit, response, found.held, rotation)
 
 
 def _warnings(

@@ -15,13 +15,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats, mean_direction, wrap_radians
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import counted
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.fit_result import FitResult
+from adis_gonio.fitting.fit_result import FitResult, differences_of_angle, start_angle
 from adis_gonio.fitting.methods import METHOD_TABLE, applicable_to, default_method, fit_of
 
 BEYOND = 3.0
@@ -338,22 +338,7 @@ def errors_of(model: Fit, rows: Readings) -> tuple[Floats, Floats]:
         # In space only the length of gravity is known for each dwell.
         norm = np.linalg.norm(there.gravity, axis=1, keepdims=True) - 1
         return np.full(len(rows), np.nan), norm * rows.gravity_mg
-    shown = _shown(there)
-    zero = float(model.values.base[0])
-    if not model.data.visible[0]:
-        own = _shown(model)
-        own = own[np.isfinite(own)]
-        zero = mean_direction(own) if own.size else math.nan
-    return -wrap_radians(shown - zero), there.misfit
-
-
-def _shown(fit: Fit) -> Floats:
-    """Return the start angle (n,) in rad that each dwell shows; NaN for a dwell without a declared angle.
-
-    It is the angle of the calibrated reading minus the turn of the stage.
-    """
-    shown = np.arctan2(fit.gravity[:, 1], fit.gravity[:, 0]) - fit.turn_rad
-    return np.where(np.isfinite(fit.data.angle_rad), shown, np.nan)
+    return differences_of_angle(there, start_angle(model)), there.misfit
 
 
 def held_out_groups(used: NDArray[np.bool_]) -> Iterator[NDArray[np.intp]]:

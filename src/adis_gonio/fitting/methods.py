@@ -24,27 +24,19 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats, solvable, wrap_degrees, wrap_radians
 from adis_gonio.base.budget import current
-from adis_gonio.base.errors import FitError, SingularError, UsageError
+from adis_gonio.base.errors import AdisGonioError, FitError, SingularError, UsageError
 from adis_gonio.base.numbers import format_fixed, signed
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit
-from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.estimation.terms import NamedTerm
-from adis_gonio.fitting.fit_result import (
-    FitResult,
-    Origin,
-    angle_errors,
-    estimates,
-    outputs_of,
-    stage_warnings,
-    variances,
-)
+from adis_gonio.fitting.fit_result import FitResult, Origin, outputs_of, result_of
 from adis_gonio.fitting.linked import linked_readings
 from adis_gonio.fitting.maximum_likelihood import fit_ml, refit_ml
 from adis_gonio.fitting.noise_estimation import NoiseAssumptions, settle
 from adis_gonio.fitting.slips.session_positions import failure_message, positions_of
-from adis_gonio.fitting.uncertainty import Sources, Unseen, sources_of
+from adis_gonio.fitting.uncertainty import Sources, sources_of
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
 
@@ -415,8 +407,8 @@ def _sources(data: Readings, linear: _Linear, noise: NoiseAssumptions) -> Source
     An error of a declared angle acts along the tangent of the circle of readings.
     """
     fit = _fit(noise.applied(data), linear.beta, bias=linear.has_bias)
-    unseen = Unseen() if linear.has_bias or not data.unit.known else Unseen(biases=(0, 1))
-    return sources_of(data, noise, fit, linear.derivative / data.gravity_mg, unseen)
+    held = () if linear.has_bias or not data.unit.known else (BIAS_X, BIAS_Y)
+    return sources_of(data, noise, fit, linear.derivative / data.gravity_mg, held)
 
 
 def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> list[str]:
@@ -497,28 +489,14 @@ def _finish(
         if (linear.has_bias or not output.name.startswith("bias")) and (only is None or output.name in only)
     ]
     sources = _sources(chosen, linear, noise) if noise.known else None
-    found = estimates(outputs, sources)
-    warnings = [*warnings, *stage_warnings(found, noise.sigma_rad)]
     assumed = NoiseAssumptions(scale=noise.scale, sigma_rad=noise.sigma_rad).applied(chosen)
     fit = _fit(assumed, linear.beta, bias=linear.has_bias)
     dof = 2 * len(chosen) - (6 if linear.has_bias else 4)
+    # Residuals of an unweighted fit are not χ² distributed; the smallest χ² of this model is.
+    chi2 = fit.refit(200, 1e-12).chi2 if dof else 0.0
+    made = Origin(chosen, noise, fit, tuple(outputs), sources)
     lost = () if linear.has_bias else ("bias_x", "bias_y")
-    return FitResult(
-        method=method,
-        parameters=found,
-        covariance=None if sources is None else variances(outputs, sources.covariance),
-        # Residuals of an unweighted fit are not χ² distributed; the smallest χ² of this model is.
-        chi2=fit.refit(200, 1e-12).chi2 if dof else 0.0,
-        dof=dof,
-        residual_mg=fit.misfit,
-        positions=tuple(chosen.position.tolist()),
-        angle_error_rad=angle_errors(fit),
-        warnings=(*warnings, *chosen.notes, *noise.notes),
-        undetermined=lost,
-        extra_mg=noise.extra_mg,
-        fixture_sigma_deg=math.degrees(noise.sigma_rad),
-        origin=Origin(chosen, noise, fit, tuple(outputs), sources),
-    )
+    return result_of(made, method, chi2, dof, (*warnings, *chosen.notes, *noise.notes), lost)
 
 
 FREE_TURN = "free-turn"
@@ -591,13 +569,7 @@ def fit_of(readings: Readings, method: str | None = None) -> FitResult:
 
     Without `method`, use the default method of these readings.
     """
-    if method is not None:
-        return readings.once(_fit_training, method)
-    return _by_default(readings.training, lambda name: fit_of(readings, name))
-
-
-def _fit_training(readings: Readings, method: str) -> FitResult:
-    return fit_readings(readings.training, method)
+    return readings.training.once(fit_readings, method)
 
 
 def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
@@ -607,7 +579,7 @@ def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
     """
     _refuse_one_position(readings)
     if method is None:
-        return _by_default(readings, lambda name: fit_readings(readings, name))
+        return _by_default(readings)
     if method != "ml" and not readings.planar:
         raise FitError(f"method {method} needs a plane of rotation; this session has none: use method ml")
     if method != "ml" and readings.free:
@@ -617,81 +589,46 @@ def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
     return METHOD_TABLE[method].fit(readings)
 
 
-def _by_default(readings: Readings, fit_by: Callable[[str], FitResult]) -> FitResult:
-    """Fit by the default method, or by `two-position` if the default is singular.
-
-    `fit_by` fits by the name of a method.
-    """
+def _by_default(readings: Readings) -> FitResult:
+    """Fit by the default method, or by `two-position` if the default is singular."""
     try:
-        return fit_by(default_method(readings))
+        return readings.once(fit_readings, default_method(readings))
     except SingularError:
-        has_two = all(len(rows) for rows in rows_at(readings, _two(readings)))
-        if not readings.planar or readings.free or not has_two:
+        if not readings.planar or not has_positions(readings, _two(readings)):
             raise
-        return fit_by("two-position")
+        return readings.once(fit_readings, "two-position")
 
 
 def applicable_methods(session: Session) -> tuple[str, ...]:
     """Return the methods that the positions of a session allow.
 
-    A fit may still find a parameter undetermined.
+    A fit may still find a parameter undetermined. If the readings are unusable, the result is `ml`; its
+    error states the reason.
     """
     if session.free_turn:
         return (FREE_TURN,)
-    session = session.used_for("fit")
-    angles = np.array([np.nan if d.angle_deg is None else d.angle_deg for d in session.dwells])
-    return _applicable(
-        angles,
-        planar=session.plane != "none",
-        free=session.free_attitudes,
-        known_zero=session.accel_unit != "counts",
-    )
+    try:
+        return applicable_to(readings_of(session).training)
+    except AdisGonioError:
+        return ("ml",)
 
 
 def applicable_to(readings: Readings) -> tuple[str, ...]:
     """Return the methods that the positions of these readings allow."""
-    return _applicable(
-        np.degrees(readings.angle_rad),
-        planar=readings.planar,
-        free=math.isinf(readings.fixture_rad),
-        known_zero=readings.unit.known,
-    )
+    if not readings.planar:
+        return ("ml",) if len(readings) > 3 else ()
+    return tuple(name for name, method in METHOD_TABLE.items() if method.suits(readings))
 
 
-def _applicable(angles: Floats, *, planar: bool, free: bool, known_zero: bool) -> tuple[str, ...]:
-    if not planar:
-        return ("ml",) if len(angles) > 3 else ()
-    declared = np.isfinite(angles)
-    held = [bool((np.abs(wrap_degrees(angles[declared] - a)) <= 0.5).any()) for a in FOUR]
-    dwells = _Dwells(len(angles), int(declared.sum()), tuple(held), free=free, known_zero=known_zero)
-    return tuple(name for name, method in METHOD_TABLE.items() if method.suits(dwells))
+def has_positions(readings: Readings, angles_deg: tuple[int, ...]) -> bool:
+    """Return True if the stage's angles are known and each of these angles (modulo 360°) is measured."""
+    return not readings.free and all(len(rows) for rows in rows_at(readings, angles_deg))
 
 
-@dataclass(frozen=True)
-class _Dwells:
-    """Numbers of dwells of a planar session: all (`count`), and with a declared angle (`declared`).
-
-    `held` is True for each of 0°, 90°, 180°, 270° that is measured, `free` if the stage's angles are
-    unknown, and `known_zero` if the readings are not in counts.
-    """
-
-    count: int
-    declared: int
-    held: tuple[bool, ...]
-    free: bool
-    known_zero: bool
-
-    def hold(self, *quarters: int) -> bool:
-        """Return True if the stage's angles are known and all these quarter turns are measured.
-
-        The numbers 0 to 3 are for 0° to 270°.
-        """
-        return not self.free and all(self.held[k] for k in quarters)
-
-    @property
-    def has_enough(self) -> bool:
-        """True if there are enough dwells for the method `ml`, which uses all positions."""
-        return self.count >= (2 if self.declared == self.count and not self.free else 3)
+def has_enough(readings: Readings) -> bool:
+    """Return True if there are enough dwells for the method `ml`, which uses all positions."""
+    declared = bool(np.isfinite(readings.angle_rad).all())
+    return len(readings) >= (2 if declared and not readings.free else 3)
 
 
 def _two(readings: Readings) -> tuple[int, int]:
@@ -709,13 +646,9 @@ def default_method(readings: Readings) -> str:
 
 
 def _only_two(readings: Readings) -> bool:
-    rows = rows_at(readings, _two(readings))
-    return (
-        not readings.free
-        and readings.unit.known
-        and all(len(r) for r in rows)
-        and sum(map(len, rows)) == len(readings)
-    )
+    two = _two(readings)
+    used = sum(map(len, rows_at(readings, two)))
+    return readings.unit.known and used == len(readings) and has_positions(readings, two)
 
 
 def _refuse_one_position(readings: Readings) -> None:
@@ -743,26 +676,32 @@ class Method:
         dwells, with the noise that the earlier result used. It serves to leave dwells out in the comparison
         of methods, and for Monte Carlo trials.
     suits : callable
-        Returns True if the session has the positions that the method needs.
+        Returns True if `Readings` in a plane have the positions that the method needs.
     """
 
     fit: Callable[[Readings], FitResult]
     refit: Callable[[Readings, Origin], Fit]
-    suits: Callable[[_Dwells], bool]
+    suits: Callable[[Readings], bool]
 
 
 METHOD_TABLE = {
-    "paper": Method(fit_paper, partial(refit_two, "paper"), lambda d: d.known_zero and d.hold(0, 1)),
+    "paper": Method(
+        fit_paper, partial(refit_two, "paper"), lambda r: r.unit.known and has_positions(r, TWO)
+    ),
     "two-position": Method(
         lambda r: fit_positions(r, "two-position", _two(r)),
         partial(refit_two, "two-position"),
-        lambda d: d.known_zero and (d.hold(0, 1) or d.hold(0, 3)),
+        lambda r: r.unit.known and has_positions(r, _two(r)),
     ),
     "four-position": Method(
-        lambda r: fit_positions(r, "four-position", FOUR), refit_four, lambda d: d.hold(0, 1, 2, 3)
+        lambda r: fit_positions(r, "four-position", FOUR), refit_four, lambda r: has_positions(r, FOUR)
     ),
-    "mmpm": Method(fit_mmpm, refit_mmpm, lambda d: not d.free and d.declared >= LEAST_MMPM),
-    "ml": Method(fit_ml, refit_ml, lambda d: d.has_enough),
+    "mmpm": Method(
+        fit_mmpm,
+        refit_mmpm,
+        lambda r: not r.free and int(np.isfinite(r.angle_rad).sum()) >= LEAST_MMPM,
+    ),
+    "ml": Method(fit_ml, refit_ml, has_enough),
 }
 """All methods for a session of positions, by name. Only `ml` also fits poses in space."""
 METHODS = tuple(METHOD_TABLE)

@@ -17,6 +17,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.jsonable import KEYED_BY_NAME, JsonRecord
+from adis_gonio.base.numbers import NAMES, count_decimals, format_fixed, format_unit
 from adis_gonio.base.uncertainty import COVERED
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
@@ -93,13 +94,15 @@ class MonteCarlo(JsonRecord):
     def rows(self) -> tuple[list[str], list[list[str]]]:
         """Return head and rows of a table that compares Monte Carlo with linear propagation.
 
-        There is one row for each parameter.
+        There is one row for each parameter. Half of `to` − `from` compares with `U, linear`.
         """
-        head = ["parameter", "unit", "u", "u, linear", "from", "to", "half width", "U, linear"]
+        head = ["parameter", "unit", "u", "u, linear", "from", "to", "U, linear"]
         rows = []
         for p in self.parameters:
-            figures = (p.u, p.linear.u, p.low, p.high, (p.high - p.low) / 2, p.linear.U)
-            rows.append([p.name, p.unit, *("–" if f is None else f"{f:.4g}" for f in figures)])
+            decimals = 1 + count_decimals((p.high - p.low) / 2)
+            figures = (p.u, p.linear.u, p.low, p.high, p.linear.U)
+            shown = (format_fixed(figure, decimals) for figure in figures)
+            rows.append([NAMES.get(p.name, p.name), format_unit(p.unit), *shown])
         return head, rows
 
     @property
@@ -108,7 +111,7 @@ class MonteCarlo(JsonRecord):
 
         Without any, one sentence states that both agree.
         """
-        remarks = [f"{p.name}: {p.why}" for p in self.parameters if p.why]
+        remarks = [f"{NAMES.get(p.name, p.name)}: {p.why}" for p in self.parameters if p.why]
         if self.failed:
             remarks.append(f"{self.failed} trials gave no result and were left out")
         return remarks or ["the linear uncertainties agree within 1 % and the error of the trials"]

@@ -35,9 +35,8 @@ from adis_gonio.base.uncertainty import effective_dof
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.estimation.terms import NamedTerm
+from adis_gonio.fitting.estimation.terms import typical_terms
 from adis_gonio.fitting.noise_estimation import NoiseAssumptions
-from adis_gonio.model.effects import AXES, Enters, catalogue
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 Kind = Literal["A", "B"]
@@ -80,14 +79,14 @@ class Source:
     moves : (p, k) float
         Change of the parameters, in natural units, by one standard uncertainty of each of the k independent
         components of the source.
-    dof : (k,) float
+    dof : float or (k,) float
         Degrees of freedom of the estimate of each component's variance; inf if it is not estimated.
-    estimate : (k,) int
+    estimate : int or (k,) int
         Number of the estimate that each component's variance comes from; components with an equal number
         have a common error.
-    reading_mg2 : (axes, axes) float
+    reading_mg2 : (axes, axes) float or None
         Covariance that the source alone gives a further reading, which is averaged for as long as a dwell
-        of the session.
+        of the session; None if it adds no noise to it.
     note : str
         Remark on the source.
     by_definition : bool
@@ -106,10 +105,10 @@ class Source:
     u: float | None
     unit: str
     moves: Floats
-    dof: Floats
-    estimate: NDArray[np.intp]
-    reading_mg2: Floats
     note: str = ""
+    dof: Floats | float = math.inf
+    estimate: NDArray[np.intp] | int = _POOLED
+    reading_mg2: Floats | None = None
     by_definition: bool = False
     acts_mg: Floats | None = None
     further_mg: Floats | None = None
@@ -130,8 +129,9 @@ class Source:
         m = len(gradient)
         # Parts are independent: their mean squares over the m values add up.
         variance = (self._moved(gradient, reading) ** 2).sum(axis=0) / m
-        found = list(zip(self.estimate.tolist(), self.dof.tolist(), variance.tolist(), strict=True))
-        if reading is not None and self.reading_mg2.any():
+        estimate, dof = (np.broadcast_to(one, len(variance)).tolist() for one in (self.estimate, self.dof))
+        found = list(zip(estimate, dof, variance.tolist(), strict=True))
+        if reading is not None and self.reading_mg2 is not None and self.reading_mg2.any():
             # A further reading brings its own noise, with the degrees of freedom of the largest part.
             own = float(np.einsum("ma,ab,mb->", reading, self.reading_mg2, reading)) / m
             where = max(found, key=lambda part: part[2], default=(_POOLED, math.inf, 0.0))
@@ -155,27 +155,10 @@ class Source:
         `gradient` (m, p) and `reading` (m, axes) are the derivatives of the quantities by the parameters
         and by a further reading.
         """
-        own = np.einsum("ma,ab,mb->m", reading, self.reading_mg2, reading)
-        return np.asarray((self._moved(gradient, reading) ** 2).sum(axis=1) + own)
-
-
-@dataclass(frozen=True)
-class Unseen:
-    """Parameters that a session does not determine and that were taken as zero.
-
-    Attributes
-    ----------
-    biases : tuple of int
-        Axes (0 for X) of the biases that were taken as zero.
-    skews : tuple of int
-        Indices, among the base parameters, of the skews that were taken as zero.
-    """
-
-    biases: tuple[int, ...] = ()
-    skews: tuple[int, ...] = ()
-
-
-NOTHING_UNSEEN = Unseen()
+        variance = np.asarray((self._moved(gradient, reading) ** 2).sum(axis=1))
+        if self.reading_mg2 is None:
+            return variance
+        return np.asarray(variance + np.einsum("ma,ab,mb->m", reading, self.reading_mg2, reading))
 
 
 @dataclass(frozen=True)
@@ -279,7 +262,7 @@ def sources_of(
     noise: NoiseAssumptions,
     fit: Fit,
     response: Floats,
-    unseen: Unseen = NOTHING_UNSEEN,
+    held: Sequence[int] = (),
     rotation: Floats | None = None,
 ) -> Sources:
     """Return all sources that contribute to the uncertainty of fitted parameters.
@@ -294,8 +277,8 @@ def sources_of(
         Fit of the readings with that noise.
     response : (p, n, axes) float
         Derivative of the parameters by each reading, in natural units per mg.
-    unseen : Unseen
-        Parameters that were taken as zero.
+    held : sequence of int
+        Indices of the biases and skews that were taken as zero, among base parameters and biases.
     rotation : (p, m, 3) float, optional
         Derivative of the parameters by the rotation of each link, in natural units per rad; None without
         links.
@@ -309,7 +292,7 @@ def sources_of(
             _gravity(data, fit, len(response)),
             _quantization(data, response),
             _temperature(data, fit, response),
-            _model(data, noise, fit, response, unseen),
+            _model(data, noise, fit, response, held),
             *links,
         )
     )
@@ -323,7 +306,8 @@ def _links(fit: Fit, rotation: Floats) -> Source:
     links = fit.data.links
     assert links is not None
     # Covariance of the parameters from the own errors of all links.
-    own = np.einsum("pma,maq->pq", rotation, links.own_product(rotation.transpose(1, 2, 0)))
+    flat = rotation.reshape(len(rotation), -1)
+    own = flat @ links.own_covariance @ flat.T
     size, axes = np.linalg.eigh((own + own.T) / 2)
     # Parts of one source are independent: any root of their covariance is one.
     moves = np.concatenate(
@@ -337,8 +321,6 @@ def _links(fit: Fit, rotation: Floats) -> Source:
         math.degrees(math.sqrt(float(np.trace(spread.mean(axis=0))) / 3)),
         "deg",
         moves,
-        *_unlimited(moves.shape[1]),
-        np.zeros((fit.data.axes, fit.data.axes)),
         "turns between the poses: noise of the gyros and uncertainty of their parameters",
     )
 
@@ -368,10 +350,6 @@ def _root(covariance: Floats) -> Floats:
 
 def _diagonal(variance: Floats) -> Floats:
     return np.asarray(variance[:, :, None] * np.eye(variance.shape[1]))
-
-
-def _unlimited(k: int) -> tuple[Floats, NDArray[np.intp]]:
-    return np.full(k, np.inf), np.zeros(k, dtype=np.intp)
 
 
 def _own(data: Readings, noise: NoiseAssumptions) -> Floats:
@@ -410,10 +388,10 @@ def _repeatability(data: Readings, noise: NoiseAssumptions, response: Floats) ->
         float(np.sqrt(np.trace(mean) / data.axes)),
         "mg",
         _each(response, roots),
+        "stated (reading_u_mg)" if stated else "",
         dof.ravel(),
         estimate.ravel(),
         mean,
-        "stated (reading_u_mg)" if stated else "",
     )
 
 
@@ -427,7 +405,6 @@ def _flicker(data: Readings, response: Floats) -> Source:
         noise = data.slow[:, :, : data.slow.shape[2] - data.stage_modes]
         moves.append(np.einsum("pna,nak->pk", response, noise))
         variance = variance + (noise**2).sum(axis=2).mean(axis=0)
-    joined = np.concatenate(moves, axis=1)
     shown = "shown by the dwells" if data.flicker_shown else "figure of the part"
     return Source(
         FLICKER,
@@ -435,10 +412,9 @@ def _flicker(data: Readings, response: Floats) -> Source:
         "normal",
         float(np.sqrt(variance.mean())),
         "mg",
-        joined,
-        *_unlimited(joined.shape[1]),
-        np.diag(variance),
+        np.concatenate(moves, axis=1),
         shown if variance.any() else "none shown, no figure of the part",
+        reading_mg2=np.diag(variance),
     )
 
 
@@ -448,7 +424,6 @@ def _fixture(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats
         moves = np.einsum("pna,na,n->pn", response, fit.tangent[:, :, 0], sigma)
     else:
         moves = np.zeros((len(response), 0))
-    k = moves.shape[1]
     certified = np.zeros((len(response), 0))
     u_rad = noise.sigma_rad
     if data.slow is not None and data.stage_modes:
@@ -471,10 +446,9 @@ def _fixture(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats
         None if free else math.degrees(u_rad),
         "deg",
         np.concatenate([moves, certified], axis=1),
-        np.concatenate([np.full(k, noise.sigma_dof), np.full(certified.shape[1], np.inf)]),
-        np.full(k + certified.shape[1], _FIXTURE, dtype=np.intp),
-        np.zeros((data.axes, data.axes)),
         note,
+        np.repeat([noise.sigma_dof, np.inf], [moves.shape[1], certified.shape[1]]),
+        _FIXTURE,
     )
 
 
@@ -496,8 +470,6 @@ def _gravity(data: Readings, fit: Fit, parameters: int) -> Source:
         u,
         "m/s²",
         moves,
-        *_unlimited(1),
-        np.zeros((data.axes, data.axes)),
         "all gains move alike: ratios and angles do not depend on it",
         by_definition=True,
     )
@@ -515,9 +487,8 @@ def _quantization(data: Readings, response: Floats) -> Source:
         float(np.sqrt(variance.mean())),
         "mg",
         moves,
-        *_unlimited(moves.shape[1]),
-        np.diag(variance.mean(axis=0)),
         "" if variance.any() else "the noise dithers it, or readings are averages",
+        reading_mg2=np.diag(variance.mean(axis=0)),
     )
 
 
@@ -554,27 +525,29 @@ def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
         u,
         "mg/°C",
         moves,
-        *_unlimited(axes),
-        np.zeros((axes, axes)),
         note,
         acts_mg=acts,
     )
 
 
-def _model(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats, unseen: Unseen) -> Source:
+def _model(
+    data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats, held: Sequence[int]
+) -> Source:
     """Return the source of uncertainty for an incomplete model.
 
     `response` (p, n, axes) is the derivative of the parameters by each reading. The source covers a
-    residual beyond the noise, and biases and skews that had to be taken as zero.
+    residual beyond the noise, and the biases and skews with the indices `held`, which were taken as zero.
     """
     axes = data.axes
     extra = _each(response, np.tile(noise.extra_mg * np.eye(axes), (len(data), 1, 1)))
     figures = VARIANTS[data.sensor].performance if data.sensor in VARIANTS else None
     figure = 0.0 if figures is None else figures.initial_bias_mg
     skew_u_rad = 0.0 if figures is None else figures.skew_u_rad
-    held = list(unseen.biases)
-    biases = np.tile(figure * np.eye(axes)[:, held], (len(data), 1, 1))
-    skews = skew_u_rad * fit.base_columns[:, :, list(unseen.skews)]
+    # Indices of the biases among the axes, and of the skews among the base parameters.
+    base = len(data.model.parameters)
+    no_bias, no_skew = [k - base for k in held if k >= base], [k for k in held if k < base]
+    biases = np.tile(figure * np.eye(axes)[:, no_bias], (len(data), 1, 1))
+    skews = skew_u_rad * fit.base_columns[:, :, no_skew]
     missing = np.zeros((len(data), axes, 0))
     if noise.extra_mg > 0:
         missing = missing_effects(fit)
@@ -584,16 +557,16 @@ def _model(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats, 
     notes, u = [], noise.extra_mg
     if noise.extra_mg > 0:
         notes.append("scatter beyond the noise within the dwells, and effects of the catalogue")
-    if held:
-        letters = ", ".join("xyz"[axis] for axis in held)
+    if no_bias:
+        letters = ", ".join("xyz"[axis] for axis in no_bias)
         size = (
             f"{figure:g} mg, figure of the part"
             if figure
             else "of a size that nothing states: not included"
         )
         notes.append(f"bias {letters} taken as zero ({size})")
-    if unseen.skews:
-        names = ", ".join(data.model.names[k].removeprefix("skew_") for k in unseen.skews)
+    if no_skew:
+        names = ", ".join(data.model.names[k].removeprefix("skew_") for k in no_skew)
         size = (
             f"{figures.non_orthogonality_deg:g}° at most, figure of the part"
             if figures is not None
@@ -601,7 +574,7 @@ def _model(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats, 
         )
         notes.append(f"skew {names} taken as zero ({size})")
     others = np.concatenate([skews, missing], axis=2)
-    u = math.hypot(u, figure if held else 0.0, math.sqrt(float((others**2).sum(axis=2).mean())))
+    u = math.hypot(u, figure if no_bias else 0.0, math.sqrt(float((others**2).sum(axis=2).mean())))
     statistical = noise.extra_mg > 0 and not acts.any()
     stated = figures is not None or not acts.shape[2]
     return Source(
@@ -611,12 +584,10 @@ def _model(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats, 
         u if stated or noise.extra_mg else None,
         "mg",
         np.concatenate([extra, blind], axis=1),
-        np.concatenate([np.full(extra.shape[1], noise.dof), np.full(acts.shape[2], np.inf)]),
-        np.concatenate([np.full(extra.shape[1], _RESIDUAL), np.zeros(acts.shape[2], dtype=np.intp)]).astype(
-            np.intp
-        ),
-        noise.extra_mg**2 * np.eye(axes),
         "; ".join(notes) or "the residual shows no more than the noise",
+        np.repeat([noise.dof, np.inf], [extra.shape[1], acts.shape[2]]),
+        np.repeat([_RESIDUAL, _POOLED], [extra.shape[1], acts.shape[2]]),
+        noise.extra_mg**2 * np.eye(axes),
         acts_mg=acts if acts.any() else None,
         # A further reading has the same biases; the influence of skews and effects depends on its pose.
         further_mg=np.concatenate(
@@ -749,16 +720,9 @@ def _columns(fit: Fit) -> Iterator[Floats]:
     Effects that cannot act on this session are omitted.
     """
     data = fit.data
-    for kind in catalogue(data.model.part).values():
-        beside_readings = kind.enters is Enters.SAMPLES or kind.within_dwell
-        # A choice is a discrete number (a dwell, a degree): the scatter of the readings covers these.
-        if beside_readings or kind.choices() or data.conditions.lacks(kind.needs):
-            continue
-        effect = kind(AXES[: data.axes] if kind.by_axis else ())
-        parameters = effect.parameters
-        shapes = tuple((k, p.typical) for k, p in enumerate(parameters) if p.shape)
-        term = NamedTerm(effect.name, (), 0.0, effect, shapes)
-        yield fit.candidate(term) * np.array([parameters[k].typical for k in term.amplitudes])
+    # A choice is a discrete number (a dwell, a degree): the scatter of the readings covers these.
+    for term in typical_terms(data.model.part, data.axes, data.conditions, ("dwell", "cycles", "degree")):
+        yield fit.candidate(term) * np.array([term.effect.parameters[k].typical for k in term.amplitudes])
 
 
 def _without(rows: Floats, columns: Floats) -> Floats:

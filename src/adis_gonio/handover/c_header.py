@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import zlib
 from collections.abc import Iterable
@@ -9,13 +10,18 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import json_text
 from adis_gonio.calibrate.calibration import Calibration, Coefficient, NotCorrected
 from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, GyroCalibration
 from adis_gonio.handover import fixed_point
+from adis_gonio.handover.fixed_point import ONE, Monomial, Polynomial, Q, Scaled
 from adis_gonio.model.effects import AXES
+from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
+from adis_gonio.model.records import MG_PER_G
 
 DEFAULT_NAME = "adis_gonio"
 FIXED_UDEG = 12
@@ -63,7 +69,6 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
     `name` is the prefix of all names in the header.
     """
     polynomial = fixed_point.polynomial_of(calibration)
-    fixed = fixed_point.FixedPoint.of(polynomial)
     planes = _planes(calibration)
     where, gyro = calibration.provenance, calibration.gyro
     u_udeg = None
@@ -95,15 +100,15 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
         "id": f"0x{zlib.crc32(json_text(calibration.as_dict()).encode()):08X}UL",
         "axes": polynomial.axes,
         "letters": AXES[: polynomial.axes],
-        "fixed": _Fixed(name, fixed).body("scan"),
-        "float": _Float(name, fixed).body("scan"),
+        "fixed": _Fixed(name, polynomial).body("scan"),
+        "float": _Float(name, polynomial).body("scan"),
         "planes": planes,
-        "checks": _checks(fixed, planes[0]),
+        "checks": _checks(calibration, polynomial, planes[0]),
     }
 
 
 def _rates_content(
-    accelerometers: fixed_point.Polynomial, calibration: Calibration, gyro: GyroCalibration, name: str
+    accelerometers: Polynomial, calibration: Calibration, gyro: GyroCalibration, name: str
 ) -> dict[str, Any]:
     """Return the values that the template `rates.h.jinja` needs for a calibration of gyros.
 
@@ -111,15 +116,14 @@ def _rates_content(
     in the header.
     """
     polynomial = fixed_point.rate_polynomial_of(calibration, gyro)
-    fixed = fixed_point.FixedPoint.of(polynomial)
     forces = [AXES.index(need[1]) for need in polynomial.needs if need.startswith("f")]
     return {
         "needs": polynomial.needs,
         "lsb": f"{GYRO_OFFSET_DPS:g}",
         "force_mask": sum(1 << k for k in forces),
-        "fixed": _Fixed(name, fixed).body("turn"),
-        "float": _Float(name, fixed).body("turn"),
-        "checks": _rate_checks(fixed, accelerometers),
+        "fixed": _Fixed(name, polynomial).body("turn"),
+        "float": _Float(name, polynomial).body("turn"),
+        "checks": _rate_checks(gyro, accelerometers),
     }
 
 
@@ -163,7 +167,7 @@ class _Fixed:
     """Writes C expressions that compute a polynomial in fixed point; `name` is the prefix of all names."""
 
     name: str
-    fixed: fixed_point.FixedPoint
+    polynomial: Polynomial
     type: ClassVar[str] = "int32_t"
 
     def body(self, source: str) -> dict[str, Any]:
@@ -171,14 +175,14 @@ class _Fixed:
 
         `source` is the C variable, a pointer to a structure, that has the readings.
         """
-        own = self.fixed.polynomial
+        own = self.polynomial
         axes = []
         for k, letter in enumerate(AXES[: own.axes]):
             steady, moving = (
                 " + ".join(
                     self.term(term)
-                    for term in self.fixed.terms
-                    if term.monomial.axis == k and term.monomial.of_reading == of_reading
+                    for term in own.monomials
+                    if term.axis == k and term.of_reading == of_reading
                 )
                 for of_reading in (False, True)
             )
@@ -198,47 +202,54 @@ class _Fixed:
         ]
         return {"type": self.type, "inputs": inputs, "axes": axes, "passes": own.passes}
 
-    def _clamped(self, value: str, limit: int) -> str:
-        return f"{self.name}_clamped_({value}, {limit}L)"
+    def _clamped(self, value: str, limit: int | None = None) -> str:
+        """Return the C expression for a value within ± `limit`, by default the limit of a reading."""
+        largest = int(self.polynomial.limit * (1 << self.polynomial.q)) if limit is None else limit
+        return f"{self.name}_clamped_({value}, {largest}L)"
 
-    def _shifted(self, value: str, scaled: fixed_point.Scaled, q: int = 0) -> str:
-        return f"{self.name}_shifted_((int64_t){value} * {_whole(scaled.number)}, {scaled.shift - q})"
+    def _times(self, value: str, factor: Scaled, q: int = 0) -> str:
+        """Return the C expression for a value times a constant, with `q` more binary digits."""
+        return f"{self.name}_shifted_((int64_t){value} * {_whole(factor.number)}, {factor.shift - q})"
 
     def input(self, need: str, source: str) -> str:
         """Return the C expression for an input of the polynomial, such as the temperature `t`.
 
         `need` is the name of the input, `source` the C expression for its number in the scan.
         """
-        own, step = self.fixed.polynomial.inputs[need], self.fixed.inputs[need]
+        own = self.polynomial.inputs[need]
         value = f"({source} - {_whole(own.zero)})" if own.zero else source
-        return self._clamped(self._shifted(value, step, fixed_point.Q), int(own.limit * fixed_point.ONE))
+        return self._clamped(self._times(value, Scaled.of(own.step), Q), int(own.limit * ONE))
 
     def raw(self, k: int, source: str) -> str:
         """Return the C expression for the reading of axis k minus its bias, from the number `source`."""
-        scaled = self._shifted(source, self.fixed.step[k], self.fixed.polynomial.q)
-        return self._clamped(f"{scaled} - {_whole(self.fixed.bias[k])}", self.fixed.limit)
+        own = self.polynomial
+        scaled = self._times(source, Scaled.of(own.step[k]), own.q)
+        # More than 32 bits if the zero of a sensor with counts is far away.
+        bias = round(math.ldexp(own.bias[k] * own.step[k], own.q))
+        return self._clamped(f"{scaled} - {_whole(bias)}")
 
-    def term(self, term: fixed_point.FixedTerm) -> str:
+    def term(self, term: Monomial) -> str:
         """Return the C expression for a term of the polynomial."""
-        product, *rest = map(_factor, term.monomial.factors)
+        product, *rest = map(_factor, term.factors)
         for factor in rest:
-            product = f"{self.name}_shifted_((int64_t){product} * {factor}, {fixed_point.Q})"
-        return self._shifted(product, term.coefficient)
+            product = f"{self.name}_shifted_((int64_t){product} * {factor}, {Q})"
+        # The product is in Q29; its digits are reduced to the digits of a reading.
+        down = Q - self.polynomial.q
+        return self._times(product, Scaled.of(term.coefficient, 62 - down), -down)
 
     def less(self, value: str, terms: str) -> str:
         """Return the C expression for a value minus a sum of terms; the value alone if `terms` is empty."""
-        return self._clamped(f"(int64_t){value} - ({terms})", self.fixed.limit) if terms else value
+        return self._clamped(f"(int64_t){value} - ({terms})") if terms else value
 
     def warm(self, k: int, value: str) -> str:
         """Return the C expression for a value divided by the relative gain of axis k at the temperature."""
-        gain = self._shifted("t", fixed_point.Scaled(self.fixed.warm[k], fixed_point.Q))
-        one = f"{fixed_point.ONE}L"
-        return self._clamped(f"(int64_t){value} * {one} / ({one} + {gain})", self.fixed.limit)
+        gain = self._times("t", Scaled(round(math.ldexp(self.polynomial.warm[k], Q)), Q))
+        return self._clamped(f"(int64_t){value} * {ONE}L / ({ONE}L + {gain})")
 
     def row(self, k: int) -> str:
         """Return the C expression for row k of the matrix times the corrected readings."""
-        pairs = zip(AXES, self.fixed.matrix[k], strict=False)
-        return " + ".join(self._shifted(letter, entry) for letter, entry in pairs if entry.number)
+        pairs = zip(AXES, map(Scaled.of, self.polynomial.matrix[k].tolist()), strict=False)
+        return " + ".join(self._times(letter, entry) for letter, entry in pairs if entry.number)
 
 
 class _Float(_Fixed):
@@ -251,26 +262,25 @@ class _Float(_Fixed):
         return f"{self.name}_clampedf_({value}, {_single(limit)})"
 
     def input(self, need: str, source: str) -> str:
-        own = self.fixed.polynomial.inputs[need]
+        own = self.polynomial.inputs[need]
         return self._scaled(source, own.zero, own.step, own.limit)
 
     def raw(self, k: int, source: str) -> str:
-        own = self.fixed.polynomial
+        own = self.polynomial
         return self._scaled(source, own.bias[k], own.step[k], own.limit)
 
-    def term(self, term: fixed_point.FixedTerm) -> str:
-        own = term.monomial
-        return " * ".join([_single(own.coefficient), *map(_factor, own.factors)])
+    def term(self, term: Monomial) -> str:
+        return " * ".join([_single(term.coefficient), *map(_factor, term.factors)])
 
     def less(self, value: str, terms: str) -> str:
-        limit = _single(self.fixed.polynomial.limit)
+        limit = _single(self.polynomial.limit)
         return f"{self.name}_clampedf_({value} - ({terms}), {limit})" if terms else value
 
     def warm(self, k: int, value: str) -> str:
-        return f"{value} / (1.0f + t * {_single(self.fixed.polynomial.warm[k])})"
+        return f"{value} / (1.0f + t * {_single(self.polynomial.warm[k])})"
 
     def row(self, k: int) -> str:
-        pairs = zip(AXES, self.fixed.polynomial.matrix[k].tolist(), strict=False)
+        pairs = zip(AXES, self.polynomial.matrix[k].tolist(), strict=False)
         return " + ".join(f"{_single(entry)} * {letter}" for letter, entry in pairs if entry != 0.0)
 
 
@@ -279,15 +289,10 @@ class _Float(_Fixed):
 
 def _planes(calibration: Calibration) -> list[dict[str, Any]]:
     if calibration.planar:
-        return [{"suffix": "", "said": "", "first": 0, "second": 1}]
+        return [{"suffix": "", "clause": "", "first": 0, "second": 1}]
     return [
-        {
-            "suffix": f"_{AXES[i]}{AXES[j]}",
-            "said": f" in the plane {AXES[i]}{AXES[j]}",
-            "first": i,
-            "second": j,
-        }
-        for i, j in ((0, 1), (0, 2), (1, 2))
+        {"suffix": f"_{pair}", "clause": f" in the plane {pair}", "first": i, "second": j}
+        for pair, i, j in (("xy", 0, 1), ("xz", 0, 2), ("yz", 1, 2))
     ]
 
 
@@ -345,57 +350,63 @@ def _missing(assumed: Iterable[str], not_corrected: Iterable[NotCorrected]) -> l
     ]
 
 
-def _checks(fixed: fixed_point.FixedPoint, plane: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return test vectors for the header: scans at 1 g around a turn, with the angles expected for them.
+def _checks(
+    calibration: Calibration, polynomial: Polynomial, plane: dict[str, Any]
+) -> list[dict[str, str]]:
+    """Return test vectors for the header: scans at 1 g around a turn, with their angles by the calibration.
 
     The angles avoid the multiples of 45°. `plane` has the numbers of the two axes as `first` and `second`.
     """
-    polynomial = fixed.polynomial
     psi = (np.arange(CHECKS) + 0.37) * 2 * np.pi / CHECKS
     g = np.zeros((CHECKS, polynomial.axes))
     g[:, 0], g[:, 1] = np.cos(psi), np.sin(psi)
-    scans: fixed_point.Whole = np.rint(g / polynomial.step + np.array(polynomial.bias)).astype(np.int64)
-    warm, volts = _surroundings(polynomial, CHECKS, 11, 9)
-    angles = fixed.angle_udeg(scans, warm, volts, (plane["first"], plane["second"]))
-    rows = []
-    for k in range(CHECKS):
-        numbers = [*scans[k].tolist(), *[0] * (3 - polynomial.axes), int(warm[k]), int(volts[k])]
-        rows.append({"scan": _listed(numbers), "udeg": _whole(int(angles[k]))})
-    return rows
+    scans = np.rint(g / polynomial.step + np.array(polynomial.bias)).astype(np.int64)
+    around, temperature_c, supply_v = _surroundings(polynomial, CHECKS, 11, 9)
+    readings = scans * np.array(polynomial.step) * MG_PER_G * calibration.per_mg
+    gravity = calibration.apply(readings, temperature_c, supply_v=supply_v)
+    angles_deg = np.degrees(np.arctan2(gravity[:, plane["second"]], gravity[:, plane["first"]]))
+    return [
+        {
+            "scan": _listed([*scan, *[0] * (3 - polynomial.axes), *others]),
+            "udeg": _whole(round(1e6 * angle)),
+        }
+        for scan, others, angle in zip(scans.tolist(), around.tolist(), angles_deg.tolist(), strict=True)
+    ]
 
 
-def _rate_checks(
-    fixed: fixed_point.FixedPoint, accelerometers: fixed_point.Polynomial
-) -> list[dict[str, str]]:
-    """Return test vectors for the header: readings of all sensors, with the expected corrected rates.
+def _rate_checks(gyro: GyroCalibration, accelerometers: Polynomial) -> list[dict[str, str]]:
+    """Return test vectors for the header: readings of all sensors, with their rates by the calibration.
 
     The turns are about every axis in both senses, at forces of about 1 g; temperature and supply voltage
-    differ from 25 °C and 5 V. `fixed` are the constants of the gyros in fixed point.
+    differ from 25 °C and 5 V.
     """
     dps = np.array([[250.0, -31.0, 7.0], [-250.0, 90.0, -60.0], [3.0, -4.0, 270.0], [0.0, 0.0, 0.0]])
     g = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.6, -0.8], [0.5, 0.5, 0.7]])
-    turns: fixed_point.Whole = np.rint(dps / fixed_point.STEP_DPS).astype(np.int64)
-    scans: fixed_point.Whole = np.rint(g / accelerometers.step[0]).astype(np.int64)
-    warm, volts = _surroundings(accelerometers, len(dps), 23, 17)
-    udps = fixed.rates_udps(turns, scans, warm, volts)
+    step = accelerometers.step[0]
+    turns = np.rint(dps / fixed_point.STEP_DPS).astype(np.int64)
+    scans = np.rint(g / step).astype(np.int64)
+    around, temperature_c, supply_v = _surroundings(accelerometers, len(dps), 23, 17)
+    rates = gyro.correct(turns * fixed_point.STEP_DPS, scans * step, temperature_c, supply_v=supply_v)
+    udps = np.rint(1e6 * rates).astype(np.int64)
     return [
-        {
-            "turn": _listed(turns[k].tolist()),
-            "scan": _listed([*scans[k].tolist(), int(warm[k]), int(volts[k])]),
-            "udps": _listed(udps[k].tolist()),
-        }
-        for k in range(len(dps))
+        {"turn": _listed(turn), "scan": _listed([*scan, *others]), "udps": _listed(rate)}
+        for turn, scan, others, rate in zip(
+            turns.tolist(), scans.tolist(), around.tolist(), udps.tolist(), strict=True
+        )
     ]
 
 
 def _surroundings(
-    polynomial: fixed_point.Polynomial, count: int, degrees: int, volts: int
-) -> tuple[fixed_point.Whole, fixed_point.Whole]:
-    """Return readings (count,) of thermometer and voltmeter for test vectors, rising in equal steps.
+    polynomial: Polynomial, count: int, degrees: int, volts: int
+) -> tuple[NDArray[np.int64], Floats, Floats]:
+    """Return readings (count, 2) of thermometer and voltmeter for test vectors, rising in equal steps.
 
-    The middle reading is 25 °C and 5 V. `degrees` and `volts` are the steps, in LSB of the sensor; the
-    readings are integers in 1/256 LSB.
+    The readings are integers in 1/256 LSB; `degrees` and `volts` are the steps in LSB of the sensor. The
+    middle reading is 25 °C and 5 V. The second and third result are the temperatures (count,) in °C and
+    the supply voltages (count,) in V.
     """
-    rise = fixed_point.PARTS * (np.arange(count) - count // 2)
-    zeros = [polynomial.inputs[name].zero for name in ("t", "v")]
-    return zeros[0] + degrees * rise, zeros[1] + volts * rise
+    rise = fixed_point.PARTS * (np.arange(count, dtype=np.float64) - count // 2)
+    t, v = (polynomial.inputs[name] for name in ("t", "v"))
+    readings = np.stack([t.zero + degrees * rise, v.zero + volts * rise], axis=1).astype(np.int64)
+    temperature_c = REFERENCE_C + fixed_point.SPAN_C * t.step * degrees * rise
+    return readings, temperature_c, REFERENCE_V + fixed_point.SPAN_V * v.step * volts * rise

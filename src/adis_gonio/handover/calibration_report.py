@@ -432,10 +432,7 @@ def steps_section(traced: TraceResult, views: Views) -> Section:
     parts = []
     for number_, (step, view) in enumerate(zip(traced.steps, views.steps, strict=True), 1):
         before = "without it, the others kept" if view.beside_all else "before"
-        figures = [
-            Figure(_panel_plot(panel, step.effect, before), _panel_caption(panel, step.effect, before))
-            for panel in view.panels
-        ]
+        figures = [_panel_figure(panel, step.effect, before) for panel in view.panels]
         if figures:
             parts.append(Section(f"Step {number_}: {step.effect}", figures=figures))
     sentences = ["Bars are standard uncertainties of a reading."]
@@ -462,7 +459,7 @@ def residual_section(views: Views) -> Section:
             )
             for k, p in enumerate(panels)
         ]
-        x = _COVARIATES.get(covariate, _reading(covariate))
+        x = _covariate_label(covariate)
         y = "residual of the norm / mg" if panels[0].quantity == "norm" else "residual / mg"
         title = f"Residual of the final model against {x}"
         figures.append(Figure(plot(series, x, y, title=title, zero=True), title))
@@ -479,11 +476,8 @@ def what_if_section(traced: TraceResult) -> list[Section]:
     head, rows = words.compared(traced.what_if)
     caption = "Left out: the same dwells for all models. Odds contain the prior probability of the model."
     table = Table(head, rows, numeric=tuple(range(1, len(head))), strong=(2,), caption=caption)
-    labels = ("the asked model", "with the best model")
-    figures = [
-        Figure(_panel_plot(panel, *labels), _panel_caption(panel, *labels))
-        for panel in what_if_panels(traced.what_if)
-    ]
+    panels = what_if_panels(traced.what_if)
+    figures = [_panel_figure(panel, "the asked model", "with the best model") for panel in panels]
     points = words.forced(traced.what_if)
     return [Section(words.asked(traced.what_if), points=points, tables=[table], figures=figures)]
 
@@ -723,7 +717,17 @@ def _readings(session: Session, observed: Readings) -> Table:
     return Table(head, rows, numeric=(0, 1, 3, *range(4, 5 + observed.axes)))
 
 
-def _panel_plot(panel: Panel, effect: str, before: str) -> str:
+def _panel_figure(panel: Panel, effect: str, before: str) -> Figure:
+    """Draw the residual before and after an effect was added to the model, with a caption of its size.
+
+    `effect` is the name of the effect, and `before` the label of the residual without it.
+    """
+    unit = "°" if panel.quantity == "angle" else " mg"
+    was, now = (float(np.sqrt(np.nanmean(v**2))) for v in (panel.before, panel.after))
+    quantity = {"norm": "Norm", "angle": "Angle"}.get(panel.quantity, f"Axis {panel.quantity[-1]}")
+    caption = (
+        f"{quantity}: {format_number(was)}{unit} rms {before}, {format_number(now)}{unit} with {effect}."
+    )
     bars = _bars(panel)
     series = [
         Series(panel.x, panel.before, before, bars, "before"),
@@ -731,36 +735,30 @@ def _panel_plot(panel: Panel, effect: str, before: str) -> str:
     ]
     if panel.check_x.size:
         series.append(Series(panel.check_x, panel.check_after, "after, check dwells", role="third"))
-    x = _COVARIATES.get(panel.covariate, _reading(panel.covariate))
+    x = _covariate_label(panel.covariate)
     y = {"norm": "residual of the norm / mg", "angle": "computed − declared angle / °"}.get(
         panel.quantity, f"residual of {panel.quantity[-1]} / mg"
     )
     sides = panel.covariate == "approach"
-    return plot(
+    drawn = plot(
         series,
         x,
         y,
         title=f"{effect}: {y} against {x}",
-        description=_panel_caption(panel, effect, before),
+        description=caption,
         x_ticks={k: text for k, text in _SIDES.items() if (panel.x == k).any()} if sides else None,
         x_range=(-1.6, 1.6) if sides else None,
         zero=True,
     )
-
-
-def _panel_caption(panel: Panel, effect: str, before: str) -> str:
-    unit = "°" if panel.quantity == "angle" else " mg"
-    was, now = (float(np.sqrt(np.nanmean(v**2))) for v in (panel.before, panel.after))
-    quantity = {"norm": "Norm", "angle": "Angle"}.get(panel.quantity, f"Axis {panel.quantity[-1]}")
-    return f"{quantity}: {format_number(was)}{unit} rms {before}, {format_number(now)}{unit} with {effect}."
+    return Figure(drawn, caption)
 
 
 def _bars(panel: Panel) -> Any:
     return None if np.isnan(panel.u).all() else panel.u
 
 
-def _reading(covariate: str) -> str:
-    return f"reading of {covariate[-1]} / g"
+def _covariate_label(covariate: str) -> str:
+    return _COVARIATES.get(covariate, f"reading of {covariate[-1]} / g")
 
 
 def views(session: Session, result: TraceResult) -> Views:

@@ -20,7 +20,7 @@ from adis_gonio.base.conformity import Tolerance, Verdict, state_conformity
 from adis_gonio.base.errors import DataError, FitError, one_line
 from adis_gonio.base.uncertainty import coverage_factor
 from adis_gonio.calibrate.calibration import CURVE_PLACES, Calibration, Coefficient
-from adis_gonio.calibrate.gyro_calibration import KIND_OF, GyroCalibration
+from adis_gonio.calibrate.gyro_calibration import KIND_OF
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, StageCurve
 
@@ -108,7 +108,7 @@ def certificate_text(
             text = f"{name.capitalize()}, the error of the angle within {tolerance}: {one.reason}."
             statement = _named(administrative[-1], "statement", text, "declaration")
             _add(statement, "conformity", _CONFORMITY[one.verdict])
-    _results(_add(_add(root, "measurementResults"), "measurementResult"), calibration)
+    _results(_add(root, "measurementResults/measurementResult"), calibration)
     ET.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
@@ -145,9 +145,7 @@ def read_stage_curve(path: Path) -> StageCurve:
         lists = [(q, q.find(f"{{{SI}}}realListXMLList")) for q in result.iter(f"{{{DCC}}}quantity")]
         known = [(_is_error(quantity), each) for quantity, each in lists if each is not None]
         if sorted(error for error, _ in known) == [False, True]:
-            _, angles = min(known, key=lambda one: one[0])
-            _, errors = max(known, key=lambda one: one[0])
-            return _stage_curve(path, angles, errors)
+            return _stage_curve(path, angles=dict(known)[False], errors=dict(known)[True])
     raise DataError(
         f"{path}: contains no error curve of a stage: a result with a list of angles and a list of errors"
     )
@@ -208,10 +206,12 @@ def _degrees(path: Path, listed: ET.Element) -> Floats:
     return np.asarray(_unit_factor(path, listed) * values)
 
 
-def _add(parent: ET.Element, name: str, text: str | None = None, space: str = DCC) -> ET.Element:
-    child = ET.SubElement(parent, f"{{{space}}}{name}")
-    child.text = None if text is None else _clean(text)
-    return child
+def _add(parent: ET.Element, path: str, text: str | None = None, space: str = DCC) -> ET.Element:
+    """Add an element to `parent`, inside new elements if `path` has several tags; return the last one."""
+    for name in path.split("/"):
+        parent = ET.SubElement(parent, f"{{{space}}}{name}")
+    parent.text = None if text is None else _clean(text)
+    return parent
 
 
 def _clean(text: str) -> str:
@@ -225,7 +225,7 @@ def _named(parent: ET.Element, name: str, text: str, element: str = "name") -> E
     `name` is the tag of the child, `element` the tag of the element with the text.
     """
     child = _add(parent, name)
-    _add(_add(child, element), "content", text)
+    _add(child, f"{element}/content", text)
     return child
 
 
@@ -261,9 +261,9 @@ def _administrative(parent: ET.Element, calibration: Calibration, issued: date |
         one = _add(identifications, "identification")
         _add(one, "issuer", "other")
         _add(one, "value", value or NOT_STATED)
-        _add(_add(one, "name"), "content", label)
-    _contact(_add(_add(parent, "calibrationLaboratory"), "contact"), where.laboratory)
-    _named(_add(_add(parent, "respPersons"), "respPerson"), "person", where.operator or NOT_STATED)
+        _add(one, "name/content", label)
+    _contact(_add(parent, "calibrationLaboratory/contact"), where.laboratory)
+    _named(_add(parent, "respPersons/respPerson"), "person", where.operator or NOT_STATED)
     _contact(_add(parent, "customer"), where.customer)
     statements = _add(parent, "statements")
     for text in _statements(calibration):
@@ -271,8 +271,8 @@ def _administrative(parent: ET.Element, calibration: Calibration, issued: date |
 
 
 def _contact(parent: ET.Element, name: str) -> None:
-    _add(_add(parent, "name"), "content", name or NOT_STATED)
-    _add(_add(_add(parent, "location"), "further"), "content", NOT_STATED)
+    _add(parent, "name/content", name or NOT_STATED)
+    _add(parent, "location/further/content", NOT_STATED)
 
 
 def _statements(calibration: Calibration) -> list[str]:
@@ -284,36 +284,31 @@ def _statements(calibration: Calibration) -> list[str]:
         "Readings are U = diag(K) D g + b: sensitivities relative to the nominal one, skews as 90° less "
         "the angle between two axes, biases as readings without acceleration.",
     ]
-    if not calibration.provenance.recorded_utc:
+    if not where.recorded_utc:
         texts.append("The date of recording is not stated; the dates are the date of issue.")
     texts += [f"{name} was not determined and is taken as nominal." for name in calibration.assumed]
     texts += [f"Not corrected: {one.effect}: {one.reason}." for one in calibration.not_corrected]
-    if calibration.gyro is not None:
-        texts += _gyro_statements(calibration.gyro)
-        if calibration.gyro.source != calibration.provenance.source:
-            texts.append(
-                f"The gyros were calibrated in {calibration.gyro.source or 'a session not stated'}."
-            )
+    gyro = calibration.gyro
+    if gyro is not None:
+        texts.append(
+            "Gyros read K D ω + b + G f: zero rates b without acceleration, sensitivities relative to the "
+            "nominal one, f the readings of the accelerometers."
+        )
+        if gyro.assumed:
+            texts.append(f"Not determined and taken as nominal: {', '.join(gyro.assumed)}.")
+        texts += [f"Not corrected: {one.effect}: {one.reason}." for one in gyro.not_corrected]
+        if gyro.source != where.source:
+            texts.append(f"The gyros were calibrated in {gyro.source or 'a session not stated'}.")
     if calibration.covariance is None:
         texts.append("The noise of the readings is not known, so that no uncertainty is stated.")
     return texts
 
 
-def _gyro_statements(gyro: GyroCalibration) -> list[str]:
-    texts = [
-        "Gyros read K D ω + b + G f: zero rates b without acceleration, sensitivities relative to the "
-        "nominal one, f the readings of the accelerometers."
-    ]
-    if gyro.assumed:
-        texts.append(f"Not determined and taken as nominal: {', '.join(gyro.assumed)}.")
-    return texts + [f"Not corrected: {one.effect}: {one.reason}." for one in gyro.not_corrected]
-
-
 def _results(parent: ET.Element, calibration: Calibration) -> None:
     where = calibration.provenance
-    _add(_add(parent, "name"), "content", where.title or "Calibration by gravity")
+    _add(parent, "name/content", where.title or "Calibration by gravity")
     method = _named(_add(parent, "usedMethods"), "usedMethod", f"adis-gonio, method {calibration.method}")
-    _add(_add(method, "description"), "content", _model_of(calibration))
+    _add(method, "description/content", _model_of(calibration))
     _software(_add(parent, "usedSoftware"), calibration)
     equipment = _add(parent, "measuringEquipments")
     _named(equipment, "measuringEquipment", where.stage or f"stage, {NOT_STATED}")

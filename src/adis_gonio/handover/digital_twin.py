@@ -26,7 +26,7 @@ from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, Parameter
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
 from adis_gonio.page.document import Figure, Role, Section, Series, Style, Table, plot
 from adis_gonio.sim.bus import SimBus
-from adis_gonio.sim.noise import Flicker, White
+from adis_gonio.sim.noise import Flicker
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.world import World
 from adis_gonio.tracing.trace_calibrations import gyros_as_recorded
@@ -146,7 +146,7 @@ class TermEffect(Effect):
         )
 
     def _bounds(self) -> Floats:
-        bounds = self.term.bounds()
+        bounds = self.term.bounds
         return np.zeros((0, 2)) if bounds is None else bounds
 
     def attitude_rad(self, values: Floats, conditions: Conditions) -> Floats:
@@ -222,17 +222,14 @@ class LikeWorld(World):
         ]
         part = sensor if sensor in VARIANTS else "adis16354"
         super().__init__(_settings(fit, gyro), part=part, seed=seed, effects=effects)
-        # Axes without samples get the mean noise.
-        white = np.full(3, float(noise.white_mg.mean()))
-        white[: data.axes] = noise.white_mg
+        # Axes without samples get the mean noise; the gyros have the noise of the variant.
+        self._white_sd[:3] = noise.white_mg.mean()
+        self._white_sd[: data.axes] = noise.white_mg
+        self._white_sd[3:6] = self.variant.performance.gyro_noise_dps
         floor = np.zeros(3)
         floor[: data.axes] = noise.floor_mg
         own = np.random.SeedSequence((seed, 1)).spawn(2)
-        surroundings = [self.settings.temperature_noise_c] * 3 + [self.settings.supply_noise_v]
-        noisy = self.variant.performance.gyro_noise_dps
-        self._white = White(
-            np.array([*white, noisy, noisy, noisy, *surroundings]), np.random.default_rng(own[0])
-        )
+        self._white = np.random.default_rng(own[0])
         self._flicker = Flicker(
             np.array([*floor, 0.0, 0.0, 0.0]), np.random.default_rng(own[1]), start_s=-10.0
         )
@@ -452,10 +449,12 @@ class TwinComparison:
 @solvable
 def compare(measured: Session, twin: Session, traced: Fit) -> TwinComparison:
     """Fit the traced model to a session and to its twin, and compare their residuals and noise."""
+    from scipy.stats import ks_2samp
+
     sessions = (measured, twin)
     data = [readings_of(session) for session in sessions]
-    ours, theirs = (Fit.begin(one).with_terms(traced.terms, traced.values.terms).refit() for one in data)
-    residual = (_residual(ours), _residual(theirs))
+    ours, twins = (Fit.begin(one).with_terms(traced.terms, traced.values.terms).refit() for one in data)
+    residual = (_residual(ours), _residual(twins))
     if not all(part.size for part in residual):
         raise DataError(
             "there are no more readings than parameters, so that there is no residual to compare"
@@ -469,8 +468,8 @@ def compare(measured: Session, twin: Session, traced: Fit) -> TwinComparison:
     ]
     return TwinComparison(
         residual,
-        _p_same(*residual),
-        _p_variance(ours, theirs),
+        float(ks_2samp(*residual).pvalue),
+        _p_variance(ours, twins),
         tau_s[inside],
         (allan[inside], np.exp(np.stack(logs, axis=1))),
     )
@@ -482,34 +481,14 @@ def _residual(fitted: Fit) -> Floats:
     return np.asarray(rows[np.abs(rows) > 1e-9], np.float64)
 
 
-def _p_same(ours: Floats, theirs: Floats) -> float:
-    """Return the exact p-value of the two-sided Kolmogorov-Smirnov test that two distributions are equal.
-
-    `ours` and `theirs` are samples of the two distributions. The function counts the orders of the joined
-    samples in which the empirical distribution functions stay closer than in the data (Kim and Jennrich, in
-    Selected Tables in Mathematical Statistics 1, 1973).
-    """
-    m, n = len(ours), len(theirs)
-    joined = np.concatenate([ours, theirs])
-    below = [np.searchsorted(np.sort(part), joined, side="right") / len(part) for part in (ours, theirs)]
-    seen = (0.5 + np.floor(np.abs(below[0] - below[1]).max() * m * n - 1e-7)) / (m * n)
-    of_theirs = np.arange(n + 1) / n
-    share = (of_theirs <= seen).astype(np.float64)
-    for i in range(1, m + 1):
-        inside = np.abs(i / m - of_theirs) <= seen
-        # A path reaches (i, j) from (i − 1, j) or from (i, j − 1).
-        share = np.where(inside, np.cumsum(np.where(inside, i / (i + n) * share, 0.0)), 0.0)
-    return float(min(max(1 - share[-1], 0.0), 1.0))
-
-
-def _p_variance(ours: Fit, theirs: Fit) -> float:
+def _p_variance(ours: Fit, twins: Fit) -> float:
+    """Return the p-value of the two-sided F test that χ² per degree of freedom is equal in two fits."""
     from scipy.special import fdtr
 
-    if ours.dof <= 0 or theirs.dof <= 0:
+    if ours.dof <= 0 or twins.dof <= 0:
         return 1.0
-    ratio = (ours.chi2 / ours.dof) / max(theirs.chi2 / theirs.dof, 1e-300)
-    # Two-sided probability of the F distribution.
-    below = float(fdtr(ours.dof, theirs.dof, ratio))
+    ratio = (ours.chi2 / ours.dof) / max(twins.chi2 / twins.dof, 1e-300)
+    below = float(fdtr(ours.dof, twins.dof, ratio))
     return 2 * min(below, 1 - below)
 
 

@@ -1,4 +1,4 @@
-"""Polynomials of a calibration, and their evaluation with integers.
+"""Polynomials of a calibration, and their constants in fixed point for a firmware.
 
 The polynomial of a calibration is the form in which a firmware corrects readings.
 
@@ -12,9 +12,6 @@ its digits. A reading of axis i is corrected in three steps, in units of the sta
 The sum contains one term for each parameter of an effect. The factors of a term are ideal readings a (|a| ≤
 2), their moduli, the temperature t = (T − 25 °C)/128 and the supply v = (V − 5 V)/8, both within ±1. The
 matrix M removes gains and misalignments.
-
-This module repeats in Python the fixed-point arithmetic of the C header; its results are equal to the last
-bit.
 
 Readings in g are integers in Q29 (2⁻²⁹ g, ±4 g in 32 bits). Products are formed in 64 bits and rounded to
 the nearest. Every coefficient is an integer of 30 bits and a shift (`Scaled`). A product of three readings
@@ -42,11 +39,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import FitError
@@ -274,14 +270,11 @@ def _passes(monomials: tuple[Monomial, ...]) -> int:
     return min(max(passes, 1), MOST_PASSES)
 
 
-Whole = NDArray[np.int64]
-
 Q = 29
 ONE = 1 << Q
 CORDIC_STEPS = 28
 TURN_BITS = 32
 """Bits of an internal angle, which is an integer with 2³² per turn."""
-HALF_TURN_UDEG = 180_000_000
 CORDIC_UDEG = 7
 """Bound in µ° of the angle's error by CORDIC."""
 BITS = 30
@@ -332,228 +325,9 @@ class Scaled:
         return cls(round(math.ldexp(value, shift)), shift)
 
 
-@dataclass(frozen=True)
-class FixedTerm:
-    """A term of the polynomial, with its coefficient as a scaled integer.
-
-    Attributes
-    ----------
-    monomial : Monomial
-        Axis, coefficient and factors of the term.
-    coefficient : Scaled
-        The coefficient in fixed point.
-    """
-
-    monomial: Monomial
-    coefficient: Scaled
-
-    def value(self, factors: dict[str, Whole]) -> Whole:
-        """Return the coefficient times the product of its factors (n,), as integers in fixed point.
-
-        `factors` are the values by name, in 2⁻²⁹ of their unit.
-        """
-        first, *rest = self.monomial.factors
-        product = factors[first]
-        for factor in rest:
-            product = _shifted(product * factors[factor], Q)
-        return _shifted(product * self.coefficient.number, self.coefficient.shift)
-
-
-@dataclass(frozen=True)
-class FixedPoint:
-    """The constants of the C header in fixed point, and the computation that the header does with them.
-
-    Attributes
-    ----------
-    polynomial : Polynomial
-        The calibration in floating point.
-    step : tuple of Scaled
-        Size in g or °/s of one integer of a reading, for each axis.
-    bias : tuple of int
-        Bias of each axis in fixed point; more than 32 bits if the zero of a sensor with counts is far away.
-    terms : tuple of FixedTerm
-        Terms of all effects; their values have the fixed point of the readings and can be added.
-    matrix : tuple of tuple of Scaled
-        Rows of `Polynomial.matrix`.
-    inputs : mapping of str to Scaled
-        Steps of the inputs of the polynomial.
-    warm : tuple of int
-        Relative change of each axis's scale factor per unit of t, in 2⁻²⁹.
-    """
-
-    polynomial: Polynomial
-    step: tuple[Scaled, ...]
-    bias: tuple[int, ...]
-    terms: tuple[FixedTerm, ...]
-    matrix: tuple[tuple[Scaled, ...], ...]
-    inputs: Mapping[str, Scaled]
-    warm: tuple[int, ...]
-
-    @classmethod
-    def of(cls, polynomial: Polynomial) -> FixedPoint:
-        """Convert a polynomial to fixed point."""
-        p, down = polynomial, Q - polynomial.q
-        # A product in Q29 shifted by more bits has the digits of a reading.
-        scaled = [Scaled.of(one.coefficient, 62 - down) for one in p.monomials]
-        return cls(
-            polynomial=p,
-            step=tuple(Scaled.of(step) for step in p.step),
-            bias=tuple(round(math.ldexp(b * s, p.q)) for b, s in zip(p.bias, p.step, strict=True)),
-            terms=tuple(
-                FixedTerm(term, Scaled(own.number, own.shift + down))
-                for term, own in zip(p.monomials, scaled, strict=True)
-            ),
-            matrix=tuple(tuple(Scaled.of(float(entry)) for entry in row) for row in p.matrix),
-            inputs={name: Scaled.of(one.step) for name, one in p.inputs.items()},
-            warm=tuple(round(math.ldexp(change, Q)) for change in p.warm),
-        )
-
-    @property
-    def limit(self) -> int:
-        """Largest magnitude of a reading in fixed point (`Polynomial.q` binary digits behind the point)."""
-        return int(self.polynomial.limit * (1 << self.polynomial.q))
-
-    def correct(
-        self,
-        scan: ArrayLike,
-        temperature: Whole | None = None,
-        supply: Whole | None = None,
-        force: ArrayLike | None = None,
-    ) -> Whole:
-        """Return the corrected gravity in 2⁻²⁹ of local gravity, or rates in 2⁻²⁰ °/s, (n, axes).
-
-        Parameters
-        ----------
-        scan : (n, axes) int
-            Readings of accelerometers in 1/256 step, or of gyros in 1/256 of 0.018315 °/s.
-        temperature, supply : (n,) int, optional
-            Readings of thermometer and voltmeter in 1/256 step; by default 25 °C and 5 V.
-        force : (n, 3) int, optional
-            Readings of the accelerometers in 1/256 step; required for gyros.
-        """
-        numbers = np.asarray(scan, dtype=np.int64)[:, : self.polynomial.axes]
-        given = {"t": temperature, "v": supply}
-        if force is not None:
-            given |= {f"f{axis}": np.asarray(force)[:, k] for k, axis in enumerate(AXES)}
-        factors = {name: self._factor(name, given.get(name), len(numbers)) for name in self.inputs}
-        scaled = [
-            _shifted(numbers[:, k] * step.number, step.shift - self.polynomial.q)
-            for k, step in enumerate(self.step)
-        ]
-        free = _clamped(np.stack(scaled, axis=1) - np.array(self.bias, dtype=np.int64), self.limit)
-        # Terms of the inputs are subtracted once, terms of the readings in every pass.
-        free = _clamped(free - self._sum(factors, free, of_reading=False), self.limit)
-        ideal = free
-        for _ in range(self.polynomial.passes):
-            for k, letter in enumerate(AXES[: self.polynomial.axes]):
-                factors[letter] = ideal[:, k]
-                factors[f"|{letter}|"] = np.abs(ideal[:, k])
-            ideal = _clamped(free - self._sum(factors, free, of_reading=True), self.limit)
-        for k, change in enumerate(self.warm[: self.polynomial.axes]):
-            if change:
-                over, under = ideal[:, k] << Q, ONE + _shifted(factors["t"] * change, Q)
-                # C99 divides towards zero.
-                ideal[:, k] = _clamped(np.sign(over) * (np.abs(over) // under), self.limit)
-        return np.stack([_row(row, list(ideal.T)) for row in self.matrix], axis=1)
-
-    def _factor(self, name: str, given: Whole | None, n: int) -> Whole:
-        """Return an input (n,) of the polynomial in 2⁻²⁹ of its unit; 0 if `given` is None.
-
-        `name` is the name of the input; `given` (n,) are its readings in 1/256 LSB.
-        """
-        own, step = self.polynomial.inputs[name], self.inputs[name]
-        numbers = np.full(n, own.zero) if given is None else np.asarray(given, dtype=np.int64)
-        scaled = _shifted((numbers - own.zero) * step.number, step.shift - Q)
-        return _clamped(scaled, int(own.limit * ONE))
-
-    def _sum(self, factors: dict[str, Whole], like: Whole, *, of_reading: bool) -> Whole:
-        """Return the sum (n, axes) of the terms that depend on readings (`of_reading`), or of the others.
-
-        `factors` are the values of all factors by name; `like` is an array with the shape of the sum.
-        """
-        total = np.zeros_like(like)
-        for term in self.terms:
-            if term.monomial.of_reading == of_reading:
-                total[:, term.monomial.axis] += term.value(factors)
-        return total
-
-    def angle_udeg(
-        self,
-        scan: ArrayLike,
-        temperature: Whole | None = None,
-        supply: Whole | None = None,
-        plane: tuple[int, int] = (0, 1),
-    ) -> Whole:
-        """Return the angle (n,) of gravity in µ°, from the first axis of a plane towards the second axis.
-
-        Readings, temperature and supply are integers in 1/256 step (by default 25 °C and 5 V); `plane` has
-        the indices of the two axes.
-        """
-        gravity = self.correct(scan, temperature, supply)
-        return atan2_udeg(gravity[:, plane[1]], gravity[:, plane[0]])
-
-    def rates_udps(
-        self,
-        rates: ArrayLike,
-        scan: ArrayLike,
-        temperature: Whole | None = None,
-        supply: Whole | None = None,
-    ) -> Whole:
-        """Return the corrected rates (n, 3) of gyros in 1e-6 °/s.
-
-        `rates` (n, 3) are the readings of the gyros in 1/256 of 0.018315 °/s. `scan` (n, 3) are the
-        readings of the accelerometers, `temperature` and `supply` the readings of thermometer and
-        voltmeter, in 1/256 LSB.
-        """
-        turned = _clamped(self.correct(rates, temperature, supply, scan), MOST_RATE)
-        # 15625 / 2¹⁴ = 1e6 / 2²⁰
-        return _shifted(turned * 15625, RATE_Q - 6)
-
-
 def cordic_table() -> list[int]:
     """Return the angles atan(2⁻ⁱ) of the CORDIC steps, in 2⁻³² of a full turn."""
     return [round(math.atan2(1, 1 << i) / (2 * math.pi) * (1 << TURN_BITS)) for i in range(CORDIC_STEPS)]
-
-
-def atan2_udeg(y: Whole, x: Whole) -> Whole:
-    """Return the angle (n,) in µ° of vectors with integer components below 2³¹; 0 for the null vector."""
-    ay, ax = np.abs(np.asarray(y, dtype=np.int64)), np.abs(np.asarray(x, dtype=np.int64))
-    none = (ax == 0) & (ay == 0)
-    # Scale each vector to 2²⁸ … 2²⁹, as the loops of the header do.
-    for _ in range(TURN_BITS):
-        small = (np.maximum(ax, ay) < ONE >> 1) & ~none
-        ax, ay = np.where(small, 2 * ax, ax), np.where(small, 2 * ay, ay)
-    for _ in range(3):
-        large = np.maximum(ax, ay) >= ONE
-        ax, ay = np.where(large, ax >> 1, ax), np.where(large, ay >> 1, ay)
-    turn = np.zeros(len(ax), dtype=np.int64)
-    # CORDIC: turn the vector onto x by ±atan 2⁻ⁱ and add up the turns.
-    for i, step in enumerate(cordic_table()):
-        sign, size = np.sign(ay), np.abs(ay)
-        ax, ay = ax + (size >> i), ay - sign * (ax >> i)
-        turn = turn + sign * step
-    # From 2³² per turn to 360 000 000 µ°.
-    udeg = _shifted(turn * (2 * HALF_TURN_UDEG >> 3), TURN_BITS - 3)
-    udeg = np.where(np.asarray(x) < 0, HALF_TURN_UDEG - udeg, udeg)
-    return np.where(none, 0, np.where(np.asarray(y) < 0, -udeg, udeg))
-
-
-def _shifted(values: Whole, bits: int) -> Whole:
-    """Return values divided by 2^bits and rounded to the nearest integer, halves upwards."""
-    return (values + (1 << (bits - 1))) >> bits if bits > 0 else values << -bits
-
-
-def _clamped(values: Whole, limit: int) -> Whole:
-    return np.clip(values, -limit, limit)
-
-
-def _row(entries: Sequence[Scaled], columns: Sequence[Whole]) -> Whole:
-    """Return a matrix row times vectors: the sum of entry · column (n,), in fixed point."""
-    total = np.zeros(len(columns[0]), dtype=np.int64)
-    for entry, column in zip(entries, columns, strict=False):
-        if entry.number:
-            total = total + _shifted(column * entry.number, entry.shift)
-    return total
 
 
 # -- gyros -------------------------------------------------------------------------------------------

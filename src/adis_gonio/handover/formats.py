@@ -28,8 +28,9 @@ class Format:
     writer : str
         Function as `module:function`. For coefficients it takes a `Calibration` and returns a text; for
         samples it takes a `Session` and a path and writes the file. Empty for the JSON document.
-    named : bool
-        True if the function also takes a prefix for all names in the file.
+    options : tuple of str
+        Options of the command that apply to this format alone; the function of coefficients takes them by
+        name.
     meaning : str
         Content in a few words, for the help.
     """
@@ -38,7 +39,7 @@ class Format:
     endings: tuple[str, ...]
     holds: Literal["coefficients", "samples", "document"]
     writer: str = ""
-    named: bool = False
+    options: tuple[str, ...] = ()
     meaning: str = ""
 
     def function(self) -> Callable[..., Any]:
@@ -53,10 +54,16 @@ FORMATS = (
         (".h", ".hpp"),
         "coefficients",
         "handover.c_header:c_header",
-        named=True,
+        options=("name",),
         meaning="gravity and angle in C, fixed point and float",
     ),
-    Format("json", (".json",), "document", meaning="calibration, fit or trace, facts of the session"),
+    Format(
+        "json",
+        (".json",),
+        "document",
+        options=("samples",),
+        meaning="calibration, fit or trace, facts of the session",
+    ),
     Format(
         "csv",
         (".csv", ".csv.gz"),
@@ -76,6 +83,7 @@ FORMATS = (
         (".xml",),
         "coefficients",
         "handover.certificate:certificate_text",
+        options=("tolerance",),
         meaning="digital calibration certificate",
     ),
     Format(

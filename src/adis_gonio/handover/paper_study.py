@@ -14,7 +14,8 @@ Sessions are recorded through chip and driver, as by `adis-gonio simulate`. Ever
 on its stage: at four positions, every 90°, and at nine, every 40°. The paper's method, the closed form
 and `four-position` use the first session, MMPM, `ml` and the trace the second.
 
-The page shows table 1, figure 3, and other methods on the same sessions.
+The page shows table 1, figure 3, and the errors of a fixture above which the paper's method is better. The
+JSON document has the results of all methods.
 """
 
 from __future__ import annotations
@@ -505,16 +506,6 @@ def reproduce(seed: int = 0, sessions: int = SESSIONS, jobs: int | None = None) 
 
 # -- the page -----------------------------------------------------------------------------------------
 
-_HEADINGS = {
-    "paper": ("paper's method", 2),
-    "two-position": ("two-position", 2),
-    "four-position": ("four-position", 4),
-    "mmpm": ("MMPM", 9),
-    "ml": ("ml", 9),
-    TRACED: ("traced model", 9),
-}
-"""Heading of each method on the page, and the number of positions that it uses."""
-
 
 def build_page(done: Study) -> str:
     """Return the study as one HTML page that loads nothing."""
@@ -531,7 +522,7 @@ def build_page(done: Study) -> str:
 def sections(done: Study) -> tuple[Section, ...]:
     """Return the sections of the HTML page of the study."""
     results = Section("Results", words=verdicts(done), notes=(f"Command: {done.command} -o PAGE.html",))
-    return results, _table(done), _figure_3(done), _others(done), _map(done), _again(done)
+    return results, _table(done), _figure_3(done), _map(done)
 
 
 def verdicts(done: Study) -> tuple[str, ...]:
@@ -633,26 +624,6 @@ def _figure_3(done: Study) -> Section:
     )
 
 
-def _others(done: Study) -> Section:
-    rows = [(row.label, done.ours(row.axis, row.quantity)) for row in TABLE]
-    rows.append(("ΔK, column X", done.ours("x", "delta_k")))
-    cells = [[label, *map(_error, ours.values())] for label, ours in rows]
-    cells.append(["positions", *(str(positions) for _, positions in _HEADINGS.values())])
-    traced = max(ours[TRACED].sessions for _, ours in rows)
-    head = ["row", *(title for title, _ in _HEADINGS.values())]
-    return Section(
-        "The other methods on the same sessions",
-        words=(
-            "Error about the truth, rms over the sessions. Each part is measured at four positions,"
-            " of which the paper's method and its closed form use the first two, and at MMPM's nine, which"
-            f" ml and the traced model also use. The traced model is of {counted(traced, 'part')} of each"
-            " column: it has to find the bias before it corrects it.",
-        ),
-        tables=(Table(head, cells, numeric=tuple(range(1, len(head)))),),
-        notes=(f"Command: {done.command} --json (table_1: sessions, error)",),
-    )
-
-
 def _error(spread: MethodSpread) -> str:
     return "–" if spread.error is None else format_number(spread.error, 2)
 
@@ -677,17 +648,4 @@ def _map(done: Study) -> Section:
         ),
         figures=[Figure(svg, "ΔK: above its line the paper's method is better, below it MMPM.")],
         notes=(f"Command: {done.command} --json (crossing_of_delta_k)",),
-    )
-
-
-def _again(done: Study) -> Section:
-    part = done.results["x"][0].part
-    return Section(
-        "Repeat the numbers",
-        words=(
-            f"The whole page: {done.command} -o PAGE.html. All numbers as one document: {done.command}"
-            " --json; its parts state the command that records each session. Dwells last"
-            f" {DWELL_S:g} s. The first part of column X at its nine positions, and MMPM of it:",
-        ),
-        points=(part.command("mmpm"), "adis-gonio fit one.session --method mmpm"),
     )

@@ -17,7 +17,7 @@ from adis_gonio.base.output import write_utf8
 from adis_gonio.calibrate.calibration import Calibration
 from adis_gonio.calibrate.calibration_document import calibration_in
 from adis_gonio.handover.c_header import DEFAULT_NAME
-from adis_gonio.handover.formats import BY_NAME
+from adis_gonio.handover.formats import BY_NAME, FORMATS
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.records import Session
 from adis_gonio.record.loading import Overrides, load_session
@@ -122,18 +122,17 @@ class ExportSource:
     def check(self, kind: str) -> None:
         """Raise `UsageError` if an option has no meaning for the format `kind`."""
         samples_only = BY_NAME[kind].holds == "samples"
+        default = {"samples": False, "name": DEFAULT_NAME, "tolerance": None}
         if samples_only and (self.method is not None or self.traced):
             raise UsageError(f"--method and --trace go with coefficients: {kind} has the samples only")
         if samples_only and self.gyros is not None:
             raise UsageError(f"--gyros goes with coefficients: {kind} has the samples only")
-        if self.samples and kind != "json":
-            raise UsageError("--samples goes with --format json")
         if self.method is not None and self.traced:
             raise UsageError("--method and --trace exclude each other: a trace has its own model")
-        if self.name != DEFAULT_NAME and not BY_NAME[kind].named:
-            raise UsageError("--name goes with --format c-header")
-        if self.tolerance is not None and kind != "dcc":
-            raise UsageError("--tolerance goes with --format dcc")
+        for one in FORMATS:
+            for name in one.options:
+                if one.name != kind and getattr(self, name) != default[name]:
+                    raise UsageError(f"--{name} goes with --format {one.name}")
 
     def write(self, kind: str, path: Path) -> list[str]:
         """Write the source in a format to a new or empty file; return remarks on the content.
@@ -149,14 +148,8 @@ class ExportSource:
         self.check(kind)
         chosen = BY_NAME[kind]
         if chosen.holds == "coefficients":
-            options: dict[str, Any] = {"name": self.name} if chosen.named else {}
-            options |= {"tolerance": self.tolerance} if kind == "dcc" else {}
-            given, remarks = calibration_in(self.path), []
-            if given is None:
-                session = load_session(self.path, self.overrides)
-                calibration, remarks = self._fitted(session), list(describe_later_writes(session.facts))
-            else:
-                calibration = self._given(given)
+            calibration, remarks = self._calibration()
+            options = {name: getattr(self, name) for name in chosen.options}
             write_utf8(path, chosen.function()(calibration, **options))
             return remarks
         session = self._session(kind)
@@ -171,6 +164,18 @@ class ExportSource:
             raise DataError(f"{self.path}: is a calibration without samples: {kind} needs a session")
         return load_session(self.path, self.overrides)
 
+    def _calibration(self) -> tuple[Calibration, list[str]]:
+        """Return the calibration in the file or the calibration of its session, and remarks."""
+        given = calibration_in(self.path)
+        if given is None:
+            session = load_session(self.path, self.overrides)
+            return self._fitted(session), list(describe_later_writes(session.facts))
+        if self.method is not None or self.traced:
+            raise UsageError(
+                f"{self.path}: is a calibration already: --method and --trace go with a session"
+            )
+        return self._with_gyros(given), []
+
     def _fitted(self, session: Session) -> Calibration:
         changed = changed_registers(session)
         if changed:
@@ -183,13 +188,6 @@ class ExportSource:
         except FitError as error:
             raise FitError(f"{error}{gyros_alone(session)}") from None
         return self._with_gyros(own, session)
-
-    def _given(self, calibration: Calibration) -> Calibration:
-        if self.method is not None or self.traced:
-            raise UsageError(
-                f"{self.path}: is a calibration already: --method and --trace go with a session"
-            )
-        return self._with_gyros(calibration)
 
     def _with_gyros(self, calibration: Calibration, session: Session | None = None) -> Calibration:
         if self.gyros is not None:

@@ -480,7 +480,7 @@ def _reach(result: FitResult) -> PlanUncertainty:
     sure = angle.u is not None
     return PlanUncertainty(
         result.method,
-        {one.name: replace(one.stated, value=math.nan) for one in result.parameters},
+        {one.name: replace(one, value=math.nan) for one in result.parameters},
         angle,
         Value(math.nan, whole if sure else None, "deg"),
         fitted if sure else math.nan,

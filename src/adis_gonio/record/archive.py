@@ -35,6 +35,7 @@ import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
+from functools import cached_property
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -66,7 +67,6 @@ from adis_gonio.record.archive_tables import (
     checked_value,
     checksum,
     statements,
-    to_json,
     utc_now,
 )
 from adis_gonio.record.blocks import GENERIC, UNITS, Block, count_alarms, from_bytes, to_bytes
@@ -179,9 +179,11 @@ def make_durable(connection: sqlite3.Connection) -> None:
 
 @contextmanager
 def translated_errors(path: Path) -> Iterator[None]:
-    """Convert SQLite errors raised in the block to one-line errors of this package that name the file."""
+    """Convert errors of SQLite and of wrong values in the block to errors that name the file."""
     try:
         yield
+    except ShapeError as error:
+        raise damaged(path, str(error)) from None
     except sqlite3.Error as error:
         raise _explain(path, error) from error
     except UnicodeDecodeError as error:
@@ -215,6 +217,20 @@ def _excerpt(text: str) -> str:
     return line if len(line) <= LONGEST_TEXT else f"{line[:LONGEST_TEXT]}…"
 
 
+_LOCKED = f"another program has kept it locked for {WAIT_S:g} s; try again"
+_OBSTACLES = {
+    "SQLITE_FULL": "the disk is full; make room and resume, all completed dwells are kept",
+    "SQLITE_READONLY": "cannot be written ({}); copy it to a place that you may write",
+    "SQLITE_BUSY": _LOCKED,
+    "SQLITE_LOCKED": _LOCKED,
+    "SQLITE_IOERR": "the disk failed ({}); all completed dwells are kept",
+}
+"""Message for errors of SQLite whose cause is outside the file, by the beginning of the error's name.
+
+{} stands for the message of SQLite.
+"""
+
+
 def _explain(path: Path, error: sqlite3.Error) -> DataError | SessionError:
     text = _excerpt(str(error))
     name = getattr(error, "sqlite_errorname", "")
@@ -224,17 +240,8 @@ def _explain(path: Path, error: sqlite3.Error) -> DataError | SessionError:
         return damaged(path, f"it cannot be read within bounds: {text}")
     if name.startswith("SQLITE_CORRUPT") or text.startswith(("no such table", "no such column")):
         return _truncated(path) or damaged(path, text)
-    if name.startswith("SQLITE_FULL"):
-        return SessionError(
-            f"{path}: the disk is full; make room and resume, all completed dwells are kept"
-        )
-    if name.startswith("SQLITE_READONLY"):
-        return SessionError(f"{path}: cannot be written ({text}); copy it to a place that you may write")
-    if name.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
-        return SessionError(f"{path}: another program has kept it locked for {WAIT_S:g} s; try again")
-    if name.startswith("SQLITE_IOERR"):
-        return SessionError(f"{path}: the disk failed ({text}); all completed dwells are kept")
-    return SessionError(f"{path}: {text}")
+    known = (message for prefix, message in _OBSTACLES.items() if name.startswith(prefix))
+    return SessionError(f"{path}: {next(known, '{}').format(text)}")
 
 
 def _open(path: Path, mode: str) -> sqlite3.Connection:
@@ -341,7 +348,6 @@ class ArchiveView(Closing):
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._connection = connect(self.path, write=False)
-        self._header: Header | None = None
 
     @contextmanager
     def snapshot(self) -> Iterator[None]:
@@ -355,17 +361,13 @@ class ArchiveView(Closing):
 
     def header(self) -> Header:
         """Return the header of the session; it is read from the file once, because it never changes."""
-        if self._header is None:
-            self._header = self._read_header()
         return self._header
 
-    def _read_header(self) -> Header:
-        try:
-            values = checked_value(
-                "table meta", META, {row["key"]: row["value"] for row in self._rows("meta", "key")}
-            )
-        except ShapeError as error:
-            raise damaged(self.path, str(error)) from None
+    @cached_property
+    def _header(self) -> Header:
+        stored = {row["key"]: row["value"] for row in self._rows("meta", "key")}
+        with translated_errors(self.path):
+            values = checked_value("table meta", META, stored)
         values["plan"] = Plan.from_dict(values["plan"])
         if values["fixture_sigma_deg"] == "free":
             values["fixture_sigma_deg"] = math.inf
@@ -376,10 +378,8 @@ class ArchiveView(Closing):
         return [self._checked_record(**row) for row in self._rows("records", "record", kind=kind)]
 
     def _checked_record(self, record: int, kind: str, value: Any, **row: Any) -> Record:
-        try:
-            checked_value(kind, RECORDS.get(kind, anything), value)
-        except ShapeError as error:
-            raise damaged(self.path, f"record {record}: {error}") from None
+        with translated_errors(self.path):
+            checked_value(f"record {record}: {kind}", RECORDS.get(kind, anything), value)
         return Record(kind=kind, value=value, **row)
 
     def last(self, kind: str) -> Any:
@@ -623,10 +623,7 @@ class ArchiveView(Closing):
                 characters += sum(len(part) for part in row if isinstance(part, str))
                 if characters > MOST_TEXT:
                     raise damaged(self.path, f"table {table} holds more than {MOST_TEXT} characters")
-                try:
-                    checked.append(checked_row(table, row[:-1]))
-                except ShapeError as error:
-                    raise damaged(self.path, f"row {number} of table {table}: {error}") from None
+                checked.append(checked_row(table, row[:-1], f"row {number} of table {table}: "))
         return checked
 
 
@@ -662,7 +659,6 @@ class Archive(ArchiveView):
         self.path = path
         self._connection = connection
         self.utc: Callable[[], str] = utc_now
-        self._header = None
         self._run = 0
 
     @classmethod
@@ -687,7 +683,7 @@ class Archive(ArchiveView):
                 for statement in statements():
                     archive._connection.execute(statement)
                 for key, value in values.items():
-                    archive._insert("meta", key, to_json(value))
+                    archive._insert("meta", key, value)
         except BaseException:
             archive.close()
             raise
@@ -721,7 +717,7 @@ class Archive(ArchiveView):
         with self._transaction(new=True):
             run = self._next("runs", "run")
             software = f"adis-gonio {__version__}"
-            self._insert("runs", run, self.utc(), float(bus_s), float(clock_offset_s), continues, software)
+            self._insert("runs", run, self.utc(), bus_s, clock_offset_s, continues, software)
         self._run = run
         return run
 
@@ -750,15 +746,15 @@ class Archive(ArchiveView):
                 number,
                 self._run,
                 attempt.place,
-                None if position.angle_deg is None else float(position.angle_deg),
+                position.angle_deg,
                 position.approach,
                 position.use,
                 attempt.outcome,
                 attempt.reason,
                 attempt.started_utc,
-                float(attempt.started_bus_s),
-                float(attempt.ended_bus_s),
-                to_json(first.registers if first else ()),
+                attempt.started_bus_s,
+                attempt.ended_bus_s,
+                first.registers if first else (),
                 first.variant if first else "",
                 first.gyro_range_dps if first else None,
                 attempt.status,
@@ -771,28 +767,21 @@ class Archive(ArchiveView):
             if dropped:
                 self._record("dropped", {"attempt": number, "scans": dropped}, attempt.ended_bus_s)
             for count, move in enumerate(attempt.moves, start=self._next("moves", "move")):
-                self._insert(
-                    "moves",
-                    count,
-                    number,
-                    float(move.bus_s),
-                    None if move.angle_deg is None else float(move.angle_deg),
-                    move.approach,
-                    to_json(move.aim),
-                )
+                self._insert("moves", count, number, move.bus_s, move.angle_deg, move.approach, move.aim)
         return number
 
     def _record(self, kind: str, value: Any, bus_s: float) -> None:
         number = self._next("records", "record")
-        self._insert("records", number, self._run, self.utc(), float(bus_s), kind, to_json(value))
+        self._insert("records", number, self._run, self.utc(), bus_s, kind, value)
 
     def _next(self, table: str, key: str) -> int:
         (largest,) = self._connection.execute(f"SELECT coalesce(max({key}), 0) FROM {table}").fetchone()
         return int(largest) + 1
 
     def _insert(self, table: str, *values: Any) -> None:
-        marks = ", ".join("?" * (len(values) + 1))
-        self._connection.execute(f"INSERT INTO {table} VALUES ({marks})", (*values, checksum(*values)))
+        row = [column.stored(value) for column, value in zip(TABLES[table], values, strict=True)]
+        marks = ", ".join("?" * (len(row) + 1))
+        self._connection.execute(f"INSERT INTO {table} VALUES ({marks})", (*row, checksum(*row)))
 
     @contextmanager
     def _transaction(self, *, new: bool = False) -> Iterator[None]:

@@ -80,8 +80,8 @@ class Move:
 
 
 @dataclass(frozen=True)
-class Attempt:
-    """One attempt to record a dwell.
+class AttemptFacts:
+    """Facts of an attempt to record a dwell, as recorded (`Attempt`) and as read back (`StoredAttempt`).
 
     Attributes
     ----------
@@ -90,11 +90,27 @@ class Attempt:
     position : Position
         This position: declared angle, approach and use.
     outcome : {"complete", "interrupted"}
-        Whether the dwell was recorded to its end.
+        `complete` if the dwell was recorded to its end.
     started_utc : str
         Time of its beginning by the wall clock, ISO 8601, UTC.
     started_bus_s, ended_bus_s : float
         Times of its beginning and end on the bus's clock, in s.
+    """
+
+    place: int
+    position: Position
+    outcome: Outcome
+    started_utc: str
+    started_bus_s: float
+    ended_bus_s: float
+
+
+@dataclass(frozen=True)
+class Attempt(AttemptFacts):
+    """One attempt to record a dwell, with its samples.
+
+    Attributes
+    ----------
     blocks : sequence of (phase, Block)
         All scans in order; scans of phase `dwell` are the samples of the dwell.
     moves : sequence of Move
@@ -105,12 +121,6 @@ class Attempt:
         Content of the register STATUS after the attempt; None if it was not read.
     """
 
-    place: int
-    position: Position
-    outcome: Outcome
-    started_utc: str
-    started_bus_s: float
-    ended_bus_s: float
     blocks: Sequence[tuple[Phase, Block]]
     moves: Sequence[Move] = ()
     reason: str = ""
@@ -118,7 +128,7 @@ class Attempt:
 
 
 @dataclass(frozen=True)
-class StoredAttempt:
+class StoredAttempt(AttemptFacts):
     """A row of the table `attempts`: an attempt without its samples.
 
     Attributes
@@ -129,18 +139,8 @@ class StoredAttempt:
         Number of the run (opening of the session) to which it belongs.
     offset_s : float
         Seconds to add to a time on the bus's clock to get the time since the session began.
-    place : int
-        Number of the position in the plan, from 0.
-    position : Position
-        This position: declared angle, approach and use.
-    outcome : {"complete", "interrupted"}
-        Whether the dwell was recorded to its end.
     reason : str
         Reason of an interruption; empty for a complete dwell.
-    started_utc : str
-        Time of its beginning by the wall clock, ISO 8601, UTC.
-    started_bus_s, ended_bus_s : float
-        Times of its beginning and end on the bus's clock, in s.
     registers : tuple of str
         Names of the columns of its samples; empty without samples.
     variant : str
@@ -156,13 +156,7 @@ class StoredAttempt:
     number: int
     run: int
     offset_s: float
-    place: int
-    position: Position
-    outcome: Outcome
     reason: str
-    started_utc: str
-    started_bus_s: float
-    ended_bus_s: float
     registers: tuple[str, ...]
     variant: str
     gyro_range_dps: int | None
@@ -465,6 +459,26 @@ class TableColumn:
     shape: Shape
     json: bool = False
 
+    def stored(self, value: Any) -> Any:
+        """Convert a value to the type in which the column stores it: JSON text, or float for REAL."""
+        if self.json:
+            return to_json(value)
+        return float(value) if self.sql.startswith("REAL") and value is not None else value
+
+    def checked(self, value: Any, where: str) -> Any:
+        """Return a stored value, with JSON parsed; raise `ShapeError` if it is wrong.
+
+        The message of the error begins with `where` and the name of the column.
+        """
+        name = f"{where}{self.name}"
+        if self.json:
+            checked_value(name, text_of_json, value)
+            try:
+                value = json_value(value)
+            except ValueError as error:
+                raise ShapeError(f"{name}: {error}") from None
+        return checked_value(name, self.shape, value)
+
 
 _RUN = _ATTEMPT = whole(1, _MOST)
 _KEY, _INTEGER, _REAL, _TEXT = "INTEGER PRIMARY KEY", "INTEGER NOT NULL", "REAL NOT NULL", "TEXT NOT NULL"
@@ -563,7 +577,7 @@ def statements() -> list[str]:
     ]
 
 
-def checked_row(table: str, row: Sequence[Any]) -> dict[str, Any]:
+def checked_row(table: str, row: Sequence[Any], where: str) -> dict[str, Any]:
     """Check the values of a row of a table, and return them by column name, with JSON parsed.
 
     `row` has the values in the order of the columns, without the checksum.
@@ -571,9 +585,11 @@ def checked_row(table: str, row: Sequence[Any]) -> dict[str, Any]:
     Raises
     ------
     ShapeError
-        A value has a wrong type or is out of range; the message begins with the name of the column.
+        A value has a wrong type or is out of range; the message begins with `where` and the name of the
+        column.
     """
-    return {column.name: _checked(column, value) for column, value in zip(TABLES[table], row, strict=True)}
+    columns = zip(TABLES[table], row, strict=True)
+    return {column.name: column.checked(value, where) for column, value in columns}
 
 
 def checked_value(name: str, shape: Shape, value: Any) -> Any:
@@ -589,16 +605,6 @@ def checked_value(name: str, shape: Shape, value: Any) -> Any:
     except ShapeError as error:
         raise ShapeError(f"{name}{error}") from None
     return value
-
-
-def _checked(column: TableColumn, value: Any) -> Any:
-    if column.json:
-        checked_value(column.name, text_of_json, value)
-        try:
-            value = json_value(value)
-        except ValueError as error:
-            raise ShapeError(f"{column.name}: {error}") from None
-    return checked_value(column.name, column.shape, value)
 
 
 def text_of_json(value: Any) -> None:

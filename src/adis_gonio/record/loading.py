@@ -232,7 +232,7 @@ def _words(name: str, old: Any, new: Any) -> str:
             return "the stage turned the other way: declared angles and approaches with the opposite sign"
         case "angles":
             return "declared angles: " + ", ".join(_angle_words(k, old[k], new[k]) for k in new)
-    return "columns " + ", ".join(f"{mine} = '{theirs}'" for mine, theirs in new.items())
+    return "columns " + ", ".join(f"{name} = '{called}'" for name, called in new.items())
 
 
 def _angle_words(position: str, old: float | None, new: float) -> str:

@@ -348,13 +348,13 @@ def blindness(plan: Plan, bias_mg: float, gravity_mg: float = 1000.0) -> Blindne
     )
 
 
-def attitude(direction: Sequence[float]) -> str:
-    """Describe a direction of gravity by the axes with a large component, such as `one that reads +x −z`.
+def describe_direction(direction: Sequence[float]) -> str:
+    """Describe a direction of gravity by the axes with a large component, such as `reads +x −z`.
 
     `direction` is the reading of an ideal sensor in units of G.
     """
     axes = [f"{'+' if part > 0 else '−'}{'xyz'[k]}" for k, part in enumerate(direction) if abs(part) > 0.3]
-    return f"one that reads {' '.join(axes)}"
+    return f"reads {' '.join(axes)}"
 
 
 def extended(plan: Plan, positions: Sequence[Position]) -> Plan:

@@ -327,10 +327,10 @@ class Head:
     keys: dict[str, Any]
     notes: tuple[str, ...]
 
-    def settings(self, *, unit_told: bool) -> dict[str, Any]:
+    def settings(self, *, unit_given: bool) -> dict[str, Any]:
         """Return the fields of a `Session` that the head states by its keys and by units in its header.
 
-        `unit_told` is True if the user has given the unit of the accelerations.
+        `unit_given` is True if the user has given the unit of the accelerations.
 
         Raises
         ------
@@ -344,7 +344,7 @@ class Head:
             unit = next((c.unit for c in self.columns.values() if c.name in axes), "")
             if not unit:
                 continue
-            if values.get(key, unit) != unit and not (key == "accel_unit" and unit_told):
+            if values.get(key, unit) != unit and not (key == "accel_unit" and unit_given):
                 raise DataError(
                     f"{self.path.name}, row {self.line}: the header says {table} in {unit}, the line "
                     f"'# {key}: {values[key]}' states another unit; remove one of them"
@@ -445,7 +445,7 @@ def _first_lines(path: Path) -> Iterator[tuple[int, str]]:
 
 def _names_samples(cells: list[str], wanted: Mapping[str, str]) -> bool:
     """Return True if a header names a time and two accelerations, or a wanted column."""
-    if any(_same_name(cell, text.strip()) for cell in cells for text in wanted.values()):
+    if any(_is_called(cell, text.strip()) for cell in cells for text in wanted.values()):
         return True
     return {"time_s", "ax", "ay"} <= {found[0] for found in map(recognise_column, cells) if found}
 
@@ -554,8 +554,8 @@ class _Assignment:
 
         `wanted` maps a column of the format to a column of the header, as the user assigned them.
         """
-        told = dict(self._named_column(mine, theirs) for mine, theirs in wanted.items())
-        found = told | self._by_name(told)
+        assigned = dict(self._named_column(name, called) for name, called in wanted.items())
+        found = assigned | self._by_name(assigned)
         if not found:
             raise self._unknown()
         chosen, notes = self._with_units(found)
@@ -571,28 +571,29 @@ class _Assignment:
         read_as = [f"columns were read as: {', '.join(renamed)}"] if renamed else []
         return chosen, [*self._ignored(found), *read_as, *notes]
 
-    def _named_column(self, mine: str, theirs: str) -> tuple[str, CsvColumn]:
-        """Return column `mine` of the format, read from column `theirs` of the file, as the user asked."""
-        known = recognise_column(mine)
+    def _named_column(self, name: str, called: str) -> tuple[str, CsvColumn]:
+        """Return the column `name` of the format, read from the file's column that is called `called`."""
+        known = recognise_column(name)
         if known is None:
-            raise UsageError(f"columns: '{mine}' is no column of the format; known: {', '.join(COLUMNS)}")
-        there = [k for k, cell in enumerate(self.cells) if cell == theirs] or [
-            k for k, cell in enumerate(self.cells) if _same_name(cell, theirs)
+            raise UsageError(f"columns: '{name}' is no column of the format; known: {', '.join(COLUMNS)}")
+        there = [k for k, cell in enumerate(self.cells) if cell == called] or [
+            k for k, cell in enumerate(self.cells) if _is_called(cell, called)
         ]
         if len(there) != 1:
             what = "no column is called" if not there else "several columns are called"
             shown = ", ".join(f"'{cell}'" for cell in self.cells)
-            raise UsageError(f"columns: {what} '{theirs}' in {self.path.name}; there are {shown}")
+            raise UsageError(f"columns: {what} '{called}' in {self.path.name}; there are {shown}")
         cell = self.cells[there[0]]
         unit = known[1] or split_unit(cell)[1]
-        return known[0], CsvColumn(known[0], there[0], cell, unit, plain=mine.endswith("_s"))
+        return known[0], CsvColumn(known[0], there[0], cell, unit, plain=name.endswith("_s"))
 
-    def _by_name(self, told: Mapping[str, CsvColumn]) -> dict[str, CsvColumn]:
-        taken = {column.place for column in told.values()}
+    def _by_name(self, assigned: Mapping[str, CsvColumn]) -> dict[str, CsvColumn]:
+        """Return the columns that the header names itself, without the columns that the user assigned."""
+        taken = {column.place for column in assigned.values()}
         found: dict[str, CsvColumn] = {}
         for k, cell in enumerate(self.cells):
             known = None if k in taken else recognise_column(cell)
-            if known is None or known[0] in told:
+            if known is None or known[0] in assigned:
                 continue
             column = CsvColumn(known[0], k, cell, known[1], known[2])
             other = found.get(column.name)
@@ -657,13 +658,13 @@ class _Assignment:
             return self._fail(
                 f"no header row: the first row has numbers; put a row such as '{_EXPECTED}' above it"
             )
-        told = f"not a samples CSV: no known column in the header ({_shown(cells)})"
-        told += "; expected time_s, ax, ay, …"
+        reason = f"not a samples CSV: no known column in the header ({_shown(cells)})"
+        reason += "; expected time_s, ax, ay, …"
         names = [cell for cell in cells if len(cell) <= _LONGEST_NAME]
         if len(names) < 3:  # prose: time, ax and ay need three names
-            return self._fail(told)
+            return self._fail(reason)
         example = ",".join(f"{n}={c}" for n, c in zip(("time", "ax", "ay"), names, strict=False))
-        return self._fail(f"{told}; say which are which, such as --columns '{example}'")
+        return self._fail(f"{reason}; say which are which, such as --columns '{example}'")
 
     def _ignored(self, found: Mapping[str, CsvColumn]) -> list[str]:
         taken = {column.place for column in found.values()}
@@ -691,8 +692,8 @@ def _likely_column(name: str, spare: Sequence[str]) -> str:
     return "…"
 
 
-def _same_name(cell: str, theirs: str) -> bool:
-    return theirs.lower() in (cell.lower(), split_unit(cell)[0].lower())
+def _is_called(cell: str, name: str) -> bool:
+    return name.lower() in (cell.lower(), split_unit(cell)[0].lower())
 
 
 def _numeric(cell: str) -> bool:

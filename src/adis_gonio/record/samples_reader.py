@@ -382,7 +382,7 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
     """
     path, overrides = Path(path), overrides or Overrides()
     table = read_table(path, dict(overrides.columns))
-    settings = table.head.settings(unit_told=overrides.accel_unit is not None)
+    settings = table.head.settings(unit_given=overrides.accel_unit is not None)
     if settings.get("plane") == "none" and table.series["accel"].shape[1] < 3:
         raise DataError(f"{path.name}: column 'az' is missing; plane 'none' needs ax, ay and az")
     recording: Dwell | None = _dwell(table, 0, slice(0, len(table)))

@@ -13,11 +13,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, Any, Self
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.base import Closing
 from adis_gonio.base.errors import OutputError, UsageError
 from adis_gonio.base.output import ends_in, exists_error, replacing, write_utf8
 from adis_gonio.model.records import (
@@ -53,7 +54,7 @@ def write_samples_csv(session: Session, path: str | Path) -> None:
     names = [name for name in COLUMNS if name in columns]
     stated = {name: getattr(session, name, None) for name in KEYS}
     lines = _leading_lines({name: value for name, value in stated.items() if value not in (None, "")})
-    lines += [f"# note: {without_formulas(' '.join(note.split()))}" for note in session.notes]
+    lines += _note_lines(session.notes)
     data = _file_text(lines, names, _all_rows(names, columns, session.sampled, turns)).encode(
         "utf-8", "replace"
     )
@@ -66,6 +67,10 @@ def _leading_lines(values: Mapping[str, Any]) -> list[str]:
     """Return lines `# key: value` for the top of a file; None or an empty text leaves the value blank."""
     texts = {name: "" if value is None else KEYS[name].text(value) for name, value in values.items()}
     return [f"# {name}: {without_formulas(text)}".rstrip() for name, text in texts.items()]
+
+
+def _note_lines(notes: Iterable[str]) -> list[str]:
+    return [f"# note: {without_formulas(' '.join(note.split()))}" for note in notes]
 
 
 def _file_text(leading: list[str], names: list[str], rows: Iterable[Iterable[str]]) -> str:
@@ -214,7 +219,7 @@ def _dwell_dict(dwell: Dwell) -> dict[str, Any]:
     return declared | {name: None if values is None else values.tolist() for name, values in series.items()}
 
 
-class SamplesRecorder:
+class SamplesRecorder(Closing):
     """Writes scans to a samples CSV, one row for each scan; use it as a context manager.
 
     Accelerations are written in LSB of the sensor (of a generic sensor in mg), rates in °/s, temperatures
@@ -264,15 +269,15 @@ class SamplesRecorder:
         self.lost = 0
         self._size = 0
         self.notes: list[str] = []
-        self._header = [
-            f"# title: {' '.join(title.split()) or 'continuous recording'}",
-            f"# sensor: {variant}",
-            f"# accel_unit: {'mg' if variant == GENERIC else 'lsb'}",
-            f"# gravity_mps2: {gravity_mps2:.6g}",
-            "# fixture_sigma_deg: free",
-            "# plane: none",
-            *([] if filter_m is None else [f"# filter_m: {filter_m}"]),
-        ]
+        stated = {
+            "title": title.strip() or "continuous recording",
+            "sensor": variant,
+            "accel_unit": "mg" if variant == GENERIC else "lsb",
+            "gravity_mps2": float(f"{gravity_mps2:.6g}"),
+            "fixture_sigma_deg": math.inf,
+            "plane": "none",
+        }
+        self._header = _leading_lines(stated if filter_m is None else {**stated, "filter_m": filter_m})
         self._named = False
         self._file: IO[str] = (
             gzip.open(path, "xt", encoding="utf-8")  # noqa: SIM115 (closed by `close`)
@@ -284,8 +289,8 @@ class SamplesRecorder:
         """Append the samples of a block to the file."""
         columns = session_columns(block)
         if not self._named:
-            notes = [f"# note: {' '.join(note.split())}" for note in self.notes]
-            self._file.write("\n".join([*self._header, *notes, ",".join(["time_s", *columns]), ""]))
+            head = [*self._header, *_note_lines(self.notes)]
+            self._file.write(_file_text(head, ["time_s", *columns], ()))
             self._named = True
         whole = block.variant != GENERIC
         formats = ["%d" if whole and name in ("ax", "ay", "az") else "%.6g" for name in columns]
@@ -311,9 +316,3 @@ class SamplesRecorder:
     def close(self) -> None:
         """Close the file; may be called twice."""
         self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()

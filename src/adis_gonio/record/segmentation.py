@@ -73,6 +73,11 @@ class Piece:
         gyro = None if self.gyro is None else self.gyro[first:stop]
         return Piece(self.time_s[first:stop], self.accel[first:stop], gyro)
 
+    @property
+    def columns(self) -> Floats:
+        """All samples (n, columns): the accelerations, then the rates."""
+        return self.accel if self.gyro is None else np.hstack([self.accel, self.gyro])
+
     def followed_by(self, other: Piece) -> Piece:
         """Return the piece joined with the next one."""
         gyros = [one.gyro for one in (self, other) if one.gyro is not None]
@@ -132,7 +137,8 @@ def segment_pieces(read: Reading) -> tuple[list[slice], list[str]]:
     DataError
         The samples never change (stuck data).
     """
-    n, period, accel, gyro = _extent(read)
+    whole = _extent(read)
+    n, period, axes = whole.n, whole.period_s, whole.axes
     if n < 2 * _LEAST_WINDOW or not period:
         return [], [f"{counted(n, 'sample')}: too few for a continuous recording"]
     window = max(_LEAST_WINDOW, round(WINDOW_S / period))
@@ -141,11 +147,10 @@ def segment_pieces(read: Reading) -> tuple[list[slice], list[str]]:
         return [], [
             f"the recording lasts {n * period:.2g} s; a dwell needs at least {least * period:.2g} s"
         ]
-    accel.refuse_constant()
-    windows = _Windows(read, window, accel, gyro)
-    noise = windows.noise()
-    limits = limits_from_noise(noise, window, accel.quantum)
-    still, flat = windows.runs(limits)
+    whole.refuse_constant()
+    noise = np.array([_own_noise(spread) for spread in _spreads(whole.deviations(read, window), axes)])
+    limits = limits_from_noise(noise, window, whole.quantum[:axes])
+    still, flat = _runs(read, whole, limits)
     # An axis that never changes has the limit 0: avoid a division by zero.
     unit = np.maximum(limits.upper / UPPER, 1e-300)
     runs = [(first + trim, last + window - trim) for first, last in still]
@@ -242,140 +247,116 @@ def _own_noise(spread: Quantiles) -> float:
 
 
 @dataclass(frozen=True)
-class _Range:
-    """Minimum, maximum, mean and resolution (axes,) of samples over a recording.
+class _Extent:
+    """Length of a recording, and the range of each of its columns: accelerations, then rates.
 
-    The resolution is the smallest difference of values in the first rows; 0 for a constant axis.
+    Attributes
+    ----------
+    n, axes : int
+        Number of samples, and number of columns with accelerations.
+    period_s : float
+        Time between two samples; 0 if it is unknown.
+    low, high, middle : (columns,) float
+        Minimum, maximum and mean of each column.
+    quantum : (columns,) float
+        Resolution of each column: the smallest difference of values in the first rows; 0 if the column is
+        constant.
     """
 
+    n: int
+    axes: int
+    period_s: float
     low: Floats
     high: Floats
     middle: Floats
     quantum: Floats
 
-    @classmethod
-    def of(cls, blocks: list[Floats], first: Floats, n: int) -> _Range:
-        """Return the range of n samples, by the minimum, maximum and sum (3, axes) of each block."""
-        low, high, total = np.min(blocks, axis=0)[0], np.max(blocks, axis=0)[1], np.sum(blocks, axis=0)[2]
-        quantum = np.zeros(len(low))
-        for axis, largest in enumerate(np.maximum(np.abs(low), np.abs(high))):
-            # The smallest difference of two values is the step, unless it is a rounding error.
-            gaps = np.diff(np.unique(first[:, axis]))
-            quantum[axis] = gaps[gaps > 1e-9 * max(1.0, largest)].min(initial=math.inf)
-        return cls(low, high, total / n, np.where(np.isfinite(quantum), quantum, 0.0))
-
-    def deviations(self, samples: Floats | None, window: int) -> Iterator[Floats]:
-        """Yield for each axis of samples (n, axes) the standard deviations (n − window + 1,) in windows."""
-        if samples is None:
-            return
+    def deviations(self, read: Reading, window: int) -> Iterator[Floats]:
+        """Yield the standard deviations (m, columns) of all windows of `window` samples, block by block."""
         rounding = 1e-12 * np.maximum(self.high - self.middle, self.middle - self.low) ** 2
-        for axis, middle in enumerate(self.middle):
+        for _, piece in _blocks(read, window - 1):
             # The mean is subtracted, so that the differences of running sums of x and x² lose few digits.
-            part = samples[:, axis] - middle
-            first, second = (np.concatenate([[0.0], np.cumsum(part**power)]) for power in (1, 2))
+            part = piece.columns - self.middle
+            start = np.zeros((1, part.shape[1]))
+            first, second = (np.concatenate([start, np.cumsum(part**k, axis=0)]) for k in (1, 2))
             mean = (first[window:] - first[:-window]) / window
             variance = (second[window:] - second[:-window]) / window - mean**2
-            variance[variance < rounding[axis]] = 0.0
+            variance[variance < rounding] = 0.0
             yield np.sqrt(variance)
 
     def refuse_constant(self) -> None:
-        """Raise `DataError` if the samples never change."""
-        if not self.low.any() and not self.high.any():
+        """Raise `DataError` if the accelerations never change."""
+        low, high = self.low[: self.axes], self.high[: self.axes]
+        if not low.any() and not high.any():
             raise DataError(
                 "all-zero accelerations in the whole recording; check wiring and supply, record again"
             )
-        if (self.low == self.high).all():
+        if (low == high).all():
             raise DataError(
                 "stuck data: the accelerations never change in the whole recording; record again"
             )
 
 
-def _extent(read: Reading) -> tuple[int, float, _Range, _Range | None]:
-    """Return the number of samples, their period in s, and the ranges of accelerations and rates.
-
-    The period is 0 if it is unknown, and the range of the rates is None without gyros.
-    """
-    steps, latest_s, n = Quantiles(), math.nan, 0
-    blocks: tuple[list[Floats], list[Floats]] = ([], [])
-    first: tuple[list[Floats], list[Floats]] = ([], [])
+def _extent(read: Reading) -> _Extent:
+    steps, latest_s, n, axes = Quantiles(), math.nan, 0, 0
+    low, high, total, first = (list[Floats]() for _ in range(4))
     for row, piece in _blocks(read, 0):
         step = np.diff(piece.time_s, prepend=latest_s)
         steps.feed(step[step > 0])
-        latest_s, n = float(piece.time_s[-1]), row + len(piece)
-        for k, samples in enumerate((piece.accel, piece.gyro)):
-            if samples is not None:
-                blocks[k].append(np.stack([samples.min(axis=0), samples.max(axis=0), samples.sum(axis=0)]))
-                if row < _FIRST:
-                    first[k].append(samples[: _FIRST - row].copy())
-    period = steps.quantile(0.5)
-    accel, gyro = (
-        _Range.of(own, np.concatenate(start), n) if own else None
-        for own, start in zip(blocks, first, strict=True)
+        latest_s, n, axes = float(piece.time_s[-1]), row + len(piece), piece.accel.shape[1]
+        columns = piece.columns
+        low.append(columns.min(axis=0))
+        high.append(columns.max(axis=0))
+        total.append(columns.sum(axis=0))
+        if row < _FIRST:
+            first.append(columns[: _FIRST - row].copy())
+    if not n:
+        return _Extent(0, 0, 0.0, *[np.zeros(0)] * 4)
+    least, most = np.min(low, axis=0), np.max(high, axis=0)
+    quantum = np.zeros(len(least))
+    for k, values in enumerate(np.concatenate(first).T):
+        # The smallest difference of two values is the step, unless it is a rounding error.
+        gaps = np.diff(np.unique(values))
+        quantum[k] = gaps[gaps > 1e-9 * max(1.0, -least[k], most[k])].min(initial=math.inf)
+    period_s = steps.quantile(0.5)
+    return _Extent(
+        n,
+        axes,
+        period_s if math.isfinite(period_s) else 0.0,
+        least,
+        most,
+        np.sum(total, axis=0) / n,
+        np.where(np.isfinite(quantum), quantum, 0.0),
     )
-    nothing = np.zeros(0)
-    return n, period if math.isfinite(period) else 0.0, accel or _Range(*[nothing] * 4), gyro
 
 
-@dataclass(frozen=True)
-class _Windows:
-    """All windows of `window` successive samples of a recording.
+def _spreads(deviations: Iterable[Floats], columns: int) -> list[Quantiles]:
+    """Return the distribution of the standard deviations in windows, of each of the first columns."""
+    spreads = [Quantiles() for _ in range(columns)]
+    for part in deviations:
+        for spread, values in zip(spreads, part.T, strict=False):
+            spread.feed(values)
+    return spreads
 
-    It has the ranges (minimum, maximum, mean, resolution) of the accelerations and rates.
-    """
 
-    read: Reading
-    window: int
-    accel: _Range
-    gyro: _Range | None
-
-    def noise(self) -> Floats:
-        """Return the noise (axes,) of the accelerations at rest."""
-        spreads = [Quantiles() for _ in self.accel.low]
-        for _, piece in _blocks(self.read, self.window - 1):
-            for spread, deviation in zip(spreads, self._accel(piece), strict=True):
-                spread.feed(deviation)
-        return np.array([_own_noise(spread) for spread in spreads])
-
-    def runs(self, limits: StillnessLimits) -> tuple[Runs, Runs]:
-        """Return the runs of still windows, and the runs in which an axis shows too little noise."""
-        turn = self._turn(limits) if self.gyro else []
-        still, flat = _Runs(), _Runs()
-        for _, piece in _blocks(self.read, self.window - 1):
-            high, low = self._judged(piece, limits)
-            for limit, deviation in zip(turn, self._gyro(piece), strict=True):
-                high |= deviation > limit
-            still.feed(~high & ~low)
-            flat.feed(low)
-        return still.found(), flat.found()
-
-    def _turn(self, limits: StillnessLimits) -> list[float]:
-        """Return for each gyro the standard deviation in a window above which the sensor turns."""
-        assert self.gyro is not None
-        usual = [Quantiles() for _ in self.gyro.low]
-        for _, piece in _blocks(self.read, self.window - 1):
-            high, low = self._judged(piece, limits)
-            for spread, deviation in zip(usual, self._gyro(piece), strict=True):
-                spread.feed(deviation[~high & ~low])
-        median = [_GYRO_UPPER * spread.quantile(0.5) for spread in usual]
-        coarse = UPPER * self.gyro.quantum / math.sqrt(12)
-        return [max(pair) for pair in zip(median, coarse.tolist(), strict=True)]
-
-    def _judged(self, piece: Piece, limits: StillnessLimits) -> tuple[Flags, Flags]:
-        """Return two flags for each window of a piece: an axis moves, and an axis shows too little noise.
-
-        Only accelerations are judged, by their standard deviation in the window.
-        """
-        high, low = np.zeros((2, len(piece) - self.window + 1), dtype=np.bool_)
-        for deviation, least, most in zip(self._accel(piece), limits.lower, limits.upper, strict=True):
-            high |= deviation > most
-            low |= deviation < least
-        return high, low
-
-    def _accel(self, piece: Piece) -> Iterator[Floats]:
-        return self.accel.deviations(piece.accel, self.window)
-
-    def _gyro(self, piece: Piece) -> Iterator[Floats]:
-        return iter(()) if self.gyro is None else self.gyro.deviations(piece.gyro, self.window)
+def _runs(read: Reading, whole: _Extent, limits: StillnessLimits) -> tuple[Runs, Runs]:
+    """Return the runs of still windows, and the runs in which an accelerometer shows too little noise."""
+    axes, window = whole.axes, limits.window_samples
+    upper, turns = limits.upper, len(whole.middle) - axes
+    if turns:
+        still_rates = (
+            part[((part[:, :axes] <= upper) & (part[:, :axes] >= limits.lower)).all(axis=1), axes:]
+            for part in whole.deviations(read, window)
+        )
+        usual = [spread.quantile(0.5) for spread in _spreads(still_rates, turns)]
+        coarse = UPPER * whole.quantum[axes:] / math.sqrt(12)
+        upper = np.concatenate([upper, np.maximum(_GYRO_UPPER * np.array(usual), coarse)])
+    still, flat = _Runs(), _Runs()
+    for part in whole.deviations(read, window):
+        low = np.any(part[:, :axes] < limits.lower, axis=1)
+        still.feed(np.all(part <= upper, axis=1) & ~low)
+        flat.feed(low)
+    return still.found(), flat.found()
 
 
 Runs = list[tuple[int, int]]

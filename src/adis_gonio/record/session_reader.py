@@ -95,19 +95,12 @@ def _between(
     between = [a for a in stored if before.number < a.number < after.number and a.run == after.run]
     whole = [k for k, attempt in enumerate(between) if attempt.reason == TURNED]
     if whole:
-        for attempt in between[whole[-1] :]:
-            yield from view.blocks(attempt)
-        yield from _part(view, after, last=False)
-        return
-    if before.run == after.run:
-        yield from _part(view, before, last=True)
+        between = between[whole[-1] :]
+    elif before.run == after.run:
+        yield from view.blocks(before, "after")
     for attempt in between:
         yield from view.blocks(attempt)
-    yield from _part(view, after, last=False)
-
-
-def _part(view: ArchiveView, attempt: StoredAttempt, *, last: bool) -> Iterator[Block]:
-    yield from view.blocks(attempt, "after" if last else "before")
+    yield from view.blocks(after, "before")
 
 
 def _turn(number: int, blocks: list[Block], after: StoredAttempt, turned_deg: float | None) -> Turn:

@@ -322,7 +322,7 @@ class ChipSource(SampleSource):
         ChipError
             The manual self-test is on, or the chip has lost its settings.
         """
-        self._forget_old_mark()
+        self.sensor.forget_mark()  # a killed session may have left it in an alarm level
         asked = (settings.smpl_prd, settings.filter_m, settings.gyro_range_dps)
         self.sensor.configure(smpl_prd=asked[0], filter_m=asked[1], gyro_range_dps=asked[2])
         self._borrow_data_ready(settings)
@@ -392,10 +392,6 @@ class ChipSource(SampleSource):
                 self.sensor.write(name, MARK)
                 self._marked = (name, before)
                 return
-
-    def _forget_old_mark(self) -> None:
-        """Set an alarm level to 0 if a killed session left the number `MARK` in it."""
-        self.sensor.forget_mark()
 
     def settings_held(self, *, checked: bool = False) -> dict[str, int]:
         """Return the contents of registers that shift or scale a sample, and of the marked alarm level.

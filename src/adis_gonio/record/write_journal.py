@@ -159,8 +159,8 @@ def describe_writes(known: Sequence[Operation], recorded: Numbers) -> tuple[str,
     the journal, `recorded` the register contents during the recording.
     """
     own = [tuple(one for one in known if one.concerns(names)) for names in (ACCEL_OFF, GYRO_OFF)]
-    said = (*_remarks(own[0], recorded, "biases"), *_remarks(own[1], recorded, "zero rates"))
-    return tuple(dict.fromkeys(said))
+    remarks = (*_remarks(own[0], recorded, "biases"), *_remarks(own[1], recorded, "zero rates"))
+    return tuple(dict.fromkeys(remarks))
 
 
 def _remarks(known: Sequence[Operation], recorded: Numbers, what: str) -> tuple[str, ...]:
@@ -171,10 +171,10 @@ def _remarks(known: Sequence[Operation], recorded: Numbers, what: str) -> tuple[
     now = {name: number for name, number in known[-1].target.items() if number != recorded.get(name)}
     if not now:
         return ()
-    told = ", ".join(f"{name} {recorded.get(name, 'unknown')} → {number}" for name, number in now.items())
+    changes = ", ".join(f"{name} {recorded.get(name, 'unknown')} → {n}" for name, n in now.items())
     flash = "saved to flash" if known[-1].saved else "not saved to flash"
     return (
-        f"offsets were written to the sensor since ({told}; {flash}): {what} here are those of the "
+        f"offsets were written to the sensor since ({changes}; {flash}): {what} here are those of the "
         "recording, exported coefficients hold with the offsets written",
     )
 

@@ -34,15 +34,13 @@ from adis_gonio.device.bus.contract import (
 )
 from adis_gonio.device.bus.host import SAFE_TIMING, UrlOptions
 from adis_gonio.device.bus.opening import BusUrl, Device
-from adis_gonio.device.sensor.registers import Variant
 from adis_gonio.model.effects import parse_effect
-from adis_gonio.model.effects.base import Effect
 from adis_gonio.sim.chip import SimulatedChip
 from adis_gonio.sim.gyros import realistic_gyros, stream_of
 from adis_gonio.sim.memory import FlashFile
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.stage import Stage
-from adis_gonio.sim.world import Values, World
+from adis_gonio.sim.world import World
 
 _POWERED_BEFORE_S = 0.5
 _TRIGGER_S = 2e-6
@@ -54,22 +52,16 @@ class SimBus(SpiBus):
 
     Parameters
     ----------
-    settings : WorldSettings
-        Settings of the world; None draws all hidden parameters from the seed.
-    seed : int
-        Seed of all random numbers.
-    part : str or Variant
-        `adis16354`, `adis16350` or `adis16355`.
-    effects : sequence of (Effect, values)
-        Effects that the readings have in addition, each with the values of its parameters.
+    world : World
+        Surroundings of the chip, with the stage.
     stream : bool
         True offers `Capability.STREAM` and `Capability.EVENT_COUNTER`.
     realtime : bool
         True makes the bus follow the wall clock; False gives it a virtual clock.
-    chip : SimulatedChip
+    url : str
+        URL of the bus, for messages and recordings.
+    chip : SimulatedChip or None
         An existing chip in `world`; None makes a new chip.
-    world : World
-        An existing world, for which settings, seed and effects are ignored; None makes a new world.
 
     Attributes
     ----------
@@ -79,20 +71,16 @@ class SimBus(SpiBus):
 
     def __init__(
         self,
-        settings: WorldSettings | None = None,
+        world: World,
         *,
-        seed: int = 0,
-        part: str | Variant = "adis16354",
-        effects: Sequence[tuple[Effect, Values]] = (),
         stream: bool = True,
         realtime: bool = False,
         url: str = "sim:",
-        world: World | None = None,
         chip: SimulatedChip | None = None,
     ) -> None:
         super().__init__(SAFE_TIMING)
         self.url = url
-        self.world = world or World(settings, part=part, seed=seed, effects=effects)
+        self.world = world
         self.chip = chip or SimulatedChip(self.world, self.world.variant, start_s=-_POWERED_BEFORE_S)
         self.stage = SimStage(self, self.world.stage)
         offered = {Capability.HARD_RESET}
@@ -261,16 +249,14 @@ class SimStage:
 
         The stage arrives from below if `approach` is +1, from above if -1, or by the shortest turn if 0.
         """
-        with self._bus._lock:
-            self._bus._set_now(self.begin_move(angle_deg, approach))
+        self._wait_until(self.begin_move(angle_deg, approach))
 
     def orient(self, vector: Sequence[float] | Floats) -> None:
         """Turn the sensor to the attitude in which an ideal sensor reads along `vector` (3,).
 
         With the sensor level and its Z up, an ideal sensor reads (0, 0, -1).
         """
-        with self._bus._lock:
-            self._bus._set_now(self.begin_orient(vector))
+        self._wait_until(self.begin_orient(vector))
 
     def turn_about(self, angle_deg: float, axis: Sequence[float] | Floats | None = None) -> None:
         """Turn the sensor by an angle in degrees about an axis.
@@ -278,9 +264,7 @@ class SimStage:
         `axis` (3,) is a direction in the sensor's frame; None means the vertical. A positive angle is
         right-handed about the axis; about the vertical it is counter-clockwise, seen from above.
         """
-        with self._bus._lock:
-            about = None if axis is None else np.asarray(axis, np.float64)
-            self._bus._set_now(self._begin(self._stage.turn_about, angle_deg, about))
+        self._wait_until(self._begin(self._stage.turn_about, angle_deg, axis))
 
     def begin_move(self, angle_deg: float, approach: int = 0) -> float:
         """Begin `move_to` and return the time in s at which it ends, without advancing the clock.
@@ -294,7 +278,7 @@ class SimStage:
 
         `vector` (3,) is the reading of an ideal sensor at the end.
         """
-        return self._begin(self._stage.orient, np.asarray(vector, np.float64))
+        return self._begin(self._stage.orient, vector)
 
     def begin_turn(self, angle_deg: float) -> float:
         """Begin to turn the sensor about the vertical; return the time in s at which the turn ends.
@@ -315,6 +299,10 @@ class SimStage:
         with self._bus._lock:
             self._bus._require_open()
             return motion(self._bus.now_s(), *arguments)
+
+    def _wait_until(self, end_s: float) -> None:
+        with self._bus._lock:
+            self._bus._set_now(end_s)
 
 
 def open_from_url(url: BusUrl) -> SimBus:
@@ -346,7 +334,7 @@ def open_from_url(url: BusUrl) -> SimBus:
         effects=[parse_effect(text) for text in filter(None, options.text("effects").split(";"))],
     )
     return SimBus(
-        world=world,
+        world,
         chip=_chip(world, url.options["flash"], seed) if "flash" in url.options else None,
         stream=options.switch("stream", default=True),
         realtime=options.switch("realtime"),

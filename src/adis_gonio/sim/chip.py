@@ -79,11 +79,6 @@ _GPIO = BY_NAME["GPIO_CTRL"]
 _ANY_ALARM = ALARM_BITS[0] | ALARM_BITS[1]
 
 
-def data_ready_enabled(memory: Memory) -> bool:
-    """Return True if MSC_CTRL makes DIO1 or DIO2 carry the data-ready pulse."""
-    return bool(_MISC.field("data_ready").of(memory["MSC_CTRL"]))
-
-
 def dio_levels(memory: Memory, *, pulse: bool, status: int) -> tuple[int | None, int | None]:
     """Return the levels that the chip drives on DIO1 and DIO2; None for a line that is an input.
 
@@ -103,7 +98,7 @@ def dio_levels(memory: Memory, *, pulse: bool, status: int) -> tuple[int | None,
     if _ALARM.field("output").of(alarm):
         active = bool(status & _ANY_ALARM)
         result[_ALARM.field("line").of(alarm)] = int(active == bool(_ALARM.field("polarity").of(alarm)))
-    if data_ready_enabled(memory):
+    if _MISC.field("data_ready").of(misc):
         result[_MISC.field("line").of(misc)] = int(pulse == bool(_MISC.field("polarity").of(misc)))
     return result[0], result[1]
 
@@ -247,14 +242,9 @@ class SimulatedChip:
         self._sampler = SignalChain(self.variant, self._memory, self._electronics)
         self._k = self._updates = self._status = self._standing = self._dac = 0
         self._reply = self._shifted = self._null_count = self._edges = 0
-        self._until = self._epoch = self._period = 0.0
-        self._row: Words = np.zeros(len(OUTPUTS), np.uint16)
-        self._read_at: NDArray[np.int64] = np.zeros(len(OUTPUTS), np.int64)
-        self._null_sum: Floats = np.zeros(3)
         self._state = State.STARTING
         self._time_s = start_s
         self._last_start = self._last_rise = -math.inf
-        self._smpl_prd = self._memory["SMPL_PRD"]
         self._start_up(start_s)
         self._memory.changed = self._follow_registers
 
@@ -283,7 +273,7 @@ class SimulatedChip:
     @property
     def data_ready_enabled(self) -> bool:
         """True if DIO1 or DIO2 carries the data-ready pulse."""
-        return data_ready_enabled(self._memory)
+        return bool(_MISC.field("data_ready").of(self._memory["MSC_CTRL"]))
 
     @property
     def time_s(self) -> float:
@@ -461,14 +451,12 @@ class SimulatedChip:
         limits = serial_limits(self._memory["SMPL_PRD"])
         if self._state is not State.RUNNING or not limits.clock_ok(clock_hz):
             return 0
-        if not _in_time(first - self._last_rise, first - self._last_start, limits):
-            return 0
         starts = starts[:_CHUNK]
         rises = starts + 16 / clock_hz
-        bad = ((starts[1:] - rises[:-1]) < limits.stall_s - TOLERANCE_S) | (
-            np.diff(starts) < limits.period_s - TOLERANCE_S
-        )
-        n = int(np.argmax(bad)) + 1 if bad.any() else len(starts)
+        stall = starts - np.append(self._last_rise, rises[:-1])
+        period = np.diff(starts, prepend=self._last_start)
+        kept = (stall >= limits.stall_s - TOLERANCE_S) & (period >= limits.period_s - TOLERANCE_S)
+        n = len(starts) if kept.all() else int(np.argmin(kept))
         done = np.floor((rises[:n] - self._epoch) / self._period + _EDGE_TOLERANCE).astype(np.int64)
         index = done - self._k
         n = int(np.searchsorted(index, _CHUNK, side="right"))
@@ -646,11 +634,10 @@ class SimulatedChip:
     def _start_up(self, now: float) -> None:
         self._state, self._until = State.STARTING, now + START_UP_S
         self._status = self._standing = self._dac = 0
-        self._reply = self._shifted = 0
+        self._reply = self._shifted = self._updates = 0
         self._memory.load()
-        self._updates = 0
-        self._read_at = np.zeros(len(OUTPUTS), np.int64)
-        self._row = np.zeros(len(OUTPUTS), np.uint16)
+        self._read_at: NDArray[np.int64] = np.zeros(len(OUTPUTS), np.int64)
+        self._row: Words = np.zeros(len(OUTPUTS), np.uint16)
         self._null_sum, self._null_count = np.zeros(3), 0
         self._restart_sampling(self._until, empty=True)
 
@@ -734,10 +721,6 @@ class SimulatedChip:
             self._null_sum += updates.unfiltered[:, GYRO_COLUMNS].sum(axis=0)
             self._null_count += n
         return updates
-
-
-def _in_time(stall: float, period: float, limits: SerialLimits) -> bool:
-    return stall >= limits.stall_s - TOLERANCE_S and period >= limits.period_s - TOLERANCE_S
 
 
 def _is_reset(word: int) -> bool:

@@ -32,30 +32,6 @@ REFERENCE_V = 5.0
 PAIRS = tuple(a + b for a, b in itertools.product(AXES, repeat=2))
 
 
-@dataclass(frozen=True)
-class Felt:
-    """Physical quantities that act on the gyros at n times.
-
-    Attributes
-    ----------
-    rate_dps : (n, 3) float
-        Rate of turn in the accelerometers' frame.
-    gravity_mg, force_mg : (n, 3) float
-        Readings of ideal accelerometers from gravity alone, and from gravity and motion.
-    dies_c : (n, 3) float
-        Temperature of each gyro's die in °C.
-    supply_v, time_s : (n,) float
-        Supply voltage, and time.
-    """
-
-    rate_dps: Floats
-    gravity_mg: Floats
-    force_mg: Floats
-    dies_c: Floats
-    supply_v: Floats
-    time_s: Floats
-
-
 def apply_matrix(matrix: Floats, vectors: Floats) -> Floats:
     """Multiply a matrix (3, 3) by each of the vectors (n, 3); return (n, 3).
 
@@ -132,50 +108,34 @@ class GyroTriad:
             precision_autonull_s=given.precision_autonull_s,
         )
 
-    def read(self, felt: Felt) -> Floats:
-        """Return the gyro readings (n, 3) in °/s.
+    def read(
+        self, rate_dps: Floats, force_mg: Floats, dies_c: Floats, supply_v: Floats, time_s: Floats
+    ) -> Floats:
+        """Return the gyro readings (n, 3) in °/s at n times, without flicker and white noise.
 
-        Flicker, white noise and the effect of the supply are not included. `felt` has the quantities that
-        act on the gyros.
+        Parameters
+        ----------
+        rate_dps : (n, 3) float
+            Rate of turn in the accelerometers' frame.
+        force_mg : (n, 3) float
+            Readings of ideal accelerometers, from gravity and motion.
+        dies_c : (n, 3) or (n, 1) float
+            Temperature in °C of each gyro's die, or of all dies.
+        supply_v, time_s : (n,) float
+            Supply voltage in V, and times in s.
         """
-        gyro = self._turning(felt) + self._bias
-        for k, own in enumerate(np.diagonal(self.per_g)):
-            gyro[:, k] += 1e-3 * own * felt.force_mg[:, k]
-        for k, j in itertools.permutations(range(3), 2):
-            if self.per_g[k, j]:
-                gyro[:, k] += 1e-3 * self.per_g[k, j] * felt.force_mg[:, j]
-        gyro += self._walk.at(felt.time_s)
-        for (k, j), per_g2 in np.ndenumerate(self._per_g2):
-            if per_g2:
-                gyro[:, k] += per_g2 * (1e-3 * felt.force_mg[:, j]) ** 2
-        if self._tempco.any():
-            gyro += self._tempco * (felt.dies_c - REFERENCE_C)
-        if self._warm_up.any():
-            gyro += self._warming(felt.time_s)[:, None] * self._warm_up
+        warm, force_g = dies_c - REFERENCE_C, 1e-3 * force_mg
+        gyro = apply_matrix(self.sensitivity, rate_dps)
+        gyro += self._asymmetry * np.abs(gyro)
+        gyro *= 1 + self._scale_tempco * warm
+        gyro += self._bias + self._tempco * warm + self._warming(time_s)[:, None] * self._warm_up
+        gyro += (supply_v - REFERENCE_V)[:, None] * self._per_v
+        for k, j in itertools.product(range(3), repeat=2):
+            if self.per_g[k, j] or self._per_g2[k, j]:
+                gyro[:, k] += self.per_g[k, j] * force_g[:, j] + self._per_g2[k, j] * force_g[:, j] ** 2
+        if self._settings.gyro_rate_walk_dps_per_rt_s:
+            gyro += self._walk.at(time_s)
         return gyro
-
-    def of_supply(self, supply_v: Floats) -> Floats:
-        """Return the change of the gyro readings (n, 3) in °/s that the supply (n,) causes.
-
-        The readings change with the deviation of the supply from 5 V.
-        """
-        return np.asarray((supply_v - REFERENCE_V)[:, None] * self._per_v)
-
-    def _turning(self, felt: Felt) -> Floats:
-        """Return the gyro readings (n, 3) in °/s from the rate of turn alone.
-
-        They include scale factors, directions, asymmetry, and the temperature coefficients of the scale
-        factors. `felt` has the quantities that act on the gyros.
-        """
-        if np.array_equal(self.sensitivity, np.eye(3)):
-            rate = felt.rate_dps
-        else:
-            rate = apply_matrix(self.sensitivity, felt.rate_dps)
-        if self._asymmetry.any():
-            rate = rate + self._asymmetry * np.abs(rate)
-        if self._scale_tempco.any():
-            rate = rate * (1 + self._scale_tempco * (felt.dies_c - REFERENCE_C))
-        return rate
 
     def _warming(self, time_s: Floats) -> Floats:
         """Return the warm-up offset (n,) at n times in s, divided by the warm-up offset at power-on."""
@@ -192,25 +152,29 @@ class GyroTriad:
         gains = np.linalg.norm(self.sensitivity, axis=1)
         # Sines of the misalignments are the components of the unit directions.
         misalignment_deg = np.degrees(np.arcsin(self.sensitivity / gains[:, None]))
-        left = (1 - self._settings.gyro_g_compensation) * self.per_g
+        by_axis = {
+            "gyro_scale": np.diagonal(self.sensitivity),
+            "gyro_bias": self._bias,
+            "gyro_scale_error": gains - 1,
+            "gyro_scale_temperature": self._scale_tempco,
+            "gyro_bias_temperature": self._tempco,
+            "gyro_warm_up": self._warm_up,
+            "gyro_asymmetry": self._asymmetry,
+            "gyro_supply": self._per_v,
+        }
+        by_pair = {
+            "g_sensitivity": self.per_g,
+            "g_sensitivity_left": (1 - self._settings.gyro_g_compensation) * self.per_g,
+            "g2_sensitivity": self._per_g2,
+            "gyro_misalignment": misalignment_deg,
+        }
         result: dict[str, float] = {}
-        for k, axis in enumerate(AXES):
-            result[f"gyro_scale_{axis}"] = float(self.sensitivity[k, k])
-            result[f"gyro_bias_{axis}"] = float(self._bias[k])
-            for j, other in enumerate(AXES):
-                result[f"g_sensitivity_{axis}{other}"] = float(self.per_g[k, j])
-        for k, axis in enumerate(AXES):
-            result[f"gyro_scale_error_{axis}"] = float(gains[k] - 1)
-            result[f"gyro_scale_temperature_{axis}"] = float(self._scale_tempco[k])
-            result[f"gyro_bias_temperature_{axis}"] = float(self._tempco[k])
-            result[f"gyro_warm_up_{axis}"] = float(self._warm_up[k])
-            result[f"gyro_asymmetry_{axis}"] = float(self._asymmetry[k])
-            result[f"gyro_supply_{axis}"] = float(self._per_v[k])
-            for j, other in enumerate(AXES):
-                result[f"g_sensitivity_left_{axis}{other}"] = float(left[k, j])
-                result[f"g2_sensitivity_{axis}{other}"] = float(self._per_g2[k, j])
-                if j != k:
-                    result[f"gyro_misalignment_{axis}{other}"] = float(misalignment_deg[k, j])
+        for places, parameters in ((AXES, by_axis), (PAIRS, by_pair)):
+            for name, values in parameters.items():
+                keys = (f"{name}_{place}" for place in places)
+                result |= dict(zip(keys, values.ravel().tolist(), strict=True))
+        for axis in AXES:  # the angle between an axis and itself
+            del result[f"gyro_misalignment_{axis}{axis}"]
         return result | {
             "gyro_warm_up_tau": self._settings.gyro_warm_up_tau_s,
             "gyro_range_gain_150": self._settings.gyro_range_gain_150,

@@ -13,8 +13,8 @@ Known facts about hands, and their model here
     stops short of it and creeps up. No two movements are equally fast. A sensor held in the hand also
     turns about the vertical, and strays from the shortest way by degrees.
 
-All movements are sums of smooth functions with exact derivatives, so that rates and accelerations belong to
-the angle at every time. All figures are estimates (confidence D).
+All movements are sums of smooth functions with exact derivatives, so that the rate belongs to the angle at
+every time. All figures are estimates (confidence D).
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.sim.settings import WorldSettings
 
-Course = tuple[Floats, Floats, Floats]
-"""Values (n,) of a function at n times, with its first and second derivative."""
+Course = tuple[Floats, Floats]
+"""Values (n,) of a function at n times, and its derivatives (n,) per s."""
 
 SEGMENT_DEG = (40.0, 120.0)
 """Smallest and largest angle in degrees that one grip of a hand covers."""
@@ -58,15 +58,13 @@ class Sines:
         return cls(omega, rng.uniform(0, 2 * np.pi, _LINES))
 
     def at(self, time_s: Floats) -> Course:
-        """Return the sum of sines (n,) at times (n,) in s, and its first two derivatives."""
-        value, first, second = (np.zeros(len(time_s)) for _ in range(3))
+        """Return the sum of sines (n,) at times (n,) in s, and its derivative."""
+        value, rate = np.zeros(len(time_s)), np.zeros(len(time_s))
         size = np.sqrt(2 / _LINES)
         for omega, phase in zip(self.omega, self.phase, strict=True):
-            sine, cosine = np.sin(omega * time_s + phase), np.cos(omega * time_s + phase)
-            value += size * sine
-            first += size * omega * cosine
-            second -= size * omega**2 * sine
-        return value, first, second
+            value += size * np.sin(omega * time_s + phase)
+            rate += size * omega * np.cos(omega * time_s + phase)
+        return value, rate
 
     @property
     def mean_square_rate(self) -> float:
@@ -86,40 +84,34 @@ def grips(turn_deg: float, rng: np.random.Generator) -> Floats:
 
 
 def minimum_jerk(time_s: Floats, begin_s: float, length_s: float, span: float) -> Course:
-    """Return a smooth movement from 0 to `span` at times (n,) in s, with its first two derivatives.
+    """Return a smooth movement from 0 to `span` at times (n,) in s, with its derivative.
 
     The movement begins at `begin_s` and takes `length_s`, both in s (Flash & Hogan 1985).
     """
-    value, first, second = rise((time_s - begin_s) / length_s)
-    return span * value, span / length_s * first, span / length_s**2 * second
+    value, slope = rise((time_s - begin_s) / length_s)
+    return span * value, span / length_s * slope
 
 
 def hold(time_s: Floats, length_s: float) -> Course:
-    """Return the firmness of a grip at times (n,) in s, with two derivatives.
+    """Return the firmness of a grip at times (n,) in s, with its derivative.
 
     It rises smoothly from 0 to 1 after the hand takes hold at 0 s, and has fallen to 0 when the hand lets
     go at `length_s`.
     """
-    up, down = rise(time_s / RISE_S), rise((length_s - time_s) / RISE_S)
     scale = 1 / RISE_S
-    up = (up[0], up[1] * scale, up[2] * scale**2)
-    down = (down[0], -down[1] * scale, down[2] * scale**2)
-    return product(up, down)
+    (up, rising), (down, falling) = rise(time_s / RISE_S), rise((length_s - time_s) / RISE_S)
+    return product((up, rising * scale), (down, -falling * scale))
 
 
 def rise(x: Floats) -> Course:
-    """Return a smooth step from 0 at x = 0 to 1 at x = 1 with minimum jerk, and two derivatives."""
+    """Return a smooth step from 0 at x = 0 to 1 at x = 1 with minimum jerk, and its derivative."""
     x = np.clip(x, 0.0, 1.0)
-    return (
-        x**3 * (10 - 15 * x + 6 * x**2),
-        30 * x**2 * (1 - x) ** 2,
-        60 * x * (1 - x) * (1 - 2 * x),
-    )
+    return x**3 * (10 - 15 * x + 6 * x**2), 30 * x**2 * (1 - x) ** 2
 
 
 def product(f: Course, g: Course) -> Course:
-    """Return the product of two functions of time, with two derivatives by the product rule."""
-    return f[0] * g[0], f[1] * g[0] + f[0] * g[1], f[2] * g[0] + 2 * f[1] * g[1] + f[0] * g[2]
+    """Return the product of two functions of time, with its derivative by the product rule."""
+    return f[0] * g[0], f[1] * g[0] + f[0] * g[1]
 
 
 class _Hand:
@@ -153,17 +145,14 @@ class _Hand:
         self._tremor_rad = np.radians(settings.hand_tremor_dps) / np.sqrt(self._tremor.mean_square_rate)
 
     def turned(self, time_s: Floats) -> Course:
-        """Return the angle (n,) in rad turned at each time, with its rate and acceleration.
-
-        The rate is in rad/s, the acceleration in rad/s².
-        """
-        course = [np.zeros(len(time_s)) for _ in range(3)]
+        """Return the angle (n,) in rad turned at each time, and its rate (n,) in rad/s."""
+        course = np.zeros(len(time_s)), np.zeros(len(time_s))
         for piece in self._pieces:
             _add(course, minimum_jerk(time_s, *piece))
         held = hold(time_s, self.length_s)
         _add(course, product(self._uneven.at(time_s), held), self._uneven_rad)
         _add(course, product(self._tremor.at(time_s), held), self._tremor_rad)
-        return course[0], course[1], course[2]
+        return course
 
     def shaking_mg(self, time_s: Floats) -> Floats:
         """Return the acceleration (n, 3) in mg by which the hand shakes the sensor at times (n,) in s."""
@@ -210,9 +199,9 @@ class HandTurn(_Hand):
     def tilt(self, time_s: Floats, turned: Course) -> tuple[Floats, Floats]:
         """Return the angle (n,) in rad of the sensor's X-Y plane to the vertical, and its rate in rad/s.
 
-        `turned` is the angle of the turn with its derivatives, see `turned()`.
+        `turned` is the angle of the turn with its rate, see `turned()`.
         """
-        angle, rate, _ = turned
+        angle, rate = turned
         size = np.radians(self._settings.axis_wobble_deg)
         first, second = self._wobble_phase
         tilt = size * (np.cos(angle + first) + 0.5 * np.cos(2 * angle + second))
@@ -323,13 +312,13 @@ class HandMove(_Hand):
             the vertical.
         """
         if self._stray_rad:
-            stray, straying, _ = product(self._sway.at(time_s), hold(time_s, self.length_s))
+            stray, straying = product(self._sway.at(time_s), hold(time_s, self.length_s))
             axis = self._stray_axis
             direction = _turned_back(direction, axis, self._stray_rad * stray)
             rate = _turned_back(rate, axis, self._stray_rad * stray)
             rate = rate + self._stray_rad * straying[:, None] * axis
         if self.twist_rad:
-            _, twisting, _ = minimum_jerk(time_s, 0.0, self.length_s, self.twist_rad)
+            _, twisting = minimum_jerk(time_s, 0.0, self.length_s, self.twist_rad)
             rate = rate - twisting[:, None] * direction
         return direction, rate
 
@@ -346,7 +335,7 @@ def _misses(size_deg: float, rng: np.random.Generator, *, one_way: bool) -> Floa
     return -np.abs(misses) if one_way else misses
 
 
-def _add(course: list[Floats], more: Course, size: float = 1.0) -> None:
+def _add(course: Course, more: Course, size: float = 1.0) -> None:
     for whole, part in zip(course, more, strict=True):
         whole += size * part
 

@@ -243,7 +243,7 @@ class SignalChain:
         self._per_g = own if electronics.g_compensation is None else electronics.g_compensation
         self.gyro_range_dps = 0
         self.m = -1
-        self._clear()
+        self.clear()
         self.configure(memory)
 
     # -- settings -------------------------------------------------------------------------------
@@ -254,7 +254,7 @@ class SignalChain:
         gyro_range = next((dps for dps, known in RANGE_CODE.items() if known == code), 300)
         m = min(max(BY_NAME["SENS_AVG"].field("m").of(memory["SENS_AVG"]), LEAST_M[gyro_range]), MOST_M)
         if (gyro_range, m) != (self.gyro_range_dps, self.m):
-            self._clear()
+            self.clear()
         self.gyro_range_dps, self.m = gyro_range, m
         sizes = [self._variant.lsb(row.kind, gyro_range) for row in OUTPUTS]
         self._gain = np.array([_ONE / lsb for lsb, _, _ in sizes])
@@ -278,9 +278,6 @@ class SignalChain:
 
     def clear(self) -> None:
         """Empty the filter and the history of samples, as a reset does."""
-        self._clear()
-
-    def _clear(self) -> None:
         self._samples = np.zeros((_HISTORY, len(OUTPUTS)), np.int64)
         self._filtered = np.zeros((_HISTORY, len(OUTPUTS)), np.int64)
         self._taken = 0

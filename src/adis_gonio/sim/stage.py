@@ -44,8 +44,6 @@ class Motion:
         Readings of an ideal sensor, in units of local gravity.
     rate_dps : (n, 3) float
         Rate of turn of the sensor about its axes.
-    spin_rad_s2 : (n,) float
-        Angular acceleration of the sensor about its Z axis.
     shaking_mg : (n, 3) float
         Linear acceleration of the sensor by a shaking hand.
     ringing_mg : (n,) float
@@ -61,7 +59,6 @@ class Motion:
 
     direction: Floats
     rate_dps: Floats
-    spin_rad_s2: Floats
     shaking_mg: Floats
     ringing_mg: Floats
     angle_rad: Floats
@@ -197,14 +194,13 @@ class Stage:
         """
         if not np.isfinite(angle_deg) or approach not in (-1, 0, 1):
             raise UsageError(f"move to {angle_deg}° with approach {approach}: give an angle and -1, 0 or 1")
-        self._require_still(start_s)
-        self._moves += 1
+        self._count_move(start_s)
         last = self._legs[-1]
         target = float(np.radians(angle_deg))
         previous = target if self._moves == 1 else last.to_rad
         if last.spatial:
             error = self._error(approach)
-            vector = self._direction(target, error)
+            vector = self._direction(self._alpha - target + error)
             end = self._turn(start_s, vector, target, error, approach)
             rest = _Leg(end, end, target, target, error, error, self._order, approach, previous)
             self._append(rest)
@@ -236,8 +232,7 @@ class Stage:
         norm = float(np.linalg.norm(wanted))
         if wanted.shape != (3,) or not np.isfinite(norm) or norm == 0:
             raise UsageError(f"orient to {vector}: give three numbers that are a direction")
-        self._require_still(start_s)
-        self._moves += 1
+        self._count_move(start_s)
         sigma = np.radians(self._settings.fixture_sigma_deg)
         # Tilt the wanted direction by a random small rotation.
         tilted = wanted / norm + np.cross(sigma * self._rng.standard_normal(3), wanted / norm)
@@ -258,13 +253,12 @@ class Stage:
         UsageError
             The last move still runs, or the sensor is not at an angle of the stage.
         """
-        self._require_still(start_s)
         last = self._legs[-1]
         if last.spatial:
             raise UsageError(
                 "the part is at an attitude in space: turn it to an angle of the stage before a free turn"
             )
-        self._moves += 1
+        self._count_move(start_s)
         hand = HandTurn(self._settings, self._hands, turns)
         to_rad = last.to_rad + hand.total_rad
         approach = 1 if to_rad >= last.to_rad else -1
@@ -304,8 +298,7 @@ class Stage:
             raise UsageError(
                 f"turn by {angle_deg}° about {axis}: give an angle and three numbers of an axis"
             )
-        self._require_still(start_s)
-        self._moves += 1
+        self._count_move(start_s)
         about = about / norm
         before, self._mark_error = self._mark_error, self._mark()
         turn = float(np.radians(angle_deg)) + self._mark_error - before
@@ -345,9 +338,10 @@ class Stage:
 
     # -- making legs ------------------------------------------------------------------------------
 
-    def _require_still(self, start_s: float) -> None:
+    def _count_move(self, start_s: float) -> None:
         if start_s < self.still_at_s:
             raise UsageError(f"the stage moves until {self.still_at_s} s; wait for it")
+        self._moves += 1
 
     def _error(self, approach: int) -> float:
         drawn = self._settings.fixture_sigma_deg * float(self._rng.standard_normal())
@@ -359,10 +353,14 @@ class Stage:
         drawn = self._settings.mark_sigma_deg * float(self._movements.standard_normal())
         return float(np.radians(drawn))
 
-    def _direction(self, theta: float, error: float) -> Floats:
-        tilt = np.radians(self._settings.axis_tilt_deg)
-        psi = self._alpha - theta + error
-        return np.array([np.cos(psi) * np.cos(tilt), np.sin(psi) * np.cos(tilt), np.sin(tilt)])
+    def _direction(self, psi: float | Floats, wobble: float | Floats = 0.0) -> Floats:
+        """Return the direction of gravity (3,) or (n, 3) in the sensor at the angle ψ in the plane.
+
+        `psi` is a number or (n,) in rad. `wobble`, also in rad, is added to the tilt of the stage's axis.
+        """
+        tilt = np.radians(self._settings.axis_tilt_deg) + wobble
+        parts = np.cos(psi) * np.cos(tilt), np.sin(psi) * np.cos(tilt), np.sin(tilt)
+        return np.stack(np.broadcast_arrays(*parts), axis=-1)
 
     def _hand_over(self, span_rad: float, *, one_way: bool = False, free: bool = False) -> HandMove | None:
         """Draw a movement by hand through an angle in rad; None if a motor moves the stage.
@@ -422,7 +420,9 @@ class Stage:
     def _standing(self) -> Floats:
         """Direction (3,) of gravity along the sensor's axes after the last move."""
         last = self._legs[-1]
-        return last.target if last.spatial else self._direction(last.to_rad, last.to_error_rad)
+        if last.spatial:
+            return last.target
+        return self._direction(self._alpha - last.to_rad + last.to_error_rad)
 
     def _append(self, leg: _Leg) -> None:
         self._legs.append(leg)
@@ -436,7 +436,7 @@ class Stage:
         since = time_s - leg.end_s
         if leg.hand is not None:
             return self._by_hand(leg, leg.hand, time_s)
-        blend, speed, spin = _course(leg, time_s)
+        blend, speed = _course(leg, time_s)
         rate = np.zeros((n, 3))
         if leg.spatial:
             turn = leg.turn_rad * blend
@@ -453,17 +453,11 @@ class Stage:
             theta = leg.from_rad + span * blend
             # The error changes from its old to its new value during the move.
             psi = self._alpha - theta + leg.from_error_rad + slip * blend
-            tilt = np.radians(self._settings.axis_tilt_deg)
-            direction = np.empty((n, 3))
-            direction[:, 0] = np.cos(psi) * np.cos(tilt)
-            direction[:, 1] = np.sin(psi) * np.cos(tilt)
-            direction[:, 2] = np.sin(tilt)
+            direction = self._direction(psi)
             rate[:, 2] = np.degrees((span - slip) * speed)
-            spin = (span - slip) * spin
-        spin = np.zeros(n) if leg.spatial else spin
         hand = leg.by_hand
         shaking = np.zeros((n, 3)) if hand is None else hand.shaking_mg(time_s - leg.start_s)
-        return _motion(leg, time_s, direction, rate, spin, shaking, self._ringing(since), theta)
+        return _motion(leg, time_s, direction, rate, shaking, self._ringing(since), theta)
 
     def _by_hand(self, leg: _Leg, hand: HandTurn, time_s: Floats) -> Motion:
         since = time_s - leg.start_s
@@ -471,14 +465,11 @@ class Stage:
         wobble, wobbling = hand.tilt(since, turned)
         theta = leg.from_rad + turned[0]
         psi = self._alpha - theta + leg.from_error_rad
-        tilt = np.radians(self._settings.axis_tilt_deg) + wobble
-        direction = np.stack([np.cos(psi) * np.cos(tilt), np.sin(psi) * np.cos(tilt), np.sin(tilt)], axis=1)
+        direction = self._direction(psi, wobble)
         # Rates for which gravity in the part follows the direction: d' = -rate x d.
         rate = np.stack([-wobbling * np.sin(psi), wobbling * np.cos(psi), turned[1]], axis=1)
         still = np.zeros(len(time_s))
-        return _motion(
-            leg, time_s, direction, np.degrees(rate), turned[2], hand.shaking_mg(since), still, theta
-        )
+        return _motion(leg, time_s, direction, np.degrees(rate), hand.shaking_mg(since), still, theta)
 
     def _ringing(self, since: Floats) -> Floats:
         """Return the vibration (n,) in mg after a move: a decaying sine for 20 time constants.
@@ -508,24 +499,23 @@ def _motion(leg: _Leg, time_s: Floats, *course: Floats) -> Motion:
 
 
 def _course(leg: _Leg, time_s: Floats) -> Course:
-    """Return the completed share (n,) of a move at each time, with its derivatives per s and per s².
+    """Return the completed share (n,) of a move at each time, and its derivative per s.
 
     `leg` is the move. The share is 0 at its start and 1 from its end on.
     """
     n = len(time_s)
     moving = time_s - leg.end_s < 0
     if not moving.any():
-        return np.ones(n), np.zeros(n), np.zeros(n)
+        return np.ones(n), np.zeros(n)
     if leg.by_hand is not None:
         turned = leg.by_hand.turned(time_s - leg.start_s)
-        done, speed, spin = (value / leg.by_hand.span_rad for value in turned)
+        done, speed = (value / leg.by_hand.span_rad for value in turned)
     else:
         duration = leg.end_s - leg.start_s
         part = np.pi * (time_s - leg.start_s) / duration
         done = (1 - np.cos(part)) / 2
         speed = np.pi / (2 * duration) * np.sin(part)
-        spin = np.pi**2 / (2 * duration**2) * np.cos(part)
-    return np.where(moving, done, 1.0), np.where(moving, speed, 0.0), np.where(moving, spin, 0.0)
+    return np.where(moving, done, 1.0), np.where(moving, speed, 0.0)
 
 
 _NAMES = tuple(Motion.__dataclass_fields__)

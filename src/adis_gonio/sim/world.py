@@ -31,8 +31,8 @@ from adis_gonio.device.sensor.registers import Variant, variant
 from adis_gonio.model.effects.base import AXES, Conditions, Effect, Enters
 from adis_gonio.model.measurement import FreeAttitude, sensitivity
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
-from adis_gonio.sim.gyros import PAIRS, REFERENCE_C, Dies, Felt, GyroTriad, apply_matrix, value_or
-from adis_gonio.sim.noise import Flicker, White
+from adis_gonio.sim.gyros import PAIRS, REFERENCE_C, Dies, GyroTriad, apply_matrix, value_or
+from adis_gonio.sim.noise import Flicker
 from adis_gonio.sim.sampling import Electronics, Inputs
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.stage import Motion, Stage
@@ -85,16 +85,16 @@ class World:
         self._draw(np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0]))
         source = np.random.SeedSequence([seed, day] if day else seed)
         streams = [np.random.default_rng(child) for child in source.spawn(12)]
-        _, white, self._flicker_rng, fixture, changes, shaking, self._level_rng = streams[:7]
+        _, white, flicker, fixture, changes, shaking, self._level_rng = streams[:7]
         self._effect_rngs = changes.spawn(len(effects))
         self.effects = tuple((effect, _values(effect, given)) for effect, given in effects)
         self.stage = Stage(
             self.settings, float(np.radians(self._hidden["alpha"])), fixture, streams[7], streams[9]
         )
-        self._flicker: Flicker | None = None
         self.gyros = GyroTriad(self.settings, self.variant.performance, self._gyro_bias, streams[8])
         self._dies = Dies(self.settings)
-        self._lever_m = 1e-3 * np.array([self.settings.lever_x_mm, self.settings.lever_y_mm, 0.0])
+        # Position of each accelerometer (rows): of the sensor on the stage, and within the sensor.
+        self._lever_m = 1e-3 * np.tile([self.settings.lever_x_mm, self.settings.lever_y_mm, 0.0], (3, 1))
         places = [getattr(self.settings, f"accel_place_{pair}_mm") for pair in PAIRS]
         self._places_m = 1e-3 * np.array(places).reshape(3, 3)
         self._warmed: list[tuple[float, float]] = []
@@ -102,20 +102,18 @@ class World:
         figures = self.variant.performance
         self._noise_mg = value_or(self.settings.noise_mg, figures.noise_mg)
         gyro_noise = value_or(self.settings.gyro_noise_dps, figures.gyro_noise_dps)
-        self._white = White(
-            np.array(
-                [self._noise_mg] * 3
-                + [gyro_noise] * 3
-                + [self.settings.temperature_noise_c] * 3
-                + [self.settings.supply_noise_v]
-            ),
-            white,
-        )
+        # White noise of accelerations, rates, temperatures and supply.
+        others = [self.settings.temperature_noise_c] * 3 + [self.settings.supply_noise_v]
+        self._white_sd = np.array([self._noise_mg] * 3 + [gyro_noise] * 3 + others)
+        self._white = white
+        floor = value_or(self.settings.bias_instability_mg, figures.bias_instability_mg)
+        floors = np.array([floor] * 3 + [self.settings.gyro_instability_dps] * 3)
+        self._flicker = Flicker(floors, flicker, start_s=None)
         follows = any("variance_mg2" in effect.needs for effect, _ in self.effects)
         self._table_mg = value_or(
             self.settings.table_vibration_mg, _TABLE_OVER_NOISE * self._noise_mg if follows else 0.0
         )
-        self._shaking = White(np.ones(3), shaking)
+        self._shaking = shaking
         self._levels_mg = np.empty(0)
 
     def _draw(self, rng: np.random.Generator) -> None:
@@ -127,18 +125,15 @@ class World:
         figures, given = self.variant.performance, self.settings
         limit = figures.non_orthogonality_deg
         scale = 1 + figures.scale_error_typical * rng.standard_normal(3)
-        bias = figures.initial_bias_mg * rng.standard_normal(3)
+        self._bias = self._by_axis("bias_{}_mg", figures.initial_bias_mg, rng)
         skew = rng.uniform(-limit, limit, 3)
         alpha = float(rng.uniform(-GREATEST_ALPHA_DEG, GREATEST_ALPHA_DEG))
-        tempco = figures.bias_tempco_mg_per_c * rng.standard_normal(3)
-        scale_tempco = figures.scale_tempco_ppm_per_c * rng.standard_normal(3)
-        gyro_bias = given.gyro_bias_sigma_dps * rng.standard_normal(3)
+        self._tempco = self._by_axis("bias_tempco_{}_mg_per_c", figures.bias_tempco_mg_per_c, rng)
+        self._scale_tempco = 1e-6 * self._by_axis(
+            "scale_tempco_{}_ppm_per_c", figures.scale_tempco_ppm_per_c, rng
+        )
+        self._gyro_bias = self._by_axis("gyro_bias_{}_dps", given.gyro_bias_sigma_dps, rng)
         self._temperature_offset = given.temperature_offset_sigma_c * rng.standard_normal(3)
-
-        self._bias = self._by_axis("bias_{}_mg", bias)
-        self._tempco = self._by_axis("bias_tempco_{}_mg_per_c", tempco)
-        self._scale_tempco = 1e-6 * self._by_axis("scale_tempco_{}_ppm_per_c", scale_tempco)
-        self._gyro_bias = self._by_axis("gyro_bias_{}_dps", gyro_bias)
         scale_y = value_or(given.scale_y, float(scale[1]))
         delta_k = value_or(given.delta_k, float(scale[0] / scale[1] - 1))
         delta_phi = value_or(given.delta_phi_deg, float(skew[0]))
@@ -163,13 +158,14 @@ class World:
         in_space = FreeAttitude(self.gravity_mg)
         return np.array([self._hidden[p.name] / p.per_natural for p in in_space.parameters])
 
-    def _by_axis(self, name: str, drawn: Floats) -> Floats:
-        """Return the values (3,) of a setting for x, y and z: the given value, or else the drawn value.
+    def _by_axis(self, name: str, sd: float, rng: np.random.Generator) -> Floats:
+        """Return the values (3,) of a setting for x, y and z: the given value, or else a drawn value.
 
-        `name` is the name of the setting with {} for the axis; `drawn` has the drawn values (3,).
+        `name` is the name of the setting with {} for the axis, `sd` the standard deviation of the draws.
         """
+        drawn = (sd * rng.standard_normal(3)).tolist()
         given = (getattr(self.settings, name.format(axis)) for axis in AXES)
-        return np.array([value_or(value, float(own)) for value, own in zip(given, drawn, strict=True)])
+        return np.array([value_or(value, own) for value, own in zip(given, drawn, strict=True)])
 
     # -- hidden parameters -------------------------------------------------------------------------
 
@@ -198,7 +194,7 @@ class World:
         | `g2_sensitivity_xy…` | °/s/g² | effect of a squared force |
         | `gyro_scale_temperature_x…` | 1/°C | temperature coefficient of the gain |
         | `gyro_bias_temperature_x…` | °/s/°C | temperature coefficient of the zero rate |
-        | `gyro_asymmetry_x…` | 1 | see `GyroSettings` |
+        | `gyro_asymmetry_x…` | 1 | excess of the gain for positive rates over the mean gain |
         | `gyro_supply_x…` | °/s/V | effect of the supply |
         | `gyro_warm_up_x…`, `gyro_warm_up_tau` | °/s, s | offset at power-on, and its time constant |
         | `gyro_range_gain_150`, `…_75` | 1 | gain in this range relative to ±300 °/s |
@@ -216,11 +212,17 @@ class World:
         warm, wander = 0.0, np.zeros(6)
         if time_s is not None:
             warm = float(np.mean(self.temperature_c(time_s))) - REFERENCE_C
-            past = np.empty((0, 6)) if self._flicker is None else self._flicker.past_values(time_s)
+            past = self._flicker.past_values(time_s)
             if len(past):
                 wander = past.mean(axis=0)
         result |= {"lever_x": self.settings.lever_x_mm, "lever_y": self.settings.lever_y_mm}
-        result |= self._gyro_truth(time_s, wander[3:])
+        result |= (
+            self.gyros.truth()
+            if time_s is None
+            else self.gyros.truth_at(
+                time_s, self.die_temperature_c(time_s), self.supply_v(time_s), wander[3:]
+            )
+        )
         result["gyro_latency"] = 0.0  # gyros and accelerometers pass the same filter
         for k, axis in enumerate(AXES):
             result[f"scale_{axis}"] *= 1 + float(self._scale_tempco[k]) * warm
@@ -233,13 +235,6 @@ class World:
             for parameter, value in zip(effect.parameters, values, strict=True):
                 result[f"{effect.name}.{parameter.name}"] = float(value)
         return result
-
-    def _gyro_truth(self, time_s: Floats | None, wander_dps: Floats) -> dict[str, float]:
-        if time_s is None:
-            return self.gyros.truth()
-        return self.gyros.truth_at(
-            time_s, self.die_temperature_c(time_s), self.supply_v(time_s), wander_dps
-        )
 
     @property
     def electronics(self) -> Electronics:
@@ -294,8 +289,8 @@ class World:
         motion = self.stage.at(time_s)
         temperature = self.temperature_c(time_s)
         supply = self.supply_v(time_s)
-        noise = self._white.next(n)
-        flicker = self._flicker_at(time_s)
+        noise = self._white.standard_normal((n, len(self._white_sd))) * self._white_sd
+        flicker = self._flicker.at(time_s)
         vibration = self._vibration_mg(motion.order)
         dies = temperature[:, None] if self._dies.alike else self.die_temperature_c(time_s)
         conditions = self._conditions(time_s, motion, dies, supply, vibration)
@@ -305,31 +300,30 @@ class World:
         ideal = self._ideal(direction)
         warm = (temperature - REFERENCE_C)[:, None]
         accel = ideal * (1 + self._scale_tempco * warm) + self._bias + self._tempco * warm
-        if conditions is not None:
-            for effect, values in self._of_part("accelerometer"):
-                if effect.enters is Enters.READING:
-                    accel += effect.reading(values, ideal, conditions)
+        self._add_effects("accelerometer", accel, ideal, conditions)
         accel += flicker[:, :3]
         accel[:, :2] += motion.ringing_mg[:, None]
-        moving = self._moving_mg(motion)
-        if moving is not None:
-            accel += moving
-        places = self._by_places_mg(time_s, motion) if self._places_m.any() else None
+        moving = motion.shaking_mg
+        if self._lever_m.any():
+            moving = self._by_places_mg(time_s, motion, self._lever_m) + moving
+        accel += moving
+        places = self._by_places_mg(time_s, motion, self._places_m) if self._places_m.any() else None
         if places is not None:
             accel += places
         accel += noise[:, :3]
         if self._table_mg:
-            accel += vibration[:, None] * self._shaking.next(n)
+            accel += vibration[:, None] * self._shaking.standard_normal((n, 3))
         if conditions is not None:
             for (effect, values), rng in zip(self.effects, self._effect_rngs, strict=True):
                 if effect.enters is Enters.SAMPLES:
                     accel = effect.samples_mg(values, accel, conditions, rng)
 
         # Gyros: the force in the part and the rate of turn act on each gyro.
-        force = ideal if moving is None else ideal + moving
-        felt = Felt(self._rate_dps(motion), ideal, force, dies, supply, time_s)
-        gyro = self._read_gyros(felt, conditions) + flicker[:, 3:] + noise[:, 3:6]
-        gyro += self.gyros.of_supply(supply)
+        force = ideal + moving
+        gyro = self.gyros.read(self._rate_dps(motion), force, dies, supply, time_s)
+        felt = None if conditions is None else replace(conditions, force_g=force / 1000.0)
+        self._add_effects("gyro", gyro, gyro, felt)
+        gyro += flicker[:, 3:] + noise[:, 3:6]
         return Inputs(
             accel,
             gyro,
@@ -339,27 +333,19 @@ class World:
             places,
         )
 
-    def _read_gyros(self, felt: Felt, conditions: Conditions | None) -> Floats:
-        """Return the gyro readings (n, 3) in °/s, including the effects that act on gyros.
+    def _add_effects(
+        self, part: str, readings: Floats, before: Floats, conditions: Conditions | None
+    ) -> None:
+        """Add the effects on a part of the sensor, `accelerometer` or `gyro`, to its readings (n, 3).
 
-        `felt` has the quantities that act on the gyros; `conditions` are the covariates of the effects,
-        None without effects.
+        An effect depends on the readings `before` (n, 3), and on `conditions`, which is None without
+        effects. An effect on both parts acts only on the first part that it names.
         """
-        gyro = self.gyros.read(felt)
-        effects = self._of_part("gyro")
-        if conditions is None or not effects:
-            return gyro
-        conditions = replace(conditions, force_g=felt.force_mg / 1000.0)
-        for effect, values in effects:
-            gyro += effect.reading(values, gyro, conditions)
-        return gyro
-
-    def _of_part(self, part: str) -> list[tuple[Effect, Floats]]:
-        """Return the effects on a part of the sensor, `accelerometer` or `gyro`, with their values.
-
-        An effect on both parts is returned only for the first part that it names.
-        """
-        return [(effect, values) for effect, values in self.effects if effect.parts[0] == part]
+        if conditions is None:
+            return
+        for effect, values in self.effects:
+            if effect.parts[0] == part and effect.enters is Enters.READING:
+                readings += effect.reading(values, before, conditions)
 
     def _rate_dps(self, motion: Motion) -> Floats:
         """Return the true rate of turn (n, 3) in °/s, with the vertical part of the earth's rotation.
@@ -369,48 +355,24 @@ class World:
         up_dps = self.settings.earth_rate_up_dps
         return motion.rate_dps - up_dps * motion.direction if up_dps else motion.rate_dps
 
-    def _moving_mg(self, motion: Motion) -> Floats | None:
-        """Return the readings (n, 3) in mg that shaking and turning add to the readings of gravity.
-
-        Returns None if all are zero. `motion` is the motion of the sensor at n times.
-        """
-        moving = motion.shaking_mg if motion.shaking_mg.any() else None
-        if self._lever_m.any():
-            by_lever = self._by_lever_mg(motion)
-            moving = by_lever if moving is None else by_lever + moving
-        return moving
-
-    def _by_places_mg(self, time_s: Floats, motion: Motion) -> Floats:
+    def _by_places_mg(self, time_s: Floats, motion: Motion, places_m: Floats) -> Floats:
         """Return the readings (n, 3) in mg that turns cause at the positions of the accelerometers.
 
         Each reading is minus the acceleration ω × (ω × r) + dω/dt × r along the axis of the accelerometer,
-        with its position r and the rate of turn ω. `motion` is the motion of the sensor at the times (n,)
-        in s.
+        with its position r from the axis of the turn, a row of `places_m` (3, 3) in m, and the rate of turn
+        ω. `motion` is the motion of the sensor at the times (n,) in s.
         """
         rate = np.radians(motion.rate_dps)
         # Angular acceleration by central differences of the rate.
         later, earlier = (self.stage.at(time_s + step).rate_dps for step in (_DERIVATIVE_S, -_DERIVATIVE_S))
         spin = np.radians(later - earlier) / (2 * _DERIVATIVE_S)
         felt = np.empty_like(rate)
-        for k, place in enumerate(self._places_m):
+        for k, place in enumerate(places_m):
             # ω × (ω × r) = ω (ω · r) − r ω², along axis k.
             along = rate[:, 0] * place[0] + rate[:, 1] * place[1] + rate[:, 2] * place[2]
             square = (rate**2).sum(axis=1)
             centripetal = rate[:, k] * along - square * place[k]
             felt[:, k] = -(centripetal + np.cross(spin, place)[:, k])
-        return felt * (1000.0 / STANDARD_GRAVITY_MPS2)
-
-    def _by_lever_mg(self, motion: Motion) -> Floats:
-        """Return the readings (n, 3) in mg that a turn adds if the sensor is off the axis of the stage.
-
-        They come from centripetal and angular acceleration, and are zero while the stage rests. `motion` is
-        the motion of the sensor at n times.
-        """
-        spin, lever = np.radians(motion.rate_dps[:, 2]), self._lever_m
-        x = lever[0] * spin**2 + lever[1] * motion.spin_rad_s2
-        y = lever[1] * spin**2 - lever[0] * motion.spin_rad_s2
-        felt = np.zeros((len(spin), 3))
-        felt[:, 0], felt[:, 1] = x, y
         return felt * (1000.0 / STANDARD_GRAVITY_MPS2)
 
     def _ideal(self, direction: Floats) -> Floats:
@@ -433,15 +395,6 @@ class World:
             ],
             axis=1,
         )
-
-    def _flicker_at(self, time_s: Floats) -> Floats:
-        if self._flicker is None:
-            floor = value_or(
-                self.settings.bias_instability_mg, self.variant.performance.bias_instability_mg
-            )
-            floors = np.array([floor] * 3 + [self.settings.gyro_instability_dps] * 3)
-            self._flicker = Flicker(floors, self._flicker_rng, start_s=float(np.floor(time_s[0])))
-        return self._flicker.at(time_s)
 
     def _vibration_mg(self, order: Floats) -> Floats:
         """Return the rms vibration of the table in mg (n,), which is one constant for each dwell.

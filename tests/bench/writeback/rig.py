@@ -10,7 +10,7 @@ from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.record.plans import plan
 from adis_gonio.record.source import Settings
-from adis_gonio.sim import SimBus, WorldSettings
+from adis_gonio.sim import SimBus, World, WorldSettings
 
 OFFSETS = ("XACCL_OFF", "YACCL_OFF", "ZACCL_OFF")
 DEAD_LINE = 0xFFFF
@@ -72,7 +72,7 @@ def new_bus(seed: int = 3, part: str = "adis16354", flash=None, endurance: int =
     """A bus as a new process opens it; `options` are those of `PowerBus` and of the world."""
     cut = {name: options.pop(name) for name in ("cut_after", "back") if name in options}
     url = f"sim:?seed={seed}"
-    bus = PowerBus(WorldSettings(**options), seed=seed, part=part, url=url, **cut)
+    bus = PowerBus(World(WorldSettings(**options), seed=seed, part=part), url=url, **cut)
     if flash or endurance:
         memory = bus.chip.memory
         for name, number in (flash or {}).items():

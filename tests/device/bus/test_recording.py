@@ -66,7 +66,7 @@ def test_a_replay_gives_the_driver_the_same_words_and_times(
 
 def test_a_recorded_error_is_raised_again(tmp_path: Path) -> None:
     path = tmp_path / "faults.rec"
-    bus = RecordingBus(FaultyBus(SimBus(seed=1), BusFaults(seed=2, silent=0.3)), path)
+    bus = RecordingBus(FaultyBus(SimBus(World(seed=1)), BusFaults(seed=2, silent=0.3)), path)
     frames, outcomes = [0x3600, 0x0000], []
     for _ in range(20):
         try:
@@ -87,7 +87,7 @@ def test_a_recorded_error_is_raised_again(tmp_path: Path) -> None:
 
 def test_a_strict_replay_names_the_record_that_differs_and_a_loose_one_skips(tmp_path: Path) -> None:
     path = tmp_path / "a.rec"
-    bus = RecordingBus(SimBus(seed=1), path)
+    bus = RecordingBus(SimBus(World(seed=1)), path)
     first, second = bus.exchange([0x3600, 0]), bus.exchange([0x3800, 0])
     bus.close()
     strict = ReplayBus(path, strict=True)
@@ -102,7 +102,7 @@ def test_a_strict_replay_names_the_record_that_differs_and_a_loose_one_skips(tmp
 
 def test_a_file_cut_at_any_byte_keeps_every_earlier_record(tmp_path: Path) -> None:
     path, cut = tmp_path / "a.rec", tmp_path / "cut.rec"
-    bus = RecordingBus(SimBus(seed=1), path)
+    bus = RecordingBus(SimBus(World(seed=1)), path)
     for _ in range(3):
         bus.exchange([0x3600, 0])
     whole = path.read_bytes()

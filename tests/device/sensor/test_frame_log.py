@@ -15,13 +15,13 @@ from adis_gonio.device.sensor import Adis16354
 from adis_gonio.device.sensor.frame_log import FrameLog, FrameRow
 from adis_gonio.device.sensor.registers import variant
 from adis_gonio.faces.cli import main
-from adis_gonio.sim import SimBus
+from adis_gonio.sim import SimBus, World
 
 
 @pytest.fixture
 def recorded(tmp_path: Path) -> Path:
     path = tmp_path / "run.rec"
-    with Adis16354(RecordingBus(SimBus(seed=3), path)) as sensor:
+    with Adis16354(RecordingBus(SimBus(World(seed=3)), path)) as sensor:
         sensor.read_all()
         sensor.scan()
         sensor.reset()
@@ -48,7 +48,7 @@ def test_the_log_names_registers_and_decodes_words(recorded: Path) -> None:
 
 def test_the_log_finds_frames_that_break_a_rule_of_timing(tmp_path: Path) -> None:
     path = tmp_path / "bad.rec"
-    bus = RecordingBus(SimBus(seed=1), path)
+    bus = RecordingBus(SimBus(World(seed=1)), path)
     bus.exchange([0x3600, 0x0000])  # SMPL_PRD is 1: fast mode
     bus.configure(SpiTiming(1e6, 9.0, 40.0))
     bus.exchange([0xB60A, 0x0000])  # SMPL_PRD 0x0A: normal mode from here on

@@ -20,6 +20,7 @@ from adis_gonio.faces.cli import main
 from adis_gonio.faces.serve import iio_server
 from adis_gonio.faces.serve.iio_server import MOST_PENDING, SEND_BUFFER
 from adis_gonio.sim.bus import SimBus
+from adis_gonio.sim.world import World
 from faces.serve.raw_client import WAIT_S, RawClient, served
 from fakes.counting_bus import CountingBus
 from fakes.faulty_chip import FaultyChip, Window
@@ -122,7 +123,7 @@ def test_a_wrong_request_has_an_error_number_and_holds_nobody_up(line, errno):
 
 
 def test_without_leave_nothing_is_written():
-    bus = CountingBus(seed=1)
+    bus = CountingBus(World(seed=1))
     with served(sensor=Adis16354(bus)) as server, server.client() as client:
         before = list(bus.writes)
         assert client.write("iio:device0 INPUT accel_x calibbias", "100") == EPERM
@@ -302,7 +303,7 @@ class _Stream:
 
 
 def test_a_sensor_that_fails_is_an_error_for_every_client_and_the_servers_end():
-    with served(sensor=Adis16354(DyingBus(seed=1))) as server:
+    with served(sensor=Adis16354(DyingBus(World(seed=1)))) as server:
         with server.client() as one, server.client() as two:
             for client in (one, two):
                 assert client.open(ALL) == 0
@@ -379,7 +380,7 @@ def test_other_registers_can_be_served():
 
 def test_noise_on_the_wire_writes_nothing_and_stops_nobody():
     dice = np.random.default_rng(5)
-    bus = CountingBus(seed=1)
+    bus = CountingBus(World(seed=1))
     with served(sensor=Adis16354(bus)) as server:
         before = len(bus.writes)
         for _ in range(40):

@@ -21,7 +21,7 @@ class HandBus(SimBus):
 
     def __init__(self, url: BusUrl, control: Path, seed: int, settings: WorldSettings) -> None:
         world = World(settings, part="adis16354", seed=seed)
-        super().__init__(world=world, seed=seed, realtime=True, url=url.text)
+        super().__init__(world=world, realtime=True, url=url.text)
         self._hands = world.stage
         self._control = control
         self._read = 0

@@ -130,6 +130,9 @@ def test_from_start_to_result_with_wrong_moves_a_retake_a_quit_and_a_resume(oper
     assert terminal.status() == 0
     told = terminal.screen(history=True)
     assert "delta_k" in told or "ΔK" in told
+    left = terminal.screen()
+    assert "Answer by method" in left, "the answer is not above the visible lines"
+    assert "more: adis-gonio fit | report" in left
     assert "Traceback" not in told
     session = load_session(operator.session)
     assert [dwell.angle_deg for dwell in session.dwells] == [0.0, 90.0, 180.0, 270.0]

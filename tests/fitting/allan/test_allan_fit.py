@@ -40,14 +40,14 @@ def test_of_white_noise_nothing_else_is_claimed_and_what_is_absent_has_a_limit_a
             assert document["interval_95"][0] == 0 < document["upper_95"]
     # A walk or a floor as large as its limit would be seen in the plot.
     curve = found["x"].curve
-    assert found["x"]["flicker"].interval[1] < curve.deviation.max()
+    assert found["x"]["flicker"].profile.high < curve.deviation.max()
 
 
 def test_all_three_are_found_where_they_are():
     found = known(ALL, samples(ALL, 3))
     for axis in found.axes:
         for kind, truth in ALL.truth.items():
-            low, high = axis[kind].interval
+            low, high = axis[kind].profile.low, axis[kind].profile.high
             assert axis[kind].present
             assert 0 < low < axis[kind].value.value < high
             assert axis[kind].value.value == pytest.approx(truth, abs=4 * axis[kind].value.u)
@@ -65,7 +65,7 @@ def test_intervals_cover_and_absent_noise_is_claimed_no_more_often_than_said():
             count += 1
             walks += axis["walk"].present
             for kind in inside:
-                low, high = axis[kind].interval
+                low, high = axis[kind].profile.low, axis[kind].profile.high
                 inside[kind] += low <= case.truth[kind] <= high
     for hits in inside.values():
         assert stats.binom.cdf(hits, count, 0.95) > 0.005

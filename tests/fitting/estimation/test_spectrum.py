@@ -59,11 +59,10 @@ def test_a_polynomial_alone_is_of_the_greatest_likelihood() -> None:
 @pytest.mark.parametrize(("fall", "strength"), [(1.0, 0.1), (2.0, 0.3), (4.0, 0.3)])
 def test_a_filter_beside_flicker_keeps_its_shape(fall: float, strength: float) -> None:
     mean = np.exp(-fall * X**2) + strength / X
-    found = module._beside_flicker(X, np.full(len(X), 400.0), mean, 1 / X)
+    found = module._foot_beside_flicker(1.0, X, np.full(len(X), 400.0), mean, 1 / X)
     assert found is not None
-    beta, _ = found
     # The white part at zero is one, whatever rises there beside it.
-    assert np.polynomial.legendre.legval(-1.0, beta) == pytest.approx(0.0, abs=1e-6)
+    assert np.polynomial.legendre.legval(-1.0, found.coefficients) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_cells_hold_what_their_ordinates_say_together() -> None:

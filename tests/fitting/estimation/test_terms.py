@@ -133,7 +133,7 @@ def test_a_shape_at_most_doubles_or_halves_in_a_step_and_all_stay_within_their_b
     np.testing.assert_array_equal(warming.limited(old, np.array([3.0, -4.0, 5000.0])), [3.0, -4.0, 1200.0])
     np.testing.assert_array_equal(warming.limited(old, np.array([3.0, -4.0, 5.0])), [3.0, -4.0, 300.0])
     np.testing.assert_array_equal(warming.limited(old, np.array([3.0, -4.0, 700.0])), [3.0, -4.0, 700.0])
-    low, high = warming.bounds().T
+    low, high = warming.bounds.T
     np.testing.assert_array_equal(warming.limited(old, np.array([1e9, -1e9, 600.0]))[:2], [high[0], low[1]])
 
 

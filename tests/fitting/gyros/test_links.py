@@ -21,12 +21,12 @@ from adis_gonio.fitting import fit
 from adis_gonio.fitting.answer import Answer
 from adis_gonio.fitting.determination import covariance, determine, names_of, natural_units
 from adis_gonio.fitting.estimation.fit import Fit
-from adis_gonio.fitting.estimation.links import Band, LinkRows, Links
+from adis_gonio.fitting.estimation.links import LinkRows, Links
 from adis_gonio.fitting.estimation.readings import Readings, from_means, readings_of
 from adis_gonio.fitting.gyros.gyro_fit import fit_gyro
 from adis_gonio.fitting.gyros.gyro_links import GyroPrior
-from adis_gonio.fitting.gyros.turn_integration import PARAMETERS, AssumedGyros, attitude
-from adis_gonio.fitting.linked import JudgedLinks, linked_readings, probable_gyros
+from adis_gonio.fitting.gyros.turn_integration import PARAMETERS, attitude
+from adis_gonio.fitting.linked import judge_links, linked_readings, probable_gyros
 from adis_gonio.fitting.methods import fit_of, fit_readings
 from adis_gonio.fitting.uncertainty import by_rotation_of, response_of
 from adis_gonio.model.effects import Conditions
@@ -48,18 +48,17 @@ def _rate_dps(time_s: Floats) -> Floats:
     return np.stack([course, course * np.sin(3 * time_s), 60 * np.sin(np.pi * time_s) ** 2], axis=-1)
 
 
-def _gyros(rng: np.random.Generator) -> AssumedGyros:
-    return AssumedGyros(
-        np.eye(3) + 0.02 * rng.standard_normal((3, 3)), 0.1 * rng.standard_normal((3, 3)), np.zeros(3)
-    )
+def _gyros(rng: np.random.Generator) -> Floats:
+    gains = np.eye(3) + 0.02 * rng.standard_normal((3, 3))
+    return np.concatenate([gains.ravel(), 0.1 * rng.standard_normal(9), np.zeros(3)])
 
 
 def test_attitude_is_that_of_the_differential_equation_and_of_rotations_in_fine_steps() -> None:
     gyros = _gyros(np.random.default_rng(1))
     time = np.linspace(0, 2, 1640)
     force = np.stack([np.sin(time), np.cos(time), 0.3 * time], axis=1)
-    read = _rate_dps(time) @ gyros.sensitivity.T + force @ gyros.per_g.T
-    found = attitude(time, read, force, gyros, NOISE)
+    read = _rate_dps(time) @ gyros[:9].reshape(3, 3).T + force @ gyros[9:18].reshape(3, 3).T
+    found = attitude(time, read, force, gyros, NOISE, np.abs(read))
 
     solved = solve_ivp(
         lambda t, u: -np.cross(np.radians(_rate_dps(t)), u.reshape(3, 3).T).T.ravel(),
@@ -79,15 +78,14 @@ def test_what_an_error_of_the_gyros_does_to_attitude_is_its_derivative() -> None
     rng = np.random.default_rng(2)
     time = np.linspace(0, 2, 400)
     read, force = _rate_dps(time), np.stack([np.sin(time), np.cos(time), 0.3 * time], axis=1)
-    begin = np.concatenate([_gyros(rng).sensitivity.ravel(), 0.1 * rng.standard_normal(9), np.zeros(3)])
-    found = attitude(time, read, force, AssumedGyros.of(begin), NOISE)
+    begin = np.concatenate([_gyros(rng)[:9], 0.1 * rng.standard_normal(9), np.zeros(3)])
 
     def turned(values: Floats, zero: Floats) -> Floats:
-        there = attitude(time, read - zero, force, AssumedGyros.of(values), NOISE, np.abs(read - force))
+        there = attitude(time, read - zero, force, values, NOISE, np.abs(read - force))
         return Rotation.from_matrix(there.rotation @ here.T).as_rotvec()
 
     magnitude = np.abs(read - force)
-    found = attitude(time, read, force, AssumedGyros.of(begin), NOISE, magnitude)
+    found = attitude(time, read, force, begin, NOISE, magnitude)
     here = found.rotation
     step = 1e-5
     for k in range(PARAMETERS):
@@ -100,17 +98,21 @@ def test_what_an_error_of_the_gyros_does_to_attitude_is_its_derivative() -> None
         assert found.by_zero[:, k] == pytest.approx(slope, abs=1e-5)
 
 
+def _turned(time: Floats, read: Floats, force: Floats, gyros: Floats, noise: Floats) -> Floats:
+    return attitude(time, read, force, gyros, noise, np.abs(read)).rotation
+
+
 def test_noise_of_attitude_is_that_of_drawn_rates() -> None:
     rng = np.random.default_rng(3)
     time = np.linspace(0, 2, 300)
     read, force = _rate_dps(time), np.zeros((300, 3))
-    perfect = AssumedGyros.of(np.concatenate([np.eye(3).ravel(), np.zeros(12)]))
+    perfect = np.concatenate([np.eye(3).ravel(), np.zeros(12)])
     spread = np.diag([0.2, 0.5, 1.0])
-    found = attitude(time, read, force, perfect, spread)
+    found = attitude(time, read, force, perfect, spread, np.abs(read))
     root = np.sqrt(spread)
     drawn = [
         Rotation.from_matrix(
-            attitude(time, read + rng.standard_normal((300, 3)) @ root, force, perfect, spread).rotation
+            _turned(time, read + rng.standard_normal((300, 3)) @ root, force, perfect, spread)
             @ found.rotation.T
         ).as_rotvec()
         for _ in range(800)
@@ -220,7 +222,7 @@ def test_poses_that_gravity_alone_leaves_undetermined_are_determined_by_links() 
     data, links = linked_part(5, np.random.default_rng(5))
     assert determine(data).null.shape[1] or determine(data).held
     linked = fit_readings(replace(data, links=links))
-    assert {one.name for one in linked.parameters} == set(names_of(data))
+    assert {one.name for one in linked.parameters} == set(names_of(data.model))
     assert not linked.undetermined
 
 
@@ -259,7 +261,7 @@ def test_u_with_links_covers_what_it_says() -> None:
     for _ in range(80):
         data, links = linked_part(6, rng)
         result = fit_readings(replace(data, links=links))
-        true = dict(zip(names_of(data), [*TRUE[:3], *np.degrees(TRUE[3:]), *BIAS_MG], strict=True))
+        true = dict(zip(names_of(data.model), [*TRUE[:3], *np.degrees(TRUE[3:]), *BIAS_MG], strict=True))
         inside += [abs(one.value - true[one.name]) <= one.U for one in result.parameters if one.U]
     # 720 intervals, nine a session alike: four of their standard deviations.
     assert len(inside) == 720
@@ -293,6 +295,7 @@ class _Fixed:
         own = np.ones(count) if spread is None else spread
         self.prior = SimpleNamespace(values=np.zeros(count), covariance=np.diag(own**2), root=np.diag(own))
         self.asked: list[Floats] = []
+        self.missed_deg = 0.0
 
     def at(self, values: Floats, position: list[int]) -> Links:
         self.asked.append(values)
@@ -304,17 +307,16 @@ def test_the_link_that_contradicts_gravity_and_the_others_is_left_out_by_the_num
 ):
     data, links = linked_part(9, np.random.default_rng(9))
     data = replace(data, position=10 + np.arange(9))
-    sound = JudgedLinks.of(data, _Fixed(links))
-    assert sound.links is not None
-    assert len(sound.links) == 8
+    sound_links, sound = judge_links(data, _Fixed(links))
+    assert sound_links is not None
+    assert len(sound_links) == 8
     assert sound.refused == ((7, 8, "saturated"),)
-    assert sound.chi2 == pytest.approx(sound.linked.fit.chi2 - sound.plain.fit.chi2)
     assert sound.dof > 8
     turned = links.rotation.copy()
     turned[5] = Rotation.from_rotvec([0.05, -0.05, 0.05]).as_matrix() @ turned[5]
-    found = JudgedLinks.of(data, _Fixed(replace(links, rotation=turned)))
-    assert found.links is not None
-    assert found.links.before.tolist() == [0, 1, 2, 3, 4, 6, 7]
+    found_links, found = judge_links(data, _Fixed(replace(links, rotation=turned)))
+    assert found_links is not None
+    assert found_links.before.tolist() == [0, 1, 2, 3, 4, 6, 7]
     assert [(b, a) for b, a, _ in found.refused[1:]] == [(15, 16)]
 
 
@@ -331,13 +333,13 @@ def test_a_quarter_of_the_links_may_be_left_out_whatever_for(
         turned[k] = Rotation.from_rotvec([2.0, -1.0, 1.0]).as_matrix() @ turned[k]
     for k in odd:
         turned[k] = Rotation.from_rotvec([0.05, -0.05, 0.05]).as_matrix() @ turned[k]
-    found = JudgedLinks.of(data, _Fixed(replace(links, rotation=turned)))
+    found_links, found = judge_links(data, _Fixed(replace(links, rotation=turned)))
     if believed:
-        assert found.links is not None
-        assert found.links.before.tolist() == [k for k in range(8) if k not in (*far, *odd)]
+        assert found_links is not None
+        assert found_links.before.tolist() == [k for k in range(8) if k not in (*far, *odd)]
         assert sorted(b for b, _, _ in found.refused[1:]) == sorted((*far, *odd))
     else:
-        assert found.links is None
+        assert found_links is None
         assert found.why.startswith("they contradict gravity (χ² ")
 
 
@@ -345,8 +347,8 @@ def test_a_parameter_of_the_gyros_that_is_known_exactly_is_settled_at_once() -> 
     data, links = linked_part(6, np.random.default_rng(6))
     spread = np.array([1e-3, 1e-3, 0.0, 1e-3])
     found = _Fixed(replace(links, modes_rad=links.modes_rad * spread), spread)
-    settled = JudgedLinks.of(data, found)
-    assert settled.links is not None
+    settled_links, _ = judge_links(data, found)
+    assert settled_links is not None
     assert all(values[2] == 0.0 for values in found.asked)
 
 
@@ -366,10 +368,10 @@ class _Turning(_Fixed):
 def test_links_are_linearised_where_the_parameters_of_the_gyros_end_up() -> None:
     data, links = linked_part(9, np.random.default_rng(9))
     gyros = _Turning(replace(links, modes_rad=20 * links.modes_rad))
-    found = JudgedLinks.of(data, gyros)
-    assert found.links is not None
+    found_links, _ = judge_links(data, gyros)
+    assert found_links is not None
     assert len(gyros.asked) > 2
-    ended = probable_gyros(found.linked.fit, gyros.prior)
+    ended = probable_gyros(determine(replace(data, links=found_links)).fit, gyros.prior)
     assert np.abs(ended - gyros.asked[-1]).max() < 0.05
     assert np.abs(ended - [2.0, -1.5, 1.0, 1.5]).max() < 0.3
 
@@ -378,44 +380,44 @@ def test_links_are_judged_by_what_they_add_to_chi2_where_the_noise_is_known() ->
     data, links = linked_part(11, np.random.default_rng(11))
     alone, linked = determine(data).fit.chi2, determine(replace(data, links=links)).fit.chi2
     assert alone > 0.5
-    assert JudgedLinks.of(data, _Fixed(links)).chi2 == pytest.approx(linked - alone, rel=1e-3)
+    assert judge_links(data, _Fixed(links))[1].chi2 == pytest.approx(linked - alone, rel=1e-3)
     few, links = linked_part(6, np.random.default_rng(6))
-    found = JudgedLinks.of(replace(few, known=np.zeros(6, dtype=bool)), _Fixed(links))
-    assert (found.links, found.why) == (None, "the noise of the poses is unknown")
+    found_links, found = judge_links(replace(few, known=np.zeros(6, dtype=bool)), _Fixed(links))
+    assert (found_links, found.why) == (None, "the noise of the poses is unknown")
 
 
 def test_one_link_of_three_poses_cannot_be_tested_and_two_can() -> None:
     data, links = linked_part(3, np.random.default_rng(3))
-    found = JudgedLinks.of(data, _Fixed(links.only(np.array([0]))))
+    found_links, found = judge_links(data, _Fixed(links.only(np.array([0]))))
     # Three norms and two equations of the link determine five parameters: none is left over.
-    assert (found.links, found.why) == (None, "they are too few to be tested against gravity")
-    whole = JudgedLinks.of(data, _Fixed(links))
-    assert whole.links is not None
+    assert (found_links, found.why) == (None, "they are too few to be tested against gravity")
+    whole_links, whole = judge_links(data, _Fixed(links))
+    assert whole_links is not None
     assert whole.dof == 1
 
 
 def test_without_links_between_fitted_poses_the_reason_of_the_first_refusal_is_told() -> None:
     data, links = linked_part(5, np.random.default_rng(5))
     none = _Fixed(links.only(np.zeros(4, dtype=bool)))
-    assert JudgedLinks.of(data, none).why == "saturated"
+    assert judge_links(data, none)[1].why == "saturated"
     none.refused = ()
-    assert JudgedLinks.of(data, none).why == "none lies between two poses that are fitted"
+    assert judge_links(data, none)[1].why == "none lies between two poses that are fitted"
 
 
 def test_links_that_turn_gravity_elsewhere_are_left_out_and_many_of_them_are_false_gyros() -> None:
     data, links = linked_part(9, np.random.default_rng(9))
     turned = links.rotation.copy()
     turned[[2]] = Rotation.from_rotvec([2.0, -1.0, 1.0]).as_matrix() @ turned[[2]]
-    found = JudgedLinks.of(data, _Fixed(replace(links, rotation=turned)))
-    assert found.links is not None
+    found_links, found = judge_links(data, _Fixed(replace(links, rotation=turned)))
+    assert found_links is not None
     assert [(b, a) for b, a, why in found.refused[1:] if "wrong direction" in why] == [(2, 3)]
     turned[:4] = Rotation.from_rotvec([2.0, -1.0, 1.0]).as_matrix() @ turned[:4]
-    none = JudgedLinks.of(data, _Fixed(replace(links, rotation=turned)))
-    assert none.links is None
+    none_links, none = judge_links(data, _Fixed(replace(links, rotation=turned)))
+    assert none_links is None
     assert "of 8 the gyros turn gravity" in none.why
-    assert none.report(calibrated=False).used == 0
-    few = JudgedLinks.of(data.rows(np.arange(9) < 2), _Fixed(links))
-    assert (few.links, few.why) == (None, "poses are too few to test them by")
+    assert none.used == 0
+    few_links, few = judge_links(data.rows(np.arange(9) < 2), _Fixed(links))
+    assert (few_links, few.why) == (None, "poses are too few to test them by")
 
 
 def test_links_follow_readings_that_are_left_out() -> None:
@@ -430,19 +432,14 @@ def test_links_follow_readings_that_are_left_out() -> None:
     assert data.rows(np.arange(6) == 2).links is None
 
 
-def test_the_band_is_the_root_of_the_whole_covariance() -> None:
+def test_the_covariance_of_all_links_has_blocks_of_neighbours_that_share_a_dwell() -> None:
     rng = np.random.default_rng(8)
     _, links = linked_part(6, rng)
-    band = Band.of(links.own_rad2, links.next_rad2[:-1])
     dense = block_diag(*links.own_rad2)
     for k in range(4):
         dense[3 * k : 3 * k + 3, 3 * k + 3 : 3 * k + 6] = links.next_rad2[k]
         dense[3 * k + 3 : 3 * k + 6, 3 * k : 3 * k + 3] = links.next_rad2[k].T
-    root = np.linalg.cholesky(dense)
-    column = rng.standard_normal((15, 2))
-    assert band.solved(column) == pytest.approx(np.linalg.solve(root, column))
-    assert band.solved(column, transposed=True) == pytest.approx(np.linalg.solve(root.T, column))
-    assert band.lower_times(column[:, 0]) == pytest.approx(root @ column[:, 0])
+    assert links.own_covariance == pytest.approx(dense)
 
 
 # -- sessions ---------------------------------------------------------------------------------------------

@@ -55,12 +55,15 @@ def test_dwells_and_turns_have_the_three_as_the_archive_holds_them(session):
 
 def test_intervals_and_conditions_have_one_temperature_a_gyro(session):
     found = rate_intervals(session)
-    assert found.temperatures_c.shape == (len(found), 3)
+    assert found.column("temperatures_c").shape == (len(found.rows), 3)
     rests = [dwell.temperatures_c.mean(axis=0) for dwell in session.dwells]
-    np.testing.assert_allclose(found.temperatures_c[~found.turn], rests)
+    np.testing.assert_allclose(found.column("temperatures_c")[~found.column("turn")], rests)
     data = readings_of_intervals(found)
-    assert data.conditions.temperatures_c is found.temperatures_c
-    assert np.abs(np.ptp(found.temperatures_c, axis=0) - np.ptp(found.temperature_c)).max() > 0.5
+    np.testing.assert_array_equal(data.conditions.temperatures_c, found.column("temperatures_c"))
+    assert (
+        np.abs(np.ptp(found.column("temperatures_c"), axis=0) - np.ptp(found.column("temperature_c"))).max()
+        > 0.5
+    )
 
 
 def tempco(data):
@@ -81,14 +84,14 @@ def tempco(data):
 def test_the_effect_follows_the_gyros_own_thermometer(session):
     found = rate_intervals(session)
     rest = readings_of_intervals(found)
-    rest = rest.rows(~found.turn)
+    rest = rest.rows(~found.column("turn"))
     true = list(PER_C.values())
     own, u = tempco(rest)
     assert np.abs((own - true) / u).max() < 4
     shared = replace(rest, conditions=replace(rest.conditions, temperatures_c=None))
     assert np.abs((tempco(shared)[0] - true) / u).max() > 5
     for k in range(3):
-        force = found.force_g[~found.turn][:, :2]
+        force = found.column("force_g")[~found.column("turn")][:, :2]
         design = np.column_stack([np.ones(len(rest)), force, rest.conditions.temperatures_c[:, k]])
         plain = np.linalg.lstsq(design, rest.mean[:, k], rcond=None)[0]
         assert own[k] == pytest.approx(plain[3], abs=u[k])
@@ -106,7 +109,7 @@ def test_the_accelerometers_do_not_see_which_thermometer_was_whose(session):
 def test_a_session_with_one_thermometer_has_one_temperature(tmp_path):
     session = record(tmp_path / "one.session")
     assert all(dwell.temperatures_c is None for dwell in session.dwells)
-    assert rate_intervals(session).temperatures_c is None
+    assert readings_of_intervals(rate_intervals(session)).conditions.temperatures_c is None
     assert "YTEMP_OUT" not in session.facts["settings"]["registers"]
 
 

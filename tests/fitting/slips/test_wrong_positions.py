@@ -11,6 +11,7 @@ import pytest
 from adis_gonio.fitting.slips import diagnose
 from adis_gonio.fitting.slips.position_model import possible_entries
 from adis_gonio.fitting.slips.session_positions import listed
+from detectable_slips import detectable_deg
 from fitting.slips.arrays import angles
 
 AROUND = np.arange(12) * 30.0
@@ -154,8 +155,7 @@ def test_gravity_alone_cannot_tell_a_small_push_from_a_turn_where_its_length_sta
 
 
 def test_what_a_session_could_show_is_said_and_holds():
-    session = diagnose(angles(AROUND, AROUND))
-    least = session.detectable_deg("slipped")
+    least = detectable_deg(angles(AROUND, AROUND), "slipped")
     assert set(least) == set(range(1, 12))
     assert 0.1 < least[6] < 2.0
     for seed in range(6):

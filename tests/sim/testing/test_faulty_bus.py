@@ -44,7 +44,7 @@ class Echo(SimBus):
 
 
 def spoilt(faults: BusFaults, frames=PRODUCT, batch=None):
-    bus = FaultyBus(Echo(), faults)
+    bus = FaultyBus(Echo(World()), faults)
     parts = np.split(frames, range(batch, len(frames), batch)) if batch else [frames]
     return bus, np.concatenate([bus.exchange_array(part) for part in parts])
 
@@ -105,7 +105,7 @@ def test_a_stuck_reply_comes_again_so_many_times():
 
 @pytest.mark.parametrize(("kind", "error"), [("busy", ProtocolError), ("silent", BusTimeoutError)])
 def test_a_batch_fails_with_its_typed_error_and_the_bus_stays_usable(kind, error):
-    bus = FaultyBus(SimBus(seed=1), BusFaults(**{kind: 1.0}))
+    bus = FaultyBus(SimBus(World(seed=1)), BusFaults(**{kind: 1.0}))
     with pytest.raises(error, match="by seed"):
         bus.exchange([0x3800, 0])
     bus.faults = BusFaults()
@@ -113,7 +113,7 @@ def test_a_batch_fails_with_its_typed_error_and_the_bus_stays_usable(kind, error
 
 
 def test_scans_that_a_stream_loses_are_counted():
-    bus = FaultyBus(SimBus(seed=1), BusFaults(seed=5, lost_frames=0.02))
+    bus = FaultyBus(SimBus(World(seed=1)), BusFaults(seed=5, lost_frames=0.02))
     bus.exchange([0xB404])
     bus.faults = BusFaults(seed=5, lost_frames=0.02)
     bus.seen.clear()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, date as date_type, datetime
@@ -112,9 +111,9 @@ def archive_command(
 
 
 def _archive_cells(row: Mapping[str, Any]) -> list[str]:
-    path = os.path.relpath(row["path"])
+    path, here = Path(row["path"]), Path.cwd()
     return [
-        (row["path"] if path.startswith("..") else path)
+        str(path.relative_to(here) if path.is_relative_to(here) else path)
         + (" (gone)" if row["gone"] else "")
         + (" (doubtful)" if row["doubts"] else ""),
         *(row[name] or "–" for name in ("serial", "operator", "stage")),

@@ -13,7 +13,7 @@ from adis_gonio.bench.guidance import face, to_do
 from adis_gonio.bench.runner import SHARE_OF_RANGE
 from adis_gonio.faces import bench_words as words
 from adis_gonio.faces.tui.bench_state import BenchState, Mark
-from adis_gonio.record.plans import Position, attitude
+from adis_gonio.record.plans import Position, describe_direction
 
 SILENT_S = 5.0
 """Time in s without an event of the session after which the screen reports the silence."""
@@ -92,7 +92,7 @@ def _place_name(position: Position, *, on_table: bool) -> str:
     elif position.direction is None:
         where = "attitude"
     else:
-        where = attitude(position.direction).removeprefix("one that ")
+        where = describe_direction(position.direction)
     side = " from above" if position.approach == -1 else ""
     return where + side + (" check" if position.use == "check" else "")
 

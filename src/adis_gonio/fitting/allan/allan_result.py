@@ -89,14 +89,6 @@ class NoiseParameter:
         arm = max(found.high - found.value, found.value - found.low)
         return Value(found.value, found.u, self.unit, found.dof, factor=arm / found.u)
 
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Limits of the 95 % interval of the coefficient, by its profile likelihood.
-
-        The lower limit is 0 if the process may be absent.
-        """
-        return self.profile.low, self.profile.high
-
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON object of a noise process: its value with uncertainty, interval and limits.
 

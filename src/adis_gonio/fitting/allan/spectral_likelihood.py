@@ -42,7 +42,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -262,24 +262,24 @@ def curve(
     """
     times, deviation = overlapping([record[:, None] for record in records])
     lengths = [len(record) for record in records]
-    expected, nu = np.array([_expected(m, lengths, squares, filter_m, period_s, rounding) for m in times]).T
+    variogram = partial(_variogram, squares, filter_m, period_s, rounding)
+    expected, nu = np.array([_expected(m, lengths, variogram) for m in times]).T
     low, high = (deviation[:, 0] * np.sqrt(nu / special.chdtri(nu, 1 - q)) for q in (0.975, 0.025))
     tau = period_s * np.array(times, dtype=float)
     return AllanCurve(tau, deviation[:, 0], low, high, nu, np.sqrt(expected))
 
 
 def _expected(
-    m: int, lengths: Sequence[int], squares: Floats, filter_m: int, period_s: float, rounding: Floats
+    m: int, lengths: Sequence[int], variogram: Callable[[int, int], Floats]
 ) -> tuple[float, float]:
     """Return the expected Allan variance at m samples under a noise model, and the dof of its estimate.
 
-    The estimate pools records of these `lengths`, with samples `period_s` apart behind the filter M =
-    `filter_m`; `squares` are the squared coefficients of the model, `rounding` the autocovariance, by lag,
-    of the converter's rounding.
+    The estimate pools records of these `lengths` in samples. `variogram` returns the variogram of the model
+    for a number of lags and a number of samples in each mean (`_variogram`).
     """
     coarse = 1 if m <= _EXACT else m // _LATTICE
     step = m // coarse
-    gamma = _variogram(squares, filter_m, 10 * step, period_s, coarse, rounding)
+    gamma = variogram(10 * step, coarse)
     # The Allan difference as a filter, and its autocorrelation.
     weights = np.concatenate([np.full(step, -1.0), np.full(step, 1.0)]) / (step * np.sqrt(2))
     pairs = np.correlate(weights, weights, "full")  # lags −2m + 1 … 2m − 1
@@ -303,7 +303,7 @@ def _expected(
 
 
 def _variogram(
-    squares: Floats, filter_m: int, lags: int, period_s: float, coarse: int, rounding: Floats
+    squares: Floats, filter_m: int, period_s: float, rounding: Floats, lags: int, coarse: int
 ) -> Floats:
     """Return half the mean squared difference of two means of `coarse` samples, by their distance.
 
@@ -347,7 +347,7 @@ class SpectralLine(JsonRecord):
 def subtract_sinusoids(
     record: Floats, period_s: float, highest: float
 ) -> tuple[Floats, list[SpectralLine], NDArray[np.intp]]:
-    """Subtract strong sinusoids from a record; also return them and the ordinates that they affect.
+    """Subtract strong sinusoids from a record.
 
     Parameters
     ----------
@@ -357,6 +357,15 @@ def subtract_sinusoids(
         Time between samples.
     highest : float
         Highest frequency of a sinusoid in cycles per sample.
+
+    Returns
+    -------
+    (n,) float
+        The record without the sinusoids.
+    list of SpectralLine
+        The sinusoids, in the order in which they were found.
+    (l,) int
+        Indices of the DCT-II ordinates that they affect; an index may occur twice.
     """
     found: list[SpectralLine] = []
     masked: list[NDArray[np.intp]] = []
@@ -420,6 +429,7 @@ def _level(power: Floats) -> Floats:
 
 
 def _subtract_sinusoid(record: Floats, place: float) -> tuple[Floats, float]:
+    """Subtract the sinusoid of `place` cycles per record; return the record (n,) and the amplitude."""
     phase = 2 * np.pi * place / len(record) * np.arange(len(record))
     # Least squares of cosine and sine at this frequency.
     columns = np.stack([np.cos(phase), np.sin(phase)], axis=1)
@@ -593,8 +603,8 @@ def _rounded(rounding: bytes, n: int, filter_m: int, period_s: float) -> Floats:
 def _bins(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Divide the ordinates 1 … n − 1 into bins.
 
-    Return the first ordinate of each bin, and the ordinate after its last. Low ordinates have a bin each;
-    at higher frequencies the bins are wider.
+    Return the first ordinate (b,) of each bin, and the ordinate (b,) after its last. Low ordinates have a
+    bin each; at higher frequencies the bins are wider.
     """
     edges = list(range(1, min(SINGLES, n - 1) + 1))
     at = edges[-1] + 1
@@ -606,7 +616,6 @@ def _bins(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 _POWER_90 = 1.2815515655446004
-_STEPS, _CLOSE = 60, 1e-7
 _CELLS, _LEAST_CELL = 24, 16
 
 
@@ -731,7 +740,7 @@ class Likelihood:
         return slope, information / 2
 
     def maximum(self, start: Floats, fixed: dict[int, float] | None = None) -> tuple[Floats, float]:
-        """Return the θ (4,) ≥ 0 of the largest likelihood and its deviance, by projected Fisher scoring.
+        """Return the θ (4,) ≥ 0 of the largest likelihood and its deviance.
 
         Parameters
         ----------
@@ -742,38 +751,26 @@ class Likelihood:
         """
         held = fixed or {}
         theta = np.where(self._has, np.maximum(start, 0.0), 0.0)
-        for index, value in held.items():
-            theta[index] = value
-        loose = self._has & np.array([index not in held for index in range(len(theta))])
-        best = self.deviance(theta)
-        for _ in range(_STEPS):
-            slope, information = self.slope_and_information(theta)
-            free = loose & ((theta > 0) | (slope < 0))
-            if not free.any():
-                break
-            step = self._step(slope, information, free)
-            theta, now = self._along(theta, step, best)
-            if best - now < _CLOSE:
-                return theta, min(best, now)
-            best = now
-        return theta, best
-
-    def _step(self, slope: Floats, information: Floats, free: np.ndarray) -> Floats:
-        step = np.zeros(len(slope))
+        theta[list(held)] = list(held.values())
+        free = self._has & ~np.isin(np.arange(len(theta)), list(held))
+        if not free.any():
+            return theta, self.deviance(theta)
         scale = self.scale[free]
-        # Scaled Newton step by the expected information of the free coefficients.
-        inner = information[np.ix_(free, free)] * np.outer(scale, scale)
-        step[free] = -scale * (np.linalg.pinv(inner, rcond=1e-13) @ (slope[free] * scale)) / 2
-        return step
 
-    def _along(self, theta: Floats, step: Floats, best: float) -> tuple[Floats, float]:
-        for _ in range(30):
-            trial = np.maximum(theta + step, 0.0)
-            now = self.deviance(trial)
-            if now <= best:
-                return trial, now
-            step = step / 2
-        return theta, best
+        def loss(scaled: Floats) -> tuple[float, Floats]:
+            theta[free] = scaled * scale
+            return self.deviance(theta), self.slope_and_information(theta)[0][free] * scale
+
+        found = optimize.minimize(
+            loss,
+            theta[free] / scale,
+            jac=True,
+            bounds=[(0.0, None)] * len(scale),
+            method="L-BFGS-B",
+            options={"ftol": 1e-13, "gtol": 1e-6},
+        )
+        theta[free] = found.x * scale
+        return theta, float(found.fun)
 
     def best(self) -> tuple[Floats, float]:
         """Maximize the likelihood from several starting values; return θ (4,) and its deviance."""
@@ -795,9 +792,9 @@ class Likelihood:
         return float(scale[index] * math.sqrt(max(inverse[index, index], 0.0)))
 
     def slopes(self, theta: Floats) -> list[tuple[float, float]]:
-        """Return the slope per sample of the straight line fitted to each record, with its u.
+        """Return slope and standard uncertainty, per sample, of the straight line fitted to each record.
 
-        The standard uncertainty u is inf for a record without a line.
+        The uncertainty is inf for a record without a line.
         """
         _, _, a, b = self._lines(self.expected(theta))
         slope, u = np.zeros(len(self._has_line)), np.full(len(self._has_line), np.inf)

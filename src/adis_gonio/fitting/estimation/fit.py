@@ -16,7 +16,7 @@ changes the rows less than any other root, so that a row still belongs to its dw
 Known rotations between poses in space (links, `estimation.links`) add two rows each, and add columns to Φ
 for the errors that all links share.
 
-Cost is linear in the number of dwells.
+Without links the cost is linear in the number of dwells.
 """
 
 from __future__ import annotations

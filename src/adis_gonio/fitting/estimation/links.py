@@ -15,7 +15,7 @@ fit.
 ε has two parts: the link's own error (noise, zero rate; neighbouring links share a dwell), and the effect
 of the gyros' gains, directions and g-sensitivities on all links. The second part consists of modes of unit
 variance, a prior that is estimated with the fit. The covariance of all link rows without the modes is
-block-tridiagonal and its Cholesky factor is a band, so the cost is linear in the number of dwells.
+block-tridiagonal, because only neighbouring links share a dwell.
 """
 
 from __future__ import annotations
@@ -96,20 +96,14 @@ class Links:
 
     def drawn(self, rng: np.random.Generator) -> Links:
         """Return a copy with random rotation errors ε added to their mean, for simulations."""
-        own = self._own.lower_times(rng.standard_normal(3 * len(self))).reshape(-1, 3)
-        return self.moved(own + self.modes_rad @ rng.standard_normal(self.modes_rad.shape[2]))
+        own = np.linalg.cholesky(self.own_covariance) @ rng.standard_normal(3 * len(self))
+        shared = self.modes_rad @ rng.standard_normal(self.modes_rad.shape[2])
+        return self.moved(own.reshape(-1, 3) + shared)
 
     @cached_property
-    def _own(self) -> Band:
-        return Band.of(self.own_rad2, self.next_rad2[:-1] * self.joined[:, None, None])
-
-    def own_product(self, columns: Floats) -> Floats:
-        """Return the product of the covariance of the links' own errors and columns (m, 3, d)."""
-        product: Floats = self.own_rad2 @ columns
-        shared = self.next_rad2[:-1] * self.joined[:, None, None]
-        product[:-1] += shared @ columns[1:]
-        product[1:] += shared.transpose(0, 2, 1) @ columns[:-1]
-        return product
+    def own_covariance(self) -> Floats:
+        """Covariance (3 m, 3 m) of the own errors of all links, in rad²."""
+        return _block_tridiagonal(self.own_rad2, self.next_rad2[:-1] * self.joined[:, None, None])
 
 
 @dataclass(frozen=True)
@@ -130,8 +124,8 @@ class LinkRows:
         F: derivative of the attitude after a link by the attitude before it.
     turned : (m, 2, 3) float
         K: derivative of y by the rotation error ε.
-    band : Band
-        Cholesky factor of the rows' covariance without modes.
+    whitener : (2 m, 2 m) float
+        Inverse Cholesky factor of the rows' covariance without modes.
     """
 
     links: Links
@@ -139,7 +133,7 @@ class LinkRows:
     misclosure: Floats
     carried: Floats
     turned: Floats
-    band: Band
+    whitener: Floats
 
     @classmethod
     def at(cls, links: Links, attitude: Floats, tangent: Floats, root: Floats) -> LinkRows:
@@ -174,8 +168,9 @@ class LinkRows:
         # Blocks between neighbouring links: the shared dwell and the shared error of the gyros.
         shared = turned[:-1] @ links.next_rad2[:-1] @ turned[1:].transpose(0, 2, 1)
         shared = shared - spread[after[:-1]] @ carried[1:].transpose(0, 2, 1)
-        band = Band.of(own, shared * links.joined[:, None, None])
-        return cls(links, estimator, misclosure, carried, turned, band)
+        covariance = _block_tridiagonal(own, shared * links.joined[:, None, None])
+        whitener = np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+        return cls(links, estimator, misclosure, carried, turned, whitener)
 
     def white(self, columns: Floats) -> Floats:
         """Convert columns of readings (n, axes, d) to rows (2 m, d) with unit covariance, two per link.
@@ -184,7 +179,7 @@ class LinkRows:
         """
         moved = self.estimator @ columns
         rows = moved[self.links.after] - self.carried @ moved[self.links.before]
-        return self.band.solved(rows.reshape(-1, columns.shape[2]))
+        return np.asarray(self.whitener @ rows.reshape(-1, columns.shape[2]))
 
     @property
     def residual(self) -> Floats:
@@ -193,20 +188,20 @@ class LinkRows:
         The misclosure of a link is the direction of gravity after it, minus the direction before it after
         the rotation of the link.
         """
-        return self.band.solved(self.misclosure.reshape(-1, 1))[:, 0]
+        return np.asarray(self.whitener @ self.misclosure.ravel())
 
     @property
     def modes(self) -> Floats:
         """Whitened effect (2 m, q) on the rows of the q modes that act on all links."""
         rows = self.turned @ self.links.modes_rad
-        return self.band.solved(rows.reshape(-1, rows.shape[2]))
+        return np.asarray(self.whitener @ rows.reshape(-1, rows.shape[2]))
 
     def by_reading(self, slope: Floats) -> Floats:
         """Return the derivative (d, n, axes) by the readings of d weighted sums of the whitened rows.
 
         The weights are the columns of `slope` (2 m, d).
         """
-        rows = self.band.solved(slope, transposed=True).reshape(len(self.links), 2, -1)
+        rows = (self.whitener.T @ slope).reshape(len(self.links), 2, -1)
         moved = np.zeros((len(self.estimator), 2, slope.shape[1]))
         np.add.at(moved, self.links.after, rows)
         np.add.at(moved, self.links.before, -self.carried.transpose(0, 2, 1) @ rows)
@@ -217,53 +212,22 @@ class LinkRows:
 
         The weights are the columns of `slope` (2 m, d).
         """
-        rows = self.band.solved(slope, transposed=True).reshape(len(self.links), 2, -1)
+        rows = (self.whitener.T @ slope).reshape(len(self.links), 2, -1)
         return np.asarray(self.turned.transpose(0, 2, 1) @ rows)
 
 
-@dataclass(frozen=True)
-class Band:
-    """Cholesky factor L of a block-tridiagonal covariance, in the lower band form of `scipy.linalg`."""
+def _block_tridiagonal(own: Floats, shared: Floats) -> Floats:
+    """Return a covariance (m d, m d) with the blocks `own` (m, d, d) on its diagonal.
 
-    lower: Floats
-
-    @classmethod
-    def of(cls, own: Floats, shared: Floats) -> Band:
-        """Factorize a covariance with the blocks `own` (m, d, d) on its diagonal.
-
-        `shared` (m − 1, d, d) are the blocks to the right of the diagonal.
-        """
-        from scipy.linalg import cholesky_banded
-
-        m, d = own.shape[:2]
-        band = np.zeros((2 * d, m, d))
-        # Store block-tridiagonal rows in the lower band form of scipy.linalg.
-        for i in range(d):
-            for j in range(i + 1):
-                band[i - j, :, j] = own[:, i, j]
-            for j in range(d):
-                band[d + j - i, :-1, i] = shared[:, i, j]
-        return cls(np.asarray(cholesky_banded(band.reshape(2 * d, -1), lower=True)))
-
-    def solved(self, columns: Floats, *, transposed: bool = False) -> Floats:
-        """Solve L x = columns (k, d), or Lᵀ x = columns if `transposed`."""
-        from scipy.linalg import solve_banded
-
-        width = len(self.lower) - 1
-        if not transposed:
-            return np.asarray(solve_banded((width, 0), self.lower, columns))
-        upper = np.zeros_like(self.lower)
-        for k in range(width + 1):
-            # Transpose the band: row k of the lower form becomes row width − k of the upper form.
-            upper[width - k, k:] = self.lower[k, : self.lower.shape[1] - k]
-        return np.asarray(solve_banded((0, width), upper, columns))
-
-    def lower_times(self, column: Floats) -> Floats:
-        """Return the product of L and a column (k,)."""
-        product = self.lower[0] * column
-        for k in range(1, len(self.lower)):
-            product[k:] += self.lower[k, : len(column) - k] * column[: len(column) - k]
-        return np.asarray(product)
+    `shared` (m − 1, d, d) are the blocks to the right of the diagonal.
+    """
+    m, d = own.shape[:2]
+    k = np.arange(m)
+    whole = np.zeros((m, d, m, d))
+    whole[k, :, k] = own
+    whole[k[:-1], :, k[1:]] = shared
+    whole[k[1:], :, k[:-1]] = shared.transpose(0, 2, 1)
+    return whole.reshape(m * d, m * d)
 
 
 def _crossing(vectors: Floats) -> Floats:

@@ -29,16 +29,15 @@ rough values of both (`Unit`), so that all later steps use readings that are nea
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, block_means
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import DataError, FitError, UsageError
 from adis_gonio.base.jsonable import ComputedOnce
@@ -553,7 +552,7 @@ def reduced(session: Session) -> Readings:
         # Dwells at a limit show other steps than the converter's, so they are left out here.
         steps = screening.steps_of(rows) if converter.spoiled else converter.steps
         quantum = mg * (np.maximum(steps, 1.0) if session.accel_unit == "lsb" else steps)
-        flicker = _flicker(session, noise)
+        flicker = flicker_of(noise, _stated_flicker(session))
         own, slow = _of_flicker([dwells[k] for k in many.tolist()], flicker, many, n)
         rounding, level = np.zeros((n, axes)), np.zeros((n, axes))
         rounding[many], level[many] = quantization_variance(rows, mg, quantum), own
@@ -740,7 +739,7 @@ def _means(series: list[Floats | None]) -> Floats | None:
 
 
 def _history(dwells: list[Dwell], start: float) -> tuple[Floats, Floats] | None:
-    """Return times and temperatures of the session, averaged to at most `HISTORY_POINTS` points.
+    """Return times in s and temperatures in °C of the session, averaged to at most `HISTORY_POINTS` points.
 
     `start` is the time in s of the first sample. None if the times do not increase.
     """
@@ -751,9 +750,7 @@ def _history(dwells: list[Dwell], start: float) -> tuple[Floats, Floats] | None:
     if len(time) > HISTORY_POINTS:
         # Means of blocks of neighbouring samples.
         cuts = np.linspace(0, len(time), HISTORY_POINTS, endpoint=False).astype(np.intp)
-        counts = np.diff(np.append(cuts, len(time)))
-        time = np.add.reduceat(time, cuts) / counts
-        temperature = np.add.reduceat(temperature, cuts) / counts
+        time, temperature = block_means(time, cuts), block_means(temperature, cuts)
     return time, temperature
 
 
@@ -806,18 +803,20 @@ def quantized_means(variance_mg2: Floats, quantum_mg: Floats) -> Floats:
     return np.asarray(quantum_mg**2 / (2 * math.pi**2) * series.sum(axis=-1))
 
 
-def _flicker(session: Session, noise: spectrum.MeanNoise) -> Floats:
-    """Return the Allan variance (axes,) in mg² of the 1/f noise of the accelerometers.
+def _stated_flicker(session: Session) -> float:
+    """Return the Allan variance in mg² of the sensor's 1/f noise by its data sheet; 0 without a figure."""
+    if session.sensor not in VARIANTS or session.accel_unit == "counts":
+        return 0.0
+    return VARIANTS[session.sensor].performance.bias_instability_mg ** 2
 
-    It is the measured one on an axis that shows 1/f noise in its dwells. Otherwise it is the figure of the
-    sensor's variant, but at most the upper limit that the dwells allow; 0 without a figure.
+
+def flicker_of(noise: spectrum.MeanNoise, stated: float) -> Floats:
+    """Return the Allan variance (axes,) of the 1/f noise, in the squared unit of the readings.
+
+    It is the measured one on an axis that shows 1/f noise in its dwells. Otherwise it is the data-sheet
+    figure `stated`, but at most the upper limit that the dwells allow.
     """
-    variant = VARIANTS.get(session.sensor)
-    stated = 0.0 if variant is None else variant.performance.bias_instability_mg**2
-    if session.accel_unit == "counts":
-        stated = 0.0
-    shown = noise.flicker > 0
-    return np.where(shown, noise.flicker, np.minimum(stated, noise.flicker_limit))
+    return np.where(noise.flicker > 0, noise.flicker, np.minimum(stated, noise.flicker_limit))
 
 
 def conic_through(points: Floats) -> tuple[Floats, Floats]:
@@ -866,22 +865,20 @@ def conic_through(points: Floats) -> tuple[Floats, Floats]:
 
 
 ACCELEROMETER, GYRO = "accelerometer", "gyro"
-_READERS = {
-    ACCELEROMETER: ("adis_gonio.fitting.estimation.readings", "readings_of"),
-    GYRO: ("adis_gonio.fitting.gyros.gyro_readings", "gyro_readings_of"),
-}
-PARTS: tuple[str, ...] = tuple(_READERS)
+PARTS = (ACCELEROMETER, GYRO)
 
 
 def known_part(part: str) -> str:
     """Return the name of a sensor part, `accelerometer` or `gyro`; `UsageError` for other names."""
-    if part not in _READERS:
+    if part not in PARTS:
         raise UsageError(f"a sensor has no part '{part}'; it has {', '.join(PARTS)}")
     return part
 
 
 def readings_of_part(session: Session, part: str) -> Readings:
     """Reduce a session to readings of its accelerometers or gyros; `part` is the name of the one wanted."""
-    module, name = _READERS[known_part(part)]
-    reader: Callable[[Session], Readings] = getattr(import_module(module), name)
-    return reader(session)
+    if known_part(part) == ACCELEROMETER:
+        return readings_of(session)
+    from adis_gonio.fitting.gyros.gyro_readings import gyro_readings_of
+
+    return gyro_readings_of(session)

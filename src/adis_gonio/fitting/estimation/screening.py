@@ -144,23 +144,12 @@ def dwells_too_still(dwells: Sequence[Dwell]) -> list[int]:
     suspect = (runs >= _LEAST_RUN) & (runs >= 0.5 * length[:, None])
     # Longest run in the healthy dwells; the other rules judge an axis without any healthy dwell.
     healthy = np.where(suspect, 0.0, runs).max(axis=0)
-    lively = np.array([_is_lively(dwells, ~suspect[:, axis], axis) for axis in range(runs.shape[1])])
+    lively = np.zeros(runs.shape[1], dtype=bool)
+    for axis, sound in enumerate(~suspect.T):
+        samples = [dwells[k].accel for k in np.flatnonzero(sound).tolist()]
+        lively[axis] = bool(samples) and is_lively(samples, steps_of(samples))[axis]
     stuck = suspect & lively & (runs >= 4 * healthy)
     return [dwell.position for dwell, bad in zip(dwells, stuck.any(axis=1), strict=True) if bad]
-
-
-def _is_lively(dwells: Sequence[Dwell], healthy: NDArray[np.bool_], axis: int) -> bool:
-    """Return True if an axis has more noise in the healthy dwells than a step of the converter can hide.
-
-    `healthy` is True for each dwell that counts.
-    """
-    deviations, steps = [], []
-    for dwell, use in zip(dwells, healthy, strict=True):
-        if use:
-            gaps = np.diff(np.unique(dwell.accel[:, axis]))
-            deviations.append(float(dwell.accel[:, axis].std()))
-            steps.append(float(gaps[gaps > 1e-9 * np.abs(dwell.accel[:, axis]).max()].min(initial=np.inf)))
-    return bool(deviations) and float(np.median(deviations)) > _LIVELY * min(steps)
 
 
 def dwells_reading_alike(dwells: Sequence[Dwell]) -> list[int]:
@@ -253,11 +242,12 @@ def _limits(dwells: Sequence[Dwell], steps: Floats) -> tuple[Limit, ...]:
 
 
 def is_lively(dwells: Sequence[Floats], steps: Floats) -> NDArray[np.bool_]:
-    """Return True for each axis (axes,) with enough noise in dwells (n, axes) to show a limit of the range.
+    """Return True for each axis (axes,) with more noise than a step of the converter can hide.
 
-    `steps` (axes,) are the steps of the converter.
+    `dwells` are the samples (n, axes) of each dwell, `steps` (axes,) the steps of the converter.
     """
-    return np.asarray(np.median([rows.std(axis=0) for rows in dwells], axis=0) >= _LIVELY * steps)
+    deviation = np.median([rows.std(axis=0) for rows in dwells], axis=0)
+    return np.asarray((steps > 0) & (deviation >= _LIVELY * steps))
 
 
 def piles(samples: Sequence[Floats], lively: NDArray[np.bool_]) -> Iterator[tuple[int, float, int]]:

@@ -348,9 +348,10 @@ def _by_filter(k: Floats, total: Floats, mean: Floats) -> float:
 
 
 def _lowest(groups: list[_Ordinates]) -> tuple[Floats, Floats, Floats] | None:
-    """Return numbers, weights and means of the spectrum's lowest ordinates, pooled over dwells.
+    """Return numbers, weights and means, each (`_SLOPE`,), of the lowest ordinates, pooled over dwells.
 
-    None if no dwell has enough ordinates.
+    The means are relative to the mean of each dwell's lowest ordinates. None if no dwell has enough
+    ordinates.
     """
     groups = [group for group in groups if len(group.weight) > _SLOPE]
     if not groups:
@@ -413,13 +414,6 @@ def _polynomial_foot(band: float, x: Floats, weight: Floats, mean: Floats) -> _F
     return None
 
 
-def _foot_beside_flicker(
-    band: float, x: Floats, weight: Floats, mean: Floats, inverse_x: Floats
-) -> _Foot | None:
-    found = _beside_flicker(x, weight, mean, inverse_x)
-    return None if found is None else _foot(band, *found, weight, beside_flicker=True)
-
-
 def _foot(
     band: float, beta: Floats, covariance: Floats, weight: Floats, *, beside_flicker: bool = False
 ) -> _Foot:
@@ -429,13 +423,14 @@ def _foot(
     return _Foot(band, float(at_zero @ beta), variance, float(weight.sum()), beta, beside_flicker)
 
 
-def _beside_flicker(
-    x: Floats, weight: Floats, mean: Floats, inverse_x: Floats
-) -> tuple[Floats, Floats] | None:
-    """Fit a polynomial plus 1/f noise; return the polynomial's coefficients and covariance.
+def _foot_beside_flicker(
+    band: float, x: Floats, weight: Floats, mean: Floats, inverse_x: Floats
+) -> _Foot | None:
+    """Fit the density in a band by the exponential of a polynomial plus 1/f noise.
 
-    `mean` are mean ordinates at the relative frequencies `x`, with their `weight`; `inverse_x` is the mean
-    of 1/x. None if one or two further terms of the polynomial explain the density as well as 1/f noise.
+    `mean` are mean ordinates at the frequencies `x` (relative to the end of the `band`), with their
+    `weight`; `inverse_x` is the mean of 1/x. None if one or two further terms of the polynomial explain the
+    density as well as 1/f noise.
     """
     for order in range(min(3, len(x) - 2)):
         one, two = (_whittle(_basis(x, order + k), weight, mean)[2] for k in (1, 2))
@@ -450,15 +445,16 @@ def _beside_flicker(
         )
         allowed = (max(gain, _NOT_QUITE * better) for gain in _GAINS)
         if not any(deviance - other > most for other, most in zip(richer, allowed, strict=False)):
-            return beta, covariance
+            return _foot(band, beta, covariance, weight, beside_flicker=True)
     return None
 
 
 def _cells(groups: list[_Ordinates], band: float) -> tuple[Floats, Floats, Floats, Floats] | None:
     """Return the mean ordinates of all dwells in cells of frequency below `band`.
 
-    The results are, for each cell that is not empty: the mean of x = f/band, the number of ordinates, their
-    mean relative to each dwell's mean, and the mean of 1/x. None if no cell has an ordinate.
+    The results are arrays (c,) with one value for each cell that is not empty: the mean of x = f/band, the
+    number of ordinates, their mean relative to each dwell's mean, and the mean of 1/x. None if no cell has
+    an ordinate.
     """
     total, moment, first = np.zeros(_CELLS), np.zeros(_CELLS), np.zeros(_CELLS)
     inverse = np.zeros(_CELLS)
@@ -560,8 +556,9 @@ def _flicker(
 ) -> tuple[Floats, Floats]:
     """Return the Allan variance (axes,) of 1/f noise by the lowest ordinates, and its 95 % upper limit.
 
-    The 1/f noise is the excess of these ordinates over the `density` (d, axes, axes) at zero times its
-    fitted shape, `foot`. `dof` are the degrees of freedom of the density, `n` (d,) the numbers of samples.
+    Both are in the squared unit of the samples. The 1/f noise is the excess of these ordinates over the
+    `density` (d, axes, axes) at zero times its fitted shape, `foot`. `dof` are the degrees of freedom of
+    the density, `n` (d,) the numbers of samples.
     """
     from scipy.special import fdtri
 
@@ -669,10 +666,11 @@ def scatter_of_means(dwells: int) -> float:
 
 
 def modes(covariance: Floats) -> tuple[Floats, Floats]:
-    """Split a covariance (n, n) into a factor (n, k) of its largest modes and the remaining variances.
+    """Split a covariance (n, n) into a factor (n, k) of its largest modes and the remaining variances (n,).
 
     The modes are its eigenvectors with the `MOST_MODES` largest eigenvalues, times the roots of the
-    eigenvalues. For 1/f noise they vary slowly in time.
+    eigenvalues. For 1/f noise they vary slowly in time. The remaining variances are the part of the
+    diagonal that the modes do not contain.
     """
     values, vectors = np.linalg.eigh(covariance)
     values, vectors = values[-MOST_MODES:], vectors[:, -MOST_MODES:]

@@ -8,7 +8,7 @@ fit. An *unnamed* term is a combination of the grammar: the place at which it en
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, constant_effect
+from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, catalogue, constant_effect
 from adis_gonio.model.records import MG_PER_G
 
 Where = Literal["bias", "gain", "misalignment", "angle"]
@@ -105,8 +105,9 @@ class Term(ABC):
         """Return the indices of the amplitudes among the values (p,), without shape parameters."""
         return list(range(len(values)))
 
+    @property
     def bounds(self) -> Floats | None:
-        """Return the lower and upper limit (p, 2) of each value; None without limits."""
+        """Lower and upper limit (p, 2) of each value; None without limits."""
         return None
 
     def limited(self, old: Floats, new: Floats) -> Floats:
@@ -207,12 +208,9 @@ class NamedTerm(Term):
         return self.effect.derivative(values, ideal, conditions)
 
     @cached_property
-    def _bounds(self) -> Floats:
-        return np.array([[p.low, p.high] for p in self.effect.parameters])
-
     def bounds(self) -> Floats:
-        """Return the limits (p, 2) of the values, as the catalogue states them for this effect."""
-        return self._bounds
+        """Limits (p, 2) of the values, as the catalogue states them for this effect."""
+        return np.array([[p.low, p.high] for p in self.effect.parameters])
 
     @cached_property
     def amplitude_spread(self) -> Floats:
@@ -222,7 +220,7 @@ class NamedTerm(Term):
         """
         if self.spread is not None:
             return np.full(len(self.amplitudes), self.spread)
-        low, high = self._bounds[self.amplitudes].T
+        low, high = self.bounds[self.amplitudes].T
         return np.asarray((high - low) / 4)
 
     def limited(self, old: Floats, new: Floats) -> Floats:
@@ -233,8 +231,33 @@ class NamedTerm(Term):
         new = new.copy()
         for index, _ in self.shapes:
             new[index] = np.clip(new[index], 0.5 * old[index], 2 * old[index])
-        low, high = self.bounds().T
+        low, high = self.bounds.T
         return np.asarray(np.clip(new, low, high))
+
+
+def typical_terms(
+    part: str, axes: int, conditions: Conditions, without: Collection[str]
+) -> Iterator[NamedTerm]:
+    """Yield a term for each effect of the catalogue that can act on readings under these conditions.
+
+    Effects within a dwell, effects with a discrete choice in `without` (such as `dwell`), and effects with
+    unrecorded conditions are left out. Shape parameters have their typical values.
+
+    Parameters
+    ----------
+    part : {"accelerometer", "gyro"}
+        Sensors that the readings come from.
+    axes : int
+        Number of axes of a reading.
+    """
+    for kind in catalogue(part).values():
+        if kind.enters is Enters.SAMPLES or kind.within_dwell or conditions.lacks(kind.needs):
+            continue
+        if not set(without).isdisjoint(kind.choices()):
+            continue
+        effect = kind(AXES[:axes] if kind.by_axis else ())
+        shapes = tuple((k, p.typical) for k, p in enumerate(effect.parameters) if p.shape)
+        yield NamedTerm(effect.name, (), 0.0, effect, shapes)
 
 
 ROUNDING = 1e-9

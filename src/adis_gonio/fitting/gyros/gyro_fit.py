@@ -278,7 +278,8 @@ class GyroFit(ParameterTable):
         SessionError
             A write of gyro offsets was interrupted, so that only the sensor knows its offsets.
         """
-        return gyro_calibration_as_it_is(estimates_of_gyro_fit(self), self.provenance)
+        made = make_gyro_calibration(estimates_of_gyro_fit(self), self.provenance)
+        return gyro_as_written(made, self.provenance)
 
     def caption_and_parameters(self) -> tuple[str, Entries]:
         """Return the caption of the table in notebooks, and the parameters by name.
@@ -590,10 +591,10 @@ def _covariance(fit: Fit, free: NDArray[np.bool_]) -> Floats:
 
 
 def _inflation(model: _Model) -> dict[str, tuple[float, float]]:
-    """Return the factor on the noise variance of each gyro that explains its residual, with its dof.
+    """Return the factor on the noise variance of each gyro that explains its residual, by axis.
 
-    The keys are the axes. Each entry is the factor and its degrees of freedom. The factor is 1 if the
-    residual agrees with the measured noise.
+    Each entry is the factor and the degrees of freedom of the factor. The factor is 1 if the residual
+    agrees with the measured noise; its degrees of freedom are then the noise's.
     """
     data, fit = model.data, model.fit
     out = {}
@@ -888,16 +889,6 @@ def estimates_of_gyro_fit(result: GyroFit) -> GyroEstimates:
     )
 
 
-def gyro_calibration_as_it_is(found: GyroEstimates, where: Provenance | None) -> GyroCalibration:
-    """Return the calibration for the chip's present offset registers.
-
-    `where` is the session that the estimates come from; None if unknown. Fails with `SessionError` if a
-    write of offsets was interrupted.
-    """
-    made = make_gyro_calibration(found, where)
-    return made if where is None else gyro_as_written(made, where)
-
-
 def make_gyro_calibration(found: GyroEstimates, where: Provenance | None) -> GyroCalibration:
     """Return the calibration for the offset registers as they were while the session was recorded.
 
@@ -911,12 +902,15 @@ def make_gyro_calibration(found: GyroEstimates, where: Provenance | None) -> Gyr
     return GyroCalibration.of(*stated, method=found.method, not_corrected=found.not_corrected, **about)
 
 
-def gyro_as_written(gyro: GyroCalibration, where: Provenance) -> GyroCalibration:
+def gyro_as_written(gyro: GyroCalibration, where: Provenance | None) -> GyroCalibration:
     """Return a calibration adapted to the offsets that were written to the chip after its session.
 
-    Gyro offsets change the zero rates; accelerometer offsets change the measured force. Fails with
-    `SessionError` if a write of gyro offsets was interrupted.
+    Gyro offsets change the zero rates; accelerometer offsets change the measured force. The calibration is
+    unchanged if its session `where` is unknown (None). Fails with `SessionError` if a write of gyro offsets
+    was interrupted.
     """
+    if where is None:
+        return gyro
     if where.gyro_write_open:
         raise SessionError(f"{where.source}: {INTERRUPTED}")
     if where.gyro_written_lsb is not None:

@@ -31,7 +31,7 @@ from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.links import Links
 from adis_gonio.fitting.estimation.spectrum import covariance_of_means
 from adis_gonio.fitting.gyros import turn_integration
-from adis_gonio.fitting.gyros.gyro_readings import GyroDwells, gyro_dwells_of
+from adis_gonio.fitting.gyros.gyro_readings import GyroDwells, gyro_dwells_of, measured_turn
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Session, Turn
 
@@ -266,10 +266,9 @@ class GyroLinks:
         """
         place = {int(number): row for row, number in enumerate(position)}
         used = [k for k, leg in enumerate(self.legs) if all(p in place for p in leg.positions)]
-        gyros = turn_integration.AssumedGyros.of(values)
         turned = [
             turn_integration.attitude(
-                leg.time_s, leg.rate_dps, leg.force_g, gyros, self.noise_dps2, leg.size_dps
+                leg.time_s, leg.rate_dps, leg.force_g, values, self.noise_dps2, leg.size_dps
             )
             for leg in self.legs
         ]
@@ -314,7 +313,7 @@ def gyro_links(session: Session, prior: GyroPrior | None = None) -> GyroLinks | 
     if not turns:
         return None
     try:
-        rests = gyro_dwells_of(session)
+        rests = session.once(gyro_dwells_of)
     except DataError:
         return None
     legs: list[Leg] = []
@@ -336,14 +335,11 @@ def gyro_links(session: Session, prior: GyroPrior | None = None) -> GyroLinks | 
 
 def _leg(session: Session, turn: Turn, rests: GyroDwells) -> Leg | str:
     """Return the samples of a turn from one dwell to the next, or the reason why it gives no link."""
-    before, after = (rests.by_position.get(position) for position in (turn.before, turn.position))
-    if before is None or after is None:
-        return "one of its dwells has no gyros"
-    path = turn_integration.path_between(session, turn, rests.dwells[before], rests.dwells[after])
-    sampling = rests.sampling
-    integral = turn_integration.NOT_RECORDED if path is None else turn_integration.integrate(path, sampling)
-    if path is None or isinstance(integral, str):
-        return str(integral)
+    measured = measured_turn(session, turn, rests)
+    if isinstance(measured, str):
+        return measured
+    (path, integral), sampling = measured, rests.sampling
+    before, after = (rests.by_position[position] for position in (turn.before, turn.position))
     rows = slice(
         int(np.searchsorted(path.time_s, integral.begin_s + sampling.delay_s)),
         int(np.searchsorted(path.time_s, integral.end_s + sampling.delay_s, side="right")),

@@ -9,14 +9,14 @@ the gain, its change with the sign of the rate, is not linear; the mean of |rate
 The noise of a mean is the spectral density at frequency zero of the samples in the dwells, divided by the
 number of samples (as for the accelerometers, `estimation.spectrum`). Dwells add the error of quantization,
 turns add the error of bridges over lost scans. `allan_dps2` is the Allan variance of the 1/f noise, which
-intervals share; `RateIntervals.drift` computes its effect on these intervals.
+intervals share.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +28,13 @@ from adis_gonio.base.budget import current
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.numbers import format_ranges
 from adis_gonio.device.sensor.registers import GYRO_LSB_DPS, VARIANTS
-from adis_gonio.fitting.estimation.readings import Readings, Unit, flicker_parts, quantization_variance
+from adis_gonio.fitting.estimation.readings import (
+    Readings,
+    Unit,
+    flicker_of,
+    flicker_parts,
+    quantization_variance,
+)
 from adis_gonio.fitting.estimation.screening import is_lively, piles, steps_of
 from adis_gonio.fitting.estimation.spectrum import MeanNoise, noise_of_means, spans
 from adis_gonio.fitting.gyros import turn_integration
@@ -40,16 +46,50 @@ from adis_gonio.record.provenance import provenance_of
 if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration
 
-__all__ = ["RateIntervals", "gyro_readings_of", "rate_intervals"]
-
 LEAST_FORCE_G = 0.02
 """Smallest change, in g, of a component of the force over the intervals at which its g-sensitivity is
 fitted: below it the effect cannot be separated from the zero rate."""
 
 
 @dataclass(frozen=True)
-class _Interval:
-    """One row of `RateIntervals`, for a dwell or a turn; its fields are the columns of the table."""
+class Interval:
+    """Mean rates of the gyros over one dwell or turn, and the true rotation of the sensor in it.
+
+    Attributes
+    ----------
+    mean_dps : (3,) float
+        Mean reading of the gyros, in °/s.
+    covariance_dps2 : (3, 3) float
+        Covariance of the mean by noise, quantization and lost scans, without 1/f noise.
+    dof : float
+        Degrees of freedom of that covariance.
+    begin_s, end_s : float
+        Begin and end on the clock of the session, with the filter's delay subtracted.
+    position : int
+        Number of the dwell, or of the dwell in which the turn ends.
+    force_g : (3,) float
+        Mean reading of the accelerometers in g; z is 0 without a Z accelerometer.
+    check : bool
+        True if the dwell, or a dwell next to the turn, takes no part in a fit.
+    samples : int
+        Number of samples.
+    temperature_c, supply_v : float
+        Mean temperature and supply voltage; NaN if not recorded.
+    temperatures_c : (3,) float
+        Temperatures of the three gyros' dies; NaN unless the file has all three.
+    turn : bool
+        True for a turn, False for a dwell.
+    rotation_dps : (3,) float
+        True mean rate of the sensor by gravity or the declared angle, right-handed in the accelerometers'
+        frame; 0 for a dwell.
+    rotation_covariance_dps2 : (3, 3) float
+        Covariance of `rotation_dps` that is independent in each turn; 0 for a dwell.
+    rotation_modes_dps : (3, k) float or None
+        Change of `rotation_dps` by one standard uncertainty of each of k errors of the accelerometers,
+        which all turns share (`turn_integration.Axes`); None without such errors.
+    abs_dps : (3,) float
+        Mean of |rate − zero rate| over a turn; 0 for a dwell.
+    """
 
     mean_dps: Floats
     covariance_dps2: Floats
@@ -68,100 +108,37 @@ class _Interval:
     rotation_covariance_dps2: Floats = field(default_factory=partial(np.zeros, (3, 3)))
     rotation_modes_dps: Floats | None = None
     abs_dps: Floats = field(default_factory=partial(np.zeros, 3))
-    references: str = "rest"
+
+    @property
+    def length_s(self) -> float:
+        """Duration in s."""
+        return self.end_s - self.begin_s
 
 
 @dataclass(frozen=True)
 class RateIntervals:
-    """Mean rates of the gyros in dwells and turns, one row for each interval, in the order of time.
+    """All dwells with gyros of a session, and the turns with a known rotation, in the order of time.
 
     Attributes
     ----------
-    mean_dps : (n, 3) float
-        Mean reading of the gyros, in °/s.
-    covariance_dps2 : (n, 3, 3) float
-        Covariance of the mean by noise, quantization and lost scans, without 1/f noise.
-    dof : (n,) float
-        Degrees of freedom of that covariance; one estimate for all intervals if `pooled`.
-    begin_s, end_s : (n,) float
-        Begin and end in s since the session began, with the filter's delay subtracted.
-    turn : (n,) bool
-        True for a turn, False for a dwell.
-    position : (n,) int
-        Number of the dwell, or of the dwell in which the turn ends.
-    rotation_dps : (n, 3) float
-        True mean rate of the sensor by gravity or the declared angle, right-handed in the accelerometers'
-        frame; 0 for dwells.
-    rotation_covariance_dps2 : (n, 3, 3) float
-        Covariance of `rotation_dps` that is independent in each turn; 0 for dwells.
-    rotation_modes_dps : (n, 3, k) float or None
-        Change of `rotation_dps` by one standard uncertainty of each of k errors of the accelerometers,
-        which all turns share (`turn_integration.Axes`).
-    force_g : (n, 3) float
-        Mean reading of the accelerometers in g; z is 0 without a Z accelerometer.
-    abs_dps : (n, 3) float
-        Mean of |rate − zero rate| over a turn; 0 for dwells.
-    temperature_c, supply_v : (n,) float or None
-        Mean temperature and supply voltage; None if not recorded.
-    temperatures_c : (n, 3) float or None
-        Temperatures of the three gyros' dies; None unless the file has all three.
-    check : (n,) bool
-        True if the dwell, or a dwell next to the turn, takes no part in a fit.
-    samples : (n,) int
-        Number of samples in each interval.
-    allan_dps2 : (3,) float
-        Allan variance of the 1/f noise.
-    allan_shown : bool
-        True if the dwells show the 1/f noise, False if it is the variant's figure, an estimate.
-    pooled : bool
-        True if one estimate of noise serves all intervals.
-    references : tuple of str
-        Origin of the rotation of each interval: `rest`, `gravity` or `declared`.
+    rows : tuple of Interval
+        Dwells and turns.
+    rests : GyroDwells
+        Dwells of the session, with the noise of their gyros.
     refused : tuple of str
         Turns that are not used, with the reason.
     notes : tuple of str
         Remarks on the accelerometers as the reference.
     """
 
-    mean_dps: Floats
-    covariance_dps2: Floats
-    dof: Floats
-    begin_s: Floats
-    end_s: Floats
-    position: NDArray[np.intp]
-    force_g: Floats
-    check: NDArray[np.bool_]
-    samples: NDArray[np.intp]
-    temperature_c: Floats | None
-    supply_v: Floats | None
-    temperatures_c: Floats | None
-    turn: NDArray[np.bool_]
-    rotation_dps: Floats
-    rotation_covariance_dps2: Floats
-    rotation_modes_dps: Floats | None
-    abs_dps: Floats
-    references: tuple[str, ...]
-    allan_dps2: Floats
-    allan_shown: bool = False
-    pooled: bool = True
-    refused: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    rows: tuple[Interval, ...]
+    rests: GyroDwells
+    refused: tuple[str, ...]
+    notes: tuple[str, ...]
 
-    def __len__(self) -> int:
-        return len(self.mean_dps)
-
-    @property
-    def length_s(self) -> Floats:
-        """Duration (n,) of each interval in s."""
-        return self.end_s - self.begin_s
-
-    def drift(self) -> tuple[Floats, Floats | None]:
-        """Return the covariance that 1/f noise gives the mean rates of the intervals, in two parts.
-
-        The first is an independent variance (n, 3) of each interval; the second are modes (n, 3, k) that
-        the intervals share, or None if they share no noise.
-        """
-        return flicker_parts(self.begin_s, self.end_s, self.allan_dps2)
+    def column(self, name: str) -> NDArray[Any]:
+        """Return one attribute of all intervals, by its name, as an array (n, …)."""
+        return np.array([getattr(row, name) for row in self.rows])
 
 
 @dataclass(frozen=True)
@@ -247,10 +224,9 @@ def gyro_dwells_of(session: Session) -> GyroDwells:
         if not np.isfinite(gyro).all():
             raise DataError(f"{source}: the gyros of position {dwell.position} hold NaN or infinity")
     noise = noise_of_means(rows, scale)
-    # Allan variance by the dwells, else the variant's figure as far as the dwells allow it.
     variant = VARIANTS.get(session.sensor)
     stated = 0.0 if variant is None else variant.performance.gyro_instability_dps**2
-    allan = np.where(noise.flicker > 0, noise.flicker, np.minimum(stated, noise.flicker_limit))
+    allan = flicker_of(noise, stated)
     configuration = session.facts.get("configuration") or {}
     counts = np.array([len(dwell) for dwell in dwells], dtype=float)
     period = turn_integration.period_of([dwell.time_s for dwell in dwells])
@@ -275,6 +251,20 @@ def gyro_dwells_of(session: Session) -> GyroDwells:
     return GyroDwells(dwells, rows, scale, turn_integration.g_per_unit(session), noise, sampling, allan)
 
 
+def measured_turn(
+    session: Session, turn: Turn, rests: GyroDwells
+) -> tuple[turn_integration.Path, turn_integration.Integral] | str:
+    """Return the samples of a turn and their integral, or the reason as text why there is none."""
+    if not rests.by_position.keys() >= {turn.before, turn.position}:
+        return "one of its dwells has no gyros"
+    ends = [rests.dwells[rests.by_position[position]] for position in (turn.before, turn.position)]
+    path = turn_integration.path_between(session, turn, *ends)
+    if path is None:
+        return turn_integration.NOT_RECORDED
+    integral = turn_integration.integrate(path, rests.sampling)
+    return integral if isinstance(integral, str) else (path, integral)
+
+
 def rate_intervals(session: Session, calibration: Calibration | None = None) -> RateIntervals:
     """Collect the dwells with gyros of a session, and the turns between them with a known rotation.
 
@@ -289,7 +279,7 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
     DataError
         The session has no gyros, or none of its dwells has two samples.
     """
-    rests = gyro_dwells_of(session)
+    rests = session.once(gyro_dwells_of)
     rows = _intervals_of_dwells(session, rests)
     turns = [t for t in session.turns if {t.before, t.position} <= rests.by_position.keys()]
     triad = turn_integration.triad_of(session, calibration) if turns else None
@@ -298,38 +288,20 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
         consecutive, whole = _consecutive(turns), any(turn.turned_deg is not None for turn in turns)
         for turn in turns:
             found = _interval_of_turn(session, turn, rests, triad, consecutive[turn.position])
-            if isinstance(found, _Interval):
+            if isinstance(found, Interval):
                 rows.append(found)
             elif turn.turned_deg is not None or not whole:
                 # Between whole turns a part may be laid down in any way: such turns need no message.
                 refused.setdefault(found, []).append(turn.position)
-    rows.sort(key=lambda row: row.begin_s)
-    noise = rests.noise
-    dof = float(noise.dof.max() if noise.pooled else noise.dof.sum())
-    modes = [row.rotation_modes_dps for row in rows if row.rotation_modes_dps is not None]
-    none = np.zeros_like(modes[0]) if modes else None
-    # One array per field of the intervals.
-    columns: dict[str, Any] = {
-        one.name: np.array([none if (value := getattr(row, one.name)) is None else value for row in rows])
-        for one in fields(_Interval)
-    }
-    for name in ("temperature_c", "supply_v", "temperatures_c"):
-        columns[name] = columns[name] if np.isfinite(columns[name]).all() else None
-    return RateIntervals(**columns | {
-        "dof": np.where(np.isnan(columns["dof"]), dof, columns["dof"]),
-        "begin_s": columns["begin_s"] - rows[0].begin_s,
-        "end_s": columns["end_s"] - rows[0].begin_s,
-        "rotation_modes_dps": columns["rotation_modes_dps"] if modes else None,
-        "references": tuple(row.references for row in rows),
-        "allan_dps2": rests.allan_dps2,
-        "allan_shown": bool((noise.flicker > 0).any()),
-        "pooled": noise.pooled,
-        "refused": tuple(
+    return RateIntervals(
+        tuple(sorted(rows, key=lambda row: row.begin_s)),
+        rests,
+        tuple(
             f"turn{'s' if len(ends) > 1 else ''} to dwell {format_ranges(ends)}: {why}"
             for why, ends in refused.items()
         ),
-        "notes": () if triad is None or not any(row.turn for row in rows) else triad.notes,
-    })  # fmt: skip
+        () if triad is None or not any(row.turn for row in rows) else triad.notes,
+    )
 
 
 def _consecutive(turns: Sequence[Turn]) -> dict[int, int]:
@@ -364,7 +336,7 @@ def _surroundings(part: Dwell | Turn) -> dict[str, Any]:
     return found
 
 
-def _intervals_of_dwells(session: Session, rests: GyroDwells) -> list[_Interval]:
+def _intervals_of_dwells(session: Session, rests: GyroDwells) -> list[Interval]:
     steps = steps_of(rests.rows)
     if session.gyro_unit == "dps":
         configuration = session.facts.get("configuration") or {}
@@ -372,7 +344,7 @@ def _intervals_of_dwells(session: Session, rests: GyroDwells) -> list[_Interval]
         steps = np.full(3, lsb if session.sensor in VARIANTS else 0.0)
     rounding = quantization_variance(rests.rows, np.full(3, rests.scale), rests.scale * steps)
     return [
-        _Interval(
+        Interval(
             mean_dps=rests.mean_dps[k],
             covariance_dps2=rests.noise.covariance[k] + np.diag(rounding[k]),
             dof=float(rests.noise.dof[k]),
@@ -390,31 +362,31 @@ def _intervals_of_dwells(session: Session, rests: GyroDwells) -> list[_Interval]
 
 def _interval_of_turn(
     session: Session, turn: Turn, rests: GyroDwells, triad: turn_integration.Triad, consecutive: int
-) -> _Interval | str:
+) -> Interval | str:
     """Return mean rates during a turn as a row of the table, or the reason why the turn gives none.
 
     `consecutive` is the number of directly successive whole turns of which the turn is one.
     """
+    measured = measured_turn(session, turn, rests)
+    if isinstance(measured, str):
+        return measured
+    path, integral = measured
     before, after = (rests.dwells[rests.by_position[k]] for k in (turn.before, turn.position))
-    path = turn_integration.path_between(session, turn, before, after)
-    integral = (
-        turn_integration.NOT_RECORDED if path is None else turn_integration.integrate(path, rests.sampling)
-    )
-    if path is None or isinstance(integral, str):
-        return str(integral)
     if turn.turned_deg is not None:
-        found = _declared(
-            session, turn.turned_deg, path, integral, triad, rests.sampling.delay_s, consecutive
+        sigma = session.fixture_sigma_deg
+        mark_u_deg = turn_integration.MARK_U_DEG if sigma is None or not math.isfinite(sigma) else sigma
+        found = turn_integration.reference_as_declared(
+            path, integral, turn.turned_deg, triad, rests.sampling.delay_s, mark_u_deg, consecutive
         )
     else:
         found = _by_gravity(integral, triad, (before.position, after.position))
     if isinstance(found, str):
         return found
     length = integral.length_s
-    return _Interval(
+    return Interval(
         mean_dps=integral.angle_deg / length,
         covariance_dps2=integral.covariance_deg2 / length**2,
-        dof=math.nan,
+        dof=float(rests.noise.dof.max() if rests.noise.pooled else rests.noise.dof.sum()),
         begin_s=integral.begin_s,
         end_s=integral.end_s,
         position=after.position,
@@ -426,40 +398,8 @@ def _interval_of_turn(
         rotation_covariance_dps2=found.covariance_deg2 / length**2,
         rotation_modes_dps=None if found.modes_deg is None else found.modes_deg / length,
         abs_dps=integral.mean_abs_dps,
-        references=found.kind,
         **_surroundings(turn),
     )
-
-
-def _declared(
-    session: Session,
-    declared_deg: float,
-    path: turn_integration.Path,
-    integral: turn_integration.Integral,
-    triad: turn_integration.Triad,
-    delay_s: float,
-    consecutive: int,
-) -> turn_integration.Reference | str:
-    """Return the true rotation by a declared angle about the vertical, or why it is unknown.
-
-    `declared_deg` is the angle, `delay_s` the delay of the sensor's filter, and `consecutive` the number of
-    directly successive whole turns of which this turn is one.
-    """
-    steady, covariance = turn_integration.steady_force(
-        path, integral.begin_s + delay_s, integral.end_s + delay_s
-    )
-    axis = covariance / max(float(steady @ steady), 1e-18)
-    sigma = session.fixture_sigma_deg
-    mark_u_deg = turn_integration.MARK_U_DEG if sigma is None or not math.isfinite(sigma) else sigma
-    down = triad.axes.direction(steady)
-    found = turn_integration.reference_as_declared(
-        integral, declared_deg, down, mark_u_deg, axis, consecutive
-    )
-    if isinstance(found, str):
-        return found
-    # The rotation is upward, opposite to the accelerometers' reading.
-    size = -float(found.angle_deg @ down) / float(np.linalg.norm(down))
-    return replace(found, modes_deg=-size * triad.axes.modes(steady))
 
 
 def _by_gravity(
@@ -532,32 +472,36 @@ def readings_of_intervals(
     `Readings.slow` (n, 3, k): the change of each reading by one standard deviation of each of k independent
     errors.
     """
-    n = len(intervals)
-    own, slow = intervals.drift()
+    n, column, noise = len(intervals.rows), intervals.column, intervals.rests.noise
+    begin, end = column("begin_s"), column("end_s")
+    own, slow = flicker_parts(begin - begin[0], end - begin[0], intervals.rests.allan_dps2)
     flicker = np.broadcast_to(own, (n, 3)).copy()
     # The error of the true rotation acts on the residual like noise of the reading.
-    covariance = intervals.covariance_dps2 + intervals.rotation_covariance_dps2
-    force, still = _changing_force(intervals.force_g)
+    covariance = column("covariance_dps2") + column("rotation_covariance_dps2")
+    force, still = _changing_force(column("force_g"))
     # Modes (n, 3, k) of the 1/f noise and of errors of the accelerometers, which turns share.
-    shared = [one for one in (slow, intervals.rotation_modes_dps) if one is not None]
+    shared = [] if slow is None else [slow]
+    modes = [row.rotation_modes_dps for row in intervals.rows]
+    if (first := next((one for one in modes if one is not None), None)) is not None:
+        shared.append(np.array([np.zeros_like(first) if one is None else one for one in modes]))
     return Readings(
-        mean=intervals.mean_dps,
+        mean=column("mean_dps"),
         own_covariance=covariance + flicker[:, :, None] * np.eye(3),
-        dof=intervals.dof,
+        dof=column("dof"),
         known=np.ones(n, dtype=np.bool_),
         angle_rad=np.full(n, np.nan),
         conditions=_conditions(intervals, force),
         gravity_mg=gravity_mg,
         fixture_rad=math.inf,
         fixture_stated=False,
-        check=intervals.check,
-        position=intervals.position,
-        samples=intervals.samples,
+        check=column("check"),
+        position=column("position"),
+        samples=column("samples"),
         unit=Unit("dps", np.zeros(3), np.ones(3)),
         slow=np.concatenate(shared, axis=2) if shared else None,
         flicker=flicker,
-        flicker_shown=intervals.allan_shown,
-        pooled=intervals.pooled,
+        flicker_shown=bool((noise.flicker > 0).any()),
+        pooled=noise.pooled,
         sensor=sensor,
         notes=(*intervals.notes, *intervals.refused, *still),
         measurement=MeanRate(),
@@ -565,21 +509,25 @@ def readings_of_intervals(
 
 
 def _conditions(intervals: RateIntervals, force: Floats | None) -> Conditions:
-    time = (intervals.begin_s + intervals.end_s) / 2
-    turned = bool(intervals.turn.any())
-    temperature = intervals.temperature_c
+    column = intervals.column
+    time = (column("begin_s") + column("end_s")) / 2
+    turn, rotation = column("turn"), column("rotation_dps")
+    temperature, supply, dies = (
+        values if np.isfinite(values := column(name)).all() else None
+        for name in ("temperature_c", "supply_v", "temperatures_c")
+    )
     # A turn is half-way between two dwells.
-    order = np.cumsum(~intervals.turn) - 1 + 0.5 * intervals.turn
+    order = np.cumsum(~turn) - 1 + 0.5 * turn
     return Conditions(
         time_s=time - time[0],
         order=order.astype(float),
         temperature_c=temperature,
-        supply_v=intervals.supply_v,
+        supply_v=supply,
         temperature_history=None if temperature is None else (time - time[0], temperature),
-        temperatures_c=intervals.temperatures_c,
+        temperatures_c=dies,
         force_g=force,
-        rate_dps=intervals.rotation_dps if turned else None,
-        abs_rate_dps=np.maximum(intervals.abs_dps, np.abs(intervals.rotation_dps)) if turned else None,
+        rate_dps=rotation if turn.any() else None,
+        abs_rate_dps=np.maximum(column("abs_dps"), np.abs(rotation)) if turn.any() else None,
     )
 
 

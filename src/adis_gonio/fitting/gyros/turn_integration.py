@@ -1,10 +1,10 @@
-"""Turns by the gyros: rates integrated from rest to rest, and the true rotation by other sources.
+"""Turns of the sensor between two dwells: by its gyros, and the true rotation by other sources.
 
-The mean rate of a turn needs only the integral of the rates (`integrate`). The trapezoidal rule runs on the
-times of the samples, from the last sample of one dwell to the first sample of the next. The Bartlett filter
-of the chip delays its output by N − 1 samples, so the integral belongs to an interval that began and ended
-earlier by this delay. The part is at rest at both ends, so the filter, which mixes 2N − 1 samples, loses no
-part of the turn.
+**Integral.** The mean rate of a turn needs only the integral of the rates (`integrate`). The trapezoidal
+rule runs on the times of the samples, from the last sample of one dwell to the first sample of the next.
+The Bartlett filter of the chip delays its output by N − 1 samples, so the integral belongs to an interval
+that began and ended earlier by this delay. The part is at rest at both ends, so the filter, which mixes 2N
+− 1 samples, loses no part of the turn.
 
 A straight line bridges lost scans. The turn itself shows the error of such a bridge: the same bridge is
 laid over every complete stretch of that length near the gap, and the mean square of its error is the
@@ -14,17 +14,18 @@ the motion are left out if they show no rotation, because they add only the drif
 is faster than the samples show (a part that is set down stops within a millisecond) adds the error of
 `Aliasing`.
 
-The rotation between two poses needs the attitude (`attitude`). A direction u fixed in space moves backwards
-in the part: u̇ = −ω × u. The rate between two samples is taken as their mean, and the rotation by this
-rate is exact, so u(t₁) = Φ(t₁, t₀) u(t₀), where Φ is a product of rotations. A small error δω of the
-rates turns the result by ε, u(t₁) → u(t₁) + ε × u(t₁), with
+**Attitude.** The rotation between two poses needs the attitude (`attitude`). A direction u fixed in space
+moves backwards in the part: u̇ = −ω × u. The rate between two samples is taken as their mean, and the
+rotation by this rate is exact, so u(t₁) = Φ(t₁, t₀) u(t₀), where Φ is a product of rotations. A small error
+δω of the rates turns the result by ε, u(t₁) → u(t₁) + ε × u(t₁), with
 
     ε = −∫ Φ(t₁, t) δω(t) dt.
 
 This is linear in all parameters of the gyros: readings m, zero rate z, gains and directions A and
 asymmetry a give ω = A⁻¹ (m − z − a |m − z|), hence ε = ∫ Φ(t₁, t) A⁻¹ (δA ω + δz + δa |m − z|) dt.
 
-True rotation of the sensor between two dwells, as a rotation vector in the accelerometers' frame.
+**True rotation.** A `Reference` states the rotation of the sensor between two dwells as a rotation vector
+in the accelerometers' frame. It comes from one of two sources:
 
 Gravity on both sides
     If the axis is not vertical, the rotation is the angle about the axis between the two directions of
@@ -43,13 +44,12 @@ Declared angle
 A rotation vector equals the integral of the rate if the axis is constant in the part, as on a stage and
 on a table. In space a turn about an axis that wanders by more than `STRAIGHT` allows is refused.
 
-Directions of gravity by the accelerometers of a session, the reference of turns, with their uncertainty.
-
-Gains, skews and biases are taken from a fit of the same session if it determines them, else from a
-calibration of the part, else from a perfect triad with the uncertainty expected of this family of sensors.
-An error of one of these nine parameters changes the directions of all turns of a session at once, in its
-own way. For example, a bias of Y adds the same amount to the misalignments in every turn about X, and
-nothing in turns about Y.
+**Accelerometers.** A `Triad` gives the directions of gravity for the true rotation, with their uncertainty.
+Gains, skews and biases of the accelerometers are taken from a fit of the same session if it determines
+them, else from a calibration of the part, else from a perfect triad with the uncertainty expected of this
+family of sensors. An error of one of these nine parameters changes the directions of all turns of a session
+at once, in its own way. For example, a bias of Y adds the same amount to the misalignments in every turn
+about X, and nothing in turns about Y.
 """
 
 from __future__ import annotations
@@ -57,14 +57,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import (
     Floats,
+    block_means,
     central_differences,
+    cumulative_integral,
     mean_direction,
     rotation_matrices,
     wrap_degrees,
@@ -255,8 +257,8 @@ class Integral:
         Mean reading of the accelerometers during the turn.
     mean_abs_dps : (3,) float
         Mean of |rate − zero rate|, by which an asymmetry of the scale factor is multiplied.
-    samples, bridged : int
-        Numbers of samples and of lost scans in the interval.
+    samples : int
+        Number of samples in the interval.
     """
 
     begin_s: float
@@ -268,7 +270,6 @@ class Integral:
     force_g: Floats
     mean_abs_dps: Floats
     samples: int
-    bridged: int
 
     @property
     def length_s(self) -> float:
@@ -321,14 +322,14 @@ def integrate(path: Path, sampling: Sampling) -> Integral | str:
             f"gyro {axis} went to {peak.max():.0f} °/s, beyond its range of ±{sampling.range_dps:.0f} °/s:"
             " turn more slowly, or choose a wider range"
         )
-    moving = _moving(path, sampling)
+    moves = moving(path, sampling)
     steps = np.diff(path.time_s)
     # Gaps that a straight line must not bridge.
     long = np.flatnonzero(steps > LONGEST_GAP_S)
-    if not moving.any():
+    if not moves.any():
         turned = _shows_another_attitude(path, path.rest_g[1:], 0)
         return "the part was turned while nothing was recorded" if turned else "the part was not turned"
-    first, last = int(moving.argmax()), len(moving) - 1 - int(moving[::-1].argmax())
+    first, last = int(moves.argmax()), len(moves) - 1 - int(moves[::-1].argmax())
     within = long[(long >= first) & (long < last)]
     if within.size:
         worst = int(within[np.argmax(steps[within])])
@@ -352,9 +353,14 @@ def integrate(path: Path, sampling: Sampling) -> Integral | str:
         path, path.force_g[tail], 1
     ):
         return "a part of the turn was not recorded"
-    if moving[head].any() or moving[tail].any():
+    if moves[head].any() or moves[tail].any():
         return "the part was already moving when the recording began, or still moving when it ended"
     return integral_over(path, sampling, begin, end)
+
+
+def has_gap(path: Path) -> bool:
+    """Return True if samples are missing for longer than a straight line may bridge."""
+    return float(np.diff(path.time_s).max()) > LONGEST_GAP_S
 
 
 def _shows_another_attitude(path: Path, here_g: Floats, dwell: int) -> bool:
@@ -368,7 +374,7 @@ def _shows_another_attitude(path: Path, here_g: Floats, dwell: int) -> bool:
     return bool((off > np.maximum(SHIFTED_G, MOVING_NOISE * noise)).any())
 
 
-def _moving(path: Path, sampling: Sampling) -> NDArray[np.bool_]:
+def moving(path: Path, sampling: Sampling) -> NDArray[np.bool_]:
     """Return True for each sample (n,) if the mean rate around it is too large for a sensor at rest."""
     rate = path.rate_dps - path.zero_dps.mean(axis=0)
     # Means of windows that shrink at both ends, by differences of the cumulative sum.
@@ -406,10 +412,9 @@ def integral_over(path: Path, sampling: Sampling, begin: int, end: int) -> Integ
     rows = slice(begin, end + 1)
     time, rate, force = path.time_s[rows], path.rate_dps[rows], path.force_g[rows]
     weight, length = _trapezoid_weights(time), float(time[-1] - time[0])
-    bridges = _bridges(time, rate, sampling)
-    if bridges is None:
+    missing = _bridges(time, rate, sampling)
+    if missing is None:
         return "too many scans were lost during the turn to estimate the missing part"
-    missing, bridged = bridges
     zero = path.zero_dps.mean(axis=0)
     angle, share = weight @ rate, weight / length
     noise = sampling.density_dps2 * (len(time) - 1) * sampling.period_s**2
@@ -423,7 +428,6 @@ def integral_over(path: Path, sampling: Sampling, begin: int, end: int) -> Integ
         force_g=share @ force,
         mean_abs_dps=share @ np.abs(smooth_blocks(rate - zero, sampling.window)),
         samples=len(time),
-        bridged=bridged,
     )
 
 
@@ -438,30 +442,23 @@ def smooth_blocks(rate: Floats, window: int) -> Floats:
 
     Without this, noise around zero would add to a mean of absolute rates.
     """
-    # Sums over blocks of `window` samples, the last one shorter.
-    starts = np.arange(0, len(rate), window)
-    counts = np.diff(np.append(starts, len(rate)))
-    means = np.add.reduceat(rate, starts, axis=0) / counts[:, None]
-    return np.asarray(np.repeat(means, counts, axis=0))
+    # The last block is shorter.
+    means = block_means(rate, np.arange(0, len(rate), window))
+    return np.asarray(np.repeat(means, window, axis=0)[: len(rate)])
 
 
-def _bridges(time: Floats, rate: Floats, sampling: Sampling) -> tuple[Floats, int] | None:
-    """Return the covariance that gaps in the samples add to the integrated angle, and the number lost.
+def _bridges(time: Floats, rate: Floats, sampling: Sampling) -> Floats | None:
+    """Return the covariance (3, 3) in deg² that gaps in the samples add to the integrated angle.
 
-    The rate is interpolated linearly over a gap. The covariance (3, 3) in deg² comes from the error that
-    such an interpolation makes in complete samples near the gap. The second result is the number of lost
-    samples. None if too few samples without a gap are near. `time` (n,) and `rate` (n, 3) are times in s
-    and rates in °/s.
+    The rate is interpolated linearly over a gap. The covariance comes from the error that such an
+    interpolation makes in complete samples near the gap; None if too few samples without a gap are near.
+    `time` (n,) and `rate` (n, 3) are times in s and rates in °/s.
     """
     period = sampling.period_s
     lost = np.rint(np.diff(time) / period).astype(int) - 1
     gaps = np.flatnonzero(lost > 0)
     covariance = np.zeros((3, 3))
-    if not gaps.size:
-        return covariance, 0
-    # Cumulative angle by the trapezoidal rule.
-    means = (rate[1:] + rate[:-1]) / 2
-    path = np.concatenate([np.zeros((1, 3)), np.cumsum(means * np.diff(time)[:, None], axis=0)])
+    path = cumulative_integral(rate, time)
     for size in np.unique(lost[gaps]).tolist():
         # Error of a line over each stretch of `width` steps; `whole` stretches have no lost scan.
         width = size + 1
@@ -475,7 +472,7 @@ def _bridges(time: Floats, rate: Floats, sampling: Sampling) -> tuple[Floats, in
             if int(near.sum()) < _LEAST_BRIDGES:
                 return None
             covariance += error[near].T @ error[near] / int(near.sum())
-    return covariance, int(lost[gaps].sum())
+    return covariance
 
 
 def period_of(times_s: list[Floats]) -> float:
@@ -485,30 +482,6 @@ def period_of(times_s: list[Floats]) -> float:
     """
     steps = [np.diff(time) for time in times_s if len(time) > 1]
     return float(np.median(np.concatenate(steps))) if steps else math.nan
-
-
-@dataclass(frozen=True)
-class AssumedGyros:
-    """Assumed parameters of three gyros.
-
-    Attributes
-    ----------
-    sensitivity : (3, 3) float
-        A: scale factors times unit vectors along the sensitive axes, one row for each gyro.
-    per_g : (3, 3) float
-        g-sensitivity in °/s/g.
-    asymmetry : (3,) float
-        Relative error of the scale factor that multiplies |rate| instead of the rate.
-    """
-
-    sensitivity: Floats
-    per_g: Floats
-    asymmetry: Floats
-
-    @classmethod
-    def of(cls, values: Floats) -> AssumedGyros:
-        """Make the gyros from an array of 21 values: A, g-sensitivity (both row by row), asymmetry."""
-        return cls(values[:9].reshape(3, 3), values[9:18].reshape(3, 3), values[18:])
 
 
 def gyro_directions(misalignment_deg: Floats) -> Floats:
@@ -546,9 +519,9 @@ def attitude(
     time_s: Floats,
     rate_dps: Floats,
     force_g: Floats,
-    gyros: AssumedGyros,
+    values: Floats,
     noise_dps2: Floats,
-    magnitude_dps: Floats | None = None,
+    magnitude_dps: Floats,
 ) -> Attitude:
     """Integrate the rates of a turn to its rotation, and to the effect of gyro errors on it.
 
@@ -560,18 +533,19 @@ def attitude(
         Readings of the gyros minus their zero rates in the two dwells.
     force_g : (n, 3) float
         Readings of the accelerometers minus their mean in the two dwells, to which these zero rates belong.
-    gyros : AssumedGyros
-        Parameters of the gyros.
+    values : (21,) float
+        Assumed parameters of the gyros: the matrix A of scale factors times unit vectors along the
+        sensitive axes (one row for each gyro) and the g-sensitivity in °/s/g, both row by row; then the
+        asymmetry, the relative error of the scale factor that multiplies |rate|.
     noise_dps2 : (3, 3) float
         Covariance of the noise of one sample, by the spectral density at frequency zero.
-    magnitude_dps : (n, 3) float, optional
-        |rate| without the noise of the samples; by default the absolute values of `rate_dps`.
+    magnitude_dps : (n, 3) float
+        |rate| without the noise of the samples.
     """
-    inverse = np.linalg.inv(gyros.sensitivity)
-    free = rate_dps - force_g @ gyros.per_g.T
-    size = np.abs(free) if magnitude_dps is None else magnitude_dps
+    inverse = np.linalg.inv(values[:9].reshape(3, 3))
+    free = rate_dps - force_g @ values[9:18].reshape(3, 3).T
     # True rate by the assumed gyros, then Φ(t₁, t) from each sample to the end.
-    omega = np.radians(free - gyros.asymmetry * size) @ inverse.T
+    omega = np.radians(free - values[18:] * magnitude_dps) @ inverse.T
     to_end = _to_end((omega[1:] + omega[:-1]) / 2 * np.diff(time_s)[:, None])
     weighted = _trapezoid_weights(time_s)[:, None, None] * (to_end @ inverse)
     rad = math.pi / 180
@@ -581,7 +555,7 @@ def attitude(
         [
             (flat @ omega).reshape(3, 9),
             rad * (flat @ force_g).reshape(3, 9),
-            rad * (weighted * size[:, None, :]).sum(axis=0),
+            rad * (weighted * magnitude_dps[:, None, :]).sum(axis=0),
         ],
         axis=1,
     )
@@ -642,8 +616,6 @@ class Reference:
 
     Attributes
     ----------
-    kind : {"gravity", "declared"}
-        Origin of the rotation: gravity before and after the turn, or a declared angle.
     angle_deg : (3,) float
         Rotation vector, right-handed about the accelerometers' axes.
     covariance_deg2 : (3, 3) float
@@ -654,7 +626,6 @@ class Reference:
         without such errors.
     """
 
-    kind: Literal["gravity", "declared"]
     angle_deg: Floats
     covariance_deg2: Floats
     modes_deg: Floats | None = None
@@ -683,7 +654,7 @@ def reference_on_stage(integral: Integral, psi_deg: tuple[float, float], u_deg: 
         return f"the gyro turned {seen:.1f}°, by gravity {angle:.1f}°: not about the stage's axis"
     if abs(angle) < LEAST_REFERENCE_DEG:
         return f"a turn of {angle:.1f}° is too short; a gain needs {LEAST_REFERENCE_DEG:g}° or more"
-    return Reference("gravity", np.array([0.0, 0.0, angle]), np.diag([0.0, 0.0, u_deg**2]))
+    return Reference(np.array([0.0, 0.0, angle]), np.diag([0.0, 0.0, u_deg**2]))
 
 
 def reference_in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad: float) -> Reference | str:
@@ -720,16 +691,17 @@ def reference_in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad
     along = np.outer(axis, axis)
     # Along the axis the uncertainty by gravity, across it the large one of an unobserved component.
     covariance = u_deg**2 * along + (UNSEEN * angle) ** 2 * (np.eye(3) - along)
-    return Reference("gravity", angle * axis, covariance)
+    return Reference(angle * axis, covariance)
 
 
 def reference_as_declared(
+    path: Path,
     integral: Integral,
     declared_deg: float,
-    steady: Floats,
+    triad: Triad,
+    delay_s: float,
     u_mark_deg: float,
-    axis_rad2: Floats,
-    consecutive: int = 1,
+    consecutive: int,
 ) -> Reference | str:
     """Return the true rotation about the vertical by a declared angle, or why it is unknown.
 
@@ -737,19 +709,20 @@ def reference_as_declared(
     ----------
     declared_deg : float
         Declared angle, positive counter-clockwise seen from above, up to whole turns.
-    steady : (3,) float
-        Constant part of the calibrated accelerometers' reading during the turn: opposite to the upward
-        axis, in any unit.
+    triad : Triad
+        Calibrated accelerometers, which show the vertical during the turn.
+    delay_s : float
+        Delay of the sensor's filter.
     u_mark_deg : float
         Standard uncertainty of setting the part to the mark, each time.
-    axis_rad2 : (3, 3) float
-        Covariance of the direction of `steady` by errors of this turn alone; its component along the
-        direction does not count.
     consecutive : int
         Number of directly successive declared turns of which this turn is one. Each ends at the mark where
         the next begins, so that an error of setting that mark changes both turns, with opposite signs.
     """
-    up = -steady / np.linalg.norm(steady)
+    steady, noise = steady_force(path, integral.begin_s + delay_s, integral.end_s + delay_s)
+    # The accelerometers read the opposite of the upward axis.
+    down = triad.axes.direction(steady)
+    up = -down / np.linalg.norm(down)
     seen = float(up @ integral.turned_deg)
     angle = declared_deg + 360.0 * round((seen - declared_deg) / 360.0)
     if abs(angle) < LEAST_REFERENCE_DEG or abs(seen - angle) > min(
@@ -768,8 +741,9 @@ def reference_as_declared(
     across = np.eye(3) - along
     # Two marks per turn; a mark between consecutive turns counts in both.
     mark = 2 * u_mark_deg**2 * (2 - 1 / consecutive)
+    axis_rad2 = noise / max(float(steady @ steady), 1e-18)
     covariance = mark * along + angle**2 * across @ axis_rad2 @ across
-    return Reference("declared", angle * up, covariance)
+    return Reference(angle * up, covariance, -angle * triad.axes.modes(steady))
 
 
 def steady_force(path: Path, begin_s: float, end_s: float) -> tuple[Floats, Floats]:
@@ -789,21 +763,14 @@ def steady_force(path: Path, begin_s: float, end_s: float) -> tuple[Floats, Floa
     turned = np.trapezoid(rate, time, axis=0)
     # Rate about the axis of the whole turn, and its integral.
     spin = np.radians(rate @ (turned / np.linalg.norm(turned)))
-    angle = np.concatenate([[0.0], np.cumsum((spin[1:] + spin[:-1]) / 2 * np.diff(time))])
+    angle = cumulative_integral(spin, time)
     starts = np.unique(np.linspace(0, len(time), _BLOCKS, endpoint=False).astype(np.intp))
-    counts = np.diff(np.append(starts, len(time)))
-
-    def mean(series: Floats) -> Floats:
-        sums = np.add.reduceat(series, starts, axis=0)
-        return np.asarray((sums.T / counts).T)
-
     # Least squares on means of blocks: constant, tilt of the table, and both terms of a lever arm.
-    speed = mean(spin)
-    jerk = np.gradient(speed, mean(time))
-    terms = [np.cos(angle), np.sin(angle), spin**2]
-    design = np.column_stack([np.ones(len(starts)), *(mean(term) for term in terms), jerk])
+    speed, *tilted = (block_means(term, starts) for term in (spin, np.cos(angle), np.sin(angle), spin**2))
+    jerk = np.gradient(speed, block_means(time, starts))
+    design = np.column_stack([np.ones(len(starts)), *tilted, jerk])
     size = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
-    seen = mean(force)
+    seen = block_means(force, starts)
     found = np.linalg.lstsq(design / size, seen, rcond=1e-8)[0] / size[:, None]
     residual = seen - design @ found
     inverse = np.linalg.pinv((design / size).T @ (design / size))[0, 0] / size[0] ** 2

@@ -8,8 +8,6 @@ threshold.
 
 The ordinary errors of a session are its errors without any fault: scatter of the set positions, scatter of
 the readings beyond their noise, effects of the catalogue and slow changes (`ScatterPoint`).
-
-`Detectability` computes the smallest fault that a session would show.
 """
 
 from __future__ import annotations
@@ -22,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_radians
-from adis_gonio.fitting.slips.position_model import PUSH_MG, Name, Pattern, Rows, common_zero, patterns_of
+from adis_gonio.fitting.slips.position_model import PUSH_MG, Name, Pattern, Rows, common_zero
 
 NOWHERE_RAD = 10.0
 """Standard deviation, in rad, of the error of an undeclared angle: so large that the angle is unknown."""
@@ -362,85 +360,3 @@ def _pushes(vv: Floats, vz: Floats, ww: Floats, wz: Floats, vw: Floats) -> Float
     fit = (d * vz * vz - 2 * vw * vz * wz + a * wz * wz) / det
     gains = 0.5 * fit - 0.5 * np.log(det) + np.log(inverse)
     return np.asarray(np.logaddexp.reduce(gains, axis=0) - math.log(len(gains)))
-
-
-POWER = 0.99
-"""Share of simulated sessions in which an error must be found to count as detectable."""
-SIZES_DEG = np.geomspace(0.02, 90.0, 120)
-"""Sizes in degrees of the simulated position errors, from which the smallest detectable one is chosen."""
-_DRAWN = 200
-"""Number of simulated sessions for the smallest detectable error."""
-
-
-@dataclass(frozen=True)
-class Detectability:
-    """Finds the smallest detectable error of each position by simulated sessions.
-
-    The accepted faults are removed from the session, and faults of several sizes are added.
-
-    Attributes
-    ----------
-    position : tuple of int
-        Numbers of the dwells.
-    rows : Rows
-        Linear model of the session.
-    grid : tuple of ScatterPoint
-        Assumptions on the ordinary errors.
-    known : KnownFaults
-        Accepted faults.
-    """
-
-    position: tuple[int, ...]
-    rows: Rows
-    grid: tuple[ScatterPoint, ...]
-    known: KnownFaults
-
-    def detectable_deg(self, name: Name, certain: float) -> dict[int, float]:
-        """Return the smallest error in degrees at each position that 99 % of simulated sessions show.
-
-        A session shows it if the probability of a fault called `name`, given the session, exceeds
-        `certain`. An error of each size is put into sessions simulated with the scatter of this one. Only
-        names with one free size count, and only one fault at a time. A value is inf if no size is shown.
-        """
-        every = patterns_of(self.rows, self.known.error_rad)
-        patterns = [p for p in every if name in p.names and p.columns.shape[1] == 1]
-        if not patterns:
-            return {}
-        residual = self.known.residual(self.rows)[:, None]
-        likely = []
-        for white in Whitened.at_each(self.rows, self.grid, self.known.columns):
-            likely.append(float(white.weight(white.white_residual(residual))[0]))
-        none = self.known.columns[:, :0]
-        accounts = list(Whitened.at_each(self.rows, self.grid, none))
-        root = accounts[int(np.argmax(likely))].root
-        drawn = root @ np.random.default_rng(0).standard_normal((len(root), _DRAWN))
-        whitened = [(account, account.white(drawn)) for account in accounts]
-        found = {}
-        for pattern in patterns:
-            shown = self._odds(pattern, name, whitened) >= math.log(certain / (1 - certain))
-            # The smallest size from which on every larger one is shown often enough.
-            enough = (shown.mean(axis=1) >= POWER)[::-1].cumprod()[::-1].astype(np.bool_)
-            least = float(SIZES_DEG[enough.argmax()]) if enough.any() else math.inf
-            found[self.position[pattern.dwells[0]]] = least
-        return found
-
-    def _odds(self, pattern: Pattern, name: Name, drawn: list[tuple[Whitened, Floats]]) -> Floats:
-        """Return the log odds (sizes, sessions) of a fault with this name against none, by simulation.
-
-        Each session has this fault in each size; `drawn` are the sessions' ordinary errors and noise.
-        """
-        log_prior, amplitude = pattern.names[name]
-        assert amplitude is not None
-        sizes = np.radians(SIZES_DEG)[:, None]
-        faulty, none = np.full((2, len(sizes), drawn[0][1].shape[1]), -np.inf)
-        for account, z in drawn:
-            # A fault of each size changes whitened rows by −size · v.
-            v = account.white(pattern.columns[:, 0])
-            vv, vz = float(v @ v), v @ z
-            clean = account.weight(z)
-            none = np.logaddexp(none, clean - sizes * vz - 0.5 * sizes**2 * vv)
-            # Estimated size in each session, and the gain in likelihood by fitting it.
-            seen = sizes + vz / vv
-            own = amplitude(seen.ravel(), np.full(seen.size, 1 / math.sqrt(vv))).reshape(seen.shape)
-            faulty = np.logaddexp(faulty, clean + 0.5 * vz**2 / vv + log_prior + own)
-        return np.asarray(faulty - none)

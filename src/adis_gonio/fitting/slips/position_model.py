@@ -44,9 +44,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats, wrap_radians
+from adis_gonio.base.arrays import Floats, cumulative_integral, wrap_radians
+from adis_gonio.fitting.estimation.terms import typical_terms
 from adis_gonio.fitting.gyros.turn_integration import Path, Sampling
-from adis_gonio.model.effects import Conditions, Enters, catalogue
+from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import PlanarTurn
 
 SLOW_DPS = 3.0
@@ -118,10 +119,7 @@ class Halts:
 def halts_of(path: Path, sampling: Sampling) -> Halts:
     """Return the rests between the first and the last movement of a recorded turn about z."""
     rate = path.rate_dps[:, 2] - path.zero_dps[:, 2].mean()
-    steps = np.diff(path.time_s, append=path.time_s[-1])
-    means = (rate + np.append(rate[1:], rate[-1])) / 2
-    # Cumulative angle by the trapezoidal rule.
-    turned = np.concatenate([[0.0], np.cumsum(means * steps)])[: len(rate)]
+    turned = cumulative_integral(rate, path.time_s)
     width = min(sampling.window, len(rate))
     slow = np.abs(np.convolve(rate, np.full(width, 1 / width), mode="same")) < SLOW_DPS
     moving = np.flatnonzero(~slow)
@@ -465,22 +463,14 @@ def _effect_columns(angles: Angles, near: _Local) -> tuple[Floats, Floats, Float
     added: list[Floats] = []
     turned: list[Floats] = []
     sizes: dict[bool, list[float]] = {False: [], True: []}
-    for kind in catalogue(PlanarTurn.part).values():
-        if kind.in_base or _LOOKED_FOR.intersection(kind.choices()):
+    for term in typical_terms(PlanarTurn.part, 2, conditions, _LOOKED_FOR):
+        if term.effect.in_base:
             continue
-        if kind.enters is Enters.SAMPLES or kind.within_dwell:
-            continue
-        if conditions.lacks(kind.needs):
-            continue
-        effect = kind(("x", "y")) if kind.by_axis else kind()
-        values = np.array([p.typical if p.shape else 0.0 for p in effect.parameters])
-        slopes = effect.derivative(values, near.ideal_mg, conditions)
-        attitude = effect.enters is Enters.ATTITUDE
-        for k, parameter in enumerate(effect.parameters):
-            if parameter.shape or not np.isfinite(slopes[..., k]).all():
-                continue
-            (turned if attitude else added).append(slopes[..., k])
-            sizes[attitude].append(TYPICAL * parameter.typical)
+        columns = term.columns(near.ideal_mg, conditions)
+        for column, k in enumerate(term.amplitudes):
+            if np.isfinite(columns[..., column]).all():
+                (turned if term.enters_angle else added).append(columns[..., column])
+                sizes[term.enters_angle].append(TYPICAL * term.effect.parameters[k].typical)
     n = len(angles)
     return (
         np.stack(added, axis=2) if added else np.zeros((n, 2, 0)),

@@ -8,21 +8,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees, wrap_radians
+from adis_gonio.base.errors import DataError
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import format_uncertain
 from adis_gonio.base.uncertainty import CREDIBLE_SET, NORMAL_95, Value
-from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.gyros import turn_integration
+from adis_gonio.fitting.gyros.gyro_readings import GyroDwells, gyro_dwells_of
 from adis_gonio.fitting.slips.position_evidence import (
-    Detectability,
     KnownFaults,
     ScatterPoint,
     Weighed,
@@ -45,7 +45,7 @@ from adis_gonio.fitting.slips.position_model import (
     possible_entries,
     rows_at,
 )
-from adis_gonio.model.records import Dwell, Session
+from adis_gonio.model.records import Session
 
 Angle = tuple[float, float]
 """An angle and its standard uncertainty in degrees."""
@@ -276,23 +276,9 @@ class Diagnosis:
     ----------
     findings : tuple of PositionFinding
         Positions with an error, in their order.
-    scatter_deg : float
-        Standard deviation of the positions that are not in `findings` about their declared angles; NaN if
-        positions were not examined.
-    sight : Detectability or None
-        Computes the detectable errors of each position; None if positions were not examined.
     """
 
     findings: tuple[PositionFinding, ...] = ()
-    scatter_deg: float = math.nan
-    sight: Detectability | None = field(default=None, repr=False, compare=False)
-
-    def detectable_deg(self, name: Name = "slipped") -> dict[int, float]:
-        """Return the smallest error in degrees of each position that is found with a probability of 99 %.
-
-        `name` is the kind of error. A value is inf if no error of up to half a turn would be found.
-        """
-        return {} if self.sight is None else self.sight.detectable_deg(name, CERTAIN)
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -311,10 +297,30 @@ def diagnose(angles: Angles) -> Diagnosis:
     `position_model`. There are no findings with fewer than `LEAST` declared angles (one less with a gyro)
     or more than `LARGEST` dwells.
     """
+    found = search_faults(angles)
+    findings = [] if found is None else _findings(angles, found)
+    return Diagnosis(tuple(sorted(findings, key=lambda one: one.position)))
+
+
+class Search(NamedTuple):
+    """Faults that were accepted in the search for wrong positions, with the model that they belong to.
+
+    `rows` is the linear model of the session, `grid` the assumptions on its ordinary errors, `accepted` the
+    faults, and `scatter` the most probable one of these assumptions after the last accepted fault.
+    """
+
+    rows: Rows
+    grid: list[ScatterPoint]
+    accepted: list[Pattern]
+    scatter: ScatterPoint
+
+
+def search_faults(angles: Angles) -> Search | None:
+    """Search for faults, and calibrate without them; None with too few or too many angles (`diagnose`)."""
     declared = int(np.isfinite(angles.declared_rad).sum())
     watched = angles.turns is not None and bool(np.isfinite(angles.turns.angle_rad).any())
     if declared < LEAST - watched or len(angles) > LARGEST:
-        return Diagnosis()
+        return None
     grid = scatters(angles.fixture_rad)
     calibration = calibrate_by_length(angles)
     rows = rows_at(angles, calibration)
@@ -324,12 +330,7 @@ def diagnose(angles: Angles) -> Diagnosis:
     if float(np.abs(rows.design[: len(rows), 1 : 1 + BASE] @ step).max()) > SETTLED_RAD:
         rows = rows_at(angles, calibration + step)
         accepted, last = _search(rows, grid)
-    findings = _findings(angles, rows, grid, accepted)
-    return Diagnosis(
-        tuple(sorted(findings, key=lambda found: found.position)),
-        math.degrees(last.scatter.position_rad),
-        Detectability(angles.position, rows, tuple(grid), KnownFaults.of(rows, accepted)),
-    )
+    return Search(rows, grid, accepted, last.scatter)
 
 
 def _search(rows: Rows, grid: Sequence[ScatterPoint]) -> tuple[list[Pattern], Weighed]:
@@ -374,9 +375,8 @@ def _posterior(rows: Rows, accepted: Sequence[Pattern], scatter: ScatterPoint) -
 # -- findings ------------------------------------------------------------------------------------------
 
 
-def _findings(
-    angles: Angles, rows: Rows, grid: Sequence[ScatterPoint], accepted: Sequence[Pattern]
-) -> list[PositionFinding]:
+def _findings(angles: Angles, search: Search) -> list[PositionFinding]:
+    rows, grid, accepted, _ = search
     found: dict[tuple[int, Name], PositionFinding] = {}
     for pattern in accepted:
         if pattern.name not in ACCUSED:
@@ -601,10 +601,8 @@ def _weighted_mean(found: Sequence[Angle | None]) -> Angle:
 BIAS_MG = 60.0
 """Prior standard deviation of a bias, in mg: one real ADIS16350 had +57, −21 and +46 mg."""
 INSTABILITY_DPS = 0.015
-"""Drift of a gyro's zero rate between dwells, in °/s, if the sensor has no figure (the simulator's default,
-D)."""
-BLOCK_S = 0.25
-"""Length in s of blocks of samples: their means are independent with every filter setting."""
+"""Drift of a gyro's zero rate between dwells, in °/s, if neither the dwells nor a data sheet show one (the
+simulator's default, D)."""
 UNKNOWN_MG = 1.0
 """Standard uncertainty, in mg, assumed for a reading that states none."""
 
@@ -662,26 +660,26 @@ def angles_of(session: Session) -> Angles | None:
 
 
 def _increments(session: Session, readings: Readings) -> Increments | None:
-    if session.gyro_unit == "counts" or session.accel_unit == "counts":
-        return None
-    by_position = {dwell.position: dwell for dwell in session.dwells if dwell.gyro is not None}
-    dwells = [by_position[p] for p in readings.position.tolist() if p in by_position]
-    turns = {(turn.before, turn.position): turn for turn in session.turns if turn.gyro is not None}
     noted = _noted(session)
-    if not dwells or not (turns or noted):
+    turns = {(turn.before, turn.position): turn for turn in session.turns if turn.gyro is not None}
+    if session.accel_unit == "counts" or not (turns or noted):
         return None
-    sampling, zero_dps2 = _sampling(session, dwells)
+    try:
+        rests = session.once(gyro_dwells_of)
+    except DataError:
+        return None
+    by_position = rests.by_position
     pairs = list(zip(readings.position[:-1].tolist(), readings.position[1:].tolist(), strict=True))
     # Angle, u and both forces of each turn; NaN without a record.
     rows = np.full((len(pairs), 4), np.nan)
     halts: list[Halts | None] = [None] * len(pairs)
     for k, pair in enumerate(pairs):
-        if pair in turns and pair[0] in by_position and pair[1] in by_position:
-            ends = by_position[pair[0]], by_position[pair[1]]
+        if pair in turns and by_position.keys() >= set(pair):
+            ends = [rests.dwells[by_position[position]] for position in pair]
             path = turn_integration.path_between(session, turns[pair], *ends)
-            found = None if path is None else _turned(path, sampling, zero_dps2)
+            found = None if path is None else _turned(path, rests)
             rows[k] = np.nan if found is None else found
-            halts[k] = None if path is None or found is None else halts_of(path, sampling)
+            halts[k] = None if path is None or found is None else halts_of(path, rests.sampling)
         if not np.isfinite(rows[k, 0]) and pair in noted:
             rows[k] = (*noted[pair], 0.0, 0.0)
     return Increments(np.radians(rows[:, 0]), np.radians(rows[:, 1]), rows[:, 2:], tuple(halts))
@@ -702,75 +700,28 @@ def _noted(session: Session) -> dict[tuple[int, int], tuple[float, float]]:
     }
 
 
-def _sampling(session: Session, dwells: Sequence[Dwell]) -> tuple[turn_integration.Sampling, float]:
-    """Return the sampling of the gyros, and the variance of the mean rate about z in a dwell."""
-    configuration = session.facts.get("configuration") or {}
-    variant = VARIANTS.get(session.sensor)
-    range_dps = configuration.get("gyro_range_dps") or (math.inf if variant is None else 300.0)
-    drift = INSTABILITY_DPS if variant is None else variant.performance.gyro_instability_dps
-    period = turn_integration.period_of([dwell.time_s for dwell in dwells])
-    density = _density(session, dwells, period)
-    samples = float(np.mean([len(dwell) for dwell in dwells]))
-    sampling = turn_integration.Sampling(
-        period, int(configuration.get("filter_m", 0)), float(range_dps), density, np.full(3, drift)
-    )
-    return sampling, float(density[2, 2]) / samples
-
-
-def _density(session: Session, dwells: Sequence[Dwell], period_s: float) -> Floats:
-    """Return the spectral density (3, 3) of the gyro noise at frequency zero, per sample, in (°/s)².
-
-    `period_s` is the time between samples. It is estimated from the scatter of block means within dwells.
-    """
-    block = max(1, round(BLOCK_S / period_s)) if period_s > 0 else 1
-    squares, count = np.zeros((3, 3)), 0
-    for dwell in dwells:
-        whole = len(dwell) // block
-        if whole < 2 or dwell.gyro is None:
-            continue
-        # Means of whole blocks; their scatter gives the density at low frequencies.
-        means = dwell.gyro[: whole * block].reshape(whole, block, 3).mean(axis=1)
-        left = means - means.mean(axis=0)
-        squares += left.T @ left
-        count += whole - 1
-    return np.asarray(turn_integration.dps_per_unit(session) ** 2 * block * squares / max(count, 1))
-
-
-def _turned(
-    path: turn_integration.Path, sampling: turn_integration.Sampling, zero_dps2: float
-) -> tuple[float, float, float, float] | None:
+def _turned(path: turn_integration.Path, rests: GyroDwells) -> tuple[float, float, float, float] | None:
     """Return the turn about z and its u in degrees, and the excess of the force's integral.
 
-    The excess is the integral of the readings of X and Y minus their mean at rest, in g·s. `zero_dps2` is
-    the variance of a dwell's mean rate. None if the record of the turn has a gap.
+    The excess is the integral of the readings of X and Y minus their mean at rest, in g·s. `rests` has the
+    noise of the gyros. None if the record of the turn has a gap.
     """
+    sampling = rests.sampling
     found = turn_integration.integrate(path, sampling)
     if not isinstance(found, str):
         angle, variance = float(found.turned_deg[2]), float(found.covariance_deg2[2, 2])
         length, mean = found.length_s, found.force_g
-    elif _stayed(path, sampling):
+    elif turn_integration.has_gap(path) or turn_integration.moving(path, sampling).any():
+        return None
+    else:
         length = float(path.time_s[-1] - path.time_s[0])
         rate = path.rate_dps[:, 2] - path.zero_dps[:, 2].mean()
         angle = float(np.trapezoid(rate, path.time_s))
         variance = float(sampling.density_dps2[2, 2]) * length * sampling.period_s
         mean = path.force_g.mean(axis=0)
-    else:
-        return None
     rest = path.rest_g.mean(axis=0)
     # Error of the zero rate: noise of both dwells, and drift.
-    zero = length**2 * (zero_dps2 / 2 + float(sampling.drift_dps[2]) ** 2)
+    drift_dps = float(sampling.drift_dps[2]) or INSTABILITY_DPS
+    zero = length**2 * (float(rests.variance_dps2[:, 2].mean()) / 2 + drift_dps**2)
     beyond = np.nan_to_num(length * (mean - rest))  # NaN for counts of unknown size in g
     return angle, math.sqrt(variance + zero), float(beyond[0]), float(beyond[1])
-
-
-def _stayed(path: turn_integration.Path, sampling: turn_integration.Sampling) -> bool:
-    """Return True if the gyro record between two dwells has no gap and shows no turn."""
-    if float(np.diff(path.time_s).max()) > turn_integration.LONGEST_GAP_S:
-        return False
-    window = min(sampling.window, len(path.time_s))
-    whole = len(path.time_s) // window
-    rate = path.rate_dps[: whole * window] - path.zero_dps.mean(axis=0)
-    # Means of windows must all stay within the noise of a part at rest.
-    means = rate.reshape(whole, window, 3).mean(axis=1)
-    allowed = sampling.moving_dps + np.abs(path.zero_dps[1] - path.zero_dps[0])
-    return bool((np.abs(means) <= allowed).all())

@@ -18,7 +18,7 @@ import select
 import socket
 import threading
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal, cast, get_args
 
@@ -155,8 +155,6 @@ class SimulatedBoard(Closing):
         `socket://127.0.0.1:41234`.
     host, port : str, int
         Address for plain sockets; empty and 0 for a pty.
-    stage : BoardStage
-        Stage that moves the sensor.
 
     Raises
     ------
@@ -190,7 +188,6 @@ class SimulatedBoard(Closing):
             ) from None
         self.path, self.host, self.port = self._line.path, self._line.host, self._line.port
         self.lock = threading.Lock()
-        self.stage = BoardStage(self)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._pump, name="simulated board", daemon=True)
         self._thread.start()
@@ -211,6 +208,11 @@ class SimulatedBoard(Closing):
         if self._world is None:
             raise UsageError("this board was made without its world; open_board brings one")
         return self._world
+
+    @property
+    def stage(self) -> BoardStage:
+        """Stage that moves the sensor."""
+        return BoardStage(self)
 
     def truth(self) -> dict[str, float]:
         """Return the true parameters of the simulated sensor by the names that a fit uses.
@@ -276,38 +278,15 @@ class SimulatedBoard(Closing):
             back.put(packet, max(ready_s, now))
 
 
-class BoardStage:
-    """The simulated stage of a board; each method waits in real time until its move has ended."""
+class BoardStage(SimStage):
+    """The simulated stage of a board; `move_to` and other moves wait in real time until they have ended."""
 
     def __init__(self, board: SimulatedBoard) -> None:
-        self._board = board
+        self._board, self._stage = board, board.world.stage
 
-    @property
-    def angle_deg(self) -> float:
-        """Declared angle of the stage in degrees; NaN after a move in space."""
-        return self._board.world.stage.angle_deg
-
-    def move_to(self, angle_deg: float, approach: int = 0) -> None:
-        """Turn the stage to a declared angle in degrees; return when it rests.
-
-        The stage arrives from below if `approach` is +1, from above if -1, or by the shortest turn if 0.
-        """
-        board = self._board
-        with board.lock:
-            end_s = board.world.stage.move_to(board.now_s(), angle_deg, approach)
-        self._wait_until(end_s)
-
-    def orient(self, vector: Sequence[float]) -> None:
-        """Turn the sensor until an ideal sensor reads along a vector (3,); return when it rests.
-
-        Level with Z up is (0, 0, -1).
-        """
-        import numpy as np
-
-        board = self._board
-        with board.lock:
-            end_s = board.world.stage.orient(board.now_s(), np.asarray(vector, np.float64))
-        self._wait_until(end_s)
+    def _begin(self, motion: Callable[..., float], *arguments: object) -> float:
+        with self._board.lock:
+            return motion(self._board.now_s(), *arguments)
 
     def _wait_until(self, end_s: float) -> None:
         clock = self._board._clock

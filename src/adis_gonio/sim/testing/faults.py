@@ -23,9 +23,9 @@ from __future__ import annotations
 
 import math
 import random
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,20 +98,22 @@ class Faults:
         """Draw the additional delay of a transfer in s; 0 if no delay happens."""
         return self.delay_s * self.dice.random() * 2 if self.happens("delay") else 0.0
 
-    @property
-    def total(self) -> int:
-        """Number of faults of all kinds so far."""
-        return sum(self.seen.values())
-
 
 class FaultyStream:
-    """One direction of a serial line: the bytes in transit, in order, each with its time of arrival."""
+    """One direction of a serial line: the bytes in transit, in order, each with its time of arrival.
+
+    Parameters
+    ----------
+    faults : Faults
+        Probabilities and random draws of the faults.
+    byte_s : float
+        Time in s that the line needs for a byte.
+    """
 
     def __init__(self, faults: Faults, byte_s: float = 0.0) -> None:
         self.faults = faults
         self._byte_s = byte_s
-        self._queue: list[tuple[float, int]] = []
-        self._at = 0
+        self._queue: deque[tuple[float, int]] = deque()
         self._last_s = -math.inf
 
     def put(self, data: bytes, now_s: float) -> None:
@@ -130,36 +132,18 @@ class FaultyStream:
 
     def next_s(self) -> float | None:
         """Return the time in s at which the next byte arrives; None if no byte is in transit."""
-        return self._queue[self._at][0] if self._at < len(self._queue) else None
+        return self._queue[0][0] if self._queue else None
 
     def take(self, now_s: float, size: int) -> bytes:
         """Remove and return up to `size` bytes that have arrived by a time in s."""
-        end = self._at
-        while end < len(self._queue) and end - self._at < size and self._queue[end][0] <= now_s:
-            end += 1
-        data = bytes(byte for _, byte in self._queue[self._at : end])
-        self._at = end
-        if self._at > 4096:
-            del self._queue[: self._at]
-            self._at = 0
-        return data
-
-    def waiting(self, now_s: float) -> int:
-        """Return the number of bytes that have arrived by a time in s and were not taken yet."""
-        count = 0
-        for k in range(self._at, len(self._queue)):
-            if self._queue[k][0] > now_s:
-                break
-            count += 1
-        return count
+        taken = bytearray()
+        while self._queue and len(taken) < size and self._queue[0][0] <= now_s:
+            taken.append(self._queue.popleft()[1])
+        return bytes(taken)
 
     def clear(self) -> None:
         """Discard all bytes that are in transit."""
         self._queue.clear()
-        self._at = 0
-
-
-_KINDS = ("bit_errors", "lost_frames", "stuck_words", "busy", "silent")
 
 
 @dataclass(frozen=True)
@@ -208,6 +192,8 @@ class BusFaults:
             raise UsageError(f"idle_word is {self.idle_word}: take 0 to 65535")
 
 
+_KINDS = tuple(entry.name for entry in fields(BusFaults) if isinstance(entry.default, float))
+"""Kinds of faults: the fields of `BusFaults` that are probabilities."""
 NO_FAULTS = BusFaults()
 
 

@@ -93,6 +93,19 @@ class SimulatedFirmware:
         Reading in µs of the board's own clock at power-on.
     boot_s : float
         Silence in s after power-on and after a reset of the board.
+    board : str
+        Name of the board in its answer to the first request.
+    capabilities : int
+        Bits of the optional functions of the board, as in this answer (PROTOCOL.md).
+    version : int
+        Version of the protocol that the firmware speaks; it refuses a host that asks for another one.
+
+    Attributes
+    ----------
+    out : deque of (float, bytes)
+        Packets to the host, each with the time in s at which its last byte is ready.
+    executed : list of bytes
+        Requests that were executed, without their framing.
     """
 
     pins: ChipPins

@@ -7,7 +7,6 @@ clock.
 from __future__ import annotations
 
 import time
-from typing import Protocol
 
 from adis_gonio.sim.chip import SimulatedChip
 
@@ -81,16 +80,6 @@ class WorkClock(DeviceClock):
 RIGHT_MODE = 3
 
 
-class PinClock(Protocol):
-    """Clock of a simulated device, advanced by the time that its work takes (see the module's text)."""
-
-    def now_s(self) -> float:
-        """Return the present time in s."""
-
-    def advance_to(self, time_s: float) -> None:
-        """Advance the clock to the time in s at which the device's work ends."""
-
-
 class ChipPins:
     """The SPI and RST pins of a simulated chip, for models of bridges.
 
@@ -100,11 +89,11 @@ class ChipPins:
     ----------
     chip : SimulatedChip
         The chip.
-    clock : PinClock
+    clock : VirtualClock or DeviceClock
         Clock on which transfers take time.
     """
 
-    def __init__(self, chip: SimulatedChip, clock: PinClock) -> None:
+    def __init__(self, chip: SimulatedChip, clock: VirtualClock | DeviceClock) -> None:
         self.chip = chip
         self.clock = clock
         self.free_s = clock.now_s()
