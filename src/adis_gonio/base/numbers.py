@@ -193,9 +193,9 @@ def format_ranges(numbers: Sequence[int]) -> str:
     return ", ".join(f"{row[0]}–{row[-1]}" if len(row) > 2 else ", ".join(map(str, row)) for row in rows)
 
 
-def join_words(words: Sequence[str], last: str = "and") -> str:
+def join_words(words: Sequence[str], last: str = "and", comma: str = ", ") -> str:
     """Join words to an enumeration: `a`, `a and b`, or `a, b and c`; `last` replaces `and`."""
-    return f" {last} ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
+    return f" {last} ".join(filter(None, [comma.join(words[:-1]), *words[-1:]]))
 
 
 class QuantityRow(NamedTuple):

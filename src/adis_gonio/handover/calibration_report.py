@@ -41,7 +41,7 @@ from adis_gonio.page.document import Figure, KeyFigure, Role, Section, Series, S
 from adis_gonio.record.provenance import digest_of_file
 from adis_gonio.tracing import trace_summary as words
 from adis_gonio.tracing.further_terms import bought_by_terms, next_term
-from adis_gonio.tracing.trace_figures import Panel, Views, series_views, views_of, what_if_panels
+from adis_gonio.tracing.trace_figures import Panel, Views, views_of, what_if_panels
 from adis_gonio.tracing.trace_result import TraceResult
 from adis_gonio.tracing.traced_answer import answer_with_trace
 from adis_gonio.tracing.within.samples import Place, WithinFinding
@@ -763,9 +763,7 @@ def _covariate_label(covariate: str) -> str:
 
 def views(session: Session, result: TraceResult) -> Views:
     """Return the data of the residual figures, before and after each effect that the trace added."""
-    if not result.fits:
-        return series_views(session, result)
-    return views_of(readings_of(session), result)
+    return result.views or views_of(readings_of(session), result)
 
 
 def build_page(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from adis_gonio.base.numbers import format_duration
+from adis_gonio.base.numbers import format_duration, join_words
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.model.effects import AXES, catalogue
@@ -103,17 +103,17 @@ def _grouped(measurements: Sequence[NextDwell]) -> list[list[NextDwell]]:
 
 
 def _sentence(group: Sequence[NextDwell]) -> str:
-    first = group[0]
-    what = _joined([place(m) for m in group], "; " if any("," in place(m) for m in group) else ", ")
+    """Return one sentence that proposes all dwells of a group, which answer the same question."""
+    first, what = group[0], _listed([place(m) for m in group])
     if first.purpose == "cover":
         names = list(dict.fromkeys(name for m in group for name in (*m.one, *m.other)))
-        return f"measure at {what}: only then could {_joined(names, ', ')} be seen, if there"
+        return f"measure at {what}: only then could {join_words(names)} be seen, if there"
     strongest = max(m.separation for m in group)
     if strongest < LEAST_SEPARATION:
         return _faint(group)
     figure = f"more than {PLAIN:.0f}" if strongest > PLAIN else f"about {strongest:.0f}"
     apart = f"expected difference {figure} standard uncertainties"
-    one, other = (_joined(names, ", ") for names in (first.one, first.other))
+    one, other = (join_words(names) for names in (first.one, first.other))
     if not one or not other:
         return f"measure at {what}: that shows whether {one or other} is there ({apart})"
     return f"measure at {what}: that tells {one} from {other} ({apart})"
@@ -121,9 +121,9 @@ def _sentence(group: Sequence[NextDwell]) -> str:
 
 def _faint(group: Sequence[NextDwell]) -> str:
     """Return the advice to repeat some positions, for hypotheses that no single dwell separates."""
-    what = list(dict.fromkeys(place(m) for m in group))
-    where = _joined(what, "; " if any("," in w for w in what) else ", ")
-    names = _joined(list(dict.fromkeys(name for m in group for name in _varying(m))), ", ")
+    where = _listed(list(dict.fromkeys(place(m) for m in group)))
+    # Effects that only one of the two compared models contains.
+    names = join_words(list(dict.fromkeys(name for m in group for name in sorted({*m.one} ^ {*m.other}))))
     strongest = max(m.separation for m in group)
     return (
         f"no single position distinguishes {names}; the best positions are {where}, each several times in "
@@ -132,15 +132,8 @@ def _faint(group: Sequence[NextDwell]) -> str:
     )
 
 
-def _varying(measurement: NextDwell) -> tuple[str, ...]:
-    """Return the sorted effects that only one of the two models compared by a proposed dwell contains."""
-    return tuple(sorted(set(measurement.one) ^ set(measurement.other)))
-
-
-def _joined(words: Sequence[str], comma: str) -> str:
-    if len(words) < 2:
-        return "".join(words)
-    return f"{comma.join(words[:-1])} and {words[-1]}"
+def _listed(places: Sequence[str]) -> str:
+    return join_words(places, comma="; " if any("," in words for words in places) else ", ")
 
 
 def _by_hand(
@@ -178,9 +171,7 @@ def _by_hand(
             ):
                 to_do[remedies[name]].append(name)
     return [
-        f"to confirm or rule out {_joined(names, ', ')}: {remedy}"
-        for remedy, names in to_do.items()
-        if names
+        f"to confirm or rule out {join_words(names)}: {remedy}" for remedy, names in to_do.items() if names
     ]
 
 
@@ -191,7 +182,7 @@ def _of_cycles(selection: Selection) -> list[str]:
     line advises additional angles that distinguish them.
     """
     return [
-        f"to tell {cycles} cycles a turn from {_joined([str(n) for n in others], ', ')}: {BETWEEN}"
+        f"to tell {cycles} cycles a turn from {join_words([str(n) for n in others])}: {BETWEEN}"
         for cycles, others in cycles_alike(selection)
     ]
 

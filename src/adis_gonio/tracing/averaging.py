@@ -37,6 +37,8 @@ class RidgeSolution:
     ----------
     terms : tuple of NamelessTerm
         Unnamed terms of the member.
+    widths : tuple of int
+        Number of amplitudes of each of these terms.
     values : (p,) float
         Fitted amplitudes: of the base and named parameters (the fixed columns), then of `terms`.
     half : (p, k) float
@@ -50,6 +52,7 @@ class RidgeSolution:
     """
 
     terms: tuple[NamelessTerm, ...]
+    widths: tuple[int, ...]
     values: Floats
     half: Floats
     used: float
@@ -133,7 +136,7 @@ class AveragedFit(Fit):
         for weight, one in self.solutions:
             rows = np.zeros((width + self.data.axes, len(one.values)))
             rows[:width, :width] = np.eye(width)
-            rows[width:, width:] = _at_middle(self, one.terms)
+            rows[width:, width:] = _at_middle(self, one)
             stated.append((weight, replace(one, values=rows @ one.values, half=rows @ one.half)))
         return mixed_covariance(stated, width + self.data.axes, self.inflation)
 
@@ -209,21 +212,30 @@ def average(selection: Selection, candidates: Sequence[Process] | None = None) -
 
 
 def _average(selection: Selection, candidates: Sequence[Process] | None) -> Averaged | None:
+    """Return the average under the noise of a selection; None if no unnamed function is needed.
+
+    `candidates` are the Gaussian processes to try; None tries all.
+    """
     data, terms, best = selection.data, selection.problem.terms, selection.verdict.best
     named = tuple(k for k in best if terms[k].name is not None)
     nameless = len(named) < len(best)
     if not nameless and (selection.adequate or not data.noise_known):
         return None
     # Evidence of each process for the part of the target that base and named effects do not explain.
-    base, _, target = selection.fit.linear()
-    fixed = np.concatenate([base, *_named_columns(selection.fit)], axis=1)
+    fit, jacobian = selection.fit, selection.fit.jacobian
+    own = [index for index, term in enumerate(fit.terms) if term.name is not None]
+    _, _, target = fit.linear()
+    fixed = np.concatenate(
+        [jacobian[:, : len(fit.values.base)], *(jacobian[:, fit.slice_of(index)] for index in own)], axis=1
+    )
     beside = orthonormal(fixed)
     left = target - beside @ (beside.T @ target)
     candidates = processes(data) if candidates is None else candidates
-    smooth = evidence(selection.fit, beside, left, candidates, selection.inflation)
-    promising = tuple(candidates[k] for k in np.argsort(-smooth)[: limits.promising])
+    smooth = evidence(fit, beside, left, candidates, selection.inflation)
+    ranked = np.argsort(-smooth)[: limits.promising].tolist()
+    promising = tuple(candidates[k] for k in ranked)
     pool: list[tuple[float, tuple[NamelessTerm, ...]]] = [
-        (float(smooth[k]), (candidates[k].term,)) for k in np.argsort(-smooth)[: limits.promising]
+        (float(smooth[k]), (candidates[k].term,)) for k in ranked
     ]
     if nameless:
         pool += _formulas(selection, named, candidates)
@@ -237,28 +249,15 @@ def _average(selection: Selection, candidates: Sequence[Process] | None) -> Aver
     if weights[-1] > 0.5 and not pool[-1][1]:
         return None
     solutions = fit_members(selection, fixed, target, pool, weights)
-    averaged = _averaged_terms(_members(solutions, selection.fit, fixed.shape[1]))
-    own = [
-        (term, values)
-        for term, values in zip(selection.fit.terms, selection.fit.values.terms, strict=True)
-        if term.name is not None
-    ]
-    fit = selection.fit.with_terms(
-        [*(term for term, _ in own), *averaged], [*(v for _, v in own), *(np.zeros(0) for _ in averaged)]
+    averaged = _averaged_terms(_members(solutions, fixed.shape[1]))
+    fit = fit.with_terms(
+        [*(fit.terms[index] for index in own), *averaged],
+        [*(fit.values.terms[index] for index in own), *(np.zeros(0) for _ in averaged)],
     ).refit()
     weight = float(weights[: len(promising)].sum())
     # A fixed function has no parameters, but the degrees of freedom of its members are used.
     spent = AveragedFit(fit.data, fit.terms, fit.values, fit.with_prior, solutions, selection.inflation)
     return Averaged(spent, promising[0].term, weight, promising)
-
-
-def _named_columns(fit: Fit) -> list[Floats]:
-    """Return the whitened columns of the Jacobian for each named term of a fit."""
-    return [
-        fit.jacobian[:, fit.slice_of(index)]
-        for index, term in enumerate(fit.terms)
-        if term.name is not None
-    ]
 
 
 def _covered_by_process(term: NamelessTerm, covered: set[tuple[Where, tuple[str, ...]]]) -> bool:
@@ -290,8 +289,10 @@ def _formulas(
     pool = []
     for model in sorted({*near, tuple(selection.verdict.best)}):
         rest = tuple(problem.terms[k] for k in model if k not in named)
-        if rest and all(isinstance(t, NamelessTerm) and not _covered_by_process(t, covered) for t in rest):
-            pool.append((score(model) - alone, tuple(t for t in rest if isinstance(t, NamelessTerm))))
+        nameless = tuple(term for term in rest if isinstance(term, NamelessTerm))
+        twice = any(_covered_by_process(term, covered) for term in nameless)
+        if rest and len(nameless) == len(rest) and not twice:
+            pool.append((score(model) - alone, nameless))
     return pool
 
 
@@ -340,20 +341,17 @@ def mixed_covariance(
     return covariance
 
 
-def _members(solutions: Sequence[tuple[float, RidgeSolution]], fit: Fit, width: int) -> list[Member]:
+def _members(solutions: Sequence[tuple[float, RidgeSolution]], width: int) -> list[Member]:
     """Return each unnamed term of the fitted members, with the weight of its member and its amplitudes.
 
     `width` is the number of base and named parameters, which come first in the values of a member. Each
-    entry of `solutions` is the weight of a member and its fit. `fit` is the fit of the chosen model.
+    entry of `solutions` is the weight of a member and its fit.
     """
-    members: list[Member] = []
-    for weight, one in solutions:
-        cut = width
-        for term in one.terms:
-            own = term.columns(fit.ideal, fit.data.conditions).shape[-1]
-            members.append((weight, term, one.values[cut : cut + own]))
-            cut += own
-    return members
+    return [
+        (weight, term, own)
+        for weight, one in solutions
+        for term, own in zip(one.terms, np.split(one.values[width:], np.cumsum(one.widths)), strict=False)
+    ]
 
 
 def middle_s(fit: Fit) -> float:
@@ -362,7 +360,7 @@ def middle_s(fit: Fit) -> float:
     return float(time_s.min() + time_s.max()) / 2
 
 
-def _at_middle(fit: Fit, terms: Sequence[NamelessTerm]) -> Floats:
+def _at_middle(fit: Fit, member: RidgeSolution) -> Floats:
     """Return the derivative (axes, k) of the readings at mid-session by the amplitudes of unnamed terms.
 
     The readings are those without acceleration. The derivative is zero for functions of the angle, and for
@@ -370,8 +368,7 @@ def _at_middle(fit: Fit, terms: Sequence[NamelessTerm]) -> Floats:
     """
     middle, still = Conditions(time_s=np.array([middle_s(fit)])), np.zeros((1, fit.data.axes))
     rows = [np.zeros((fit.data.axes, 0))]
-    for term in terms:
-        width = term.columns(fit.ideal, fit.data.conditions).shape[-1]
+    for term, width in zip(member.terms, member.widths, strict=True):
         clock = term.covariates == ("time",) and not term.enters_angle
         rows.append(term.columns(still, middle)[0] if clock else np.zeros((fit.data.axes, width)))
     return np.concatenate(rows, axis=1)
@@ -411,7 +408,8 @@ def solve_ridge(
         beside = orthonormal(fixed)
         left = added - beside @ (beside.T @ added)
         visible = float(np.linalg.norm(left) / np.linalg.norm(added))
-    return RidgeSolution(tuple(terms), solved, half, float(((columns @ half) ** 2).sum()), visible)
+    widths = tuple(block.shape[1] for block in blocks)
+    return RidgeSolution(tuple(terms), widths, solved, half, float(((columns @ half) ** 2).sum()), visible)
 
 
 def _averaged_terms(members: Sequence[Member]) -> list[AveragedTerm]:

@@ -78,11 +78,8 @@ def finding_of(
     judged : Selection, optional
         Selection with the posterior that gives the probability; by default `selection`.
     """
-    from scipy.special import chdtrc
-
     problem = selection.problem
     members = [k for k in selection.verdict.best if problem.terms[k].name == name]
-    gain, width = _explained_chi2(selection, members)
     parameters: dict[str, Value] = {}
     axes: list[str] = []
     cause = ""
@@ -109,10 +106,6 @@ def finding_of(
                 parameters[stated] = Value(value, None if undetermined else u, parameter.unit, dof)
             for choice in (c for c in term.effect.choices() if c not in term.effect.options):
                 parameters[choice] = Value(float(getattr(term.effect, choice)), None, "1")
-    # The prior distributes the test level: a name has a far greater share of it than one of thousands
-    # of unnamed functions (weighted Bonferroni; Genovese, Roeder and Wasserman, Biometrika 93, 2006).
-    share = float(np.exp(-sum(problem.cost[k] for k in members)))
-    p = float(chdtrc(width, gain / selection.inflation)) / share
     same = [
         " + ".join(sorted({problem.terms[k].shown_as for k in m}))
         for m in selection.verdict.same.get(selection.verdict.best, [])
@@ -122,7 +115,7 @@ def finding_of(
         effect=name,
         axes=tuple(axes),
         parameters=parameters,
-        p_value=min(p, 1.0),
+        p_value=_p_value(selection, members),
         explains=0.0,  # set by `with_shares` when the steps are known
         probability=probability_of(judged or selection, name, averaged),
         equivalents=tuple(dict.fromkeys(same))[:5],
@@ -150,13 +143,20 @@ def scatter_finding(scatter: Scatter, explains: float) -> Finding:
     )
 
 
-def _explained_chi2(selection: Selection, members: Sequence[int]) -> tuple[float, int]:
-    """Return the rise of χ² if the terms `members` are removed from the model, and their column count."""
-    best = selection.verdict.best
-    with_all = float((span(selection.problem, best)[1] ** 2).sum())
+def _p_value(selection: Selection, members: Sequence[int]) -> float:
+    """Return the p-value of the model's terms `members`, divided by their prior probability; at most 1.
+
+    The prior distributes the test level: a name has a far greater share of it than one of thousands of
+    unnamed functions (weighted Bonferroni; Genovese, Roeder and Wasserman, Biometrika 93, 2006).
+    """
+    from scipy.special import chdtrc
+
+    problem, best = selection.problem, selection.verdict.best
     others = [k for k in best if k not in members]
-    without = float((span(selection.problem, others)[1] ** 2).sum())
-    return without - with_all, int(sum(selection.problem.width[k] for k in members))
+    with_all, without = (float((span(problem, model)[1] ** 2).sum()) for model in (best, others))
+    width = int(sum(problem.width[k] for k in members))
+    p = float(chdtrc(width, (without - with_all) / selection.inflation))
+    return min(1.0, p / float(np.exp(-sum(problem.cost[k] for k in members))))
 
 
 def unnamed_of(
@@ -169,24 +169,16 @@ def unnamed_of(
     probabilities, computed as in the credible sets. `judged` has the posterior for this, by default
     `selection`.
     """
-    from scipy.special import chdtrc
-
-    problem = selection.problem
-    members = [k for k in selection.verdict.best if isinstance(problem.terms[k], NamelessTerm)]
-    if members:
-        terms = [problem.terms[k] for k in members]
-        gain, width = _explained_chi2(selection, members)
-        share = float(np.exp(-sum(problem.cost[k] for k in members)))
-        covariates = tuple(dict.fromkeys(c for term in terms for c in term.covariates))
-        forms = [term.form for term in terms if isinstance(term, NamelessTerm)]
+    members = [k for k in selection.verdict.best if selection.problem.terms[k].name is None]
+    terms = [term for k in members if isinstance(term := selection.problem.terms[k], NamelessTerm)]
+    if terms:
+        causes = map(cause_name, terms)
         return Unnamed(
-            covariates=covariates,
-            form="; ".join(forms),
+            covariates=tuple(dict.fromkeys(c for term in terms for c in term.covariates)),
+            form="; ".join(term.form for term in terms),
             explains=0.0,
-            probability=min(
-                probability_of(judged or selection, cause_name(term), averaged) for term in terms
-            ),
-            p_value=min(1.0, float(chdtrc(width, gain / selection.inflation)) / share),
+            probability=min(probability_of(judged or selection, cause, averaged) for cause in causes),
+            p_value=_p_value(selection, members),
         )
     if averaged is not None:
         smooth = averaged.smooth
@@ -621,16 +613,13 @@ def detectable(
             figures[name, parameter.name, parameter.unit].append(
                 float(reach / length) if length > 0 else np.inf
             )
-    worst: dict[str, tuple[float, str, str]] = {}
-    for (name, symbol, unit), values in figures.items():
-        median = float(np.median(values))
-        if name not in worst or median > worst[name][0]:
-            worst[name] = median, unit, symbol
+    medians = {key: float(np.median(values)) for key, values in figures.items()}
     out = {name: Detectable(None, "", "", reason) for name, reason in missing.items()}
-    for name, (figure, unit, symbol) in worst.items():
-        seen = bool(np.isfinite(figure))
+    for name in dict.fromkeys(name for name, _, _ in medians):
+        key = max((key for key in medians if key[0] == name), key=medians.__getitem__)
+        seen = bool(np.isfinite(medians[key]))
         reason = "" if seen else "lies in what is fitted already"
-        out[name] = Detectable(figure if seen else None, unit, symbol, reason)
+        out[name] = Detectable(medians[key] if seen else None, key[2], key[1], reason)
     for name in catalogue(part):
         out.setdefault(
             name, Detectable(None, "", "", "lies in the base model: this session cannot show it")

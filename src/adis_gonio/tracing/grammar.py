@@ -17,7 +17,8 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -143,6 +144,7 @@ def nameless_terms(data: Readings) -> list[NamelessTerm]:
 
 
 def _bases(data: Readings) -> Iterator[_Made]:
+    """Yield all candidate functions that a session can show, one family of covariates after another."""
     conditions = data.conditions
     for covariate in data.model.driven_by:
         yield from _OF_COVARIATE[covariate](data)
@@ -151,27 +153,31 @@ def _bases(data: Readings) -> Iterator[_Made]:
     yield from _of_time(data)
     if conditions.temperature_c is not None and np.ptp(conditions.temperature_c) > 0:
         yield from _of_scalar(
-            "temperature", "T", "25 °C", lambda c: c.covariate("temperature_c"), REFERENCE_C, data
+            "temperature", "T", "25 °C", _over("temperature_c", line_shape), REFERENCE_C, data
         )
         yield from _of_rate(data)
     if conditions.supply_v is not None and np.ptp(conditions.supply_v) > 0:
-        yield from _of_scalar("supply", "V", "5 V", lambda c: c.covariate("supply_v"), REFERENCE_V, data)
+        yield from _of_scalar("supply", "V", "5 V", _over("supply_v", line_shape), REFERENCE_V, data)
     if conditions.approach is not None:
-        yield _formula("approach", "approach", lambda c: c.covariate("approach"), ("gain",))
+        yield _formula("approach", "approach", _over("approach", line_shape), ("gain",))
     if conditions.previous_angle_rad is not None:
         yield from _of_memory(data)
     yield from _products(data)
+
+
+def _over(covariate: str, function: Shape) -> Columns:
+    """Return a function of the conditions that applies `function` to the field `covariate` of them."""
+    return lambda c: function(c.covariate(covariate))
 
 
 def _formula(
     family: str,
     form: str,
     columns: Columns,
-    places: tuple[Where, ...] = ("bias", "gain", "angle"),
+    places: Sequence[Where] = ("bias", "gain", "angle"),
     *,
     covariates: tuple[str, ...] = (),
     smooth: bool = False,
-    constant: bool = False,
 ) -> _Made:
     """Return a candidate made from a function of the conditions.
 
@@ -183,46 +189,46 @@ def _formula(
         Text for the function.
     columns : callable
         Function that computes the columns.
-    places : tuple of str
+    places : sequence of str
         Places in the model that the function may enter.
     covariates : tuple of str
         Covariates of the function; by default `family`.
     smooth : bool
         True if the function approximates one without a formula, False for a formula.
-    constant : bool
-        Add a constant as the first column.
     """
 
     def matrix(conditions: Conditions) -> Floats:
         rows = columns(conditions)
-        rows = rows[:, None] if rows.ndim == 1 else rows
-        return np.hstack([np.ones((len(rows), 1)), rows]) if constant else rows
+        return rows[:, None] if rows.ndim == 1 else rows
 
-    form = f"{form} + const" if constant else form
-    return _Made(family, Basis(form, covariates or (family,), matrix, None, smooth, constant), places)
+    return _Made(family, Basis(form, covariates or (family,), matrix, None, smooth), tuple(places))
+
+
+def _with_constant(made: _Made) -> _Made:
+    """Return a candidate that is a function of the conditions plus a constant bias, its first column."""
+
+    def matrix(conditions: Conditions) -> Floats:
+        assert made.basis.common is not None
+        rows = made.basis.common(conditions)
+        return np.hstack([np.ones((len(rows), 1)), rows])
+
+    form = f"{made.basis.form} + const"
+    return _Made(made.family, replace(made.basis, form=form, common=matrix, with_constant=True), ("bias",))
 
 
 def _both(
-    family: str,
-    form: str,
-    columns: Columns,
-    named: Sequence[str] = (),
-    *,
-    covariates: tuple[str, ...] = (),
-    smooth: bool = False,
+    family: str, form: str, columns: Columns, named: Sequence[str] = (), **others: Any
 ) -> Iterator[_Made]:
     """Yield a formula as a candidate and, if no named effect has it, the formula plus a constant bias.
 
-    `named` lists the places where the catalogue already contains this formula; `smooth` is True if the
-    formula only approximates a function. `family` is the group of candidates that shares a part of the
-    prior, `form` the text for the formula, `columns` the function that computes it.
+    `named` lists the places where the catalogue already contains this formula. The other parameters are as
+    in `_formula`.
     """
-    places = tuple(place for place in EVERYWHERE if place not in named)
-    yield _formula(family, form, columns, places, covariates=covariates, smooth=smooth)
+    places = [place for place in EVERYWHERE if place not in named]
+    made = _formula(family, form, columns, places, **others)
+    yield made
     if not named:
-        yield _formula(
-            family, form, columns, ("bias",), covariates=covariates, smooth=smooth, constant=True
-        )
+        yield _with_constant(made)
 
 
 def _of_own(
@@ -255,6 +261,7 @@ def _of_others(form: str, function: Callable[[Floats, Floats], Floats]) -> _Made
 
 
 def _of_reading(data: Readings) -> Iterator[_Made]:
+    """Yield functions of each axis's own reading a in g, and of the readings a_p of the other axes."""
     single: dict[str, Shape] = {
         "a⁴": lambda a: a**4,
         "a⁵": lambda a: a**5,
@@ -304,14 +311,11 @@ def _of_force(data: Readings) -> Iterator[_Made]:
     if data.conditions.force_g is None:
         return
 
-    def of(function: Shape) -> Columns:
-        return lambda c: function(c.covariate("force_g"))
-
     def component(k: int, function: Shape) -> Columns:
-        return of(lambda f: function(f[:, k]))
+        return _over("force_g", lambda f: function(f[:, k]))
 
     def difference(j: int, k: int) -> Columns:
-        return of(lambda f: (f[:, j] ** 2 - f[:, k] ** 2) / 2)
+        return _over("force_g", lambda f: (f[:, j] ** 2 - f[:, k] ** 2) / 2)
 
     moving = np.flatnonzero(np.ptp(data.conditions.force_g, axis=0) > 0).tolist()
     single: dict[str, Shape] = {
@@ -354,11 +358,9 @@ def _powers(moving: Sequence[int], degree: int) -> list[tuple[int, ...]]:
 
 
 def _monomials(powers: Sequence[tuple[int, ...]]) -> Columns:
-    def columns(c: Conditions) -> Floats:
-        force = c.covariate("force_g")
-        return np.stack([force[:, list(parts)].prod(axis=1) for parts in powers], axis=1)
-
-    return columns
+    return _over(
+        "force_g", lambda f: np.stack([f[:, list(parts)].prod(axis=1) for parts in powers], axis=1)
+    )
 
 
 def _of_rotation(data: Readings) -> Iterator[_Made]:
@@ -387,10 +389,10 @@ _OF_COVARIATE: dict[str, Callable[[Readings], Iterator[_Made]]] = {
 
 
 def _of_angle() -> Iterator[_Made]:
-    def of_angle(
-        form: str, function: Shape, places: tuple[Where, ...] = ("bias",), smooth: bool = False
-    ) -> _Made:
-        return _formula("angle", form, lambda c: function(c.covariate("angle_rad")), places, smooth=smooth)
+    """Yield functions of the stage's angle θ: harmonics, square waves, bumps, smooth functions."""
+
+    def of_angle(form: str, function: Shape, *places: Where, smooth: bool = False) -> _Made:
+        return _formula("angle", form, _over("angle_rad", function), places or ("bias",), smooth=smooth)
 
     # One cycle on an axis is gain and misalignment; cycles of the angle are named effects.
     for k in range(2, 7):
@@ -407,15 +409,15 @@ def _of_angle() -> Iterator[_Made]:
         "|sin θ|": lambda t: np.abs(np.sin(t)),
         "|cos θ|": lambda t: np.abs(np.cos(t)),
     }
-    yield from (of_angle(form, function, ("bias", "gain", "angle")) for form, function in more.items())
+    yield from (of_angle(form, function, "bias", "gain", "angle") for form, function in more.items())
     for centre, width in itertools.product(range(0, 360, 15), (8.0, 25.0)):
         bell = ring_bump(float(np.deg2rad(centre)), float(np.deg2rad(width)))
-        yield of_angle(f"a bump at θ = {centre}° of width {width:g}°", bell, ("bias", "angle"))
+        yield of_angle(f"a bump at θ = {centre}° of width {width:g}°", bell, "bias", "angle")
     # Two harmonics are named effects: of the stage, and as products of readings on an axis.
     for top in (3, 4, 5, 6):
         form = f"a smooth function of the angle (harmonics to {top})"
-        yield of_angle(form, harmonics(range(2, top + 1)), ("bias",), smooth=True)
-        yield of_angle(form, harmonics(range(1, top + 1)), ("angle",), smooth=True)
+        yield of_angle(form, harmonics(range(2, top + 1)), smooth=True)
+        yield of_angle(form, harmonics(range(1, top + 1)), "angle", smooth=True)
 
 
 def _scaled(values: Floats) -> tuple[float, float]:
@@ -555,6 +557,7 @@ def _of_scalar(
 
 
 def _of_time(data: Readings) -> Iterator[_Made]:
+    """Yield functions of the time t since the start of the session, in units of the session's length."""
     time = data.conditions.time_s
     course = _Course("time", "t", " s", ("after", "before"), lambda c: c.time_s, *_scaled(time))
     length = 2 * course.half
@@ -615,11 +618,10 @@ def _of_rate(data: Readings) -> Iterator[_Made]:
 
 
 def _of_memory(data: Readings) -> Iterator[_Made]:
-    def previous(form: str, function: Shape, smooth: bool = False) -> _Made:
-        def columns(c: Conditions) -> Floats:
-            return function(c.covariate("previous_angle_rad"))
+    """Yield functions of the previous angle θ′ of the stage, and of the move θ − θ′ from it."""
 
-        return _formula("previous_angle", form, columns, smooth=smooth)
+    def previous(form: str, function: Shape, smooth: bool = False) -> _Made:
+        return _formula("previous_angle", form, _over("previous_angle_rad", function), smooth=smooth)
 
     def move(c: Conditions) -> Floats:
         return c.covariate("angle_rad") - c.covariate("previous_angle_rad")
@@ -668,16 +670,17 @@ def _factors(conditions: Conditions) -> Iterator[_Factor]:
     """Yield the recorded covariates that may be multiplied by each other."""
     yield _Factor("time", "t", lambda c: c.time_s)
     if conditions.temperature_c is not None:
-        yield _Factor("temperature", "(T − 25 °C)", lambda c: c.covariate("temperature_c"), REFERENCE_C)
+        yield _Factor("temperature", "(T − 25 °C)", _over("temperature_c", line_shape), REFERENCE_C)
     if conditions.supply_v is not None:
-        yield _Factor("supply", "(V − 5 V)", lambda c: c.covariate("supply_v"), REFERENCE_V)
+        yield _Factor("supply", "(V − 5 V)", _over("supply_v", line_shape), REFERENCE_V)
     if conditions.approach is not None:
-        yield _Factor("approach", "approach", lambda c: c.covariate("approach"))
+        yield _Factor("approach", "approach", _over("approach", line_shape))
     if conditions.angle_rad is not None and conditions.previous_angle_rad is not None:
-        yield _Factor("previous_angle", "sin θ′", lambda c: np.sin(c.covariate("previous_angle_rad")))
+        yield _Factor("previous_angle", "sin θ′", _over("previous_angle_rad", np.sin))
 
 
 def _products(data: Readings) -> Iterator[_Made]:
+    """Yield functions of two covariates; a covariate that hardly changes is omitted."""
     conditions = data.conditions
     # A covariate that hardly changes is a constant with noise: a product with it equals the other factor.
     least = {"temperature": limits.least_range_c, "supply": limits.least_range_v}
@@ -726,8 +729,8 @@ def _product(one: _Factor, two: _Factor, conditions: Conditions) -> Iterator[_Ma
     yield from _both("products", f"{letters}, centred", of(np.multiply), covariates=names)
     form = f"a surface over {one.name} and {two.name}"
     surface = of(lambda u, v: np.stack([u, v, u * v], axis=1))
-    yield _formula("products", form, surface, covariates=names, smooth=True)
-    yield _formula("products", form, surface, ("bias",), covariates=names, smooth=True, constant=True)
+    made = _formula("products", form, surface, covariates=names, smooth=True)
+    yield from (made, _with_constant(made))
     if "approach" not in names:
         curved = of(lambda u, v: np.stack([np.ones_like(u), u, v, u * v, u * u, v * v], axis=1))
         bent = "a curved " + form.removeprefix("a ")

@@ -111,6 +111,10 @@ def _shared(term: NamedTerm, data: Readings) -> list[NamedTerm]:
 
 
 def _variants(kind: type[Effect], data: Readings) -> Iterator[tuple[Effect, tuple[tuple[int, float], ...]]]:
+    """Yield each form of an effect that is tried in a session: the effect with its axes, and its shapes.
+
+    A shape is the index of a parameter in `effect.parameters` with a value from its grid.
+    """
     letters = AXES[: data.axes]
     subsets: list[tuple[str, ...]] = [()]
     if kind.by_axis:

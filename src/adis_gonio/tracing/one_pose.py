@@ -19,10 +19,9 @@ blocks is then a subtraction, and a combination of degree and time constant is a
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -34,8 +33,10 @@ from adis_gonio.base.numbers import counted, format_percent
 from adis_gonio.base.uncertainty import Detectable, Value
 from adis_gonio.fitting.estimation.readings import mg_per_unit
 from adis_gonio.model.effects import AXES, Conditions, Effect, effect
+from adis_gonio.model.effects.sensor_terms import REFERENCE_C
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing.thresholds import limits
+from adis_gonio.tracing.trace_figures import Panel, StepView, Views
 from adis_gonio.tracing.trace_result import ErrorFigures, Finding, Step, TraceResult
 
 BLOCKS = 10
@@ -120,6 +121,8 @@ class _Problem(ComputedOnce):
 class _Noise:
     """One kind of slow noise, with averages of the samples that are whitened for R sizes of this noise.
 
+    An average is the mean of the samples in one of n equal intervals of the recording.
+
     A jump of the bias at any time competes as one more column: a step between two averages.
 
     Attributes
@@ -173,7 +176,7 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
     model: Model = ()
     losses = _held_out(problem, model)
     squares = [float(losses.sum())]
-    history = [("base", _figures(problem, model))]
+    figures = [_figures(problem, model)]
     reasons: dict[str, str] = {}
     shares: list[dict[_Candidate, float]] = []
     while len(model) < max_effects:
@@ -195,7 +198,7 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
             break
         model, losses = (*model, chosen), better
         squares.append(float(losses.sum()))
-        history.append((chosen.effect.name, _figures(problem, model)))
+        figures.append(_figures(problem, model))
         shares.append(share)
     rest = [tuple(one for one in model if one is not chosen) for chosen in model]
     shares = attempt(
@@ -207,28 +210,27 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
         for one, share in zip(model, shares, strict=True)
     ]
     uncaused: list[str] = attempt("movements without a cause", partial(_uncaused, problem, model), [])
-    one_way = _one_way(conditions)
     advice: tuple[str, ...] = (
         "one pose does not show whether bias or gain changes: repeat the cycle with the sensor "
         "turned over (each axis once up and once down)",
     )
-    if one_way:
+    if _one_way(conditions):
         advice = (
             "the temperature only rose or only fell, so its effect looks like a drift: let it come back",
             *advice,
         )
+    certain = [k for k, one in enumerate(model) if shares[k][one] >= limits.certain]
     return TraceResult(
         adequate=False,
         found=tuple(
-            _finding(problem, model, k, (squares[k] - squares[k + 1]) / squares[0], shares[k][one])
-            for k, one in enumerate(model)
-            if shares[k][one] >= limits.certain
+            _finding(problem, model, k, (squares[k] - squares[k + 1]) / squares[0], shares[k][model[k]])
+            for k in certain
         ),
-        steps=tuple(Step(name, error) for name, error in history[1:]),
+        steps=tuple(Step(one.effect.name, error) for one, error in zip(model, figures[1:], strict=True)),
         confounded=tuple(tuple(names) for names in rivals if len(names) > 1),
         unnamed=None,
-        before=history[0][1],
-        after=history[-1][1],
+        before=figures[0],
+        after=figures[-1],
         detectable=_detectable(problem, model),
         advice=advice,
         reasons=reasons,
@@ -238,10 +240,11 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
             "samples is not independent",
             "held-out rms by axis: "
             + ", ".join(
-                f"{AXES[k]} {np.sqrt(loss.sum() / len(dwell)):.2f} mg" for k, loss in enumerate(losses.T)
+                f"{axis} {rms:.2f} mg" for axis, rms in (figures[-1].heldout_by_axis or {}).items()
             ),
         ),
         heldout_design=f"{BLOCKS} blocks of time, degrees and time constants averaged in each fold",
+        views=_views(problem, model, certain, conditions),
     )
 
 
@@ -271,49 +274,29 @@ def series_conditions(dwell: Dwell) -> Conditions:
 def _problem(readings: Floats, conditions: Conditions) -> tuple[_Problem, tuple[_Candidate, ...]]:
     """Return the regression of the samples on all candidate effects, and these effects."""
     n, axes = readings.shape
-    letters = AXES[:axes]
-    columns: list[Floats] = [np.ones(n)]
+    blocks: list[Floats] = [np.ones((n, 1))]
     candidates: list[_Candidate] = []
-
-    def take(name: str, variants: Sequence[tuple[Floats, float | None]]) -> None:
-        """Add an effect to the candidates, and the columns of its forms to the design.
-
-        `variants` are the forms: columns (n, d) with a time constant in s, None without one.
-        """
-        made = effect(name, letters)
-        kept = []
-        for block, shape in variants:
-            if (np.ptp(block, axis=0) > 0).all():
-                first = len(columns)
-                columns.extend(block.T)
-                kept.append(_Variant(tuple(range(first, len(columns))), shape))
-        if kept:
-            candidates.append(_Candidate(made, tuple(kept)))
-
-    length = float(np.ptp(conditions.time_s))
-    warm = _temperature_powers(conditions)
-    take("bias_temperature", [(warm[:, :degree], None) for degree in DEGREES])
-    for name in ("thermal_lag", "warm_up"):
-        if name == "thermal_lag" and conditions.temperature_history is None:
-            continue
-        variants = []
-        for tau in np.geomspace(length / 500, length / 3, TAUS):
-            course = _course(name, float(tau), conditions)
-            late = _lag_powers(course, warm[:, 0]) if name == "thermal_lag" else course[:, None]
-            variants += [(late[:, :degree], float(tau)) for degree in DEGREES[: late.shape[1]]]
-        take(name, variants)
-    for name in ("bias_drift", "supply_bias"):
-        made = effect(name, letters[:1])
-        if not conditions.lacks(made.needs):
-            take(name, [(made.derivative(np.zeros(1), np.ones((n, axes)), conditions)[:, 0, :1], None)])
-
-    design = np.column_stack(columns)
+    for name in ("bias_temperature", "thermal_lag", "warm_up", "bias_drift", "supply_bias"):
+        made = effect(name, AXES[:axes])
+        variants: list[_Variant] = []
+        for columns, tau in _forms(name, conditions) if not conditions.lacks(made.needs) else ():
+            first = sum(block.shape[1] for block in blocks)
+            blocks.append(columns)
+            moving = np.ptp(columns, axis=0) > 0
+            variants += [
+                _Variant(tuple(range(first, first + degree)), tau)
+                for degree in range(1, columns.shape[1] + 1)
+                if moving[:degree].all()
+            ]
+        if variants:
+            candidates.append(_Candidate(made, tuple(variants)))
+    design = np.concatenate(blocks, axis=1)
     size = np.maximum(np.abs(design).max(axis=0), 1e-300)
     design = design / size
     # Blocks of equal length in time.
-    blocks = np.arange(n) * BLOCKS // n
+    of_block = np.arange(n) * BLOCKS // n
     centred = readings - readings.mean(axis=0)
-    parts = [(design[blocks == b], centred[blocks == b]) for b in range(BLOCKS)]
+    parts = [(design[of_block == b], centred[of_block == b]) for b in range(BLOCKS)]
     problem = _Problem(
         tried=len(candidates),
         noises=_whiten_averages(centred, design, conditions.time_s),
@@ -327,32 +310,26 @@ def _problem(readings: Floats, conditions: Conditions) -> tuple[_Problem, tuple[
     return problem, tuple(candidates)
 
 
-def _course(name: str, tau_s: float, conditions: Conditions) -> Floats:
-    """Return the contribution (n,) of an effect to each sample for unit amplitude.
+def _forms(name: str, conditions: Conditions) -> Iterator[tuple[Floats, float | None]]:
+    """Yield the columns (n, d) of an effect on one axis, with each time constant in s to try.
 
-    `tau_s` is the time constant in s.
+    An effect without a time constant has one form, with None. Column k of an effect of the temperature is
+    the term of degree k: (T − 25 °C)^k, or (T_lag − 25 °C)^k − (T − 25 °C)^k for an element at T_lag.
     """
-    made = effect(name, ("x",))
-    ones = np.ones((len(conditions), 1))
-    course: Floats = made.derivative(np.array([0.0, tau_s]), ones, conditions)[:, 0, 0]
-    return course
-
-
-def _temperature_powers(conditions: Conditions) -> Floats:
-    """Return the powers (T − 25 °C)^k, k = 1 to 3, of the temperature of each sample, (n, 3)."""
-    made = effect("bias_temperature", ("x",), degree=DEGREES[-1])
-    ones = np.ones((len(conditions), 1))
-    powers: Floats = made.derivative(np.zeros(DEGREES[-1]), ones, conditions)[:, 0]
-    return powers
-
-
-def _lag_powers(lag_c: Floats, above_c: Floats) -> Floats:
-    """Return (T_lag − 25 °C)^k − (T − 25 °C)^k, k = 1 to 3, (n, 3), for an element at T_lag.
-
-    `lag_c` is T_lag − T and `above_c` is T − 25 °C, both (n,).
-    """
-    late = above_c + lag_c
-    return np.column_stack([late**k - above_c**k for k in DEGREES])
+    degrees = {"degree": DEGREES[-1]} if name == "bias_temperature" else {}
+    made = effect(name, ("x",), **degrees)
+    ones, length = np.ones((len(conditions), 1)), float(np.ptp(conditions.time_s))
+    shaped = any(parameter.shape for parameter in made.parameters)
+    for tau in np.geomspace(length / 500, length / 3, TAUS).tolist() if shaped else (None,):
+        values = np.zeros(len(made.parameters))
+        if tau is not None:
+            values[-1] = tau
+        # The last column of an effect with a time constant is the derivative by it.
+        columns = made.derivative(values, ones, conditions)[:, 0, : -1 if shaped else None]
+        if name == "thermal_lag":
+            above = conditions.covariate("temperature_c")[:, None] - REFERENCE_C
+            columns = np.concatenate([(above + columns) ** k - above**k for k in DEGREES], axis=1)
+        yield columns, tau
 
 
 def _labels(made: Effect, count: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -459,7 +436,7 @@ def _held_out(problem: _Problem, model: Model) -> Floats:
     time constant takes no part in a block if the variance of its prediction from the other blocks exceeds
     four times the variance of the noise; a block without any time constant is predicted by a constant.
     """
-    _, coefficients, inside, spread = _fits(problem, model)
+    _, coefficients, inside, spread = problem.once(_fits, model)
     # The noise is fitted: −n/2 ln(sum of squares), with one independent value per block.
     likelihood = -BLOCKS / 2 * np.log(np.maximum(inside, 1e-300))
     weight = np.exp(likelihood - likelihood.max(axis=0)) * (spread <= limits.predicted - 1)[:, :, None]
@@ -470,7 +447,7 @@ def _held_out(problem: _Problem, model: Model) -> Floats:
 
 def _best_variants(problem: _Problem, model: Model) -> list[tuple[int, ...]]:
     """Return for each axis the most likely forms (degree, time constant) of the model's effects."""
-    choices, _, inside, _ = _fits(problem, model)
+    choices, _, inside, _ = problem.once(_fits, model)
     return [choices[k] for k in inside.sum(axis=1).argmin(axis=0)]
 
 
@@ -614,26 +591,21 @@ def _uncaused(problem: _Problem, model: Model) -> list[str]:
 
 def _one_way(conditions: Conditions) -> bool:
     """Return True if the temperature only rises or only falls with time, except for noise."""
+    from scipy.stats import spearmanr
+
     temperature = conditions.covariate("temperature_c")
     if np.ptp(temperature) == 0:
         return False
-    # Spearman's rank correlation, with the mean rank of equal values.
-    ranks = []
-    for values in (conditions.time_s, temperature):
-        _, place, count = np.unique(values, return_inverse=True, return_counts=True)
-        ranks.append((np.cumsum(count) - (count - 1) / 2)[place])
-    one, other = (rank - rank.mean() for rank in ranks)
-    return abs(float(one @ other)) > ONE_WAY * float(np.linalg.norm(one) * np.linalg.norm(other))
+    return abs(float(spearmanr(conditions.time_s, temperature).statistic)) > ONE_WAY
 
 
 def _figures(problem: _Problem, model: Model) -> ErrorFigures:
-    left = np.empty_like(problem.readings)
-    for axis, choice in enumerate(_best_variants(problem, model)):
-        coefficients = _coefficients(problem, _columns(model, choice), axis)
-        left[:, axis] = problem.readings[:, axis] - problem.design @ coefficients
-    by_axis = np.sqrt(_held_out(problem, model).sum(axis=0) / len(left))
+    """Return the errors of a model: of its most likely forms on all samples, and on held-out blocks."""
+    each = [_columns(model, choice) for choice in _best_variants(problem, model)]
+    residual = _residual(problem, each)
+    by_axis = np.sqrt(_held_out(problem, model).sum(axis=0) / len(residual))
     return ErrorFigures(
-        residual_rms=float(np.sqrt((left**2).mean())),
+        residual_rms=float(np.sqrt((residual**2).mean())),
         heldout_rms=float(np.sqrt((by_axis**2).mean())),
         angle_rms_deg=None,
         chi2_per_dof=None,
@@ -641,31 +613,49 @@ def _figures(problem: _Problem, model: Model) -> ErrorFigures:
     )
 
 
-def _coefficients(problem: _Problem, columns: list[int], axis: int, without: int | None = None) -> Floats:
-    """Return the coefficients (P,) of a fit of the listed columns to one axis; zero for other columns.
+def _residual(problem: _Problem, each: Sequence[list[int]]) -> Floats:
+    """Return the residual (n, axes) of the samples after a fit of the listed columns to each axis."""
+    fitted = [problem.design @ _coefficients(problem, columns, axis) for axis, columns in enumerate(each)]
+    return problem.readings - np.column_stack(fitted)
 
-    The fit uses all blocks of time, or all except block `without`.
-    """
-    kept = np.arange(BLOCKS) != (-1 if without is None else without)
-    gram = problem.gram[kept].sum(axis=0)[np.ix_(columns, columns)]
+
+def _coefficients(problem: _Problem, columns: list[int], axis: int) -> Floats:
+    """Return the coefficients (P,) of a fit of the listed columns to one axis; zero for other columns."""
+    gram = problem.gram.sum(axis=0)[np.ix_(columns, columns)]
     out = np.zeros(problem.design.shape[1])
-    out[columns] = _solve_with_ridge(gram, problem.cross[kept].sum(axis=0)[columns, axis : axis + 1])[:, 0]
+    out[columns] = _solve_with_ridge(gram, problem.cross.sum(axis=0)[columns, axis : axis + 1])[:, 0]
+    return out
+
+
+def _estimates(problem: _Problem, model: Model, which: int) -> list[tuple[_Variant, Floats, Floats]]:
+    """Return for each axis the form of an effect, its amplitudes (d,) and their standard uncertainties.
+
+    The uncertainties are from the jackknife over blocks of time. `which` is the effect's index in `model`.
+    """
+    choices, without_block, _, _ = problem.once(_fits, model)
+    out = []
+    for axis, choice in enumerate(_best_variants(problem, model)):
+        variant = model[which].variants[choice[which]]
+        own = list(variant.columns)
+        spread = without_block[choices.index(choice)][:, own, axis].std(axis=0) * np.sqrt(BLOCKS - 1)
+        values = _coefficients(problem, _columns(model, choice), axis)[own]
+        out.append((variant, values / problem.size[own], spread / problem.size[own]))
     return out
 
 
 def _finding(problem: _Problem, model: Model, which: int, explains: float, share: float) -> Finding:
+    """Return the finding of the effect with the index `which` in a model.
+
+    `explains` is the share of the base model's held-out squares that it removes, `share` its probability.
+    """
     made = model[which].effect
     parameters: dict[str, Value] = {}
-    for axis, choice in enumerate(_best_variants(problem, model)):
-        variant = model[which].variants[choice[which]]
-        columns = _columns(model, choice)
-        values = _coefficients(problem, columns, axis) / problem.size
-        spread = _spread(problem, columns, axis)
-        names, units = _labels(made, len(variant.columns))
-        for k, name, unit in zip(variant.columns, names, units, strict=True):
-            parameters[f"{name}_{AXES[axis]}"] = Value(float(values[k]), float(spread[k]), unit)
+    for letter, (variant, values, spread) in zip(AXES, _estimates(problem, model, which), strict=False):
+        names, units = _labels(made, len(values))
+        for name, unit, value, u in zip(names, units, values.tolist(), spread.tolist(), strict=True):
+            parameters[f"{name}_{letter}"] = Value(value, u, unit)
         if variant.shape is not None:
-            parameters[f"tau_{AXES[axis]}"] = Value(variant.shape, None, "s")
+            parameters[f"tau_{letter}"] = Value(variant.shape, None, "s")
     return Finding(
         effect=made.name,
         axes=made.axes,
@@ -677,17 +667,6 @@ def _finding(problem: _Problem, model: Model, which: int, explains: float, share
     )
 
 
-def _spread(problem: _Problem, columns: list[int], axis: int) -> Floats:
-    """Return the standard uncertainties (P,) of one axis' coefficients, by the jackknife over blocks.
-
-    `columns` are the fitted columns.
-    """
-    # Estimates without each block in turn.
-    values = np.array([_coefficients(problem, columns, axis, b) for b in range(BLOCKS)])
-    spread: Floats = np.sqrt((BLOCKS - 1) * values.var(axis=0)) / problem.size
-    return spread
-
-
 def _detectable(problem: _Problem, model: Model) -> dict[str, Detectable]:
     """Return for each effect of the model the amplitude that a test at 1 % detects with 90 % probability.
 
@@ -695,30 +674,48 @@ def _detectable(problem: _Problem, model: Model) -> dict[str, Detectable]:
     """
     out = {}
     for which, candidate in enumerate(model):
-        worst = 0.0
-        for axis, choice in enumerate(_best_variants(problem, model)):
-            first = candidate.variants[choice[which]].columns[0]
-            worst = max(worst, float(_spread(problem, _columns(model, choice), axis)[first]))
+        worst = max(float(spread[0]) for _, _, spread in _estimates(problem, model, which))
         parameter = candidate.effect.parameters[0]
         out[candidate.effect.name] = Detectable((2.58 + 1.28) * worst, parameter.unit, parameter.name)
     return out
 
 
-def series_columns(finding: Finding, conditions: Conditions, axes: int) -> list[Floats]:
-    """Return for each axis the columns (n, d) of a finding, with its degree and time constant."""
-    out = []
-    one = np.ones((len(conditions), 1))
-    for axis in AXES[:axes]:
-        mine = [name for name in finding.parameters if name.endswith(f"_{axis}")]
-        degree = sum(not name.startswith("tau_") for name in mine)
-        if f"tau_{axis}" in mine:
-            course = _course(finding.effect, finding.parameters[f"tau_{axis}"].value, conditions)
-            if finding.effect == "thermal_lag":
-                out.append(_lag_powers(course, _temperature_powers(conditions)[:, 0])[:, :degree])
-            else:
-                out.append(course[:, None])
-        else:
-            choices: dict[str, Any] = {"degree": degree} if finding.effect == "bias_temperature" else {}
-            made = effect(finding.effect, ("x",), **choices)
-            out.append(made.derivative(np.zeros(len(made.parameters)), one, conditions)[:, 0])
-    return out
+def _views(problem: _Problem, model: Model, certain: Sequence[int], conditions: Conditions) -> Views:
+    """Return the data of the figures: residual of the samples before and after each effect that was found.
+
+    `certain` are the indices of these effects in `model`. An effect that is not certain has no figure.
+    """
+    variants = _best_variants(problem, model)
+
+    def residual(chosen: Sequence[int]) -> Floats:
+        """Return the residual after a fit of a constant and some effects, each in its most likely form."""
+        own = [[model[k].variants[choice[k]].columns for k in chosen] for choice in variants]
+        return _residual(problem, [[0, *itertools.chain(*columns)] for columns in own])
+
+    def panels(name: str, x: Floats, before: Floats, after: Floats) -> tuple[Panel, ...]:
+        unknown = np.full(len(x), np.nan)
+        return tuple(
+            Panel(name, f"residual_{letter}", x, before[:, k], after[:, k], unknown)
+            for k, letter in enumerate(AXES[: before.shape[1]])
+        )
+
+    def covariate(name: str) -> Floats:
+        recorded = {"temperature": conditions.temperature_c, "supply": conditions.supply_v}.get(name)
+        return conditions.time_s / 60.0 if recorded is None else recorded
+
+    after, steps = residual(certain), []
+    for k, one in enumerate(model):
+        made = one.effect
+        shown: tuple[Panel, ...] = ()
+        if k in certain:
+            name = made.shown_over or (made.covariates or ("time",))[0]
+            first = one.variants[variants[0][k]].columns[0]
+            lag = name == "temperature_lag"
+            x = problem.design[:, first] * problem.size[first] if lag else covariate(name)
+            shown = panels(name, x, residual([j for j in certain if j != k]), after)
+        steps.append(StepView(made.name, shown, beside_all=k in certain))
+    base = residual(())
+    left = [
+        panel for name in ("time", "temperature") for panel in panels(name, covariate(name), base, after)
+    ]
+    return Views(tuple(steps), tuple(left))

@@ -19,6 +19,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 
@@ -429,8 +430,7 @@ def _greedy(
     sizes, rows = [len(h.shift) for h in hypotheses], data.equations_each
     set_of = PredictedDwells([np.zeros((0, rows)) for _ in sizes], [np.zeros((0, rows, p)) for p in sizes])
     for count, place in enumerate(before):
-        there = _predict(data, inflation, hypotheses, [place], before[:count])
-        set_of = there.after(set_of)
+        set_of = _predict(data, inflation, hypotheses, [place], before[:count]).after(set_of)
     known = float(information_nats(weights, set_of, None)[0])
     while len(out) < most:
         check()
@@ -455,12 +455,22 @@ def _greedy(
         else:
             break
         one, two = worth
-        separation = float(np.sqrt(max(apart[one, two], apart[two, one])))
         parted = [two]
         if purpose == "cover":
             reach = np.maximum(apart[one], apart[:, one])
             parted = [j for j in range(len(weights)) if j != one and reach[j] >= least**2]
-        out.append(_measurement(options[k], hypotheses, one, parted, separation, float(gain[k]), purpose))
+        first = set(hypotheses[one].labels)
+        others = [name for j in parted for name in hypotheses[j].labels if name not in first]
+        out.append(
+            NextDwell(
+                **vars(options[k]),
+                separation=float(np.sqrt(max(apart[one, two], apart[two, one]))),
+                information=float(gain[k]),
+                purpose=purpose,
+                one=tuple(sorted(first - set(hypotheses[parted[0]].labels))),
+                other=tuple(dict.fromkeys(others)),
+            )
+        )
         places.append(options[k])
         set_of = with_it
         known += float(gain[k])
@@ -546,28 +556,6 @@ def expected_separations(dwells: PredictedDwells) -> Floats:
     return out
 
 
-def _measurement(
-    place: ImaginedDwell,
-    hypotheses: list[Hypothesis],
-    one: int,
-    parted: list[int],
-    separation: float,
-    information: float,
-    purpose: Purpose,
-) -> NextDwell:
-    first = set(hypotheses[one].labels)
-    second = set(hypotheses[parted[0]].labels)
-    others = [name for k in parted for name in hypotheses[k].labels if name not in first]
-    return NextDwell(
-        **vars(place),
-        separation=separation,
-        information=information,
-        purpose=purpose,
-        one=tuple(sorted(first - second)),
-        other=tuple(dict.fromkeys(others)),
-    )
-
-
 # -- imagined dwells --------------------------------------------------------------------------------------
 
 
@@ -613,23 +601,18 @@ def _predict(
 
     `inflation` is the factor on the noise variance.
     """
-    groups: dict[float | None, list[int]] = {}
-    for k, place in enumerate(options):
-        groups.setdefault(place.temperature_c, []).append(k)
-    # Options of one temperature are predicted together; `back` restores their order.
-    order = np.concatenate([np.array(members, dtype=np.intp) for members in groups.values()])
-    back = np.argsort(order)
-    pieces = []
-    for warmth, members in groups.items():
-        imagined = _imagined(data, [options[k] for k in members], before, warmth)
-        pieces.append(_predict_rows(imagined, inflation, hypotheses))
-    return PredictedDwells(
-        [np.concatenate([p.mean[i] for p in pieces])[back] for i in range(len(hypotheses))],
-        [np.concatenate([p.root[i] for p in pieces])[back] for i in range(len(hypotheses))],
-    )
+    pieces = [
+        _predict_rows(_imagined(data, list(group), before, warmth), inflation, hypotheses)
+        for warmth, group in itertools.groupby(options, key=lambda place: place.temperature_c)
+    ]
+    return reduce(lambda first, later: later.after(first), pieces)
 
 
 def _predict_rows(imagined: Readings, inflation: float, hypotheses: list[Hypothesis]) -> PredictedDwells:
+    """Predict the whitened readings of imagined dwells by each hypothesis, cut off at ±`FAR`.
+
+    `inflation` is the factor on the noise variance.
+    """
     fits = [_imagining(h.fit, imagined) for h in hypotheses]
     whiten = fits[0].whitener / np.sqrt(inflation)
     means, roots = [], []
@@ -675,8 +658,7 @@ def _imagined(
     if c.approach is not None:
         approach = np.array([float(place.approach) for place in options])
     now = None if c.temperature_c is None else float(c.temperature_c[-1])
-    for place in before:
-        now = now if place.temperature_c is None else place.temperature_c
+    now = next((place.temperature_c for place in reversed(before) if place.temperature_c is not None), now)
     wanted = now if temperature_c is None else temperature_c
     volts = None
     if c.supply_v is not None:

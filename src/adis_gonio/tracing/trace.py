@@ -147,6 +147,7 @@ def trace(
 
 
 def _trace(session: Session, max_effects: int, part: str, request: AskedModel) -> TraceResult:
+    """Trace a session within the time limit that is in force; see `trace` for the parameters."""
     own = part == ACCELEROMETER  # only accelerometer samples are searched inside the dwells
     if own and len([dwell for dwell in session.dwells if len(dwell)]) == 1:
         from adis_gonio.tracing.one_pose import trace_series
@@ -489,6 +490,10 @@ class TraceRun:
         )
 
     def _result(self, **others: Any) -> TraceResult:
+        """Return a result with the steps, errors and fits of the nested models.
+
+        `others` are the remaining fields of `TraceResult`.
+        """
         final, steps = self.final, zip(self.steps, self.figures[1:], strict=True)
         return TraceResult(
             steps=tuple(Step(label, error) for label, error in steps),
@@ -527,10 +532,9 @@ def search_model(
     if spent():
         current().leave_out("the end of the search for effects")
     plain: tuple[Selection, Scatter | None] = (first, None)
-    selection, scatter = attempt(
+    return attempt(
         "scatter from dwell to dwell as a cause", lambda: with_scatter(first, terms, max_effects), plain
     )
-    return selection, scatter
 
 
 def reported_errors(figures: Sequence[ErrorFigures]) -> tuple[float, float] | None:
@@ -691,6 +695,7 @@ def with_positions(result: TraceResult, data: Readings, positions: Diagnosis) ->
 
 
 def _position_advice(positions: Diagnosis) -> tuple[str, ...]:
+    """Return advice to correct declared angles or to repeat positions; empty if no position is wrong."""
     mended = [found.correction for found in positions.findings if found.correction is not None]
     repeated = [str(found.position) for found in positions.findings if found.correction is None]
     said = []

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, central_differences, wrap_degrees
 from adis_gonio.base.errors import AdisGonioError, DataError, FitError, SessionError, UsageError
 from adis_gonio.base.output import ends_in
 from adis_gonio.calibrate.calibration import Calibration, Coefficient, EffectTerm, NotCorrected
@@ -28,7 +28,7 @@ from adis_gonio.calibrate.calibration_document import (
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
-from adis_gonio.fitting.fit_result import as_written, assumed_parameters, known_provenance
+from adis_gonio.fitting.fit_result import as_written, assumed_parameters, known_provenance, outputs_of
 from adis_gonio.fitting.gyros.gyro_fit import (
     GyroEstimates,
     estimates_of_gyro_fit,
@@ -38,8 +38,7 @@ from adis_gonio.fitting.gyros.gyro_fit import (
     stated_parameters,
 )
 from adis_gonio.model.effects import AXES, catalogue, effect
-from adis_gonio.model.measurement import BaseParameter
-from adis_gonio.model.records import MG_PER_G, MG_PER_MPS2, Session
+from adis_gonio.model.records import MG_PER_G, Session
 from adis_gonio.record.provenance import Provenance, provenance_of
 from adis_gonio.tracing.averaging import AveragedFit, AveragedTerm, middle_s
 from adis_gonio.tracing.findings import clock_at_middle, follows_clock
@@ -74,9 +73,7 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
     where = known_provenance(result.provenance)
     if not result.fits:
         raise FitError("one pose determines no calibration: measure at least four positions")
-    if result.stopped is not None and not result.stopped.checked:
-        raise FitError("the time limit ended the trace before its model was checked: trace with more time")
-    final = result.fits[-1]
+    final = _checked_fit(result)
     standing = [
         term
         for term in final.terms
@@ -84,17 +81,21 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
     ]
     others = [term for term in final.terms if term not in standing and not term.constant]
     left = [_reason_not_corrected(term, result, middle_s(final)) for term in others]
-    if result.unnamed is not None and all(term.name is not None for term in final.terms):
-        left.append(NotCorrected(f"unnamed: {result.unnamed.form}", _NAMELESS))
+    left += _unnamed_left(result, _NAMELESS)
     fit, inflation = _refit_without(final, others, result.inflation)
-    named = [term for term in fit.terms if isinstance(term, NamedTerm)]
-    corrected = [term for term in named if term in standing]
-    columns = _Columns(fit)
-    for parameter in fit.data.model.parameters:
-        columns.base(parameter)
-    biased = columns.biases([term for term in named if term.constant])
-    effects = tuple(columns.effect(term) for term in corrected)
-    parameters, matrix = columns.stated(inflation)
+    corrected = [term for term in fit.terms if isinstance(term, NamedTerm) and term in standing]
+    rows, matrix = _stated_with_covariance(fit, corrected, inflation)
+    sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    parameters = tuple(
+        Coefficient(name, value, u if u > 0 else None, unit)
+        for (name, value, unit), u in zip(rows, sizes.tolist(), strict=True)
+    )
+    # The parameters of the effects are last, in the order of the effects.
+    last = iter(parameters[len(rows) - sum(len(term.effect.parameters) for term in corrected) :])
+    effects = tuple(
+        EffectTerm(term.effect, tuple(next(last).name for _ in term.effect.parameters))
+        for term in corrected
+    )
     names = [one.name for one in parameters if one.u is not None]
     return as_written(
         Calibration(
@@ -105,11 +106,25 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
             effects=effects,
             not_corrected=tuple(left),
             assumed=tuple(
-                one for one in assumed_parameters(fit.data.model, [*names, *biased]) if one != "alpha"
+                one for one in assumed_parameters(fit.data.model, [*names, *_biases(fit)]) if one != "alpha"
             ),
             counts_per_mg=None if fit.data.unit.known else tuple(fit.data.unit.per_mg.tolist()),
         )
     )
+
+
+def _checked_fit(result: TraceResult) -> Fit:
+    """Return the fit of the final model; raise `FitError` if the trace ended before it was validated."""
+    if not result.fits or (result.stopped is not None and not result.stopped.checked):
+        raise FitError("the time limit ended the trace before its model was checked: trace with more time")
+    return result.fits[-1]
+
+
+def _unnamed_left(result: TraceResult, reason: str) -> list[NotCorrected]:
+    """Return the unnamed part as not corrected for this reason; empty if a term of the model is unnamed."""
+    if result.unnamed is None or any(term.name is None for term in result.fits[-1].terms):
+        return []
+    return [NotCorrected(f"unnamed: {result.unnamed.form}", reason)]
 
 
 def _may_hold_bias(term: Term, *, biased: bool) -> bool:
@@ -145,114 +160,82 @@ def _refit_without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[F
     return again, max(inflation, misfit)
 
 
-class _Columns:
-    """Collector of a calibration's parameters, each with its gradient by the parameters of a fit.
+def _stated_with_covariance(
+    fit: Fit, corrected: Sequence[NamedTerm], inflation: float
+) -> tuple[list[tuple[str, float, str]], Floats]:
+    """Return the parameters of a calibration as in `_stated`, and their covariance matrix.
 
-    Terms that depend on time alone are evaluated at the middle of the session.
+    `inflation` is the factor on the noise variance.
     """
+    at, covariance = fit.values.parameters, fit.covariance
+    clocks = (follows_clock(term) for term in fit.terms if isinstance(term, AveragedTerm))
+    if isinstance(fit, AveragedFit) and any(clocks):
+        # The reading of an averaged term at the middle of the session follows the parameters.
+        at, covariance = np.concatenate([at, np.zeros(fit.data.axes)]), fit.joint_covariance
 
-    def __init__(self, fit: Fit) -> None:
-        self.fit = fit
-        axes = fit.data.axes
-        self.offset, self._slope = clock_at_middle(fit, np.zeros(axes))
-        self.turn_rad, self.turn_slope = clock_at_middle(fit, np.zeros(axes), turned=True)
-        self.unit = fit.data.unit
-        self.covariance, self.offset_slope = fit.covariance, self._slope
-        clocks = (follows_clock(term) for term in fit.terms if isinstance(term, AveragedTerm))
-        if isinstance(fit, AveragedFit) and any(clocks):
-            # The reading of an averaged term at the middle follows the parameters.
-            self.covariance = fit.joint_covariance
-            self.offset_slope = np.concatenate([self.offset_slope, np.eye(axes)], axis=1)
-        self.rows: list[tuple[str, float, str, Floats]] = []
-        """Name, value, unit and gradient (p,) or (p + axes,) of each collected parameter."""
+    def values(moved: Floats) -> Floats:
+        return np.array([value for _, value, _ in _stated(fit, corrected, moved)])
 
-    def _gain(self, axis: int) -> tuple[float, Floats]:
-        """Return the factor by which terms that depend on time alone change an axis' gain at mid-session.
+    u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    rows = _stated(fit, corrected, at)
+    turned = np.array([name == "alpha" for name, _, _ in rows])
 
-        The second result is its gradient by all parameters of the fit.
-        """
-        ideal_mg = np.zeros(self.fit.data.axes)
-        ideal_mg[axis] = MG_PER_G
-        full, slope = clock_at_middle(self.fit, ideal_mg)
-        factor = 1 + (full[axis] - self.offset[axis]) / MG_PER_G
-        return float(factor), self._padded(slope[axis] - self._slope[axis]) / MG_PER_G
+    def difference(one: Floats, other: Floats) -> Floats:
+        return np.where(turned, wrap_degrees(one - other), one - other)
 
-    def _padded(self, slope: Floats) -> Floats:
-        """Return a gradient with zeros appended for the parameters of the fit that it lacks, (p,)."""
-        return np.pad(slope, (0, len(self.covariance) - len(slope)))
+    slope = central_differences(values, at, np.where(u > 0, 1e-4 * u, 1e-4), subtract=difference)
+    return rows, slope @ covariance @ slope.T * inflation
 
-    def _gradient(self, place: int | None, factor: float = 1.0) -> Floats:
-        gradient = np.zeros(len(self.covariance))
-        if place is not None:
-            gradient[place] = factor
-        return gradient
 
-    def base(self, parameter: BaseParameter) -> None:
-        """Add a base parameter to the collection; the start angle only if the dwells determine it."""
-        k = self.fit.data.model.index(parameter.name)
-        if parameter.name == "alpha" and not self.fit.data.visible[k]:
-            return
-        factor, unit = parameter.per_natural, parameter.unit
-        value = float(self.fit.values.base[k])
-        if parameter.name.startswith("scale") and not self.unit.known:
-            factor = float(self.unit.per_mg[AXES.index(parameter.name[-1])]) * MG_PER_MPS2
-            unit = "counts/(m/s²)"
-        gradient = self._gradient(k, factor)
-        if parameter.name == "alpha":
-            value += float(self.turn_rad)
-            gradient += factor * self._padded(self.turn_slope)
-        elif parameter.name.startswith("scale"):
-            gain, slope = self._gain(AXES.index(parameter.name[-1]))
-            gradient = gain * gradient + value * factor * slope
-            value *= gain
-        stated = parameter.stated(value) if unit == "deg" else value * factor
-        self.rows.append((parameter.name, stated, unit, gradient))
+def _stated(fit: Fit, corrected: Sequence[NamedTerm], at: Floats) -> list[tuple[str, float, str]]:
+    """Return name, value and unit of each parameter of a calibration: base, biases, then effects.
 
-    def biases(self, terms: Sequence[NamedTerm]) -> list[str]:
-        """Add the bias of every axis to the collection; return the names of the biases that were fitted.
+    Terms that depend on time alone are evaluated at the middle of the session. The start angle is omitted
+    if the dwells do not determine it. A bias that was not fitted is zero.
 
-        A bias that was not fitted is zero.
-        """
-        at: dict[str, int] = {}
-        for term in terms:
-            start = self.fit.slice_of(self.fit.terms.index(term)).start
-            at |= {one.name: start + k for k, one in enumerate(term.effect.parameters)}
-        for axis, letter in enumerate(AXES[: self.fit.data.axes]):
-            place = at.get(f"bias_{letter}")
-            factor = float(self.unit.per_mg[axis])
-            value = 0.0 if place is None else float(self.fit.values.parameters[place])
-            stated = float(self.unit.zero[axis]) + (value + float(self.offset[axis])) * factor
-            gradient = self._gradient(place, factor) + factor * self.offset_slope[axis]
-            self.rows.append((f"bias_{letter}", stated, self.unit.name, gradient))
-        return list(at)
-
-    def effect(self, term: NamedTerm) -> EffectTerm:
-        """Add the parameters of an effect to the collection; return the effect with the parameter names."""
-        index = self.fit.terms.index(term)
-        start = self.fit.slice_of(index).start
-        names = []
-        for k, parameter in enumerate(term.effect.parameters):
-            name = parameter.name
-            while name in [row[0] for row in self.rows]:
+    Parameters
+    ----------
+    corrected : sequence of NamedTerm
+        Terms of the effects that the calibration corrects.
+    at : (p,) or (p + axes,) float
+        Values of the fit's parameters. Further values are added to the biases.
+    """
+    p, axes = len(fit.values.parameters), fit.data.axes
+    pieces = np.split(at[:p], [fit.slice_of(k).start for k in range(len(fit.terms))])
+    fit = replace(fit, values=replace(fit.values, base=pieces[0], terms=tuple(pieces[1:])))
+    offset, turn = (clock_at_middle(fit, np.zeros(axes), turned=turned)[0] for turned in (False, True))
+    base, further = fit.values.base.copy(), at[p:] if len(at) > p else np.zeros(axes)
+    names = [parameter.name for parameter in fit.data.model.parameters]
+    for k, name in enumerate(names):
+        if name == "alpha":
+            base[k] += turn
+        elif name.startswith("scale"):
+            axis = AXES.index(name[-1])
+            # Terms that depend on time alone change the gain by this factor.
+            full = clock_at_middle(fit, MG_PER_G * np.eye(axes)[axis])[0]
+            base[k] *= 1 + float(full[axis] - offset[axis]) / MG_PER_G
+    biases = [f"bias_{letter}" for letter in AXES[:axes]]
+    zeros = np.array([_biases(fit).get(name, 0.0) for name in biases]) + offset + further
+    stated = {one.name: one for one in outputs_of(fit.data, np.concatenate([base, zeros]))}
+    shown = [name for name, seen in zip(names, fit.data.visible, strict=True) if seen or name != "alpha"]
+    rows = [(name, stated[name].value, stated[name].unit) for name in (*shown, *biases)]
+    for term in corrected:
+        for one, value in zip(term.effect.parameters, fit.value_of(term).tolist(), strict=True):
+            name = one.name
+            while name in [row[0] for row in rows]:
                 name += "_also"
-            value = float(self.fit.values.terms[index][k])
-            self.rows.append((name, value, parameter.unit, self._gradient(start + k)))
-            names.append(name)
-        return EffectTerm(term.effect, tuple(names))
+            rows.append((name, value, one.unit))
+    return rows
 
-    def stated(self, inflation: float) -> tuple[tuple[Coefficient, ...], Floats]:
-        """Return the collected parameters with uncertainties, and their covariance matrix.
 
-        `inflation` is the factor on the noise variance.
-        """
-        rows = np.stack([gradient for _, _, _, gradient in self.rows])
-        # Covariance of functions of the parameters by their gradients.
-        matrix = rows @ self.covariance @ rows.T * inflation
-        sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-        return tuple(
-            Coefficient(name, value, float(size) if size > 0 else None, unit)
-            for (name, value, unit, _), size in zip(self.rows, sizes, strict=True)
-        ), matrix
+def _biases(fit: Fit) -> dict[str, float]:
+    """Return the biases that were fitted, in mg, by name."""
+    return {
+        one.name: float(value)
+        for term, own in zip(fit.terms, fit.values.terms, strict=True)
+        if isinstance(term, NamedTerm) and term.constant
+        for one, value in zip(term.effect.parameters, own, strict=True)
+    }
 
 
 def _is_corrected(term: NamedTerm, result: TraceResult) -> bool:
@@ -270,6 +253,10 @@ def _is_corrected(term: NamedTerm, result: TraceResult) -> bool:
 
 
 def _reason_not_corrected(term: Term, result: TraceResult, at_s: float) -> NotCorrected:
+    """Return the entry of a calibration that states why it does not correct a term.
+
+    `at_s` is the middle of the session, in s after its start.
+    """
     if follows_clock(term):
         why = _CLOCK if term.name is not None else _NAMELESS
         of = "the start angle is that" if term.enters_angle else "bias and gain are those"
@@ -292,13 +279,10 @@ def estimates_of_gyro_trace(result: TraceResult) -> GyroEstimates:
     FitError
         The trace was not finished.
     """
-    if not result.fits or (result.stopped is not None and not result.stopped.checked):
-        raise FitError("the time limit ended the trace before its model was checked: trace with more time")
-    final = result.fits[-1]
+    final = _checked_fit(result)
     kept = [term for term in final.terms if isinstance(term, NamedTerm) and term.effect.correctable]
     left = [_not_corrected(one, _GYRO_NAMELESS, _GYRO_UNKNOWN) for one in final.terms if one not in kept]
-    if result.unnamed is not None and all(term.name is not None for term in final.terms):
-        left.append(NotCorrected(f"unnamed: {result.unnamed.form}", _GYRO_NAMELESS))
+    left += _unnamed_left(result, _GYRO_NAMELESS)
     doubts = () if result.adequacy != "not adequate" else ("the gyros' trace found its model not adequate",)
     coefficients, matrix = _gyro_stated(final, kept, result.inflation)
     return GyroEstimates(
@@ -438,8 +422,7 @@ def load_calibration(path: str | Path, method: str | None = None) -> Calibration
     from adis_gonio.fitting import fit
     from adis_gonio.record.loading import explain_refusal, load_session
 
-    if ends_in(path, *_FOR_OTHERS):
-        raise DataError(_made_for_others(path))
+    _refuse_made_for_others(path)
     try:
         session = load_session(path)
     except DataError as error:
@@ -468,8 +451,7 @@ def load_gyro_calibration(
     if document is None:
         from adis_gonio.record.loading import load_session
 
-        if ends_in(path, *_FOR_OTHERS):
-            raise DataError(_made_for_others(path))
+        _refuse_made_for_others(path)
         session = load_session(path)
         _refuse_another_part(part, _named(provenance_of(session)), path)
         return gyro_calibration_of(session, traced=traced)
@@ -489,8 +471,9 @@ def load_gyro_calibration(
     return gyro_calibration_from(document, str(path))
 
 
-def _made_for_others(path: str | Path) -> str:
-    return f"{path}: is made for others to read; give a session, or the .json of export"
+def _refuse_made_for_others(path: str | Path) -> None:
+    if ends_in(path, *_FOR_OTHERS):
+        raise DataError(f"{path}: is made for others to read; give a session, or the .json of export")
 
 
 def _named(part: Provenance) -> tuple[str, str]:

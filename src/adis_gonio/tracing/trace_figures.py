@@ -1,13 +1,12 @@
 """Data of the figures of a trace: residual against covariate, before and after each added effect.
 
-For a session of a single pose the points are samples, otherwise dwells.
+The points are dwells; for a single pose, which `one_pose` traces, they are samples.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,9 +14,7 @@ from adis_gonio.base.arrays import Floats, wrap_radians
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
-from adis_gonio.model.effects import AXES, Conditions, catalogue
-from adis_gonio.model.records import Session
-from adis_gonio.tracing.one_pose import series_columns, series_conditions, series_readings
+from adis_gonio.model.effects import AXES, Conditions
 from adis_gonio.tracing.trace_result import TraceResult
 from adis_gonio.tracing.validation import residuals_on
 from adis_gonio.tracing.what_if import WhatIf
@@ -56,8 +53,8 @@ class Panel:
     before: Floats
     after: Floats
     u: Floats
-    check_x: Floats
-    check_after: Floats
+    check_x: Floats = field(default_factory=lambda: np.zeros(0))
+    check_after: Floats = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -135,25 +132,21 @@ def _new_term(before: Fit, after: Fit) -> Term:
 
 
 def _panels(checking: Readings | None, term: Term, before: Fit, after: Fit) -> tuple[Panel, ...]:
+    """Return panels with the residuals of two fits over the covariate of a term, one for each axis.
+
+    `checking` are the readings of check dwells, None without any.
+    """
     data = after.data
     if term.enters_angle and data.planar and data.conditions.angle_rad is not None:
         return (_panel(checking, _covariate(data, term, 0), "angle", before, after),)
-    if not data.by_axis:
-        axes = _axes(term)
-        wanted = dict.fromkeys(_covariate(data, term, axis) for axis in axes)
-        return tuple(_panel(checking, name, "norm", before, after) for name in wanted)
-    return tuple(
-        _panel(checking, _covariate(data, term, axis), f"residual_{AXES[axis]}", before, after)
-        for axis in _axes(term)
-    )
-
-
-def _axes(term: Term) -> list[int]:
-    if isinstance(term, NamelessTerm):
-        return list(term.axes) or [0]
-    if isinstance(term, NamedTerm) and term.effect.axes:
-        return [AXES.index(letter) for letter in term.effect.axes]
-    return [0]
+    axes = term.axes if isinstance(term, NamelessTerm) else ()
+    if isinstance(term, NamedTerm):
+        axes = tuple(AXES.index(letter) for letter in term.effect.axes)
+    wanted = {
+        (_covariate(data, term, axis), f"residual_{AXES[axis]}" if data.by_axis else "norm"): None
+        for axis in axes or (0,)
+    }
+    return tuple(_panel(checking, *one, before, after) for one in wanted)
 
 
 def _covariate(data: Readings, term: Term, axis: int) -> str:
@@ -213,6 +206,10 @@ def _lag(data: Readings, after: Fit) -> Floats:
 
 
 def _panel(checking: Readings | None, covariate: str, quantity: str, before: Fit, after: Fit) -> Panel:
+    """Return one panel; its abscissa is NaN if the covariate was not recorded.
+
+    `checking` are the readings of check dwells, None without any.
+    """
     data = after.data
 
     def abscissa(rows: Readings) -> Floats:
@@ -222,20 +219,11 @@ def _panel(checking: Readings | None, covariate: str, quantity: str, before: Fit
         return np.full(len(rows), np.nan) if found is None else found
 
     was, now = view_residual(before, quantity), view_residual(after, quantity)
-    none = np.zeros(0)
-    check_x, check_now = none, none
-    if checking is not None:
-        check_x, check_now = abscissa(checking), view_residual(after, quantity, checking)
-    return Panel(
-        covariate,
-        quantity,
-        abscissa(data),
-        was,
-        now,
-        view_uncertainty(after, quantity) if data.noise_known else np.full(len(data), np.nan),
-        check_x,
-        check_now,
-    )
+    u = view_uncertainty(after, quantity) if data.noise_known else np.full(len(data), np.nan)
+    panel = Panel(covariate, quantity, abscissa(data), was, now, u)
+    if checking is None:
+        return panel
+    return replace(panel, check_x=abscissa(checking), check_after=view_residual(after, quantity, checking))
 
 
 def view_residual(fit: Fit, quantity: str, others: Readings | None = None) -> Floats:
@@ -298,68 +286,3 @@ def _left(checking: Readings | None, result: TraceResult) -> tuple[Panel, ...]:
         if values is not None and np.ptp(values) > (0.0 if name in unnamed else _LEAST_SPAN.get(name, 0.0)):
             out += [_panel(checking, name, quantity, base, last) for quantity in quantities]
     return tuple(out)
-
-
-def series_views(session: Session, result: TraceResult) -> Views:
-    """Return the data of the figures of a single pose: residuals before and after each added effect."""
-    dwell = next(dwell for dwell in session.dwells if len(dwell))
-    readings = series_readings(session, dwell)
-    conditions = series_conditions(dwell)
-    axes = readings.shape[1]
-    blocks = {finding.effect: series_columns(finding, conditions, axes) for finding in result.found}
-    after = _series_left(readings, list(blocks.values()))
-    steps = []
-    for step in result.steps:
-        if step.effect not in blocks:
-            steps.append(StepView(step.effect, ()))
-            continue
-        before = _series_left(readings, [block for name, block in blocks.items() if name != step.effect])
-        name = (catalogue()[step.effect].covariates or ("time",))[0]
-        x = _series_covariate(conditions, name)
-        if step.effect == "thermal_lag":
-            name, x = "temperature_lag", blocks[step.effect][0][:, 0]
-        steps.append(StepView(step.effect, _series_panels(name, x, before, after), beside_all=True))
-    left: list[Panel] = []
-    base = _series_left(readings, [])
-    for name in ("time", "temperature"):
-        left += _series_panels(name, _series_covariate(conditions, name), base, after)
-    return Views(tuple(steps), tuple(left))
-
-
-def _series_left(readings: Floats, blocks: Sequence[Sequence[Floats]]) -> Floats:
-    """Return the residual (n, axes) of samples after a fit of a constant and of columns for each axis.
-
-    `blocks` has, for each effect, the columns (n, d) of each axis.
-    """
-    left = np.empty_like(readings)
-    for axis in range(readings.shape[1]):
-        design = np.concatenate([np.ones((len(readings), 1)), *(block[axis] for block in blocks)], axis=1)
-        size = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
-        solved = np.linalg.lstsq(design / size, readings[:, axis], rcond=None)[0]
-        left[:, axis] = readings[:, axis] - design / size @ solved
-    return left
-
-
-def _series_covariate(conditions: Conditions, name: str) -> Floats:
-    if name == "temperature" and conditions.temperature_c is not None:
-        return conditions.temperature_c
-    if name == "supply" and conditions.supply_v is not None:
-        return conditions.supply_v
-    return conditions.time_s / 60.0
-
-
-def _series_panels(name: str, x: Floats, before: Floats, after: Floats) -> tuple[Panel, ...]:
-    none = np.zeros(0)
-    return tuple(
-        Panel(
-            name,
-            f"residual_{AXES[k]}",
-            x,
-            before[:, k],
-            after[:, k],
-            np.full(len(x), np.nan),
-            none,
-            none,
-        )
-        for k in range(before.shape[1])
-    )

@@ -32,6 +32,7 @@ from adis_gonio.tracing.within.samples import WithinFinding
 if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration, GyroCalibration
     from adis_gonio.tracing.further_terms import Scored
+    from adis_gonio.tracing.trace_figures import Views
     from adis_gonio.tracing.validation import Fold
     from adis_gonio.tracing.what_if import WhatIf
 
@@ -308,6 +309,9 @@ class TraceResult(ParameterTable):
     fits : tuple of Fit
         Fit of the base model, then of the model after each step; not in the JSON and not compared. Empty
         for a single pose traced sample by sample.
+    views : Views or None
+        Data of the residual figures of a single pose; None for other sessions, whose figures come from
+        `fits`. Not in the JSON and not compared.
     by_terms : callable
         Returns the best model of each number of terms that the search scored, a tuple of `Scored`. Not in
         the JSON and not compared.
@@ -352,6 +356,7 @@ class TraceResult(ParameterTable):
     sets: tuple[CredibleSet, ...] = ()
     measurements: tuple[NextDwell, ...] = ()
     fits: tuple[Fit, ...] = field(default=(), repr=False, compare=False)
+    views: Views | None = field(default=None, repr=False, compare=False)
     by_terms: Callable[[], tuple[Scored, ...]] = field(default=tuple, repr=False, compare=False)
     fold: Fold | None = field(default=None, repr=False, compare=False)
     inflation: float = 1.0

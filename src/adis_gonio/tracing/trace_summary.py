@@ -23,7 +23,7 @@ from adis_gonio.base.uncertainty import Detectable
 from adis_gonio.model.effects import catalogue, effect
 from adis_gonio.model.effects.base import Parameter
 from adis_gonio.model.records import Session
-from adis_gonio.tracing.trace_result import ErrorFigures, Finding, TraceResult
+from adis_gonio.tracing.trace_result import Finding, TraceResult
 
 if TYPE_CHECKING:
     from adis_gonio.tracing.joint_trace import JointResult
@@ -131,16 +131,17 @@ def error_rows(result: TraceResult) -> tuple[list[str], list[list[str]]]:
 
     The base model is first. Columns without values are omitted.
     """
-    rows: list[tuple[str, ErrorFigures]] = [
-        ("base model", result.before),
-        *((f"+ {step.effect}", step.error) for step in result.steps),
-    ]
+    steps = [(f"+ {step.effect}", step.error) for step in result.steps]
+    rows = [("base model", result.before), *steps]
     unit = format_unit(result.before.unit)
     unit = f"({unit})" if "/" in unit else unit
     columns: dict[str, list[float | None]] = {
         f"residual / {unit}": [error.residual_rms for _, error in rows],
         f"left out / {unit}": [error.heldout_rms for _, error in rows],
-        **_by_axis(rows, unit),
+        **{
+            f"{axis} / {unit}": [(error.heldout_by_axis or {}).get(axis) for _, error in rows]
+            for axis in result.before.heldout_by_axis or ()
+        },
         "error of the angle / °": [error.angle_rms_deg for _, error in rows],
         "χ² / dof": [error.chi2_per_dof for _, error in rows],
     }
@@ -149,15 +150,6 @@ def error_rows(result: TraceResult) -> tuple[list[str], list[list[str]]]:
         [name, *(format_number(column[k]) for column in shown.values())] for k, (name, _) in enumerate(rows)
     ]
     return ["model", *shown], cells
-
-
-def _by_axis(rows: Sequence[tuple[str, ErrorFigures]], unit: str) -> dict[str, list[float | None]]:
-    """Return the columns with the held-out error of each axis; empty if not computed by axis.
-
-    `rows` are the errors of each nested model by its name.
-    """
-    each = [error.heldout_by_axis for _, error in rows]
-    return {f"{axis} / {unit}": [(own or {}).get(axis) for own in each] for axis in each[0] or ()}
 
 
 def asked(what_if: WhatIf) -> str:
@@ -351,9 +343,6 @@ def confounded(result: TraceResult, most: int = 4) -> list[str]:
     """
     groups: dict[str, list[str]] = {}
     for names in result.confounded:
-        if len(names) == 1:
-            groups.setdefault(names[0], [])
-            continue
         rest = groups.setdefault(names[0], [])
         rest += [name for name in names[1:] if name not in rest]
     lines = []
@@ -484,6 +473,7 @@ def advice(result: TraceResult) -> Sequence[str]:
 
 
 def _reason(reason: str) -> str:
+    """Return in words why an effect cannot show; names of recorded fields are replaced by usual words."""
     if reason == _IN_SAMPLES:
         return "they change the samples of a dwell, which this session does not hold"
     words = {
@@ -497,10 +487,8 @@ def _reason(reason: str) -> str:
         "rate_dps": "turns between dwells",
         "rate_dps, temperature_c": "turns between dwells, or the temperature,",
     }
-    for field, word in words.items():
-        if reason == f"{field} not recorded":
-            return f"{word} not recorded"
-    return reason.replace("_", " ")
+    field = reason.removesuffix(" not recorded")
+    return f"{words[field]} not recorded" if field in words else reason.replace("_", " ")
 
 
 def _parameter(name: str, entry: Detectable) -> Parameter | None:
@@ -513,7 +501,5 @@ def _parameter(name: str, entry: Detectable) -> Parameter | None:
     except AdisGonioError:
         return None
     stem = entry.parameter.rsplit("_", 1)[0]
-    for parameter in made.parameters:
-        if parameter.name == entry.parameter:
-            return parameter
-    return next((p for p in made.parameters if p.name.rsplit("_", 1)[0] == stem), None)
+    alike = [p for p in made.parameters if p.name.rsplit("_", 1)[0] == stem]
+    return next((p for p in alike if p.name == entry.parameter), alike[0] if alike else None)

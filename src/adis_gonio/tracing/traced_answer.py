@@ -16,7 +16,7 @@ from adis_gonio.base.uncertainty import Value, factor_over
 from adis_gonio.fitting.answer import Answer, with_notes
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.fit_result import FitResult
+from adis_gonio.fitting.fit_result import FitResult, outputs_of
 from adis_gonio.fitting.method_comparison import (
     DwellPrediction,
     Recommendation,
@@ -264,12 +264,13 @@ def _covariance(fit: Fit) -> Floats | None:
 
 
 def _gradients(fit: Fit) -> dict[str, Floats]:
-    base = fit.values.base
-    eye = np.eye(len(fit.values.parameters))
-    x, y = fit.data.model.index("scale_x"), fit.data.model.index("scale_y")
+    """Return the gradients (p,) of `delta_k` and `delta_phi` (in degrees) by all parameters of a fit."""
+    width, base = len(fit.values.parameters), fit.values.base
+    outputs = outputs_of(fit.data, np.concatenate([base, np.zeros(fit.data.axes)]))
     return {
-        "delta_k": eye[x] / base[y] - eye[y] * base[x] / base[y] ** 2,
-        "delta_phi": np.degrees(eye[fit.data.model.index("delta_phi")]),
+        one.name: np.pad(one.gradient[: len(base)], (0, width - len(base)))
+        for one in outputs
+        if one.name in {"delta_k", "delta_phi"}
     }
 
 

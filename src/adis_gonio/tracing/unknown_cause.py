@@ -43,7 +43,7 @@ def beside_unknown_cause(selection: Selection, max_terms: int) -> Selection:
     features = unknown_features(selection.fit)
     best = selection.verdict.best
     model: Model = tuple(k for k in best if problem.terms[k].constant)
-    for _ in range(2):  # the size beside the bias alone, then beside the best model
+    for _ in range(2):  # the size in addition to the bias alone, then to the best model
         beside = problem.with_covariance(features * likeliest_size(problem, model, features))
         found = search(beside, max_terms)
         model = found.best

@@ -480,19 +480,11 @@ def figures_of_fit(fit: Fit, measured: Readings, left: Sequence[HeldOut]) -> Err
 def heldout_errors(data: Readings, left: Sequence[HeldOut]) -> dict[str, Any]:
     """Return the figures of `ErrorFigures` that follow from the residuals on held-out dwells."""
     turned = [part.angle_rad for part in left if part.angle_rad is not None]
-    return {
-        "heldout_rms": _heldout(left, data),
-        "angle_rms_deg": rms_deg(turned),
-        "heldout_by_axis": _by_axis(data, [part.residual for part in left]),
-    }
-
-
-def _by_axis(data: Readings, residual: Sequence[Floats]) -> dict[str, float] | None:
-    """Return the held-out error of each axis; None if the axes share an unknown attitude."""
-    if data.model.freedom or not residual:
-        return None
-    each = np.sqrt((np.concatenate(residual) ** 2).mean(axis=0))
-    return {AXES[k]: float(value) for k, value in enumerate(each)}
+    errors: dict[str, Any] = {"heldout_rms": _heldout(left, data), "angle_rms_deg": rms_deg(turned)}
+    if left and not data.model.freedom:  # with freedom the axes share an unknown attitude
+        each = np.sqrt((np.concatenate([part.residual for part in left]) ** 2).mean(axis=0))
+        errors["heldout_by_axis"] = {AXES[k]: float(value) for k, value in enumerate(each)}
+    return errors
 
 
 def _keep_effects(fit: Fit) -> Callable[[Readings], Chosen]:

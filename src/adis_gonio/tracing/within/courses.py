@@ -13,7 +13,7 @@ correlated within dwells (sandwich estimator, one cluster per dwell).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,30 +47,58 @@ _ROUNDING_MG = 1e-9
 
 
 @dataclass(frozen=True)
-class _Candidate:
-    """A time course (line or exponential) of the samples of one axis, with its test over all dwells.
+class Course:
+    """A time course (line or exponential) of the samples, fitted to all dwells on every axis.
 
     Attributes
     ----------
-    axis : int
-        Index of the axis.
     tau : float or None
         Time constant in s of an exponential; None for a line.
     by_move : bool
         True if the amplitude is proportional to the change of the reading in the preceding move, False if
         it is equal in all dwells.
-    p_value : float
-        p-value, corrected for the number of tests.
+    slope : (axes,) float
+        Amplitude, in units of the factor to which it is proportional.
+    energy : (axes,) float
+        Sum of squares of the course in all dwells, for unit amplitude.
+    noise : (axes,) float
+        Variance from dwell to dwell of the projection on the course, in mg².
+    p_value : (axes,) float
+        p-value of the t-test over the dwells, not corrected; 1 on an axis whose factor is zero.
     """
 
-    axis: int
     tau: float | None
     by_move: bool
-    p_value: float
-    explained: float
-    """Sum of squares in mg² that the course explains."""
-    noise: float
-    """Variance from dwell to dwell of the projection on the course, in mg²."""
+    slope: Floats
+    energy: Floats
+    noise: Floats
+    p_value: Floats
+
+    @classmethod
+    def of(cls, samples: Samples, usable: Usable, tau: float | None, by_move: bool) -> Course:
+        """Fit a course to the projections of the dwells that are `usable` (d,), a mask."""
+        z, norm = np.zeros((len(samples), samples.axes)), np.zeros(len(samples))
+        for k in np.flatnonzero(usable).tolist():
+            course = _shape(samples.elapsed_s(k), tau)
+            course = course - course.mean()
+            norm[k] = np.sqrt(course @ course)
+            if norm[k] > 0:
+                z[k] = course @ samples.values[k] / norm[k]
+        # Regression of the projections z on the regressor, without a constant.
+        g = norm[:, None] * _regressor(samples, by_move)
+        energy = (g**2).sum(axis=0)
+        alive = energy > 1e-12 * float((norm**2).sum())
+        slope = np.where(alive, (g * z).sum(axis=0) / np.where(alive, energy, 1.0), 0.0)
+        dof = int(usable.sum()) - 1
+        # Dwells in which the regressor is zero do not influence the slope, but show the scatter.
+        noise = np.maximum(((z - g * slope)[usable] ** 2).sum(axis=0) / dof, _ROUNDING_MG**2)
+        p = np.where(alive, 2 * special.stdtr(dof, -np.abs(slope) * np.sqrt(energy / noise)), 1.0)
+        return cls(tau, by_move, slope, energy, noise, p)
+
+    @property
+    def explained(self) -> Floats:
+        """Sum of squares (axes,) in mg² that the course explains."""
+        return self.slope**2 * self.energy
 
 
 def courses(samples: Samples, most: int = 2) -> tuple[list[WithinFinding], Samples]:
@@ -86,19 +114,19 @@ def courses(samples: Samples, most: int = 2) -> tuple[list[WithinFinding], Sampl
         best = _best(samples, usable)
         if best is None:
             break
-        finding, samples = _fit_course(samples, usable, best)
+        finding, samples = _fit_course(samples, usable, *best)
         found.append(finding)
     return found, samples
 
 
-def _regressors(samples: Samples) -> Floats:
-    """Return the two factors (2, d, axes) to which a slope or settling may be proportional.
+def _regressor(samples: Samples, by_move: bool) -> Floats:
+    """Return the factor (d, axes) to which a slope or settling is proportional in each dwell.
 
-    In each dwell and axis the first is 1, the second is the change of the axis's reading in g since the
-    dwell before.
+    It is the change of the axis's reading in g since the dwell before if `by_move`, else 1.
     """
-    change = np.diff(samples.reading, axis=0, prepend=samples.reading[:1]) / MG_PER_G
-    return np.stack([np.ones_like(change), change])
+    if not by_move:
+        return np.ones_like(samples.reading)
+    return np.diff(samples.reading, axis=0, prepend=samples.reading[:1]) / MG_PER_G
 
 
 def grid(samples: Samples, usable: Usable) -> list[float | None]:
@@ -114,165 +142,115 @@ def grid(samples: Samples, usable: Usable) -> list[float | None]:
     return [None, *np.geomspace(shortest, _LONGEST * longest, _TAUS).tolist()]
 
 
-def _course(elapsed_s: Floats, tau: float | None) -> Floats:
+def _shape(elapsed_s: Floats, tau: float | None) -> Floats:
     """Return the course (n,): an exponential decay by `tau` in s; if `tau` is None the elapsed time."""
     return elapsed_s if tau is None else np.exp(-elapsed_s / tau)
 
 
-def projections(samples: Samples, usable: Usable, tau: float | None) -> tuple[Floats, Floats]:
-    """Return the projections (d, axes) of the samples of each dwell on a time course, and its norms (d,).
+def _best(samples: Samples, usable: Usable) -> tuple[Course, int, float] | None:
+    """Return the significant course that explains most variance, its axis and its corrected p-value.
 
-    `usable` (d,) is True for the dwells with at least `LEAST_SAMPLES` samples. The course is an exponential
-    with the time constant `tau` in s, or a line if `tau` is None. A projection is the amplitude of the
-    course times its norm.
-    """
-    z, norm = np.zeros((len(samples), samples.axes)), np.zeros(len(samples))
-    for k in np.flatnonzero(usable).tolist():
-        course = _course(samples.elapsed_s(k), tau)
-        course = course - course.mean()
-        norm[k] = np.sqrt(course @ course)
-        if norm[k] > 0:
-            z[k] = course @ samples.values[k] / norm[k]
-    return z, norm
-
-
-def _best(samples: Samples, usable: Usable) -> _Candidate | None:
-    """Return the slope or settling that explains most variance; None if none is significant.
-
-    `usable` (d,) is True for the dwells with at least `LEAST_SAMPLES` samples.
+    The result is None if no slope or settling is significant on any axis. `usable` (d,) is True for the
+    dwells with at least `LEAST_SAMPLES` samples.
     """
     taus = grid(samples, usable)
-    kinds = _regressors(samples)
     tests = len(taus) * 2 * samples.axes
-    best: _Candidate | None = None
-    line: _Candidate | None = None
-    for tau in taus:
-        z, norm = projections(samples, usable, tau)
-        for by_move in (False, True):
-            # Regression of the projections z on the regressor, without a constant.
-            g = norm[:, None] * kinds[int(by_move)]
-            energy = (g**2).sum(axis=0)
-            alive = energy > 1e-12 * float((norm**2).sum())
-            slope = np.where(alive, (g * z).sum(axis=0) / np.where(alive, energy, 1.0), 0.0)
-            dof = int(usable.sum()) - 1
-            # Dwells in which the regressor is zero do not influence the slope, but show the scatter.
-            residual = np.maximum(((z - g * slope)[usable] ** 2).sum(axis=0) / dof, _ROUNDING_MG**2)
-            t = slope * np.sqrt(energy / residual)
-            for axis in range(samples.axes):
-                if not alive[axis]:
-                    continue
-                p = corrected(2 * float(special.stdtr(dof, -abs(t[axis]))), tests)
-                explained = float(slope[axis] ** 2 * energy[axis])
-                if p >= FOUND_WITHIN:
-                    continue
-                own = _Candidate(axis, tau, by_move, p, explained, float(residual[axis]))
-                if best is None or explained > best.explained:
-                    best = own
-                if tau is None and (line is None or explained > line.explained):
-                    line = own
+    found = [
+        (course, axis, p)
+        for course in (Course.of(samples, usable, tau, by) for tau in taus for by in (False, True))
+        for axis in range(samples.axes)
+        if (p := corrected(float(course.p_value[axis]), tests)) < FOUND_WITHIN
+    ]
+    if not found:
+        return None
+
+    def explained(one: tuple[Course, int, float]) -> float:
+        return float(one[0].explained[one[1]])
+
+    best = max(found, key=explained)
+    line = max((one for one in found if one[0].tau is None), key=explained, default=best)
     # An exponential has one more parameter: a line is preferred unless the exponential explains much more.
-    if best is not None and line is not None and best.explained - line.explained < _BENT * best.noise:
-        return line
-    return best
+    more = explained(best) - explained(line)
+    return line if more < _BENT * float(best[0].noise[best[1]]) else best
 
 
-def _fit_course(samples: Samples, usable: Usable, best: _Candidate) -> tuple[WithinFinding, Samples]:
-    weight = _regressors(samples)[int(best.by_move)]
+def _fit_course(
+    samples: Samples, usable: Usable, best: Course, axis: int, p_value: float
+) -> tuple[WithinFinding, Samples]:
+    """Fit the time constant of a course on all axes that show it; return finding and samples without it.
+
+    `axis` is the axis on which the course was found, with its corrected p-value.
+    """
+    weight = _regressor(samples, best.by_move)
     dwells = np.flatnonzero(usable).tolist()
     times = {k: samples.elapsed_s(k) for k in dwells}
     centred = {k: samples.values[k] - samples.values[k].mean(axis=0) for k in dwells}
-    axes = _significant_axes(samples, usable, best)
-
-    def amplitudes(tau: float | None) -> tuple[Floats, float]:
-        z, norm = projections(samples, usable, tau)
-        g = norm[:, None] * weight
-        energy = np.maximum((g**2).sum(axis=0), 1e-300)
-        slope = (g * z).sum(axis=0) / energy
-        return slope, float((slope[axes] ** 2 * energy[axes]).sum())
-
+    shown = best.p_value < FOUND_WITHIN / samples.axes
+    axes = [k for k in range(samples.axes) if k == axis or shown[k]]
     tau = best.tau
     if tau is not None:
         length = float(np.median([times[k][-1] for k in dwells]))
         search = optimize.minimize_scalar(
-            lambda log_tau: -amplitudes(float(np.exp(log_tau)))[1],
+            lambda log_tau: (
+                -float(
+                    Course.of(samples, usable, float(np.exp(log_tau)), best.by_move).explained[axes].sum()
+                )
+            ),
             bounds=(np.log(samples.period_s), np.log(3 * length)),
             method="bounded",
             options={"xatol": 1e-4},
         )
         tau = float(np.exp(search.x))
-    slope, _ = amplitudes(tau)
-    shape = 0 if tau is None else 1
-    size = len(axes) + shape
+    fitted = Course.of(samples, usable, tau, best.by_move)
+    size = len(axes) + (tau is not None)
     normal, meat = np.zeros((size, size)), np.zeros((size, size))
     values = list(samples.values)
-    shifts = np.zeros((len(samples), samples.axes))
     for k in dwells:
-        course = _course(times[k], tau)
-        shifts[k] = slope * weight[k] * (course.mean() if tau is not None else 0.0)
-        offset = course - course.mean()
+        course = _shape(times[k], tau)
+        offset, own = course - course.mean(), weight[k, axes]
+        taken = fitted.slope[axes] * own
         jacobian = np.zeros((len(course), len(axes), size))
-        for j, axis in enumerate(axes):
-            jacobian[:, j, j] = offset * weight[k, axis]
-            if tau is not None:
-                # Derivative of exp(−t/τ) by τ.
-                bend = course * times[k] / tau**2
-                jacobian[:, j, -1] = slope[axis] * weight[k, axis] * (bend - bend.mean())
-        residual = centred[k][:, axes] - offset[:, None] * (slope * weight[k])[axes]
+        jacobian[:, range(len(axes)), range(len(axes))] = offset[:, None] * own
+        if tau is not None:
+            # Derivative of exp(−t/τ) by τ.
+            bend = course * times[k] / tau**2
+            jacobian[:, :, -1] = taken * (bend - bend.mean())[:, None]
+        residual = centred[k][:, axes] - offset[:, None] * taken
         # One score per dwell: its outer products sum to the middle of the sandwich.
         score = np.einsum("naj,na->j", jacobian, residual)
         normal += np.einsum("naj,nai->ji", jacobian, jacobian)
         meat += np.outer(score, score)
-        taken = np.zeros(samples.axes)
-        taken[axes] = (slope * weight[k])[axes]
-        values[k] = values[k] - offset[:, None] * taken
+        values[k] = values[k].copy()
+        values[k][:, axes] -= offset[:, None] * taken
     inverse = np.linalg.pinv(normal)
     d = len(dwells)
     covariance = inverse @ meat @ inverse * d / max(d - size, 1)
     u = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    finding = _finding(samples, best, tau, slope, u, axes, dwells, shifts, weight)
-    return finding, samples.with_values(values)
-
-
-def _significant_axes(samples: Samples, usable: Usable, best: _Candidate) -> list[int]:
-    """Return the axes with a slope or settling: the axis of `best`, and others on which it is significant.
-
-    `usable` (d,) is True for the dwells with at least `LEAST_SAMPLES` samples.
-    """
-    z, norm = projections(samples, usable, best.tau)
-    g = norm[:, None] * _regressors(samples)[int(best.by_move)]
-    energy = np.maximum((g**2).sum(axis=0), 1e-300)
-    slope = (g * z).sum(axis=0) / energy
-    dof = int(usable.sum()) - 1
-    residual = ((z - g * slope)[usable] ** 2).sum(axis=0) / dof
-    p = 2 * special.stdtr(dof, -np.abs(slope) * np.sqrt(energy / np.maximum(residual, 1e-300)))
-    return [
-        axis for axis in range(samples.axes) if axis == best.axis or p[axis] < FOUND_WITHIN / samples.axes
-    ]
+    finding = _finding(samples, fitted, u, axes, dwells)
+    view = _view(samples, fitted, axis, dwells)
+    return replace(finding, p_value=p_value, view=view), samples.with_values(values)
 
 
 def _finding(
-    samples: Samples,
-    best: _Candidate,
-    tau: float | None,
-    slope: Floats,
-    u: Floats,
-    axes: list[int],
-    dwells: list[int],
-    shifts: Floats,
-    weight: Floats,
+    samples: Samples, fitted: Course, u: Floats, axes: list[int], dwells: list[int]
 ) -> WithinFinding:
+    """Return the finding of a fitted course, without its p-value and its figure.
+
+    `u` are the standard uncertainties of the amplitudes on these `axes`, then of the time constant if the
+    course has one.
+    """
+    tau, slope, weight = fitted.tau, fitted.slope, _regressor(samples, fitted.by_move)
     letters = tuple(samples.letters[axis] for axis in axes)
     stem = "drift" if tau is None else "settling"
     unit = "mg/s" if tau is None else "mg"
-    if best.by_move:
+    if fitted.by_move:
         stem, unit = f"{stem}_per_g", unit.replace("mg", "mg/g", 1)
     parameters = {
         f"{stem}_{letter}": Value(float(slope[axis]), float(u[j]), unit)
         for j, (axis, letter) in enumerate(zip(axes, letters, strict=True))
     }
     sizes = ", ".join(f"{letter} {parameters[f'{stem}_{letter}']}" for letter in letters)
-    by = ", in proportion to the change of the axis' own reading before" if best.by_move else ""
-    positions = tuple(int(samples.position[k]) for k in dwells)
+    by = ", in proportion to the change of the axis' own reading before" if fitted.by_move else ""
     advice = ""
     places: tuple[Place, ...] = ()
     if tau is None:
@@ -284,6 +262,8 @@ def _finding(
     else:
         parameters["tau"] = Value(tau, float(u[-1]), "s")
         largest = float(np.abs(slope[axes] * weight[dwells][:, axes]).max())
+        means = np.array([_shape(samples.elapsed_s(k), tau).mean() for k in dwells])
+        shifts = slope * weight[dwells] * means[:, None]
         shift = float(np.abs(shifts[:, axes]).max())
         needed = _waiting_time(samples, largest, tau)
         sentence = (
@@ -294,22 +274,21 @@ def _finding(
             wait = format_number(needed, 2)
             advice = f"wait {wait} s longer after each move before recording: the dwells settle"
         places = tuple(
-            samples.place(k, axis, slope[axis] * weight[k, axis], at=0, shift=float(shifts[k, axis]))
-            for k in dwells
+            samples.place(k, axis, slope[axis] * weight[k, axis], at=0, shift=float(moved[axis]))
+            for k, moved in zip(dwells, shifts, strict=True)
             for axis in axes
-            if best.by_move
+            if fitted.by_move
         )
     return WithinFinding(
         kind="drift" if tau is None else "settling",
-        effect=None if tau is None or best.by_move else "settling",
+        effect=None if tau is None or fitted.by_move else "settling",
         axes=letters,
-        positions=positions,
+        positions=tuple(samples.position[dwells].tolist()),
         parameters=parameters,
-        p_value=best.p_value,
+        p_value=1.0,
         sentence=sentence,
         places=places,
         advice=advice,
-        view=_view(samples, best, tau, float(slope[best.axis]), weight[:, best.axis], dwells),
     )
 
 
@@ -329,27 +308,21 @@ def _waiting_time(samples: Samples, amplitude: float, tau: float) -> float:
     return tau * float(np.log(excess)) if excess > 1 else 0.0
 
 
-def _view(
-    samples: Samples, best: _Candidate, tau: float | None, slope: float, weight: Floats, dwells: list[int]
-) -> View:
-    """Return the figure of a slope or settling: mean over the dwells, in at most `_POINTS` points, and fit.
-
-    `tau` is the time constant in s (None for a line), `slope` the fitted amplitude, `weight` (d,) the
-    factor to which each dwell's amplitude is proportional.
-    """
+def _view(samples: Samples, fitted: Course, axis: int, dwells: list[int]) -> View:
+    """Return the figure of a course on one axis: mean over the dwells, in `_POINTS` points, and fit."""
+    weight = _regressor(samples, fitted.by_move)[:, axis]
     length = min(len(samples.values[k]) for k in dwells)
     norm = float((weight[dwells] ** 2).sum())
     # Least-squares course: each dwell weighted by its regressor.
     mean = sum(
-        weight[k] * (samples.values[k][:length, best.axis] - samples.values[k][:, best.axis].mean())
-        for k in dwells
+        weight[k] * (samples.values[k][:length, axis] - samples.values[k][:, axis].mean()) for k in dwells
     ) / max(norm, 1e-300)
     first = max(dwells, key=lambda k: len(samples.values[k]) == length)
     x, y = neighbour_means(_POINTS, samples.elapsed_s(first)[:length], np.asarray(mean))
-    whole = _course(samples.elapsed_s(first), tau)
-    model = slope * (_course(x, tau) - whole.mean())
-    letter = samples.letters[best.axis]
-    unit = "mg/g" if best.by_move else "mg"
+    whole = _shape(samples.elapsed_s(first), fitted.tau)
+    model = fitted.slope[axis] * (_shape(x, fitted.tau) - whole.mean())
+    letter = samples.letters[axis]
+    unit = "mg/g" if fitted.by_move else "mg"
     return View(
         x,
         y,

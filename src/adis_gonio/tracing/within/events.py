@@ -13,22 +13,24 @@ A significant dwell is described by the form with the smallest residual: a step,
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import special
 
 from adis_gonio.base.arrays import MAD_TO_SD, Floats
 from adis_gonio.base.numbers import format_number
 from adis_gonio.base.uncertainty import FOUND_WITHIN
 from adis_gonio.tracing.within.samples import (
+    SEARCHES,
     Place,
     Samples,
     View,
     WithinFinding,
     axes_and_positions,
-    corrected,
     deviation,
     neighbour_means,
     positions_text,
@@ -50,54 +52,104 @@ _CLEAR = 4.0
 _POINTS = 300
 
 
+Form = Literal["step", "drift", "settling", "disturbance"]
+
+
 @dataclass(frozen=True)
 class _Scale:
     """Differences between the means of neighbouring stretches of samples, for one length of stretch.
 
     The length is a fixed number of samples or, on the last scale, half of each dwell.
-    """
-
-    differences: list[Floats]
-    """For each dwell the differences (m, axes), divided by their standard deviation for white noise."""
-    places: list[Floats]
-    """For each dwell the number (m,) of the first sample in the later of the two stretches."""
-    independent: Floats
-    """Number of independent differences in each dwell, (d,)."""
-
-
-_Form = Literal["step", "drift", "settling", "disturbance"]
-
-
-@dataclass(frozen=True)
-class _Look:
-    """The most significant difference of means in each dwell and axis, over all lengths of stretches.
 
     Attributes
     ----------
-    place : (d, axes) float
+    dwells : (m,) int
+        Indices of the dwells that are long enough.
+    places : m arrays (j,)
+        Number of the first sample in the later of the two stretches; the first is the length of a stretch.
+    differences : m arrays (j, axes)
+        Differences, divided by their standard deviation for white noise.
+    """
+
+    dwells: NDArray[np.intp]
+    places: list[NDArray[np.intp]]
+    differences: list[Floats]
+
+    @property
+    def stretch(self) -> Floats:
+        """Length (m,) of a stretch in samples."""
+        return np.array([float(own[0]) for own in self.places])
+
+
+@dataclass(frozen=True)
+class _Looks:
+    """The largest difference of means in each dwell and axis, on each of s scales.
+
+    Attributes
+    ----------
+    p_value : (s, d, axes) float
+        p-value of the difference, corrected for the number of tests; 1 if the dwell is too short.
+    place : (s, d, axes) int
         Number of the first sample in the later of the two stretches.
-    stretch : (d, axes) float
-        Length of the stretches in samples.
+    height_mg : (s, d, axes) float
+        Later minus earlier mean.
+    spread : (s, d, axes) float
+        Standard deviation of the differences of the scale.
+    stretch : (s, d) float
+        Length of a stretch in samples; 0 if the dwell is too short.
     unit : (d, axes) float
         Divisor of the samples in mg: the scatter of the dwell on an axis whose scatter differs between
         dwells, otherwise 1.
     """
 
-    place: Floats
+    p_value: Floats
+    place: NDArray[np.intp]
+    height_mg: Floats
+    spread: Floats
     stretch: Floats
-    difference_mg: Floats
-    """Later minus earlier mean (d, axes) in mg."""
-    noise: list[tuple[Floats, Floats]]
-    """For each scale: lengths of stretches (d,), and standard deviations (d, axes) of its differences."""
     unit: Floats
+
+    @classmethod
+    def of(cls, samples: Samples, scales: Sequence[_Scale], unit: Floats) -> _Looks:
+        """Return the test of the largest differences on these scales; `unit` is as in the class."""
+        shape = len(scales), len(samples), samples.axes
+        looks = cls(
+            p_value=np.ones(shape),
+            place=np.zeros(shape, dtype=np.intp),
+            height_mg=np.zeros(shape),
+            spread=np.zeros(shape),
+            stretch=np.zeros(shape[:2]),
+            unit=unit,
+        )
+        # If the noise is below the converter's step, a mean may be wrong by half a step.
+        scatter = np.array([rows.std(axis=0) for rows in samples.values])
+        coarse = np.where(scatter < _LIVELY * samples.quantum, 0.5 * samples.quantum / unit, 0.0)
+        tests = sum(len(rows) for scale in scales for rows in scale.differences) * samples.axes
+        for k, scale in enumerate(scales):
+            own, half = scale.dwells, np.sqrt(scale.stretch / 2)[:, None]
+            at = np.array([np.abs(rows).argmax(axis=0) for rows in scale.differences])
+            peaks = zip(scale.differences, at, strict=True)
+            highest = np.array([rows[m, range(samples.axes)] for rows, m in peaks])
+            largest = np.maximum(np.abs(highest) - coarse[own] * half, 0.0)
+            p, looks.spread[k, own] = _judge(scale, samples.counts[own], largest)
+            p = np.minimum(1.0, 2 * p * max(tests, 1) * SEARCHES)
+            looks.p_value[k, own] = np.where(largest > 0, p, 1.0)
+            looks.place[k, own] = [places[m] for places, m in zip(scale.places, at, strict=True)]
+            # Back to the difference of two means in mg.
+            looks.height_mg[k, own] = highest / half * unit[own]
+            looks.stretch[k, own] = scale.stretch
+        return looks
 
     def u_mg(self, dwell: int, axis: int, stretch: float) -> float:
         """Return the standard uncertainty in mg of the difference between the means of two stretches.
 
         A stretch is a run of `stretch` samples. `dwell` and `axis` are indices.
         """
-        best = min(self.noise, key=lambda one: abs(np.log(max(one[0][dwell], 1e-9) / stretch)))
-        return float(best[1][dwell, axis] * np.sqrt(2 / max(best[0][dwell], 1.0)) * self.unit[dwell, axis])
+        lengths = np.maximum(self.stretch[:, dwell], 1e-9)
+        k = int(np.abs(np.log(lengths / stretch)).argmin())
+        return float(
+            self.spread[k, dwell, axis] * np.sqrt(2 / max(lengths[k], 1.0)) * self.unit[dwell, axis]
+        )
 
 
 def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFinding]:
@@ -116,210 +168,160 @@ def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFindin
     for axis in unlike:
         unit[:, axis] = [max(float(rows[:, axis].std()), 1e-12) for rows in samples.values]
     scales = _scales(samples, unit, max(_SHORTEST, 2 * reach))
-    tests = sum(sum(len(own) for own in scale.differences) for scale in scales) * samples.axes
-    p = np.ones((len(samples), samples.axes))
-    look = _Look(np.zeros_like(p), np.ones_like(p), np.zeros_like(p), [], unit)
-    # If the noise is below the converter's step, a mean may be wrong by half a step.
-    spread = np.array([rows.std(axis=0) for rows in samples.values])
-    coarse = np.where(spread < _LIVELY * samples.quantum, 0.5 * samples.quantum / unit, 0.0)
-    for scale in scales:
-        _judge(scale, coarse, tests, p, look)
-    flagged = np.argwhere(p < FOUND_WITHIN)
-    described = [_describe(samples, int(k), int(axis), look) for k, axis in flagged]
+    if not scales:
+        return []
+    looks = _Looks.of(samples, scales, unit)
+    p = looks.p_value.min(axis=0)
+    described = [
+        (k, axis, *_describe(samples, k, axis, looks)) for k, axis in np.argwhere(p < FOUND_WITHIN).tolist()
+    ]
     found = []
-    for kind in get_args(_Form):
-        chosen = [
-            (k, axis, place, model)
-            for (k, axis), (own, place, model) in zip(flagged.tolist(), described, strict=True)
-            if own == kind
-        ]
+    for form in get_args(Form):
+        chosen = [(k, axis, place, model) for k, axis, own, place, model in described if own == form]
         if chosen:
             least = min(float(p[k, axis]) for k, axis, _, _ in chosen)
-            found.append(_finding(samples, kind, chosen, least))
+            found.append(_finding(samples, form, chosen, least))
     return found
 
 
-def _scales(samples: Samples, unit: Floats, reach: int) -> list[_Scale]:
-    counts = samples.counts
+def _scales(samples: Samples, unit: Floats, shortest: int) -> list[_Scale]:
+    """Return the differences on all scales; the length of a stretch doubles from `shortest` samples on."""
     sums = [
         np.concatenate(
             [np.zeros((1, samples.axes)), np.cumsum((rows - rows.mean(axis=0)) / unit[k], axis=0)]
         )
         for k, rows in enumerate(samples.values)
     ]
-    longest = int(counts.max())
-    lengths: list[int | None] = []
-    length = reach
-    while 3 * length <= longest:
-        lengths.append(length)
-        length *= 2
-    lengths.append(None)
+    counts = samples.counts
+    doublings = range(max(int(counts.max()) // (3 * shortest), 0).bit_length())
     scales = []
-    for chosen in lengths:
-        differences, places = [], []
-        independent = np.zeros(len(samples))
-        for k, total in enumerate(sums):
-            n = int(counts[k])
-            own = n // 2 if chosen is None else chosen
-            if n < _LEAST_SAMPLES or 2 * own > n:
-                differences.append(np.zeros((0, samples.axes)))
-                places.append(np.zeros(0))
-                continue
+    for length in (*(shortest << j for j in doublings), None):
+        stretch = counts // 2 if length is None else np.full(len(samples), length)
+        dwells = np.flatnonzero((counts >= _LEAST_SAMPLES) & (2 * stretch <= counts))
+        places, differences = [], []
+        for k in dwells.tolist():
             # Adjacent stretches of `own` samples at every quarter of a stretch; sums from cumulative sums.
-            middle = np.arange(own, n - own + 1, max(1, own // 4))
-            before = total[middle] - total[middle - own]
-            after = total[middle + own] - total[middle]
-            differences.append((after - before) / np.sqrt(2 * own))
-            places.append(middle.astype(float))
-            independent[k] = max(1.0, n / (2 * own))
-        if independent.sum() > 2:
-            scales.append(_Scale(differences, places, independent))
+            own, total = int(stretch[k]), sums[k]
+            middle = np.arange(own, counts[k] - own + 1, max(1, own // 4))
+            change = total[middle + own] - 2 * total[middle] + total[middle - own]
+            places.append(middle)
+            differences.append(change / np.sqrt(2 * own))
+        scale = _Scale(dwells, places, differences)
+        if dwells.size and _places_apart(scale, counts[dwells]).sum() > 2:
+            scales.append(scale)
     return scales
 
 
-def _judge(scale: _Scale, coarse: Floats, tests: float, p: Floats, look: _Look) -> None:
-    """Test the differences on one scale; lower the larger p-values in `p` (d, axes) to its values.
+def _places_apart(scale: _Scale, counts: NDArray[np.intp]) -> Floats:
+    """Return the number (m,) of independent differences in each dwell for white noise, at least 1."""
+    return np.maximum(1.0, counts / (2 * scale.stretch))
 
-    `coarse` (d, axes) is the error of a mean by the converter's step, `tests` the number of tests; `look`
-    gets the differences with the lowest p-values.
+
+def _judge(scale: _Scale, counts: NDArray[np.intp], largest: Floats) -> tuple[Floats, Floats]:
+    """Return the one-sided p-values (m, axes) of the largest differences, and the scatter of differences.
+
+    `counts` (m,) are the numbers of samples of the dwells, `largest` (m, axes) the moduli of the largest
+    differences. The scatter is the standard deviation (m, axes) that each dwell is compared with.
     """
-    noise = np.zeros_like(p)
-    look.noise.append((np.array([float(own[0]) if len(own) else 0.0 for own in scale.places]), noise))
+    p, spreads = np.ones_like(largest), np.zeros_like(largest)
     every = np.concatenate(scale.differences)
-    stretch = np.array([float(own[0]) if len(own) else 1.0 for own in scale.places])
-    for axis in range(p.shape[1]):
-        squares = np.array(
-            [(own[:, axis] ** 2).mean() if len(own) else np.nan for own in scale.differences]
-        )
-        weight = _independent(scale.independent, squares)
+    for axis in range(largest.shape[1]):
+        squares = np.array([(own[:, axis] ** 2).mean() for own in scale.differences])
+        weight = _independent(_places_apart(scale, counts), squares)
         total = float(weight.sum())
-        largest = np.array([np.abs(own[:, axis]).max(initial=0.0) for own in scale.differences])
-        largest = np.maximum(largest - coarse[:, axis] * np.sqrt(stretch / 2), 0.0)
         if total >= _MANY:
-            spread = MAD_TO_SD * float(np.median(np.abs(every[:, axis])))
-            own_p = np.asarray(special.stdtr(_EFFICIENCY * total, -largest / max(spread, 1e-12)))
-            spreads = np.full(len(largest), spread)
+            spreads[:, axis] = max(MAD_TO_SD * float(np.median(np.abs(every[:, axis]))), 1e-12)
+            dof = np.full(len(weight), _EFFICIENCY * total)
         else:
-            known, weight = _without_outliers(np.nan_to_num(squares), weight)
-            total = float(weight.sum())
+            weight = _without_outliers(squares, weight)
             # Variance from all other dwells, weighted by their independent places.
-            others = (weight @ known - weight * known) / np.maximum(total - weight, 1e-12)
-            spreads = np.sqrt(np.maximum(others, 1e-24))
-            own_p = np.asarray(special.stdtr(np.maximum(total - weight, 1e-12), -largest / spreads))
-        noise[:, axis] = spreads
-        for k in np.flatnonzero(largest > 0).tolist():
-            value = corrected(2 * float(own_p[k]), tests)
-            if value < p[k, axis]:
-                p[k, axis] = value
-                at = int(np.abs(scale.differences[k][:, axis]).argmax())
-                look.place[k, axis] = scale.places[k][at]
-                look.stretch[k, axis] = stretch[k]
-                # Back to the difference of two means in mg.
-                height = scale.differences[k][at, axis] * np.sqrt(2 / stretch[k])
-                look.difference_mg[k, axis] = height * look.unit[k, axis]
+            dof = np.maximum(weight.sum() - weight, 1e-12)
+            spreads[:, axis] = np.sqrt(np.maximum((weight @ squares - weight * squares) / dof, 1e-24))
+        p[:, axis] = special.stdtr(dof, -largest[:, axis] / spreads[:, axis])
+    return p, spreads
 
 
-def _without_outliers(squares: Floats, weight: Floats) -> tuple[Floats, Floats]:
-    """Return the mean squared differences of dwells and their weights, with weight 0 for outliers.
+def _without_outliers(squares: Floats, weight: Floats) -> Floats:
+    """Return the weights (m,) of the mean squared differences of dwells, with weight 0 for outliers.
 
     A dwell is an outlier if its mean square has a probability below `_RARE`, by a χ² distribution scaled to
     the upper quartile of the dwells. (The median would be too small with a coarse converter, since many
     dwells then have no difference at all.) No dwell is excluded if there are fewer than `_LEAST_DWELLS`
-    dwells, or if the share of outliers exceeds `_FEW`. `squares` and `weight` (d,) are these mean squares
+    dwells, or if the share of outliers exceeds `_FEW`. `squares` and `weight` (m,) are these mean squares
     and weights.
     """
-    use = weight > 0
-    if use.sum() < _LEAST_DWELLS:
-        return squares, weight
-    dof = float(np.median(weight[use]))
-    upper = float(np.quantile(squares[use], 0.75)) / float(special.chdtri(dof, 0.25))
-    far = use & (squares > upper * float(special.chdtri(dof, _RARE)))
-    if far.sum() > _FEW * use.sum():
-        return squares, weight
-    return squares, np.where(far, 0.0, weight)
+    if len(weight) < _LEAST_DWELLS:
+        return weight
+    dof = float(np.median(weight))
+    upper = float(np.quantile(squares, 0.75)) / float(special.chdtri(dof, 0.25))
+    far = squares > upper * float(special.chdtri(dof, _RARE))
+    return weight if far.mean() > _FEW else np.where(far, 0.0, weight)
 
 
 def _independent(nominal: Floats, squares: Floats) -> Floats:
-    """Return the effective number (d,) of independent differences in each dwell, at most `nominal`.
+    """Return the effective number (m,) of independent differences in each dwell, at most `nominal`.
 
-    `squares` (d,) are the mean squared differences of the dwells. The more they scatter from dwell to
+    `squares` (m,) are the mean squared differences of the dwells. The more they scatter from dwell to
     dwell, the smaller is the number.
 
     A difference is between the means of two neighbouring stretches of samples. A sensor filter that is
     longer than a stretch correlates the differences. The median absolute deviation of the mean squares is
     used, so that a few unusual dwells do not matter.
     """
-    use = np.isfinite(squares) & (nominal > 0)
-    if use.sum() < _LEAST_DWELLS:
+    if len(squares) < _LEAST_DWELLS:
         return nominal
-    logs = np.log(np.maximum(squares[use], 1e-300))
-    spread = float(deviation(logs))
+    spread = float(deviation(np.log(np.maximum(squares, 1e-300))))
     # The logarithm of a mean of ν squares has variance 2/ν.
-    each = max(2 / max(spread, 1e-6) ** 2, 1.0)
-    return np.where(use, np.minimum(nominal, each), 0.0)
+    return np.minimum(nominal, max(2 / max(spread, 1e-6) ** 2, 1.0))
 
 
-def _describe(samples: Samples, k: int, axis: int, look: _Look) -> tuple[_Form, Place, Floats]:
+def _describe(samples: Samples, k: int, axis: int, looks: _Looks) -> tuple[Form, Place, Floats]:
     """Return the form that describes a dwell best, its place, and its values (n,) about the dwell's mean.
 
     If the form is not significant in the noise of its scale, the event is a disturbance of the length at
     which it was found. `k` and `axis` are the indices of dwell and axis.
     """
     rows = samples.values[k][:, axis] - samples.values[k][:, axis].mean()
-    elapsed = samples.elapsed_s(k)
-    n = len(rows)
-    # Step: the sum of squares decreases by n1 n2/n times the squared difference of the means.
-    total = np.cumsum(rows)[:-1]
-    first = np.arange(1, n)
-    # `total` is the sum of the first part; the sum of all rows is zero.
-    gain = total**2 * n / (first * (n - first))
-    inner = slice(2, max(n - 3, 3))
-    cut = int(np.argmax(gain[inner])) + inner.start
-    fitted: dict[_Form, tuple[float, Floats, Place]] = {}
-    height = float(rows[cut + 1 :].mean() - rows[: cut + 1].mean())
-    model = np.where(np.arange(n) > cut, height, 0.0)
-    model = model - model.mean()
-    before, after = cut + 1, n - cut - 1
-    shift = height * (min(before, after) / n) * (1 if before >= after else -1)
-    u = look.u_mg(k, axis, min(before, after))
-    fitted["step"] = float(gain[cut]), model, samples.place(k, axis, height, u, at=cut + 1, shift=shift)
-    line = elapsed - elapsed.mean()
-    energy = max(float(line @ line), 1e-300)
-    slope = float(line @ rows) / energy
+    elapsed, period, n = samples.elapsed_s(k), samples.period_s, len(rows)
     length = max(float(elapsed[-1]), 1e-12)
-    # The means of the two halves of a line differ by half of its span.
-    u = 2 * look.u_mg(k, axis, n / 2) / length
-    place = samples.place(k, axis, slope, u, "mg/s", shift=slope * length / 2)
-    fitted["drift"] = slope**2 * energy, slope * line, place
-    best: tuple[float, float, float, Floats, float] | None = None
-    for tau in (
-        np.geomspace(3 * samples.period_s, length / 3, _TAUS) if length > 9 * samples.period_s else ()
-    ):
-        course = np.exp(-elapsed / tau)
+    # Step: the sum of squares decreases by n1 n2/n times the squared difference of the means.
+    first = np.arange(1, n)
+    gain = np.cumsum(rows)[:-1] ** 2 * n / (first * (n - first))
+    inner = slice(2, max(n - 3, 3))
+    cut = int(np.argmax(gain[inner])) + inner.start + 1
+    fewer = min(cut, n - cut)
+    moved = fewer / n if 2 * cut >= n else -fewer / n
+    # Course of unit size, samples on either side of it, sample of the event, unit of the size, its ratio to
+    # the difference of two means, and the shift of the dwell's mean for unit size.
+    forms: list[tuple[Form, Floats, float, int | None, str, float, float]] = [
+        ("step", (np.arange(n) >= cut).astype(float), fewer, cut, "mg", 1.0, moved),
+        ("drift", elapsed, n / 2, None, "mg/s", 2 / length, length / 2),
+    ]
+    for tau in np.geomspace(3 * period, length / 3, _TAUS) if length > 9 * period else ():
+        decay = np.exp(-elapsed / tau)
+        forms.append(("settling", decay, min(tau / period, n / 2), 0, "mg", 1.0, float(decay.mean())))
+    most, chosen = -1.0, None
+    for form, course, stretch, at, unit, per_mg, shift in forms:
         centred = course - course.mean()
-        own = max(float(centred @ centred), 1e-300)
-        amplitude = float(centred @ rows) / own
-        if best is None or amplitude**2 * own > best[0]:
-            best = (amplitude**2 * own, amplitude, float(course.mean()), centred, float(tau))
-    if best is not None:
-        explained, amplitude, mean, centred, tau = best
-        u = look.u_mg(k, axis, min(tau / samples.period_s, n / 2))
-        place = samples.place(k, axis, amplitude, u, at=0, shift=amplitude * mean)
-        fitted["settling"] = explained, amplitude * centred, place
-    kind = max(fitted, key=lambda name: fitted[name][0])
-    _, course, place = fitted[kind]
-    size = place.value
-    if size is not None and size.u is not None and abs(size.value) > _CLEAR * size.u:
-        return kind, place, course
-    stretch, at = float(look.stretch[k, axis]), int(look.place[k, axis])
-    height = float(look.difference_mg[k, axis])
+        energy = max(float(centred @ centred), 1e-300)
+        size = float(centred @ rows) / energy
+        if size**2 * energy > most:
+            most, u = size**2 * energy, per_mg * looks.u_mg(k, axis, stretch)
+            place = samples.place(k, axis, size, u, unit, at, size * shift)
+            chosen = form, place, size * centred, abs(size) > _CLEAR * u
+    assert chosen is not None
+    if chosen[-1]:
+        return chosen[:-1]
+    scale = int(looks.p_value[:, k, axis].argmin())
+    at, height = int(looks.place[scale, k, axis]), float(looks.height_mg[scale, k, axis])
+    stretch = float(looks.stretch[scale, k])
     course = np.zeros(n)
     course[at : at + int(stretch)] = height
-    u = look.u_mg(k, axis, stretch)
+    u = looks.u_mg(k, axis, stretch)
     return "disturbance", samples.place(k, axis, height, u, at=at, shift=height * stretch / n), course
 
 
-_WORDS: dict[_Form, tuple[str, str, str]] = {
+_WORDS: dict[Form, tuple[str, str, str]] = {
     "step": ("the reading steps within", "height", "something moved (the part, its mount, the stage)"),
     "drift": (
         "the samples drift within",
@@ -340,8 +342,12 @@ _WORDS: dict[_Form, tuple[str, str, str]] = {
 
 
 def _finding(
-    samples: Samples, kind: _Form, chosen: list[tuple[int, int, Place, Floats]], p_value: float
+    samples: Samples, kind: Form, chosen: list[tuple[int, int, Place, Floats]], p_value: float
 ) -> WithinFinding:
+    """Return the finding of all events of one form; `p_value` is the smallest of their p-values.
+
+    `chosen` has for each event the indices of dwell and axis, its place, and the fitted form (n,).
+    """
     words, name, cause = _WORDS[kind]
     places = tuple(place for _, _, place, _ in chosen)
     axes, positions = axes_and_positions(places)
@@ -368,7 +374,7 @@ def _finding(
     )
 
 
-def _view(samples: Samples, k: int, axis: int, model: Floats, kind: _Form) -> View:
+def _view(samples: Samples, k: int, axis: int, model: Floats, kind: Form) -> View:
     """Return the figure of an event in dwell `k`: averaged samples, and the fitted form `model` (n,)."""
     rows = samples.values[k][:, axis] - samples.values[k][:, axis].mean()
     time = samples.elapsed_s(k)

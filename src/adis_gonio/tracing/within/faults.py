@@ -77,9 +77,7 @@ def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding
     total = int(samples.counts.sum()) * samples.axes
     limit = -float(special.ndtri(FOUND_WITHIN / (2 * total * SEARCHES)))
     values = list(samples.values)
-    places: list[Place] = []
-    least_p = 1.0
-    worst: tuple[float, int, int, int] | None = None
+    found: list[tuple[Place, float, tuple[int, int, int]]] = []  # with p-value, and dwell, axis and sample
     long = np.flatnonzero(samples.counts >= _LEAST_SAMPLES + 2 * reach).tolist()
     for axis in range(samples.axes):
         looks = {k: _from_neighbours(samples.values[k][:, axis], reach) for k in long}
@@ -91,24 +89,18 @@ def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding
             spread = max(float(deviation(one_side)), float(usual), 0.5 * float(scatter[k, axis]))
             # Both the neighbours' median and the sample are rounded.
             size = (np.abs(away) - 1.5 * samples.quantum[axis]) / spread
-            wild = size > limit
-            if not wild.any():
-                continue
-            for first, last in _groups(wild, 2 * reach + 1):
+            for first, last in _groups(size > limit, 2 * reach + 1):
                 top = first + int(np.argmax(np.abs(away[first:last])))
-                p = corrected(2 * float(special.ndtr(-size[top])), total)
-                least_p = min(least_p, p)
                 low, high = max(0, first - 2 * reach), min(len(rows), last + 2 * reach)
-                cleaned = values[k].copy()
-                cleaned[low:high, axis] = middle[top]
+                values[k] = values[k].copy()
+                values[k][low:high, axis] = middle[top]
                 shift = float((rows[low:high, axis] - middle[top]).sum() / len(rows))
-                values[k] = cleaned
-                places.append(samples.place(k, axis, away[top], spread, at=top, shift=shift))
-                if worst is None or abs(away[top]) > worst[0]:
-                    worst = (abs(float(away[top])), k, axis, top)
-    if worst is None:
+                place = samples.place(k, axis, away[top], spread, at=top, shift=shift)
+                p = corrected(2 * float(special.ndtr(-size[top])), total)
+                found.append((place, p, (k, axis, top)))
+    if not found:
         return None, samples
-    return _spikes_finding(samples, places, least_p, worst), samples.with_values(values)
+    return _spikes_finding(samples, found), samples.with_values(values)
 
 
 def _from_neighbours(column: Floats, reach: int) -> tuple[Floats, Floats, Floats]:
@@ -137,15 +129,20 @@ def _from_neighbours(column: Floats, reach: int) -> tuple[Floats, Floats, Floats
 def _groups(flags: NDArray[np.bool_], gap: int) -> list[tuple[int, int]]:
     """Group flagged samples at most `gap` samples apart; return (first, last + 1) of each group."""
     at = np.flatnonzero(flags)
-    cuts = np.flatnonzero(np.diff(at) > gap)
-    firsts, lasts = np.concatenate([[0], cuts + 1]), np.concatenate([cuts, [len(at) - 1]])
-    return [(int(at[a]), int(at[b]) + 1) for a, b in zip(firsts, lasts, strict=True)]
+    if not at.size:
+        return []
+    groups = np.split(at, np.flatnonzero(np.diff(at) > gap) + 1)
+    return [(int(own[0]), int(own[-1]) + 1) for own in groups]
 
 
 def _spikes_finding(
-    samples: Samples, places: list[Place], p_value: float, worst: tuple[float, int, int, int]
+    samples: Samples, found: list[tuple[Place, float, tuple[int, int, int]]]
 ) -> WithinFinding:
-    size, k, axis, top = worst
+    """Return the finding of spikes, each given as its place, p-value and indices (dwell, axis, sample)."""
+    places = [place for place, _, _ in found]
+    sizes = [abs(place.value.value) if place.value else 0.0 for place in places]
+    size = max(sizes)
+    k, axis, top = found[sizes.index(size)][2]
     axes, positions = axes_and_positions(places)
     noise = {
         int(position): float(np.min(rows.std(axis=0))) / np.sqrt(len(rows))
@@ -163,7 +160,7 @@ def _spikes_finding(
         axes=axes,
         positions=positions,
         parameters={"count": Value(float(count), None, "1"), "largest": Value(size, None, "mg")},
-        p_value=p_value,
+        p_value=min(p for _, p, _ in found),
         sentence=(
             f"{count} spike{'' if count == 1 else 's'} in {positions_text(positions, len(samples))}, the "
             f"largest {format_number(size)} mg"
@@ -266,21 +263,17 @@ def saturation(session: Session, data: Readings) -> WithinFinding | None:
         return None
     limits = data.converter.limits
     recorded = sum(1 for dwell in session.dwells if len(dwell))
-    zero = np.zeros((1, data.axes))
-    sizes, steps = [], []
-    for limit in limits:
-        at = zero.copy()
-        at[0, limit.axis] = limit.value
-        sizes.append(abs(float(data.unit.mg(at)[0, limit.axis])))
-        steps.append(
-            float(data.unit.mg(at)[0, limit.axis] - data.unit.mg(zero)[0, limit.axis]) / limit.value
-        )
+    ends = np.zeros((len(limits), data.axes))
+    for row, limit in zip(ends, limits, strict=True):
+        row[limit.axis] = limit.value
+    columns = range(len(limits)), [limit.axis for limit in limits]
+    sizes = np.abs(data.unit.mg(ends)[columns])
+    per_code = (data.unit.mg(ends) - data.unit.mg(0 * ends))[columns][0] / limits[0].value
     letters = tuple(sorted({"xyz"[limit.axis] for limit in limits}))
     positions = tuple(sorted({p for limit in limits for p in limit.positions}))
     p = max(float(special.bdtrc(m.samples - 1, m.samples + m.inside, 0.5)) for m in limits)
-    spread = (max(sizes) - min(sizes)) / 2
-    step = float(data.converter.steps.max()) * abs(steps[0])
-    limit_mg = Value(float(np.mean(sizes)), math.hypot(step / math.sqrt(12), spread), "mg")
+    step = float(data.converter.steps.max() * abs(per_code))
+    limit_mg = Value(float(sizes.mean()), math.hypot(step / math.sqrt(12), np.ptp(sizes) / 2), "mg")
     return WithinFinding(
         kind="limit",
         effect="saturation",

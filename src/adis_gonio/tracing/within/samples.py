@@ -104,17 +104,6 @@ class Samples:
         """Return the dwells with their samples replaced by `values`."""
         return replace(self, values=tuple(values))
 
-    def rows(self, chosen: NDArray[np.bool_]) -> Samples:
-        """Return the samples of the selected dwells."""
-        kept = np.flatnonzero(chosen).tolist()
-        return replace(
-            self,
-            position=self.position[chosen],
-            time_s=tuple(self.time_s[k] for k in kept),
-            values=tuple(self.values[k] for k in kept),
-            reading=self.reading[chosen],
-        )
-
 
 def samples_of(session: Session, data: Readings) -> Samples | None:
     """Return the samples in mg of all dwells with at least two samples; None if there is no such dwell.

@@ -43,7 +43,7 @@ from adis_gonio.model.effects import catalogue
 from adis_gonio.model.records import Session
 from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace_result import Finding, TraceResult
-from adis_gonio.tracing.within.courses import LEAST_DWELLS, LEAST_SAMPLES, courses, grid, projections
+from adis_gonio.tracing.within.courses import LEAST_DWELLS, LEAST_SAMPLES, Course, courses, grid
 from adis_gonio.tracing.within.events import events
 from adis_gonio.tracing.within.faults import quantization, saturation, spikes, stuck
 from adis_gonio.tracing.within.samples import (
@@ -58,7 +58,6 @@ from adis_gonio.tracing.within.tones import TAPER_LOSS, Density, tones
 from adis_gonio.tracing.within.variances import (
     LEAST_DWELLS as LEAST_LOUD,
     TESTS,
-    heterogeneous,
     levels_of,
     noise_change,
     step_of,
@@ -137,6 +136,7 @@ def _first_of_each(within: tuple[WithinFinding, ...]) -> list[WithinFinding]:
 
 
 def _finding_of(finding: WithinFinding) -> Finding:
+    """Return a finding inside the dwells, which has a named effect, as an entry of `TraceResult.found`."""
     assert finding.effect is not None
     return Finding(
         effect=finding.effect,
@@ -215,7 +215,9 @@ def look_within(samples: Samples) -> tuple[tuple[WithinFinding, ...], dict[str, 
     lines, samples, density = tones(samples)
     change = noise_change(samples, density)
     shared, samples = courses(samples)
-    single = events(samples, heterogeneous(change, samples), reach)
+    # The scatter differs between dwells on the axes of this finding.
+    unlike = [] if change is None else [samples.letters.index(axis) for axis in change.axes]
+    single = events(samples, unlike, reach)
     every = [frozen, wild, *lines, change, *shared, *single]
     return tuple(finding for finding in every if finding is not None), sensitivity(samples, density)
 
@@ -369,15 +371,12 @@ def _settling(samples: Samples) -> Detectable:
         return Detectable(
             None, "mg", "settling", f"needs {LEAST_DWELLS} dwells of {LEAST_SAMPLES} samples or more"
         )
-    z, norm = projections(samples, usable, constants[len(constants) // 2])
-    energy = float((norm**2).sum())
+    course = Course.of(samples, usable, constants[len(constants) // 2], by_move=False)
     tests = (len(constants) + 1) * 2 * samples.axes
     # Size in units of its u that exceeds the two-sided limit with a probability of 90 %.
     p = FOUND_WITHIN / SEARCHES / tests / 2
     size = -float(special.stdtrit(dwells - 1, p) + special.stdtrit(dwells - 1, 1 - _POWER))
-    slope = (norm[:, None] * z).sum(axis=0) / energy
-    scatter = ((z - norm[:, None] * slope)[usable] ** 2).sum(axis=0) / (dwells - 1)
-    return Detectable(float(np.sqrt(scatter.max() / energy)) * size, "mg", "settling")
+    return Detectable(float(np.sqrt((course.noise / course.energy).max())) * size, "mg", "settling")
 
 
 def _noncentral(p: float, dof: int) -> float:

@@ -2,11 +2,12 @@
 
 Search
     Two searches at every frequency and axis: the ordinates of all dwells together (a line that occurs in
-    all of them, with any phases), and the largest ordinate of a single dwell. An ordinate of noise is
-    exponentially distributed about the density, so the sum of d ordinates is a gamma variable; the
-    estimated density makes it an F variable. Real noise varies more, since dwells differ in their
-    spectra. The degrees of freedom are therefore lowered until they explain the scatter of the ordinates
-    about the running median. A line is subtracted before the next search.
+    all of them, with any phases), and the largest ordinate of a single dwell. An ordinate is one of the
+    independent values of a periodogram; for noise it is exponentially distributed about the density, so
+    the sum of d ordinates is a gamma variable; the estimated density makes it an F variable. Real noise
+    varies more, since dwells differ in their spectra. The degrees of freedom are therefore lowered until
+    they explain the scatter of the ordinates about the running median. A line is subtracted before the
+    next search.
 
     Times between samples may vary: frequency and amplitude are fitted at the times of the samples. At a
     sampling rate f_s, a line at f may be a vibration at f or at any k f_s ± f, k = 1, 2, …. Above half of
@@ -41,6 +42,7 @@ from scipy import fft, ndimage, optimize, special
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import format_number
 from adis_gonio.base.uncertainty import FOUND_WITHIN, Value
+from adis_gonio.device.sensor.settings import filter_weights
 from adis_gonio.model.effects import effect
 from adis_gonio.tracing.within.samples import Samples, View, WithinFinding, corrected, positions_text
 
@@ -98,14 +100,13 @@ def _highest(density: Density) -> _Peak | None:
     tests = 2.0 * points * axes
     pooled = relative.mean(axis=0)
     width = density.width[searched]
-    best: _Peak | None = None
+    peaks: list[_Peak] = []
     for axis in range(axes):
         effective = float(density.effective[axis])
         freedom = 2 * effective * width / TAPER_LOSS
         at = int(np.argmax(pooled[:, axis]))
         p = corrected(float(special.fdtrc(2 * effective, freedom[at], pooled[at, axis])), tests)
-        if best is None or p < best.p_value:
-            best = _Peak(at + searched.start, p, None)
+        peaks.append(_Peak(at + searched.start, p, None))
         single = relative[:, :, axis]
         dwell, at = divmod(int(np.argmax(single)), points)
         # Spectra of single dwells differ: the line has to exceed the density of its own dwell too.
@@ -114,9 +115,9 @@ def _highest(density: Density) -> _Peak | None:
         height = single[dwell, at] / max(1.0, float(np.median(own)) / np.log(2))
         rough = effective / d
         p = corrected(float(special.fdtrc(2, 2 * width[at] / TAPER_LOSS, height)) ** rough, tests * d)
-        if p < best.p_value:
-            best = _Peak(at + searched.start, p, dwell)
-    return best if best is not None and best.p_value < FOUND_WITHIN else None
+        peaks.append(_Peak(at + searched.start, p, dwell))
+    best = min(peaks, key=lambda peak: peak.p_value)
+    return best if best.p_value < FOUND_WITHIN else None
 
 
 def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFinding, Samples] | None:
@@ -145,7 +146,8 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
         power, bounds=(about - step, about + step), method="bounded", options={"xatol": 1e-4 * step}
     )
     frequency = float(search.x)
-    squares, quadratures = _amplitudes(frequency, times, rows)
+    waves = _waves(frequency, times, rows)
+    squares = (waves**2).sum(axis=1)
     counts = np.array([len(own) for own in rows], dtype=float)[:, None]
     noise = density.level * density.base[peak.at]
     # A quadrature of n samples with density S has the variance 2 S/n.
@@ -168,29 +170,25 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
         return None
     information = float((clear[:, None] * amplitude[axes] ** 2 * counts**3 / (24 * noise[:, axes])).sum())
     u_frequency = 1 / (2 * np.pi * period * np.sqrt(max(information, 1e-300)))
-    positions = tuple(int(p) for p in samples.position[dwells[clear]])
+    positions = tuple(samples.position[dwells[clear]].tolist())
     if not clear.all():
         amplitude, u, _ = _sizes(squares[clear], (4 * noise / counts)[clear], excess[clear])
     values = list(samples.values)
-    for k, time, (cosine, sine) in zip(dwells.tolist(), times, quadratures, strict=True):
-        turn = 2 * np.pi * frequency * time
-        values[k] = values[k] - np.cos(turn)[:, None] * cosine - np.sin(turn)[:, None] * sine
-    letters = tuple(samples.letters[k] for k in axes)
-    parameters = {
-        **{f"tone_{samples.letters[k]}": Value(float(amplitude[k]), float(u[k]), "mg") for k in axes},
-        "frequency": Value(frequency, float(u_frequency), "Hz"),
-    }
-    sizes = ", ".join(f"{samples.letters[k]} {parameters[f'tone_{samples.letters[k]}']}" for k in axes)
+    for k, time, wave in zip(dwells.tolist(), times, waves, strict=True):
+        values[k] = values[k] - _cosine_and_sine(frequency, time) @ wave
+    lines = {samples.letters[k]: Value(float(amplitude[k]), float(u[k]), "mg") for k in axes}
+    hertz = Value(frequency, float(u_frequency), "Hz")
+    sizes = ", ".join(f"{letter} {line}" for letter, line in lines.items())
     folding = aliases_hz(frequency, 1 / period)
     finding = WithinFinding(
         kind="tone",
         effect="tone",
-        axes=letters,
+        axes=tuple(lines),
         positions=positions,
-        parameters=parameters,
+        parameters={**{f"tone_{letter}": line for letter, line in lines.items()}, "frequency": hertz},
         p_value=peak.p_value,
         sentence=(
-            f"a spectral line at {parameters['frequency']} (amplitude {sizes}) in "
+            f"a spectral line at {hertz} (amplitude {sizes}) in "
             f"{positions_text(positions, len(samples))}{_alias_text(folding)}"
         ),
         advice=(
@@ -236,21 +234,18 @@ def _alias_text(folding: tuple[float, ...]) -> str:
     return f"; a vibration at {named}{more} Hz would be seen there as well"
 
 
-def _amplitudes(
-    frequency: float, times: list[Floats], rows: list[Floats]
-) -> tuple[Floats, list[tuple[Floats, Floats]]]:
-    """Fit a sine of one frequency in Hz to each dwell; return squared amplitudes (d, axes) and quadratures.
-
-    The quadratures are the amplitudes of cosine and sine.
-    """
-    squares, quadratures = [], []
+def _waves(frequency: float, times: list[Floats], rows: list[Floats]) -> Floats:
+    """Return the amplitudes (d, 2, axes) of cosine and sine of one frequency in Hz in each dwell."""
+    waves = []
     for time, own in zip(times, rows, strict=True):
-        turn = 2 * np.pi * frequency * time
-        design = np.column_stack([np.cos(turn), np.sin(turn), np.ones_like(turn)])
-        solution = np.linalg.lstsq(design, own, rcond=None)[0]
-        squares.append(solution[0] ** 2 + solution[1] ** 2)
-        quadratures.append((solution[0], solution[1]))
-    return np.array(squares), quadratures
+        design = np.column_stack([_cosine_and_sine(frequency, time), np.ones_like(time)])
+        waves.append(np.linalg.lstsq(design, own, rcond=None)[0][:2])
+    return np.array(waves)
+
+
+def _cosine_and_sine(frequency: float, time: Floats) -> Floats:
+    turn = 2 * np.pi * frequency * time
+    return np.column_stack([np.cos(turn), np.sin(turn)])
 
 
 def _sizes(squares: Floats, noise: Floats, excess: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
@@ -543,13 +538,7 @@ def _smooth(flat: Floats, searched: slice, width: Floats, each: float) -> Floats
     for half in np.unique(width):
         points = min(2 * int(half * each) + 1, 2 * (len(inside) // 2) - 1)
         level = ndimage.median_filter(inside, size=max(points, 1), mode="reflect")
-        padded = np.concatenate(
-            [
-                np.full(searched.start, level[0]),
-                level,
-                np.full(len(flat) - searched.start - len(level), level[-1]),
-            ]
-        )
+        padded = np.pad(level, (searched.start, len(flat) - searched.stop), mode="edge")
         at = width == half
         smooth[at] = padded[at]
     return np.maximum(smooth, 1e-300)
@@ -627,8 +616,7 @@ def _expected(filter_m: int, counts: NDArray[np.intp], size: int) -> Floats:
     It includes the leakage and resolution of the taper, averaged over the lengths `counts` of the dwells;
     `size` is the length of the transform.
     """
-    taps = 2**filter_m
-    window = np.convolve(np.ones(taps), np.ones(taps)) / taps**2
+    window = filter_weights(filter_m)
     covariance = np.correlate(window, window, "full")[len(window) - 1 :]
     total = np.zeros(size // 2 + 1)
     chosen = np.unique(np.quantile(counts, np.linspace(0, 1, _LENGTHS), method="nearest"))

@@ -15,7 +15,7 @@ places).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -115,30 +115,31 @@ def noise_change(samples: Samples, density: Density | None) -> WithinFinding | N
     """
     if density is None or len(density.dwells) < LEAST_DWELLS:
         return None
-    dwells = density.dwells
-    levels = [levels_of(samples, density, axis) for axis in range(samples.axes)]
-    usable = [
-        axis
-        for axis, own in enumerate(levels)
+    levels = {axis: levels_of(samples, density, axis) for axis in range(samples.axes)}
+    p = {
+        axis: _p_value(own, samples.axes)
+        for axis, own in levels.items()
         if np.sqrt(np.median(own.variance)) >= _LIVELY * samples.quantum[axis]
-    ]
-    p = {axis: _p_value(levels[axis], samples.axes) for axis in usable}
-    shown = [axis for axis in usable if p[axis] < FOUND_WITHIN]
-    if not shown:
+    }
+    levels = {axis: levels[axis] for axis in p if p[axis] < FOUND_WITHIN}
+    if not levels:
         return None
-    cut = _best_cut([levels[axis] for axis in shown])
-    one_change = cut is not None and all(_explained(levels[axis], cut) for axis in shown)
-    if one_change and cut is not None:
-        return _joining(samples, density, [levels[axis] for axis in shown], shown, cut, min(p.values()))
-    return _varying(samples, dwells, [levels[axis] for axis in shown], shown, min(p.values()))
-
-
-def heterogeneous(finding: WithinFinding | None, samples: Samples) -> list[int]:
-    """Return the indices of the axes on which the finding shows that the scatter differs between dwells.
-
-    The list is empty without a finding.
-    """
-    return [] if finding is None else [samples.letters.index(axis) for axis in finding.axes]
+    cut = _best_cut(list(levels.values()))
+    if cut is not None and all(_explained(own, cut) for own in levels.values()):
+        finding = _joining(samples, density, levels, cut)
+    else:
+        finding = _varying(samples, density.dwells, levels)
+    spread = max(float(np.ptp(own.variance)) for own in levels.values())
+    return replace(
+        finding,
+        axes=tuple(samples.letters[axis] for axis in levels),
+        p_value=min(p.values()),
+        sentence=(
+            f"{finding.sentence}; variances differ by up to {format_number(spread)} mg², in which a "
+            "vibration_rectification could show between the dwells"
+        ),
+        view=_view(samples, density.dwells, levels),
+    )
 
 
 def levels_of(samples: Samples, density: Density, axis: int) -> Levels:
@@ -172,16 +173,13 @@ def levels_of(samples: Samples, density: Density, axis: int) -> Levels:
 
 
 def _p_value(own: Levels, axes: int) -> float:
-    d = len(own.variance)
-    # Four tests, some at many places; each is multiplied by the total number.
-    candidates = [own.alike() * TESTS * axes, own.changed() * TESTS * axes]
-    for cut in range(1, d):
-        after = np.arange(d) >= cut
-        candidates.append(_ratio_p(own.rows(~after), own.rows(after)) * (d - 1) * TESTS * axes)
-    for k in range(d):
-        alone = np.arange(d) == k
-        candidates.append(_ratio_p(own.rows(~alone), own.rows(alone)) * d * TESTS * axes)
-    return corrected(min(candidates), 1)
+    at = np.arange(len(own.variance))
+    halves, singles = [at >= cut for cut in at[1:]], [at == k for k in at]
+    # Four tests, two of them for many divisions of the dwells; each is multiplied by the total number.
+    candidates = [own.alike(), own.changed()]
+    for parts in (halves, singles):
+        candidates += [_ratio_p(own.rows(~part), own.rows(part)) * len(parts) for part in parts]
+    return corrected(min(candidates) * TESTS * axes, 1)
 
 
 def _ratio_p(one: Levels, other: Levels) -> float:
@@ -218,14 +216,11 @@ def _explained(own: Levels, cut: int) -> bool:
     return all(value > INADEQUATE / max(len(p), 1) for value in p)
 
 
-def _joining(
-    samples: Samples,
-    density: Density,
-    levels: list[Levels],
-    axes: list[int],
-    cut: int,
-    p_value: float,
-) -> WithinFinding:
+def _joining(samples: Samples, density: Density, levels: dict[int, Levels], cut: int) -> WithinFinding:
+    """Return the finding for a single change of the noise, before dwell `cut`; without p-value and figure.
+
+    `levels` has the variances and levels of each axis that shows the change.
+    """
     dwells = density.dwells
     at = np.arange(len(dwells))
     quiet, loud = at < cut - 1, at > cut
@@ -233,31 +228,26 @@ def _joining(
         quiet = at < cut
     if not loud.any():
         loud = at >= cut
-    parameters: dict[str, Value] = {}
-    for axis, own in zip(axes, levels, strict=True):
-        parameters[f"extra_{samples.letters[axis]}"] = _joined(density, axis, own, quiet, loud)
-    start, u_start = _start(samples, dwells, levels, axes, cut, quiet, loud)
-    parameters["start"] = Value(start, u_start, "s")
-    positions = tuple(int(p) for p in samples.position[dwells[cut:]])
-    sizes = ", ".join(
-        f"{samples.letters[axis]} {parameters[f'extra_{samples.letters[axis]}']}" for axis in axes
-    )
+    extra = {
+        samples.letters[axis]: _joined(density, axis, own, quiet, loud) for axis, own in levels.items()
+    }
+    start = _start(samples, dwells, levels, cut, quiet, loud)
+    positions = tuple(samples.position[dwells[cut:]].tolist())
     return WithinFinding(
         kind="noise_change",
         effect="noise_change",
-        axes=tuple(samples.letters[axis] for axis in axes),
+        axes=(),
         positions=positions,
-        parameters=parameters,
-        p_value=p_value,
+        parameters={**{f"extra_{letter}": size for letter, size in extra.items()}, "start": start},
+        p_value=1.0,
         sentence=(
-            f"from {parameters['start']} on (position {positions[0]}) the samples scatter more: "
-            f"noise of {sizes} has joined" + _rectification(levels)
+            f"from {start} on (position {positions[0]}) the samples scatter more: noise of "
+            f"{', '.join(f'{letter} {size}' for letter, size in extra.items())} has joined"
         ),
         advice=(
             "look for what joined (a machine, a loose contact, the supply); readings before and after it "
             "differ in their uncertainty"
         ),
-        view=_view(samples, dwells, levels, axes),
     )
 
 
@@ -294,88 +284,63 @@ def _joined(
     return Value(extra, float(np.sqrt(u2)) / (2 * max(extra, 1e-12)), "mg")
 
 
-def _varying(
-    samples: Samples, dwells: NDArray[np.intp], levels: list[Levels], axes: list[int], p_value: float
-) -> WithinFinding:
-    """Return the finding for variances that differ between dwells, but not by a single change.
+def _varying(samples: Samples, dwells: NDArray[np.intp], levels: dict[int, Levels]) -> WithinFinding:
+    """Return the finding for variances that do not differ by a single change; without p-value and figure.
 
-    `levels` are the variances and levels of each of these `axes`.
+    `levels` has the variances and levels of each axis whose variances differ between dwells.
     """
     d = len(dwells)
     unusual = np.zeros(d, dtype=bool)
     places: list[Place] = []
-    for axis, own in zip(axes, levels, strict=True):
-        typical = float(np.median(own.variance))
-        ratio = own.variance / typical
-        spread = np.sqrt(2 / own.dof)
-        far = np.abs(np.log(ratio)) > -special.ndtri(FOUND_WITHIN / (2 * d)) * spread
-        unusual |= far
+    parameters: dict[str, Value] = {}
+    for axis, own in levels.items():
         size, u = np.sqrt(own.variance), np.sqrt(own.variance / (2 * own.dof))
+        ratio = own.variance / float(np.median(own.variance))
+        far = np.abs(np.log(ratio)) > -special.ndtri(FOUND_WITHIN / (2 * d)) * np.sqrt(2 / own.dof)
+        unusual |= far
         places += [
             samples.place(int(dwells[k]), axis, size[k], float(u[k])) for k in np.flatnonzero(far).tolist()
         ]
-    if not unusual.any():
-        unusual[:] = True
-    positions = tuple(int(p) for p in samples.position[dwells[unusual]])
-    parameters: dict[str, Value] = {}
-    for axis, own in zip(axes, levels, strict=True):
-        letter = samples.letters[axis]
-        low, high = int(own.variance.argmin()), int(own.variance.argmax())
-        for word, k in (("least", low), ("largest", high)):
-            sd = float(np.sqrt(own.variance[k]))
-            parameters[f"{word}_{letter}"] = Value(sd, float(sd / np.sqrt(2 * own.dof[k])), "mg")
-    ranges = ", ".join(
-        f"{samples.letters[axis]} {format_number(float(np.sqrt(own.variance.min())))} to "
-        f"{format_number(float(np.sqrt(own.variance.max())))} mg"
-        for axis, own in zip(axes, levels, strict=True)
-    )
+        for word, k in (("least", int(size.argmin())), ("largest", int(size.argmax()))):
+            parameters[f"{word}_{samples.letters[axis]}"] = Value(float(size[k]), float(u[k]), "mg")
+    positions = tuple(samples.position[dwells[unusual] if unusual.any() else dwells].tolist())
+    values = [format_number(value.value) for value in parameters.values()]
+    letters = [samples.letters[axis] for axis in levels]
+    ranges = zip(letters, values[::2], values[1::2], strict=True)
     return WithinFinding(
         kind="noise_change",
         effect=None,
-        axes=tuple(samples.letters[axis] for axis in axes),
+        axes=(),
         positions=positions,
         parameters=parameters,
-        p_value=p_value,
+        p_value=1.0,
         sentence=(
-            f"the samples do not scatter alike in all dwells (standard deviation {ranges}); unusual: "
-            f"{positions_text(positions, len(samples))}" + _rectification(levels)
+            "the samples do not scatter alike in all dwells (standard deviation "
+            f"{', '.join(f'{letter} {low} to {high} mg' for letter, low, high in ranges)}); unusual: "
+            f"{positions_text(positions, len(samples))}"
         ),
         places=tuple(places),
-        advice="",
-        view=_view(samples, dwells, levels, axes),
-    )
-
-
-def _rectification(levels: list[Levels]) -> str:
-    """Return the end of a sentence, that different variances may show a rectification of vibration."""
-    spread = max(float(np.ptp(own.variance)) for own in levels)
-    return (
-        f"; variances differ by up to {format_number(spread)} mg², in which a vibration_rectification could"
-        " show between the dwells"
     )
 
 
 def _start(
     samples: Samples,
     dwells: NDArray[np.intp],
-    levels: list[Levels],
-    axes: list[int],
+    levels: dict[int, Levels],
     cut: int,
     quiet: NDArray[np.bool_],
     loud: NDArray[np.bool_],
-) -> tuple[float, float]:
-    """Return the time in s of the change of the noise, and its standard uncertainty.
-
-    Both come from the posterior over all places of the change.
+) -> Value:
+    """Return the time of the change of the noise, from the posterior over all places of the change.
 
     Squares of neighbouring samples are correlated, so the likelihood is scaled to the degrees of freedom.
-    `levels` are the variances and levels of each of these `axes`; `cut` is the first dwell after the
-    change, and `quiet` and `loud` (d,) are the dwells before and after it.
+    `levels` has the variances and levels of each axis that shows the change; `cut` is the first dwell after
+    the change, and `quiet` and `loud` (d,) are the dwells before and after it.
     """
     before, after = int(dwells[cut - 1]), int(dwells[cut])
     time = np.concatenate([samples.time_s[before], samples.time_s[after]])
     loss = np.zeros(len(time) + 1)
-    for axis, own in zip(axes, levels, strict=True):
+    for axis, own in levels.items():
         # Log likelihood of a change before each sample: quiet variance before it, loud variance after it.
         low, high = own.rows(quiet).common, own.rows(loud).common
         rows = np.concatenate([without_line(samples.values[k])[:, axis] for k in (before, after)])
@@ -393,16 +358,15 @@ def _start(
     middle, width = (low_edge + high_edge) / 2, high_edge - low_edge
     mean = float(weight @ middle)
     variance = float(weight @ ((middle - mean) ** 2 + width**2 / 12))
-    return mean, float(np.sqrt(variance))
+    return Value(mean, float(np.sqrt(variance)), "s")
 
 
-def _view(samples: Samples, dwells: NDArray[np.intp], levels: list[Levels], axes: list[int]) -> View:
-    axis = axes[0]
-    own = levels[0]
+def _view(samples: Samples, dwells: NDArray[np.intp], levels: dict[int, Levels]) -> View:
+    """Return the figure of the scatter of each dwell over time, on the first axis in `levels`."""
+    axis, own = next(iter(levels.items()))
     letter = samples.letters[axis]
-    time = np.array([float(np.mean(samples.time_s[int(k)])) for k in dwells])
     return View(
-        time / 60,
+        np.array([float(np.mean(samples.time_s[k])) for k in dwells.tolist()]) / 60,
         np.sqrt(own.variance),
         "time / min",
         f"scatter of {letter} / mg",
