@@ -28,7 +28,7 @@ def one(job: tuple[str, int]) -> tuple[str, int, tuple[str, ...], str, bool, int
     board = FAULTY[name][0] if name else sound(seed)
     found: Bringup = bring_up(board.open(seed), permission=ALL)
     said = found.row(found.accused[0]).text if found.accused else ""
-    done = sum(row.result.verdict is not Verdict.NOT_MEASURED for row in found.rows)
+    done = sum(row.verdict is not Verdict.NOT_MEASURED for row in found.rows)
     return name, seed, found.accused, said, found.undone_ok, done
 
 

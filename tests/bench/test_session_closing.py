@@ -309,7 +309,7 @@ def advised(monkeypatch, measurements, *, adequate=True, tested=True, visited=0,
         confounded=(),
         measurements=measurements,
     )
-    monkeypatch.setattr(TRACE, "trace", lambda session, most: result)
+    monkeypatch.setattr(TRACE, "trace", lambda session: result)
     return TraceAdvisor(most).advise(Session(()), visited, reach or (lambda position: True))
 
 
@@ -364,7 +364,7 @@ def test_what_no_position_decides_is_named_at_the_end(monkeypatch):
             confounded=confounded,
             measurements=(),
         )
-        monkeypatch.setattr(TRACE, "trace", lambda session, most: result)
+        monkeypatch.setattr(TRACE, "trace", lambda session: result)
         return TraceAdvisor().advise(Session(()), 0, lambda position: True).ended
 
     assert "decide between quadratic and cross_quadratic:" in with_pair([("quadratic", "cross_quadratic")])

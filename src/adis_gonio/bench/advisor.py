@@ -73,8 +73,6 @@ class TraceAdvisor:
     ----------
     most : int
         Limit of positions beyond the plan.
-    max_effects : int
-        Largest number of effects that the trace adds to the base model.
 
     Attributes
     ----------
@@ -84,9 +82,8 @@ class TraceAdvisor:
         Number of dwells in the last trace; 0 before the first.
     """
 
-    def __init__(self, most: int = MOST_EXTRA, max_effects: int = 6) -> None:
+    def __init__(self, most: int = MOST_EXTRA) -> None:
         self.most = most
-        self.max_effects = max_effects
         self.result: TraceResult | None = None
         self.dwells = 0
 
@@ -101,7 +98,7 @@ class TraceAdvisor:
         from adis_gonio.tracing.trace import trace
 
         try:
-            result = trace(session, self.max_effects)
+            result = trace(session)
         except FitError as error:
             return Advice((), ended=f"the session cannot be traced: {error}")
         self.result, self.dwells = result, len(session.dwells)

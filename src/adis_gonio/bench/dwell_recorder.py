@@ -8,6 +8,8 @@ from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
+
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import SessionError
 from adis_gonio.base.numbers import counted
@@ -94,6 +96,7 @@ class Recording:
     status: Status | None = None
     settings_lost: str = ""
     _blocks: list[Block] = field(default_factory=list)
+    _times: Floats = field(default_factory=lambda: np.empty(0))
     # Number of samples up to the end of each block, and of scans lost up to there.
     _ends: list[int] = field(default_factory=lambda: [0])
     _lost: list[int] = field(default_factory=lambda: [0])
@@ -130,19 +133,20 @@ class Recording:
     @property
     def waited_s(self) -> float:
         """Time from the first scan to the newest scan, in s."""
-        return self._samples_time(self._count - 1) - self._samples_time(0) if self._count else 0.0
+        return float(self._times[-1] - self._times[0]) if self._count else 0.0
 
     @property
     def elapsed_s(self) -> float:
         """Length of the dwell so far, in s."""
-        return min(self._samples_time(self._count - 1) - self._begin_s, self.dwell_s) if self.begun else 0.0
+        return min(float(self._times[-1]) - self._begin_s, self.dwell_s) if self.begun else 0.0
 
     def add(self, block: Block) -> None:
         """Add the next block of scans."""
         if not len(block):
             return
         self._blocks.append(block)
-        self._ends.append(self._count + len(block))
+        self._times = np.concatenate([self._times, block.time_s])
+        self._ends.append(len(self._times))
         self._lost.append(self._lost[-1] + block.lost)
         if self.begun and self._stop is None:
             self._find_stop()
@@ -155,7 +159,7 @@ class Recording:
     def still(self, end: int) -> None:
         """Note that the sensor was still in a window that ends before sample `end`."""
         if self._still_s is None:
-            self._still_s = self._samples_time(end - 1)
+            self._still_s = float(self._times[end - 1])
 
     def try_begin(self) -> bool:
         """Begin the dwell if the sensor has settled; return True if this call began it."""
@@ -165,7 +169,7 @@ class Recording:
         if first is None:
             return False
         self.begin = first
-        self._begin_s = self._samples_time(first)
+        self._begin_s = float(self._times[first])
         self._find_stop()
         return True
 
@@ -209,17 +213,8 @@ class Recording:
 
     def _first_sample(self, at_s: float) -> int | None:
         """Return the index of the first sample at or after a time in s; None if it is not read yet."""
-        index = self._count
-        for block in reversed(self._blocks):
-            index -= len(block)
-            if block.time_s[0] < at_s:
-                inside = int((block.time_s < at_s).sum())
-                return None if index + inside == self._count else index + inside
-        return 0 if self._count else None
-
-    def _samples_time(self, sample: int) -> float:
-        at = bisect_right(self._ends, sample) - 1
-        return float(self._blocks[at].time_s[sample - self._ends[at]])
+        index = int(np.searchsorted(self._times, at_s))
+        return index if index < self._count else None
 
     def _pieces(self) -> list[tuple[Phase, Block]]:
         """Return the blocks with their phases, split at the begin and the end of the dwell.
@@ -482,7 +477,7 @@ class DwellRecorder(Recorder):
         if attempt.status or alarms:
             ledger.faulty.add(place)
         doubted = self._note_doubts(number)
-        ledger.count(place, number)
+        ledger.use_attempt(place, number)
         self._knowledge.learn(place, recording.position, scans, doubted=doubted)
         self._note_turn(number)
         mean = vector(scans.accel_mg.mean(axis=0))
@@ -571,10 +566,10 @@ class DwellRecorder(Recorder):
         withdrawn. Without an operator each doubt that `found` lacks is recorded as a problem.
         """
         ledger, place = self._ledger, recording.place
-        told = {problem.kind for problem in found}
+        kinds = {problem.kind for problem in found}
         for guard in judge_dwell(scans, found):
             if self._questions.auto:
-                if guard.kind not in told and not (guard.kind == "over_range" and "alarm" in told):
+                if guard.kind not in kinds and not (guard.kind == "over_range" and "alarm" in kinds):
                     yield self._tell_problem(guard, recording)
                 continue
             stays = yield from self._ask(guard, place)

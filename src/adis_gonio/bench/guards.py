@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -55,6 +55,12 @@ It is ten times the fastest self-heating by the data sheet (5 °C in one minute)
 """
 SUPPLY_STEP_V = 0.05
 """Largest change of the supply in V within a second of a good dwell: a tenth of the specified range."""
+
+_STEPS: tuple[tuple[Literal["temperature", "supply"], str, str, float], ...] = (
+    ("temperature", "temp_c", "°C", TEMPERATURE_STEP_C),
+    ("supply", "supply_v", "V", SUPPLY_STEP_V),
+)
+"""Conditions that may step within a dwell: kind, column of a session, unit, largest change in a second."""
 
 RETAKE: tuple[str, ...] = ("retake", "keep", "skip")
 
@@ -109,11 +115,19 @@ def shorten_repeated(guard: Guard, times: int, said: set[str]) -> Guard:
     return replace(guard, message=message)
 
 
-@dataclass(frozen=True)
-class Reading:
-    """Angles of the sensor at rest in a position of the plane, which `judge_turn` compares.
+def judge_turn(
+    *,
+    asked_deg: float,
+    here_deg: float,
+    gravity_deg: float,
+    off: Off,
+    off_reversed: Off | None,
+    turn: GyroIntegral | None,
+    sense: int,
+) -> Guard | None:
+    """Check that the sensor was turned in the plane as requested; return None if it was.
 
-    Attributes
+    Parameters
     ----------
     asked_deg, here_deg : float
         Requested turn since the dwell before, and requested stage angle.
@@ -124,64 +138,45 @@ class Reading:
         the opposite sense; the latter is None if a dwell excludes the opposite sense.
     turn : GyroIntegral or None
         Turn measured by the gyros since the dwell before; None if it was not followed.
-    sense : int
-        1, or −1 in a reversed session (the stage counts angles the other way than the plan).
+    sense : {1, -1}
+        −1 in a reversed session (the stage counts angles the other way than the plan).
     """
-
-    asked_deg: float
-    here_deg: float
-    gravity_deg: float
-    off: Off
-    off_reversed: Off | None
-    turn: GyroIntegral | None
-    sense: int = 1
-
-
-def judge_turn(reading: Reading) -> Guard | None:
-    """Check that the sensor was turned in the plane as requested; return None if it was."""
-    if reading.off.allowed:
+    if off.allowed:
         return None
     values = {
-        "asked_deg": reading.asked_deg,
-        "gravity_deg": reading.gravity_deg,
-        "off_deg": reading.off.off_deg,
-        "limit_deg": reading.off.limit_deg,
+        "asked_deg": asked_deg,
+        "gravity_deg": gravity_deg,
+        "off_deg": off.off_deg,
+        "limit_deg": off.limit_deg,
     }
-    gyro, about = "", None
-    if reading.turn is not None:
-        along = reading.sense * float(reading.turn.angle_deg[2])
-        values |= {"gyro_deg": along, "gyro_u_deg": reading.turn.u_deg}
-        gyro = f", {format_uncertain(along, NORMAL_95 * reading.turn.u_deg, 'deg', sign=True)} by the gyro"
-        about = _other_axis(reading.turn)
-    if about is not None and reading.turn is not None:
-        x, y, z = (float(angle) for angle in reading.turn.angle_deg)
-        values |= {"gyro_x_deg": x, "gyro_y_deg": y, "gyro_z_deg": z}
-        message = (
-            f"turned about {about} (x {signed(x, 1)}°, y {signed(y, 1)}°,"
-            f" z {signed(z, 1)}° by the gyros); {signed(reading.asked_deg)}° about z was requested"
-        )
-        return Guard("wrong_axis", message, values, spoils=True)
-    seen = f"{signed(reading.gravity_deg, 2)}° by gravity{gyro}"
-    if abs(reading.gravity_deg) <= math.degrees(SHIFT_MG / 1000.0):
-        message = f"the part has not moved: {seen}; {signed(reading.asked_deg)}° was requested"
+    wanted = f"{signed(asked_deg)}°"
+    seen = f"{signed(gravity_deg, 2)}° by gravity"
+    if turn is not None:
+        along = sense * float(turn.angle_deg[2])
+        values |= {"gyro_deg": along, "gyro_u_deg": turn.u_deg}
+        seen += f", {format_uncertain(along, NORMAL_95 * turn.u_deg, 'deg', sign=True)} by the gyro"
+        if (about := _other_axis(turn)) is not None:
+            x, y, z = (float(angle) for angle in turn.angle_deg)
+            values |= {"gyro_x_deg": x, "gyro_y_deg": y, "gyro_z_deg": z}
+            message = (
+                f"turned about {about} (x {signed(x, 1)}°, y {signed(y, 1)}°,"
+                f" z {signed(z, 1)}° by the gyros); {wanted} about z was requested"
+            )
+            return Guard("wrong_axis", message, values, spoils=True)
+    if abs(gravity_deg) <= math.degrees(SHIFT_MG / 1000.0):
+        message = f"the part has not moved: {seen}; {wanted} was requested"
         return Guard("not_moved", message, values, spoils=True)
-    if abs(wrap_degrees(reading.gravity_deg + reading.asked_deg)) <= reading.off.limit_deg:
-        return _reversed(reading, values, seen)
+    if abs(wrap_degrees(gravity_deg + asked_deg)) <= off.limit_deg:
+        message, answers = f"turned the wrong way: {seen}; {wanted} was requested", RETAKE
+        if off_reversed is not None and off_reversed.allowed:
+            message += "; if the stage counts the other way, reverse the whole session"
+            answers = ("retake", "reverse", "keep", "skip")
+        return Guard("reversed", message, values, answers, spoils=True)
     message = (
-        f"{signed(reading.off.off_deg, 2)}° off {reading.here_deg:g}° ({seen},"
-        f" {signed(reading.asked_deg)}° requested); part and fixture explain"
-        f" {reading.off.limit_deg:.2f}° at most"
+        f"{signed(off.off_deg, 2)}° off {here_deg:g}° ({seen}, {wanted} requested);"
+        f" part and fixture explain {off.limit_deg:.2f}° at most"
     )
     return Guard("wrong_angle", message, values, spoils=True)
-
-
-def _reversed(reading: Reading, values: dict[str, float], seen: str) -> Guard:
-    message = f"turned the wrong way: {seen}; {signed(reading.asked_deg)}° was requested"
-    answers = RETAKE
-    if reading.off_reversed is not None and reading.off_reversed.allowed:
-        message += "; if the stage counts the other way, reverse the whole session"
-        answers = ("retake", "reverse", "keep", "skip")
-    return Guard("reversed", message, values, answers, spoils=True)
 
 
 def _other_axis(turn: GyroIntegral) -> str | None:
@@ -329,23 +324,17 @@ def judge_dwell(scans: Block, problems: Sequence[Problem]) -> list[Guard]:
         alarms = 0 if scans.alarm is None else int(scans.alarm.sum())
         guards.append(Guard(kinds[found[0].kind], message, {"scans": float(alarms)}))
     columns = session_columns(scans)
-    if "temp_c" in columns:
-        step = greatest_step(scans.time_s, columns["temp_c"])
-        if step > TEMPERATURE_STEP_C:
+    for kind, column, unit, limit in _STEPS:
+        if column not in columns or (kind == "supply" and guards):
+            continue
+        step = greatest_step(scans.time_s, columns[column])
+        if step > limit:
             message = (
-                f"the temperature has stepped by {step:.2g} °C within the dwell"
-                f" (at most {TEMPERATURE_STEP_C:g} °C a second)"
+                f"the {kind} has stepped by {step:.2g} {unit} within the dwell"
+                f" (at most {limit:g} {unit} a second)"
             )
-            values = {"step_c": step, "limit_c": TEMPERATURE_STEP_C}
-            guards.append(Guard("temperature", message, values))
-    if "supply_v" in columns and not guards:
-        step = greatest_step(scans.time_s, columns["supply_v"])
-        if step > SUPPLY_STEP_V:
-            message = (
-                f"the supply has stepped by {step:.2g} V within the dwell"
-                f" (at most {SUPPLY_STEP_V:g} V a second)"
-            )
-            guards.append(Guard("supply", message, {"step_v": step, "limit_v": SUPPLY_STEP_V}))
+            name = column.rpartition("_")[2]
+            guards.append(Guard(kind, message, {f"step_{name}": step, f"limit_{name}": limit}))
     return guards
 
 
@@ -507,7 +496,7 @@ def diagnose_positions(positions: Sequence[PartPosition], spread: PriorKnowledge
         [np.nan if s.angle_deg is None else sense * math.radians(s.angle_deg) for s in positions]
     )
     order = np.arange(n, dtype=float)
-    turns = [stand.turn for stand in positions[1:]]
+    turns = [each.turn for each in positions[1:]]
     increments = Increments(
         np.radians([np.nan if turn is None else float(turn.angle_deg[2]) for turn in turns]),
         np.radians([np.nan if turn is None else turn.zero_u_deg for turn in turns]),
@@ -518,13 +507,13 @@ def diagnose_positions(positions: Sequence[PartPosition], spread: PriorKnowledge
         Angles(
             tuple(range(n)),
             declared,
-            np.array([stand.mean_mg[:2] for stand in positions]),
+            np.array([each.mean_mg[:2] for each in positions]),
             np.tile(reading**2 * np.eye(2), (n, 1, 1)),
             Conditions(
                 time_s=order,
                 angle_rad=declared,
                 order=order,
-                approach=np.array([float(sense * stand.approach) for stand in positions]),
+                approach=np.array([float(sense * each.approach) for each in positions]),
             ),
             spread.gravity_mg,
             math.radians(fixture),
@@ -546,13 +535,13 @@ def add_diagnosis(
     last = next((one for one in found.findings if here in (one.position, *one.others)), None)
     if last is None:
         return guard
-    before = [stand.angle_deg for stand in positions[-LARGEST:]]
-    told = _diagnosis_text(last, here, before, sense)
+    before = [each.angle_deg for each in positions[-LARGEST:]]
+    text = _diagnosis_text(last, here, before, sense)
     if guard is None:
-        return Guard("wrong_angle", told, _values(last, sense), spoils=True)
+        return Guard("wrong_angle", text, _values(last, sense), spoils=True)
     if guard.kind != "wrong_angle":
         return guard
-    return replace(guard, message=f"{guard.message}; {told}", values=guard.values | _values(last, sense))
+    return replace(guard, message=f"{guard.message}; {text}", values=guard.values | _values(last, sense))
 
 
 def _values(found: PositionFinding, sense: int) -> dict[str, float]:
@@ -590,7 +579,7 @@ def _diagnosis_text(
 
 
 @dataclass(frozen=True)
-class _Taken:
+class _JudgedDwell:
     """A recorded dwell of a session.
 
     `place` is the index of its position in the plan, `position` this position, and `mean_mg` (3,) its mean
@@ -626,7 +615,7 @@ class Judge:
         self._spread = spread
         self._planar = planar
         self.sense = sense
-        self._taken: list[_Taken] = []
+        self._taken: list[_JudgedDwell] = []
         self._longest_gap_s = longest_gap_s
         self.turning = Turning(longest_gap_s)
         self._turned: tuple[GyroIntegral | None, int | None] = (None, None)
@@ -645,15 +634,13 @@ class Judge:
         self._turned = (turn, before.place)
         reversed_off = self._other.off(accel_mg, position.angle_deg) if self._may_be_reversed else None
         guard = judge_turn(
-            Reading(
-                self._asked_deg(position),
-                position.angle_deg,
-                turned_deg(before.mean_mg, accel_mg, self.sense),
-                self._expected.off(accel_mg, position.angle_deg),
-                reversed_off,
-                turn,
-                self.sense,
-            )
+            asked_deg=self._asked_deg(position),
+            here_deg=position.angle_deg,
+            gravity_deg=turned_deg(before.mean_mg, accel_mg, self.sense),
+            off=self._expected.off(accel_mg, position.angle_deg),
+            off_reversed=reversed_off,
+            turn=turn,
+            sense=self.sense,
         )
         positions = self._positions(position, accel_mg)
         return add_diagnosis(
@@ -682,7 +669,7 @@ class Judge:
         `place` is the index of its position in the plan; `doubted` is True if a guard was overruled.
         """
         mean = np.asarray(scans.accel_mg.mean(axis=0))
-        self._taken.append(_Taken(place, position, mean, doubted, *self._turned))
+        self._taken.append(_JudgedDwell(place, position, mean, doubted, *self._turned))
         self._turned = (None, None)
         self._learn(self._taken[-1])
         self.turning.rest(scans)
@@ -733,7 +720,7 @@ class Judge:
     def _positions(self, position: Position, accel_mg: Floats) -> list[PartPosition]:
         """List the positions of the sensor in all dwells, and its present position last."""
         positions: list[PartPosition] = []
-        before: _Taken | None = None
+        before: _JudgedDwell | None = None
         for taken in self._taken:
             angle = None if taken.doubted else taken.position.angle_deg
             watched = taken.turn if before is not None and taken.since == before.place else None
@@ -748,7 +735,7 @@ class Judge:
         for taken in self._taken:
             self._learn(taken)
 
-    def _learn(self, taken: _Taken) -> None:
+    def _learn(self, taken: _JudgedDwell) -> None:
         angle = taken.position.angle_deg
         if taken.doubted or angle is None or not self._planar:
             return

@@ -479,7 +479,7 @@ class NetworkDevice:
     name : str
         Id or name of the device; empty takes the only accelerometer of three axes.
     timeout_s : float
-        Longest time for an operation in s.
+        Longest time for the answer to a request in s.
 
     Raises
     ------
@@ -504,10 +504,9 @@ class NetworkDevice:
         self._timeout_s = timeout_s
         self._deadline_s = math.inf
         try:
-            with self._within(timeout_s):
-                self._element = self._find(name)
-                self._id = self._element.get("id", "")
-                self._ask(f"TIMEOUT {round(timeout_s * 1000)}")
+            self._element = self._find(name)
+            self._id = self._element.get("id", "")
+            self._ask(f"TIMEOUT {round(timeout_s * 1000)}")
         except BaseException:
             self.close()
             raise
@@ -516,10 +515,6 @@ class NetworkDevice:
 
     def facts(self) -> DeviceFacts:
         """Read the name, the channels and the rate of the device."""
-        with self._within(self._timeout_s):
-            return self._facts()
-
-    def _facts(self) -> DeviceFacts:
         rate = self._attributes_named(self._element, "", ("sampling_frequency",))
         channels = []
         for element in self._element.findall("channel"):
@@ -568,8 +563,7 @@ class NetworkDevice:
 
     def read_raw(self, channel: str) -> float:
         """Read the present raw number of a channel."""
-        with self._within(self._timeout_s):
-            text = self._read(f"INPUT {self._id_of(channel)} raw")
+        text = self._read(f"INPUT {self._id_of(channel)} raw")
         return parse_number({"raw": text}, "raw", 0.0, self.where)
 
     def _id_of(self, channel: str) -> str:
@@ -593,8 +587,7 @@ class NetworkDevice:
         bits = sum(1 << order.index(self._id_of(channel.id)) for channel in channels)
         words = -(-len(order) // 32)
         self._mask = f"{bits:0{8 * words}x}"
-        with self._within(self._timeout_s):
-            answer = self._number(f"OPEN {self._id} {samples} {self._mask}")
+        answer = self._number(f"OPEN {self._id} {samples} {self._mask}")
         if answer < 0:
             hint = "; another program reads it" if answer == BUSY else "; ?poll=HZ reads single values"
             raise CannotOpenError(f"{self.where}: the buffer cannot be opened: {_words(answer)}{hint}")
@@ -602,15 +595,14 @@ class NetworkDevice:
 
     def read_buffer(self, size: int, timeout_s: float) -> bytes:
         """Read `size` bytes of whole scans; `timeout_s` is the longest time for it."""
-        with self._within(max(timeout_s, self._timeout_s)):
-            data, length = b"", self._number(f"READBUF {self._id} {size}")
-            while length > 0:
-                if not data and (mask := self._line()).lower() != self._mask:
-                    raise ProtocolError(f"{self.where}: scans of mask {mask} instead of {self._mask}")
-                data += self._exactly(min(length, size))
-                if len(data) >= size:
-                    return data
-                length = self._integer()
+        data, length = b"", self._number(f"READBUF {self._id} {size}", max(timeout_s, self._timeout_s))
+        while length > 0:
+            if not data and (mask := self._line()).lower() != self._mask:
+                raise ProtocolError(f"{self.where}: scans of mask {mask} instead of {self._mask}")
+            data += self._exactly(min(length, size))
+            if len(data) >= size:
+                return data
+            length = self._integer()
         if length == 0 and data:
             return data
         raise (BusTimeoutError if length == -110 else ProtocolError)(
@@ -623,10 +615,7 @@ class NetworkDevice:
             self._buffered = False
             # After an interrupted answer the remaining bytes are lost; then only closing the connection
             # works.
-            with (
-                contextlib.suppress(BusTimeoutError, ProtocolError, BusClosedError),
-                self._within(self._timeout_s),
-            ):
+            with contextlib.suppress(BusTimeoutError, ProtocolError, BusClosedError):
                 self._number(f"CLOSE {self._id}")
 
     def close(self) -> None:
@@ -650,7 +639,13 @@ class NetworkDevice:
             raise ProtocolError(f"{self.where}: an answer of {length} bytes to '{line}'")
         return self._exactly(length + 1)[:-1]
 
-    def _number(self, line: str) -> int:
+    def _number(self, line: str, timeout_s: float | None = None) -> int:
+        """Send a request and return the number that the server answers.
+
+        The whole answer, with the bytes after this number, must come within `timeout_s` (None: the time
+        limit of the device).
+        """
+        self._deadline_s = time.monotonic() + (self._timeout_s if timeout_s is None else timeout_s)
         with self._typed():
             self._socket.sendall(f"{line}\r\n".encode())
         return self._integer()
@@ -686,15 +681,6 @@ class NetworkDevice:
         if not data:
             raise ProtocolError(f"{self.where}: the server has ended the connection")
         self._received += data
-
-    @contextlib.contextmanager
-    def _within(self, seconds: float) -> Iterator[None]:
-        """Context that limits the total time of all requests in its block to some seconds."""
-        self._deadline_s = time.monotonic() + seconds
-        try:
-            yield
-        finally:
-            self._deadline_s = math.inf
 
     @contextlib.contextmanager
     def _typed(self) -> Iterator[None]:

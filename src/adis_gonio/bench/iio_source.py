@@ -9,15 +9,13 @@ from __future__ import annotations
 import math
 import re
 import time
-from abc import abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from adis_gonio.base import Closing
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import AdisGonioError, CannotOpenError, ProtocolError, UsageError
 from adis_gonio.base.jsonable import JsonRecord
@@ -33,6 +31,7 @@ from adis_gonio.bench.iio_devices import (
 )
 from adis_gonio.device.bus.host import UrlOptions
 from adis_gonio.device.bus.opening import BusUrl, Device
+from adis_gonio.device.sensor.scanning import BlockStream
 from adis_gonio.record.blocks import GENERIC, ValueBlock
 from adis_gonio.record.source import KnownPart, Measuring, SampleSource, Settings
 
@@ -170,10 +169,6 @@ class IioSource(SampleSource):
 
     def samples(self, settings: Settings, block_samples: int) -> IioStream:
         """Start a stream of samples in blocks of `block_samples`; the settings have no effect on it."""
-        return self.stream(block_samples)
-
-    def stream(self, block_samples: int) -> IioStream:
-        """Start a stream of samples in blocks of `block_samples`."""
         if block_samples < 1:
             raise UsageError(f"block_samples is {block_samples}: take 1 or more")
         if not self.measuring.buffered:
@@ -185,7 +180,7 @@ class IioSource(SampleSource):
         self._device.close()
 
 
-class IioStream(Closing):
+class IioStream(BlockStream[ValueBlock]):
     """Stream of blocks of samples until it is closed; use it as a context manager.
 
     Attributes
@@ -194,7 +189,6 @@ class IioStream(Closing):
         Way in which samples are read, and their known limitation, as texts for the user.
     """
 
-    how = ""
     caveat = NO_FAULTS
 
     def __init__(self, source: IioSource, block_samples: int) -> None:
@@ -202,28 +196,6 @@ class IioStream(Closing):
         self._device = source._device
         self._block = block_samples
         self._period_s = source.measuring.sample_period_s
-        self._closed = False
-
-    def __iter__(self) -> Iterator[ValueBlock]:
-        return self
-
-    def __next__(self) -> ValueBlock:
-        """Wait for the next block and return it; raises `BusError`."""
-        if self._closed:
-            raise StopIteration
-        return self._next()
-
-    def close(self) -> None:
-        """Stop the stream; may be called twice."""
-        if not self._closed:
-            self._closed = True
-            self._stop()
-
-    @abstractmethod
-    def _next(self) -> ValueBlock: ...
-
-    def _stop(self) -> None:
-        """Stop the device; a kind of stream that need not stop it does nothing here."""
 
     def _values(self, numbers: Mapping[str, Any], time_s: Floats, lost: int) -> ValueBlock:
         channels = self._source.channels

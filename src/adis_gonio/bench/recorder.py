@@ -365,7 +365,7 @@ class FreeTurnRecorder(Recorder):
             self._write(turn, "interrupted", settings)
             raise SessionError(settings)
         number = self._write(turn, "complete", "", None if status is None else status.word)
-        ledger.count(place, number)
+        ledger.use_attempt(place, number)
         ledger.recorded_s = turn.length_s  # the recording ends with the turns
         yield turn.done(number)
         if not turn.full:

@@ -63,192 +63,6 @@ SHARE_OF_RANGE = 0.6
 """Largest mean rate of a turn as a share of the gyros' range: a hand is faster between two grips."""
 
 
-class Visiting:
-    """Visits the positions of a plan: asks for each, has it recorded, and offers extensions.
-
-    Parameters
-    ----------
-    questions : Questions
-        Dialogue with the operator.
-    recorder : Recorder
-        Records each place.
-    extend : bool
-        True to accept, without an operator, the extension of a two-position session.
-    advisor : Advisor or None
-        Source of further positions when the plan is done; None if there is none.
-    """
-
-    def __init__(
-        self, questions: Questions, recorder: Recorder, *, extend: bool, advisor: Advisor | None
-    ) -> None:
-        self._questions, self._recorder = questions, recorder
-        self._bench, self._ledger, self._knowledge = questions.bench, questions.ledger, questions.knowledge
-        self._extend = extend
-        self._advisor = advisor
-        self._first_asked_s: float | None = None
-
-    def run(self) -> Iterator[Event]:
-        """Visit the positions of the plan until it is done or the operator stops.
-
-        The noise at rest is measured first if it is not known, or if the sensor no longer comes to rest by
-        the noise that was measured before.
-        """
-        while not self._questions.stopped:
-            if self._knowledge.limits is None:
-                noise = yield from _measure_noise(self._questions)
-                if noise is None:
-                    return
-                yield self._knowledge.take_noise(noise)
-            place = self._ledger.next_place
-            yield from self._questions.handle_pause(place)
-            if place is None and self._ledger.faulty:
-                answer = yield from self._offer_repetition()
-            elif place is None:
-                answer = yield from self._offer_extension()
-            else:
-                answer = yield from self._ask_position(place)
-            if not (yield from self._carry_out(answer, place)):
-                return
-
-    def _carry_out(self, answer: Reply, place: int | None) -> Generator[Event, None, bool]:
-        """Do what the operator's answer requests; return False if the answer ends the session.
-
-        `place` is the index of the position that the operator was asked to set; None if the program offered
-        something else (more positions, a repeat).
-        """
-        last = self._ledger.last_place
-        if answer is Reply.REPEAT and last is not None:
-            yield from self._recorder.take(last)
-        elif answer is Reply.UNDO and last is not None:
-            yield self._knowledge.withdraw(last)
-        elif answer is Reply.CONFIRM and place is not None:
-            yield from self._recorder.take(place)
-        elif answer is Reply.SKIP and place is not None:
-            self._ledger.skip(place)
-        else:
-            return answer is Reply.ACCEPT
-        return True
-
-    def _ask_position(self, place: int) -> Generator[Event, None, Reply]:
-        ledger = self._ledger
-        position = ledger.plan.positions[place]
-        asked = PositionAsked(
-            place,
-            position,
-            min(len(ledger.done) + len(ledger.skipped) + 1, len(ledger.plan)),
-            len(ledger.plan),
-            ledger.last_place is not None,
-            self._time_left_s(),
-            ledger.last_place is not None,
-        )
-        self._knowledge.view.target = position
-        return (yield from self._questions.ask(asked, {Reply.CONFIRM, Reply.SKIP}, Reply.CONFIRM, place))
-
-    def _time_left_s(self) -> float:
-        """Return an estimate of the time in s for the remaining positions, by the time spent so far."""
-        bench, ledger = self._bench, self._ledger
-        left = len(ledger.plan) - len(ledger.done) - len(ledger.skipped)
-        if self._first_asked_s is None:
-            self._first_asked_s = bench.now_s
-        each = expected_each_s(bench.settle_s, bench.settings.dwell_s)
-        if ledger.taken:
-            each = (bench.now_s - self._first_asked_s) / ledger.taken
-        return left * each + sum(ledger.plan.positions[k].wait_s for k in ledger.open_places)
-
-    def _offer_repetition(self) -> Generator[Event, None, Reply]:
-        """Ask if dwells with an error or alarm are to be repeated or kept; record and return the answer."""
-        places = sorted(self._ledger.faulty)
-        where = tuple(self._ledger.plan.positions[place] for place in places)
-        offer = RepetitionOffered(tuple(places), where)
-        answer = yield from self._questions.ask(offer, {Reply.ACCEPT, Reply.DECLINE}, Reply.DECLINE)
-        if answer is Reply.DECLINE:
-            self._ledger.keep_faulty(places)
-            return Reply.ACCEPT
-        if answer is Reply.ACCEPT:
-            for place in places:
-                other = yield from self._take_again(place)
-                if other is not None:
-                    return other
-        return answer
-
-    def _take_again(self, place: int) -> Generator[Event, None, Reply | None]:
-        """Repeat the dwell of a position: ask for the position until there is a new dwell.
-
-        Returns None, or the operator's answer if it is about something else. If the position is skipped,
-        its present dwell is kept.
-        """
-        done, skipped = self._ledger.done, self._ledger.skipped
-        before = done.get(place)
-        while done.get(place) == before and not self._questions.stopped:
-            answer = yield from self._ask_position(place)
-            if answer is Reply.CONFIRM:
-                yield from self._recorder.take(place)
-            if answer is Reply.SKIP or (place in skipped and done.get(place) == before):
-                skipped.discard(place)
-                self._ledger.keep_faulty([place])
-                return None
-            if answer not in (Reply.CONFIRM, Reply.SKIP):
-                return answer
-        return None
-
-    def _offer_extension(self) -> Generator[Event, None, Reply]:
-        ledger = self._ledger
-        longer = extension(ledger.plan, len(ledger.done))
-        typical_mg = self._bench.source.part.initial_bias_mg
-        gravity_mg = 1000.0 * ledger.header.gravity_mps2 / STANDARD_GRAVITY_MPS2
-        blind = blindness(ledger.plan, typical_mg, gravity_mg)
-        if longer is None or blind is None:
-            return (yield from self._ask_advisor())
-        wanted = self._extend or self._advisor is not None
-        return (yield from self._offer(ExtensionOffered(longer, blind), wanted))
-
-    def _offer(self, offer: ExtensionOffered, wanted: bool) -> Generator[Event, None, Reply]:
-        """Offer a longer plan and return the answer; an accepted plan is archived before the next position.
-
-        `wanted` is True if the offer is to be accepted when there is no operator.
-        """
-        default = Reply.ACCEPT if wanted else Reply.DECLINE
-        answer = yield from self._questions.ask(offer, {Reply.ACCEPT, Reply.DECLINE}, default)
-        if answer is Reply.ACCEPT:
-            self._ledger.extend(offer.plan)
-        return answer
-
-    def _ask_advisor(self) -> Generator[Event, None, Reply]:
-        """Ask the advisor for further positions, and offer these to the operator."""
-        ledger = self._ledger
-        if self._advisor is None or not ledger.done:
-            return Reply.STOP
-        yield Advising(len(ledger.done))
-        rounds = [record.value for record in ledger.archive.records("advised")]
-        visited = len(ledger.plan) - rounds[0]["planned"] if rounds else 0
-        advice = self._advisor.advise(read_session(ledger.archive.path), visited, self._reachable)
-        count, number = len(advice.positions), len(rounds) + 1
-        ledger.note(
-            "advised",
-            {
-                "round": number,
-                "planned": len(ledger.plan),
-                "positions": count,
-                "reasons": list(advice.reasons),
-                "ended": advice.ended,
-                "summary": advice.summary,
-            },
-        )
-        yield Advised(number, count, advice.ended, advice.summary)
-        if not advice.positions:
-            return Reply.STOP
-        longer = extended(ledger.plan, advice.positions)
-        return (yield from self._offer(ExtensionOffered(longer, None, advice.reasons), True))
-
-    def _reachable(self, position: Position) -> bool:
-        """Return True if the operator can place the sensor there, or with `auto` the program can."""
-        ledger = self._ledger
-        refused = {replace(ledger.plan.positions[place], wait_s=0.0) for place in ledger.skipped}
-        if replace(position, wait_s=0.0) in refused:
-            return False
-        return not self._questions.auto or self._bench.can_reach(position)
-
-
 class SessionRunner(Operator):
     """Runs a session; create it by `begin` or `resume`.
 
@@ -275,8 +89,9 @@ class SessionRunner(Operator):
         self._recorder_type = RECORDERS.get(self._ledger.plan.name, DwellRecorder)
         self._knowledge = Knowledge(bench, self._ledger, judging=self.judges_places)
         self._questions = Questions(self, bench, self._ledger, self._knowledge, auto=auto)
-        recorder = self._recorder_type(self._questions)
-        self._visiting = Visiting(self._questions, recorder, extend=extend, advisor=advisor)
+        self._recorder = self._recorder_type(self._questions)
+        self._extend, self._advisor = extend, advisor
+        self._first_asked_s: float | None = None
 
     @classmethod
     def begin(
@@ -467,7 +282,7 @@ class SessionRunner(Operator):
         self._knowledge.fits_dwells = so_far
         try:
             yield from self._prepare()
-            yield from self._visiting.run()
+            yield from self._visit()
             finished = self._finish()
         except BaseException:
             with contextlib.suppress(AdisGonioError):  # the first error counts; the bus may be gone
@@ -504,11 +319,176 @@ class SessionRunner(Operator):
         if bench.virtual_time:
             bench.bring_world_to(archive, last)
         elif bench.simulated:
-            bench.take_up(archive, last)
+            bench.restore_position(archive, last)
         yield self._knowledge.take_noise(noise)
         running = self._knowledge.running() if self._resumed else None
         if running is not None:
             yield running
+
+    # -- positions --------------------------------------------------------------------------------------
+
+    def _visit(self) -> Iterator[Event]:
+        """Visit the positions of the plan until it is done or the operator stops.
+
+        The noise at rest is measured first if it is not known, or if the sensor no longer comes to rest by
+        the noise that was measured before.
+        """
+        while not self._questions.stopped:
+            if self._knowledge.limits is None:
+                noise = yield from _measure_noise(self._questions)
+                if noise is None:
+                    return
+                yield self._knowledge.take_noise(noise)
+            place = self._ledger.next_place
+            yield from self._questions.handle_pause(place)
+            if place is None and self._ledger.faulty:
+                answer = yield from self._offer_repetition()
+            elif place is None:
+                answer = yield from self._offer_extension()
+            else:
+                answer = yield from self._ask_position(place)
+            if not (yield from self._carry_out(answer, place)):
+                return
+
+    def _carry_out(self, answer: Reply, place: int | None) -> Generator[Event, None, bool]:
+        """Do what the operator's answer requests; return False if the answer ends the session.
+
+        `place` is the index of the position that the operator was asked to set; None if the program offered
+        something else (more positions, a repeat).
+        """
+        last = self._ledger.last_place
+        if answer is Reply.REPEAT and last is not None:
+            yield from self._recorder.take(last)
+        elif answer is Reply.UNDO and last is not None:
+            yield self._knowledge.withdraw(last)
+        elif answer is Reply.CONFIRM and place is not None:
+            yield from self._recorder.take(place)
+        elif answer is Reply.SKIP and place is not None:
+            self._ledger.skip(place)
+        else:
+            return answer is Reply.ACCEPT
+        return True
+
+    def _ask_position(self, place: int) -> Generator[Event, None, Reply]:
+        ledger = self._ledger
+        position = ledger.plan.positions[place]
+        asked = PositionAsked(
+            place,
+            position,
+            min(len(ledger.done) + len(ledger.skipped) + 1, len(ledger.plan)),
+            len(ledger.plan),
+            ledger.last_place is not None,
+            self._time_left_s(),
+            ledger.last_place is not None,
+        )
+        self._knowledge.view.target = position
+        return (yield from self._questions.ask(asked, {Reply.CONFIRM, Reply.SKIP}, Reply.CONFIRM, place))
+
+    def _time_left_s(self) -> float:
+        """Return an estimate of the time in s for the remaining positions, by the time spent so far."""
+        bench, ledger = self._bench, self._ledger
+        left = len(ledger.plan) - len(ledger.done) - len(ledger.skipped)
+        if self._first_asked_s is None:
+            self._first_asked_s = bench.now_s
+        each = expected_each_s(bench.settle_s, bench.settings.dwell_s)
+        if ledger.taken:
+            each = (bench.now_s - self._first_asked_s) / ledger.taken
+        return left * each + sum(ledger.plan.positions[k].wait_s for k in ledger.open_places)
+
+    def _offer_repetition(self) -> Generator[Event, None, Reply]:
+        """Ask if dwells with an error or alarm are to be repeated or kept; record and return the answer."""
+        places = sorted(self._ledger.faulty)
+        where = tuple(self._ledger.plan.positions[place] for place in places)
+        offer = RepetitionOffered(tuple(places), where)
+        answer = yield from self._questions.ask(offer, {Reply.ACCEPT, Reply.DECLINE}, Reply.DECLINE)
+        if answer is Reply.DECLINE:
+            self._ledger.keep_faulty(places)
+            return Reply.ACCEPT
+        if answer is Reply.ACCEPT:
+            for place in places:
+                other = yield from self._take_again(place)
+                if other is not None:
+                    return other
+        return answer
+
+    def _take_again(self, place: int) -> Generator[Event, None, Reply | None]:
+        """Repeat the dwell of a position: ask for the position until there is a new dwell.
+
+        Returns None, or the operator's answer if it is about something else. If the position is skipped,
+        its present dwell is kept.
+        """
+        done, skipped = self._ledger.done, self._ledger.skipped
+        before = done.get(place)
+        while done.get(place) == before and not self._questions.stopped:
+            answer = yield from self._ask_position(place)
+            if answer is Reply.CONFIRM:
+                yield from self._recorder.take(place)
+            if answer is Reply.SKIP or (place in skipped and done.get(place) == before):
+                skipped.discard(place)
+                self._ledger.keep_faulty([place])
+                return None
+            if answer not in (Reply.CONFIRM, Reply.SKIP):
+                return answer
+        return None
+
+    def _offer_extension(self) -> Generator[Event, None, Reply]:
+        ledger = self._ledger
+        longer = extension(ledger.plan, len(ledger.done))
+        typical_mg = self._bench.source.part.initial_bias_mg
+        gravity_mg = 1000.0 * ledger.header.gravity_mps2 / STANDARD_GRAVITY_MPS2
+        blind = blindness(ledger.plan, typical_mg, gravity_mg)
+        if longer is None or blind is None:
+            return (yield from self._ask_advisor())
+        wanted = self._extend or self._advisor is not None
+        return (yield from self._offer(ExtensionOffered(longer, blind), wanted))
+
+    def _offer(self, offer: ExtensionOffered, wanted: bool) -> Generator[Event, None, Reply]:
+        """Offer a longer plan and return the answer; an accepted plan is archived before the next position.
+
+        `wanted` is True if the offer is to be accepted when there is no operator.
+        """
+        default = Reply.ACCEPT if wanted else Reply.DECLINE
+        answer = yield from self._questions.ask(offer, {Reply.ACCEPT, Reply.DECLINE}, default)
+        if answer is Reply.ACCEPT:
+            self._ledger.extend(offer.plan)
+        return answer
+
+    def _ask_advisor(self) -> Generator[Event, None, Reply]:
+        """Ask the advisor for further positions, and offer these to the operator."""
+        ledger = self._ledger
+        if self._advisor is None or not ledger.done:
+            return Reply.STOP
+        yield Advising(len(ledger.done))
+        rounds = [record.value for record in ledger.archive.records("advised")]
+        visited = len(ledger.plan) - rounds[0]["planned"] if rounds else 0
+        advice = self._advisor.advise(read_session(ledger.archive.path), visited, self._reachable)
+        count, number = len(advice.positions), len(rounds) + 1
+        ledger.note(
+            "advised",
+            {
+                "round": number,
+                "planned": len(ledger.plan),
+                "positions": count,
+                "reasons": list(advice.reasons),
+                "ended": advice.ended,
+                "summary": advice.summary,
+            },
+        )
+        yield Advised(number, count, advice.ended, advice.summary)
+        if not advice.positions:
+            return Reply.STOP
+        longer = extended(ledger.plan, advice.positions)
+        return (yield from self._offer(ExtensionOffered(longer, None, advice.reasons), True))
+
+    def _reachable(self, position: Position) -> bool:
+        """Return True if the operator can place the sensor there, or with `auto` the program can."""
+        ledger = self._ledger
+        refused = {replace(ledger.plan.positions[place], wait_s=0.0) for place in ledger.skipped}
+        if replace(position, wait_s=0.0) in refused:
+            return False
+        return not self._questions.auto or self._bench.can_reach(position)
+
+    # -- end --------------------------------------------------------------------------------------------
 
     def _finish(self) -> Finished:
         bench, ledger = self._bench, self._ledger
@@ -529,7 +509,7 @@ class SessionRunner(Operator):
 def _measure_noise(questions: Questions) -> Generator[Event, None, list[float] | None]:
     """Measure the noise of the sensor at rest and record it in the archive.
 
-    If the sensor does not come to rest in time, the operator is told so, and the measurement is repeated.
+    If the sensor does not come to rest in time, a problem is shown and the measurement is repeated.
 
     Returns
     -------

@@ -167,7 +167,7 @@ class SessionBench:
                 " run it without auto"
             )
         free = any(position.angle_deg is None for position in plan.positions)
-        if free and self._spatial is None:
+        if free and not isinstance(self.stage, SpatialStage):
             raise UsageError(f"plan '{plan.name}' needs an operator: this stage turns in a plane only")
         whole = any(position.turned_deg is not None for position in plan.positions)
         if whole and not isinstance(self.stage, TurnTable):
@@ -177,7 +177,9 @@ class SessionBench:
         """Return True if the program can set a position and its conditions without an operator."""
         if self.wants_conditions(position) and not self.sets_conditions:
             return False
-        return self.stage is not None if position.angle_deg is not None else self._spatial is not None
+        if position.angle_deg is None:
+            return isinstance(self.stage, SpatialStage)
+        return self.stage is not None
 
     @property
     def sets_conditions(self) -> bool:
@@ -326,32 +328,30 @@ class SessionBench:
         return move if self._carry_out(move) else None
 
     def _carry_out(self, move: Move, *, watched: bool = True) -> bool:
+        """Move the stage and return True; return False if there is no stage that can do it.
+
+        If turns are recorded, a stage that moves while scans are read only begins the move, unless
+        `watched` is False.
+        """
+        stage = self.stage
+        scanned = stage if watched and self.settings.turns and isinstance(stage, WatchedStage) else None
         if move.turned_deg is not None:
-            if not isinstance(self.stage, TurnTable):
+            if not isinstance(stage, TurnTable):
                 return False
-            self.stage.begin_turn(move.turned_deg)
-            return True
-        if watched and self.settings.turns and isinstance(self.stage, WatchedStage):
-            return self._begin(self.stage, move)
-        if self.stage is not None and move.angle_deg is not None:
-            self.stage.move_to(move.angle_deg, move.approach)
-            return True
-        if self._spatial is not None and move.direction is not None:
-            self._spatial.orient(move.direction)
-            return True
-        return False
-
-    def _begin(self, stage: WatchedStage, move: Move) -> bool:
-        """Start a move during which scans are read; return False if it has neither angle nor direction."""
-        if move.angle_deg is not None:
-            self._moves_until_s = stage.begin_move(move.angle_deg, move.approach)
-        elif move.direction is not None:
-            self._moves_until_s = stage.begin_orient(move.direction)
-        return move.angle_deg is not None or move.direction is not None
-
-    @property
-    def _spatial(self) -> SpatialStage | None:
-        return self.stage if isinstance(self.stage, SpatialStage) else None
+            stage.begin_turn(move.turned_deg)
+        elif move.angle_deg is not None and stage is not None:
+            if scanned is not None:
+                self._moves_until_s = scanned.begin_move(move.angle_deg, move.approach)
+            else:
+                stage.move_to(move.angle_deg, move.approach)
+        elif move.direction is not None and isinstance(stage, SpatialStage):
+            if scanned is not None:
+                self._moves_until_s = scanned.begin_orient(move.direction)
+            else:
+                stage.orient(move.direction)
+        else:
+            return False
+        return True
 
     # -- time -------------------------------------------------------------------------------------
 
@@ -404,7 +404,7 @@ class SessionBench:
             self.source.status()
         self._wait_until(end_s)
 
-    def take_up(self, archive: ArchiveView, attempt: int) -> None:
+    def restore_position(self, archive: ArchiveView, attempt: int) -> None:
         """Move a new simulated sensor to the position in which the archived attempt `attempt` left it.
 
         Only the last move is repeated, at the present time: the sensor was powered on anew, as on a real

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -100,7 +100,7 @@ class Ledger:
         self.note("skipped", place)
         self.skipped.add(place)
 
-    def count(self, place: int, number: int) -> None:
+    def use_attempt(self, place: int, number: int) -> None:
         """Use the attempt `number` as the dwell of the position at index `place`."""
         self.done[place] = number
         self.taken += 1
@@ -135,15 +135,6 @@ EVERY_UP_TO = 36
 """Number of dwells up to which each dwell is followed by a fit; later, every increase by 10 % is."""
 
 
-@dataclass(frozen=True)
-class _Mean:
-    """Mean reading (3,) of a dwell in mg at a position, and the variance of this mean per axis in mg²."""
-
-    position: Position
-    mean_mg: Floats
-    variance_mg2: float
-
-
 class RunningFit:
     """Fits the mean readings of the dwells so far, fast enough to run after each dwell.
 
@@ -153,7 +144,8 @@ class RunningFit:
 
     def __init__(self, header: Header) -> None:
         self._header = header
-        self._means: dict[int, _Mean] = {}
+        # Position, mean reading (3,) in mg and the variance of this mean per axis in mg², by place.
+        self._means: dict[int, tuple[Position, Floats, float]] = {}
         self._fitted = 0
 
     def add(self, place: int, position: Position, scans: Block) -> None:
@@ -164,7 +156,7 @@ class RunningFit:
         # The scatter of the means of the parts gives the variance of the mean of the dwell.
         parts = np.array([part.mean(axis=0) for part in np.array_split(scans.accel_mg, PARTS)])
         variance = float(parts.var(axis=0, ddof=1).mean()) / PARTS
-        self._means[place] = _Mean(position, np.asarray(scans.accel_mg.mean(axis=0)), variance)
+        self._means[place] = position, np.asarray(scans.accel_mg.mean(axis=0)), variance
 
     def withdraw(self, place: int) -> None:
         """Remove the dwell of a place (index in the plan) from the fit."""
@@ -197,11 +189,12 @@ class RunningFit:
 
     def _session(self, plan: Plan, *, reverse: bool) -> Session:
         header, sign = self._header, -1.0 if reverse else 1.0
-        variance = float(np.mean([entry.variance_mg2 for entry in self._means.values()] or [1.0]))
+        variance = float(np.mean([one for _, _, one in self._means.values()] or [1.0]))
         dwells = []
-        for number, (_, entry) in enumerate(sorted(self._means.items())):
-            angle = entry.position.angle_deg
-            dwell = Dwell(number, np.array([float(number)]), entry.mean_mg[None, :], use=entry.position.use)
+        for number, place in enumerate(sorted(self._means)):
+            position, mean_mg, _ = self._means[place]
+            angle = position.angle_deg
+            dwell = Dwell(number, np.array([float(number)]), mean_mg[None, :], use=position.use)
             dwells.append(replace(dwell, angle_deg=None if angle is None else sign * angle))
         return Session(
             tuple(dwells),

@@ -66,7 +66,7 @@ def test_without_permission_nothing_but_data_ready_is_written():
     found = bring_up(bus)
     assert {frame >> 8 & 0x3F for frame in writes} == {0x34}, "the low byte of MSC_CTRL"
     assert registers_of(bus) == before
-    left = [row.name for row in found.rows if row.result.verdict is Verdict.NOT_MEASURED]
+    left = [row.name for row in found.rows if row.verdict is Verdict.NOT_MEASURED]
     assert left == [step.name for step in STEPS if step.question]
     assert "--allow-writes" in found.row("offset").text
 
@@ -106,7 +106,7 @@ def test_a_ctrl_c_at_any_write_ends_the_run_with_the_registers_put_back(at, time
     assert found.stopped
     assert registers_of(bus) == before
     assert found.undone_ok
-    assert found.rows[-1].result.text == "not measured: stopped by the operator"
+    assert found.rows[-1].text == "not measured: stopped by the operator"
     assert [row.name for row in found.rows] == [step.name for step in steps(*SHORT)]
 
 
@@ -145,7 +145,7 @@ def test_a_bus_that_dies_after_a_write_is_said_and_nothing_more_is_tried():
     assert not found.sound
     assert "NOT put back" in found.undone
     assert "XACCL_OFF" in found.undone
-    assert "could not be put back" in found.rows[-1].result.text
+    assert "could not be put back" in found.rows[-1].text
 
 
 def test_a_register_that_does_not_go_back_is_named():

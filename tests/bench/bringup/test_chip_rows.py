@@ -128,7 +128,7 @@ def test_colored_noise_of_the_bench_leaves_the_noise_rows_open(tmp_path):
 
 
 def test_over_range_that_falls_at_offsets_near_its_limit_is_confirmed(tmp_path):
-    record_bringup(Change("", _with_chain(OverRangeOfOutputs)), 2, tmp_path / "run.rec")
+    record_bringup(Change("", _with_chain(OverRangeOfOutputs)), 4, tmp_path / "run.rec")
     findings = judge_recordings([tmp_path / "run.rec"], PART)
     assert not contradicted(findings)
     (row_of,) = (one for one in findings if one.name == "over_range_falls")

@@ -12,7 +12,7 @@ from adis_gonio.base.errors import BusTimeoutError, CannotOpenError, ProtocolErr
 from adis_gonio.bench.iio_source import NO_FAULTS, find_devices
 from adis_gonio.faces.cli import main
 from adis_gonio.record.loading import load_session
-from adis_gonio.record.source import open_source
+from adis_gonio.record.source import Settings, open_source
 from bench.iio.sysfs_tree import NAME, OFFSET, SCALE, SysfsTree
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="IIO is Linux'")
@@ -34,7 +34,7 @@ def url_of(tree, name="device0", more=""):
 
 def test_scans_are_read_in_units_and_what_was_changed_is_set_back(tree):
     before = tree.state()
-    with open_source(url_of(tree)) as source, source.stream(50) as stream:
+    with open_source(url_of(tree)) as source, source.samples(Settings(), 50) as stream:
         assert tree.read("buffer/enable") == "1"
         block = next(stream)
         assert block.registers == ("ax", "ay", "az", "temp_c")
@@ -48,7 +48,7 @@ def test_scans_are_read_in_units_and_what_was_changed_is_set_back(tree):
 
 def test_lost_scans_are_counted_by_the_gaps_in_their_times(tree):
     tree.lose_after = 70
-    with open_source(url_of(tree)) as source, source.stream(40) as stream:
+    with open_source(url_of(tree)) as source, source.samples(Settings(), 40) as stream:
         lost = [next(stream).lost for _ in range(3)]
     assert lost == [0, 3, 0]
 
@@ -68,7 +68,7 @@ def test_it_is_listed(tree, tmp_path):
 
 
 def test_single_values_are_polled_where_asked(tree):
-    with open_source(url_of(tree, more="&poll=200")) as source, source.stream(10) as stream:
+    with open_source(url_of(tree, more="&poll=200")) as source, source.samples(Settings(), 10) as stream:
         block = next(stream)
     assert block.accel_mg == pytest.approx(np.tile(AT_REST_MG, (10, 1)))
     assert (np.diff(block.time_s) > 0).all()
@@ -93,7 +93,7 @@ def test_what_does_not_work_is_one_typed_error_and_nothing_stays_changed(
     change(tree)
     before = tree.state()
     with pytest.raises(error, match=match), open_source(url_of(tree, more=options)) as source:
-        next(source.stream(5))
+        next(source.samples(Settings(), 5))
     assert tree.state() == before
 
 
@@ -103,7 +103,7 @@ def test_a_device_that_is_silent_is_a_time_out(tree, monkeypatch):
     keep = os.open(tree.node, os.O_RDWR)  # a writer that says nothing
     try:
         with pytest.raises(BusTimeoutError, match="trigger"), open_source(url_of(tree)) as source:
-            next(source.stream(5))
+            next(source.samples(Settings(), 5))
     finally:
         os.close(keep)
 
@@ -114,7 +114,7 @@ def test_a_device_that_is_pulled_out_is_gone_and_not_only_silent(tree, monkeypat
     monkeypatch.setattr("adis_gonio.bench.iio_source.PATIENCE_S", 0.2)
     keep = os.open(tree.node, os.O_RDWR)
     try:
-        with open_source(url_of(tree)) as source, source.stream(5) as stream:
+        with open_source(url_of(tree)) as source, source.samples(Settings(), 5) as stream:
             shutil.rmtree(tree.device)
             with pytest.raises(ProtocolError, match="the device is gone"):
                 next(stream)
@@ -124,7 +124,7 @@ def test_a_device_that_is_pulled_out_is_gone_and_not_only_silent(tree, monkeypat
 
 def test_a_device_that_goes_away_is_an_error(tree):
     with open_source(url_of(tree)) as source:
-        stream = source.stream(5)
+        stream = source.samples(Settings(), 5)
         next(stream)
         tree.stop()
         with pytest.raises(ProtocolError, match="gone"):

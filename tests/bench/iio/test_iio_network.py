@@ -46,7 +46,7 @@ def run(runner, server, *, stop_after=None):
 def test_samples_by_network_are_those_of_the_sensor():
     with served("sim:?seed=1&realtime=1") as server:
         direct = np.array([server.sensor.quantity(f"{axis}ACCL_OUT").value for axis in "XYZ"])
-        with open_source(url_of(server)) as source, source.stream(200) as stream:
+        with open_source(url_of(server)) as source, source.samples(Settings(), 200) as stream:
             blocks = [next(stream) for _ in range(3)]
             assert source.part.step_mg == pytest.approx(0.4672)
             assert source.measuring.sample_rate_hz == pytest.approx(819.2, rel=1e-4)
@@ -249,7 +249,7 @@ def test_a_device_that_is_not_there_names_those_that_are():
 def test_a_server_that_ends_in_the_middle_is_a_typed_error():
     with served() as server:
         source = open_source(url_of(server))
-        stream = source.stream(50)
+        stream = source.samples(Settings(), 50)
         next(stream)
     with source, stream, pytest.raises(BusError, match=r"ended the connection|reset|pipe"):
         for _ in stream:

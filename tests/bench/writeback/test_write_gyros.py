@@ -305,10 +305,10 @@ def test_an_autonull_that_agrees_in_this_pose_is_kept_and_counted(path, precise)
     found = outcome.autonull
     assert found.agrees
     # Force along X goes into the chip's null of Y, and is accounted for.
-    assert abs(found.force_dps[1]) > 0.15
-    assert np.abs(found.chip_dps - found.session_dps).max() < 4 * found.u_dps.max()
+    assert abs(made._part.by_force(made._before)[0][1]) > 0.15
+    assert np.abs(found.measured - found.expected).max() < 4 * found.u.max()
     assert (outcome.endurance_before, outcome.endurance_after) == (0, 1)
-    assert gyro_numbers(bus) == gyro_flash(bus) == tuple(found.new[name] for name in GYROS)
+    assert gyro_numbers(bus) == gyro_flash(bus) != OLD
     assert writer(bus, path).standing().registers == "new"
     assert writer(bus, path).standing().saved is True
     assert any("by force" in line for line in told)
@@ -323,7 +323,8 @@ def test_without_the_g_sensitivity_the_same_null_would_be_refused(path, known):
     made = writer(bus, path)
     made.plan()
     found = made.autonull(precise=True).autonull
-    assert (np.abs(found.off_dps + found.force_dps) > 4 * found.u_dps).any()
+    force = made._part.by_force(made._before)[0]
+    assert (np.abs(found.measured - found.expected + force) > 4 * found.u).any()
 
 
 def test_an_autonull_of_a_part_that_turns_is_set_back_in_register_and_flash_and_says_by_how_much(path):
@@ -430,7 +431,7 @@ def test_the_command_says_what_an_autonull_costs_before_it_asks(bus, path, capsy
     document = json.loads(capsys.readouterr().out)
     assert document["autonull"]["agrees"] is True
     assert document["endurance"] == {"before": 0, "after": 1}
-    assert set(document["autonull"]["new"]) == set(GYROS)
+    assert document["autonull"]["new"] == dict(zip(GYROS, gyro_numbers(bus), strict=True))
 
 
 @pytest.mark.parametrize(

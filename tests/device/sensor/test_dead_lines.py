@@ -85,7 +85,7 @@ def test_no_stream_yields_the_ones_or_zeros_of_a_line_that_sticks_while_it_runs(
 def test_a_self_test_on_a_dead_line_is_not_passed(level):
     bus = FailingLine()
     sensor = Adis16354(bus)
-    assert sensor.self_test().passed
+    assert not sensor.self_test().self_test_failures
     bus.stuck = level
     with pytest.raises(ChipError):
         sensor.self_test()

@@ -18,10 +18,10 @@ from adis_gonio.base.errors import (
 )
 from adis_gonio.device.bus import Capability
 from adis_gonio.device.sensor import DEFAULT_SCAN, Adis16354, Alarm
-from adis_gonio.device.sensor.registers import BY_NAME, FAST, NORMAL, REGISTERS
+from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, FAST, GYRO_OFF, NORMAL, REGISTERS
 from adis_gonio.sim import SimBus, SimulatedChip, World
 from adis_gonio.sim.chip import State
-from adis_gonio.sim.sampling import OUTPUTS, SignalChain
+from adis_gonio.sim.sampling import OUTPUTS
 from adis_gonio.testing import ExpectedFrames
 from fakes.buses import ConstantBus, RecordingBus
 from fakes.numbered_scans import Judge, NumberedChip
@@ -52,8 +52,8 @@ OPERATIONS = {
     "configure_rate": lambda s, n: s.configure(smpl_prd=1 + n % 255),
     "configure_range": lambda s, n: s.configure(gyro_range_dps=(300, 150, 75)[n % 3]),
     "data_ready": lambda s, n: s.configure(data_ready=bool(n % 2)),
-    "accel_offsets": lambda s, n: s.write_offsets(accel_mg=[(n % 1900) - 950.0, -0.4672, 956.0]),
-    "gyro_offsets": lambda s, n: s.write_offsets(gyro_dps=[-0.018315, 75.0 - n % 150, 0.0]),
+    "accel_offset": lambda s, n: s.write("XACCL_OFF", n % 4096 - 2048),
+    "gyro_offset": lambda s, n: s.write("YGYRO_OFF", n % 8192 - 4096),
     "flash": lambda s, n: s.save_to_flash(),
     "restore": lambda s, n: s.restore_factory(),
     "reset": lambda s, n: s.reset(),
@@ -231,7 +231,8 @@ def test_changing_a_field_leaves_the_others(sensor):
 def test_the_gyro_scale_follows_the_range():
     with open_sensor("sim:?seed=3&gyro_bias_z_dps=0") as sensor:
         # The same rate is twice the number at half the range.
-        sensor.write_offsets(gyro_dps=[10.0, 10.0, 10.0])
+        for name in GYRO_OFF:
+            sensor.write(name, round(10.0 / 0.018315))
         for dps in (300, 150, 75):
             sensor.configure(gyro_range_dps=dps, filter_m=6)
             assert sensor.read_scans(200).gyro_dps.mean() == pytest.approx(10.0, abs=2.0)
@@ -371,25 +372,18 @@ def test_a_scan_needs_an_output_register(sensor):
 def test_offsets_are_added_to_the_outputs_and_read_back_in_units(sensor):
     sensor.configure(filter_m=6)
     before = sensor.read_scans(400).accel_mg.mean(axis=0)
-    done = sensor.write_offsets(accel_mg=[100.0, -50.0, 25.0])
+    for name, mg in zip(ACCEL_OFF, (100.0, -50.0, 25.0), strict=True):
+        sensor.write(name, round(mg / 0.4672))
     after = sensor.read_scans(400).accel_mg.mean(axis=0)
-    np.testing.assert_allclose(done.accel_mg, [100.0, -50.0, 25.0], atol=0.2336)
+    np.testing.assert_allclose(sensor.offsets().accel_mg, [100.0, -50.0, 25.0], atol=0.2336)
     np.testing.assert_allclose(after - before, [100.0, -50.0, 25.0], atol=1.0)
 
 
-def test_an_offset_that_does_not_fit_writes_nothing():
-    sensor, bus = recorded()
-    for values in ([0, 0, 957.0], [0, 0], [0, 0, float("nan")]):
-        with pytest.raises(UsageError):
-            sensor.write_offsets(accel_mg=values)
-    assert bus.writes == []
-
-
 def test_saved_offsets_survive_a_reset_and_unsaved_ones_do_not(sensor):
-    sensor.write_offsets(accel_mg=[50.0, 0, 0])
+    sensor.write("XACCL_OFF", 107)
     written = sensor.read("ENDURANCE")
     assert sensor.save_to_flash() == written + 1
-    sensor.write_offsets(accel_mg=[80.0, 0, 0])
+    sensor.write("XACCL_OFF", 171)
     sensor.reset()
     assert sensor.offsets().accel_mg[0] == pytest.approx(50.0, abs=0.25)
     assert not any(sensor.restore_factory().accel_mg)
@@ -408,7 +402,7 @@ def test_a_flash_update_that_was_not_done_is_found_by_the_counter():
         sensor.save_to_flash()
 
 
-def test_a_worn_flash_is_not_written_unless_forced():
+def test_a_worn_flash_is_not_written():
     script = [*CONFIGURATION, *checked_reading((0x0000, 10_000))]
     with (
         Adis16354(ExpectedFrames(script), check=False) as sensor,
@@ -418,47 +412,7 @@ def test_a_worn_flash_is_not_written_unless_forced():
 
 
 def test_the_self_test_passes_on_a_sound_chip(sensor):
-    test = sensor.self_test()
-    assert test.passed
-    assert test.failures == ()
-
-
-@pytest.mark.parametrize("filter_m", [0, 2])
-def test_the_manual_self_test_passes_on_a_sound_chip_and_leaves_the_register(sensor, filter_m):
-    sensor.configure(filter_m=filter_m, linear_g=True, origin=True)
-    test = sensor.manual_self_test()
-    assert test.passed, test.failures
-    assert test.accel_positive_mg == pytest.approx((250, 250, 250), abs=10)
-    assert test.accel_negative_mg == pytest.approx((0, 0, 0), abs=10)
-    assert test.gyro_negative_dps == pytest.approx((-50, -50, -50), abs=2)
-    assert sensor.read("MSC_CTRL") == 0xC0
-    assert np.linalg.norm(sensor.read_scans(50).accel_mg.mean(axis=0)) == pytest.approx(1000, abs=60)
-
-
-BROKEN = {  # column (supply, gyros, accelerometers), sign of the stimulus, answer in mg or °/s
-    "accelerometer Y does not answer to the positive stimulus": (5, 1, 0.0),
-    "accelerometer Z moves under the negative stimulus": (6, -1, -250.0),
-    "gyro X does not answer to the negative stimulus": (1, -1, 0.0),
-    "gyro Z moves the same way under both stimuli": (3, -1, 50.0),
-}
-
-
-@pytest.mark.parametrize("said", BROKEN)
-def test_the_manual_self_test_names_the_sensor_that_answers_wrongly(sensor, monkeypatch, said):
-    column, sign, answer = BROKEN[said]
-    scaled = SignalChain._scaled
-
-    def wrong(sampler, inputs):
-        new = scaled(sampler, inputs)
-        if sampler._manual_test == sign:
-            test, sampler._manual_test = sampler._manual_test, 0.0
-            rest = scaled(sampler, inputs)
-            sampler._manual_test = test
-            new[:, column] = rest[:, column] + np.int64(answer * sampler._gain[column])
-        return new
-
-    monkeypatch.setattr(SignalChain, "_scaled", wrong)
-    assert sensor.manual_self_test().failures == (said,)
+    assert sensor.self_test().self_test_failures == ()
 
 
 # -- nulling of the gyros ------------------------------------------------------------------------------
@@ -504,7 +458,8 @@ def test_a_null_replaces_the_offsets_that_stood_and_is_not_added_to_them(kind):
     with open_sensor(BIASED) as sensor:
         sensor.configure(filter_m=4)
         bias = gyro_means(sensor)
-        sensor.write_offsets(gyro_dps=(5.0, 5.0, 5.0))
+        for name in GYRO_OFF:
+            sensor.write(name, round(5.0 / 0.018315))
         offsets = getattr(sensor, kind)()
         assert offsets.gyro_dps == pytest.approx(-bias, abs=NULLING[kind][1])
 
@@ -548,15 +503,13 @@ def test_a_null_at_low_supply_is_found_by_the_counter(kind):
 
 
 @pytest.mark.parametrize("kind", NULLING)
-def test_a_worn_flash_is_not_nulled_unless_forced(kind):
+def test_a_worn_flash_is_not_nulled(kind):
     world = World(seed=3)
     bus = RecordingBus(SimBus(world=world, chip=SimulatedChip(world, start_s=-0.5, endurance=10_000)))
     sensor = Adis16354(bus)
     with pytest.raises(ChipError, match="ENDURANCE is 10000"):
         getattr(sensor, kind)()
     assert not bus.writes
-    getattr(sensor, kind)(force=True)
-    assert sensor.read("ENDURANCE") == 10_001
 
 
 def test_an_alarm_shows_in_ea_and_status_in_words(sensor):

@@ -112,7 +112,6 @@ def test_a_block_gives_units_flags_and_columns():
     ]
     np.testing.assert_allclose(block.values(), expected)
     np.testing.assert_allclose(block.supply_v, [5.0, 5.0], atol=1e-3)
-    assert block.fresh.tolist() == [[True, False, False, True], [False] * 4]
     assert block.alarm.tolist() == [True, True]
     assert block.select(("SUPPLY_OUT",)).words[:, 0].tolist() == [0x8AAA, 0x4AAA]
     with pytest.raises(UsageError, match="YACCL_OUT was not scanned"):

@@ -6,12 +6,11 @@ from adis_gonio.bench.bringup.bringup_step import (
     Bringup,
     Measured,
     Outcome,
-    Row,
     StepResult,
     Verdict,
 )
 
 __all__ = [
-    "STEPS", "Answer", "Bringup", "Measured", "Outcome", "Permission", "Row", "StepResult", "Verdict",
+    "STEPS", "Answer", "Bringup", "Measured", "Outcome", "Permission", "StepResult", "Verdict",
     "bring_up",
 ]  # fmt: skip

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from adis_gonio.base.errors import NotInstalledError
 from adis_gonio.base.numbers import format_fixed, format_number, with_unit
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.bench.bringup.bringup_step import (
     MOST_TESTS,
     QUESTIONS,
     Bringup,
-    Curve,
     Measured,
     Outcome,
-    Row,
+    StepResult,
     Verdict,
 )
-from adis_gonio.page.document import Figure, Section, Series, Table, plot, render
+from adis_gonio.page.document import Section, Table, render
 
 
 def build_page(found: Bringup) -> str:
@@ -27,16 +25,14 @@ def build_page(found: Bringup) -> str:
         simulated=found.simulated,
         begun=found.begun_utc,
         software=found.software,
-        sections=(_summary(found), _answers(found), _figures(found), _details(found), _limits(found)),
+        sections=(_summary(found), _answers(found), _details(found), _limits(found)),
         closing="The JSON file next to this page has these figures for programs.",
     )
 
 
 def _summary(found: Bringup) -> Section:
-    rows = [(row.name, row.result.verdict, _plain(row.result.text)) for row in found.rows]
-    strong = [
-        k for k, row in enumerate(found.rows) if row.result.verdict in (Verdict.FAULT, Verdict.DIFFERS)
-    ]
+    rows = [(row.name, row.verdict, _plain(row.text)) for row in found.rows]
+    strong = [k for k, row in enumerate(found.rows) if row.verdict in (Verdict.FAULT, Verdict.DIFFERS)]
     return Section(
         "Results",
         words=(found.headline, f"Writes: {found.undone}."),
@@ -69,48 +65,17 @@ def _answers(found: Bringup) -> Section:
     )
 
 
-def _figures(found: Bringup) -> Section:
-    try:
-        drawn = [
-            Figure(_draw(curve), curve.caption)
-            for row in found.rows
-            for curve in row.result.curves
-            if len(curve.x)
-        ]
-    except NotInstalledError as error:  # the page is useful without figures
-        return Section("Figures", words=(f"There are none: {error}.",))
-    return Section("Figures", figures=drawn)
-
-
-def _draw(curve: Curve) -> str:
-    series = [
-        Series(curve.x, y, name, role="model", style="line")
-        if name == "filter"
-        else Series(curve.x, y, name, style="line" if curve.log else "points")
-        for name, y in curve.y.items()
-    ]
-    return plot(
-        series,
-        curve.x_label,
-        curve.y_label,
-        title=curve.name,
-        description=curve.caption,
-        y_log=curve.log,
-        zero=not curve.log,
-    )
-
-
 def _details(found: Bringup) -> Section:
     return Section(
         "The steps",
-        parts=[_detail(row) for row in found.rows if row.result.verdict is not Verdict.NOT_MEASURED],
+        parts=[_detail(row) for row in found.rows if row.verdict is not Verdict.NOT_MEASURED],
     )
 
 
-def _detail(row: Row) -> Section:
+def _detail(row: StepResult) -> Section:
     rows = [
         (figure.name, _value(figure), "" if figure.expected is None else _number(figure.expected, figure))
-        for figure in row.result.figures
+        for figure in row.figures
     ]
     table = Table(("figure", "value", "expected"), rows, numeric=(1, 2))
     return Section(

@@ -12,21 +12,23 @@ from typing import Any
 from adis_gonio.base import __version__
 from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.bench.bringup.bringup_step import (
+    FALSE_ALARM,
     QUESTIONS,
     AlarmBudget,
     Answer,
     Bringup,
     BringupBench,
+    BringupBus,
     BringupStep,
-    ClockCeiling,
     Outcome,
-    Row,
     SideEffect,
     StepResult,
     writable,
 )
+from adis_gonio.bench.bringup.chip_rows import BY_QUESTION
 from adis_gonio.bench.bringup.link_steps import BitErrors, Health, Link, Timing, WhichPart
 from adis_gonio.bench.bringup.noise_steps import FilterSteps, Noise
+from adis_gonio.bench.bringup.recorded_chip import RecordedChip
 from adis_gonio.bench.bringup.update_steps import DataReady, Rate, SamplePeriods
 from adis_gonio.bench.bringup.write_steps import FlashCount, Offset, SelfTests, StatusBits
 from adis_gonio.device.bus import SpiBus
@@ -81,7 +83,7 @@ def bring_up(
     *,
     variant: str | Variant = "adis16354",
     permission: Permission = Permission(),
-    tell: Callable[[Row], object] = lambda row: None,
+    tell: Callable[[StepResult], object] = lambda row: None,
     steps: tuple[BringupStep, ...] = STEPS,
 ) -> Bringup:
     """Check a new board by the bring-up steps, and return the results.
@@ -113,14 +115,18 @@ class _Run:
     """A bring-up in progress: runs the steps and collects their results."""
 
     def __init__(
-        self, bus: SpiBus, variant: str | Variant, permission: Permission, tell: Callable[[Row], object]
+        self,
+        bus: SpiBus,
+        variant: str | Variant,
+        permission: Permission,
+        tell: Callable[[StepResult], object],
     ) -> None:
-        self._bus = ClockCeiling(bus, NORMAL.clock_hz)
+        self._bus = BringupBus(bus, NORMAL.clock_hz)
         self._variant = variant
         self._permission = permission
         self._tell = tell
         self._budget = AlarmBudget()
-        self._rows: list[Row] = []
+        self._rows: list[StepResult] = []
         self._answers: dict[str, Answer] = {}
         self._bench: BringupBench | None = None
         self._undo: Undo | None = None
@@ -136,15 +142,15 @@ class _Run:
             except AdisGonioError as error:
                 failure = str(error)
         for step in steps:
-            result = StepResult().not_measured("stopped by the operator")
+            result = new_result(step).not_measured("stopped by the operator")
             with self._until_stopped():
                 if self._bench is not None and not self._stopped:
                     result = self._one(self._bench, step)
                 elif failure:
-                    result = StepResult().not_measured("the link does not work")
-                    result = result if self._rows else StepResult().fault(failure)
+                    result = new_result(step).not_measured("the link does not work")
+                    result = result if self._rows else new_result(step).fault(failure)
             with self._until_stopped():
-                self._add(step, result)
+                self._add(result, step.settles)
         if self._undo is not None:
             with self._until_stopped():
                 self._undo.put_back()  # again, since an interruption may have come during the first time
@@ -161,23 +167,24 @@ class _Run:
     def _one(self, bench: BringupBench, step: BringupStep) -> StepResult:
         refusal = bench.blocked or self._refusal(step)
         if refusal:
-            return StepResult().not_measured(refusal)
+            return new_result(step).not_measured(refusal)
         if step.effect in (SideEffect.WRITES, SideEffect.FLASH) and not self._permission.ask(step.question):
-            return StepResult().not_measured("the answer to its question was no")
+            return new_result(step).not_measured("the answer to its question was no")
         changes = step.effect is not SideEffect.READS
         try:
             if changes and self._undo is None:
                 self._undo = Undo(bench.sensor, writable())
-            return step.run(bench, StepResult())
+            bench.bus.calls.clear()
+            return judge_rows(bench, step, step.run(bench, new_result(step)))
         except AdisGonioError as error:
-            return StepResult().fault(f"could not be done: {error}")
+            return new_result(step).fault(f"could not be done: {error}")
         finally:
             if changes and self._undo is not None:
                 try:
                     self._undo.put_back()
                 finally:
-                    if self._undo.left:
-                        bench.blocked = f"{', '.join(self._undo.left)} could not be put back"
+                    if self._undo.unrestored:
+                        bench.blocked = f"{', '.join(self._undo.unrestored)} could not be put back"
 
     def _refusal(self, step: BringupStep) -> str:
         if step.effect is SideEffect.WRITES and not self._permission.writes:
@@ -186,14 +193,12 @@ class _Run:
             return "it writes the flash once; --allow-writes --flash permits that"
         return ""
 
-    def _add(self, step: BringupStep, result: StepResult) -> None:
-        row = Row(step.name, step.does, step.effect, result)
-        self._rows.append(row)
-        why = result.text.removeprefix("not measured: ")
-        for name in step.settles:
-            default = Answer(Outcome.NOT_MEASURED, NO_ANSWER.format(why))
-            self._answers[name] = result.answers.get(name, default)
-        self._tell(row)
+    def _add(self, result: StepResult, questions: tuple[str, ...]) -> None:
+        """Keep the result of a step, and the answers to its questions."""
+        self._rows.append(result)
+        default = Answer(Outcome.NOT_MEASURED, NO_ANSWER.format(result.text.removeprefix("not measured: ")))
+        self._answers |= {name: result.answers.get(name, default) for name in questions}
+        self._tell(result)
 
     def _whole(self, begun: str) -> Bringup:
         sensor = None if self._bench is None else self._bench.sensor
@@ -202,9 +207,9 @@ class _Run:
             answers[question.name] = self._answers.get(question.name) or Answer(
                 Outcome.NOT_MEASURED, NO_ANSWER.format(question.otherwise)
             )
-        left = () if self._undo is None else self._undo.left
-        if left:
-            undone = f"NOT put back: {', '.join(left)}; switch the supply off and on"
+        unrestored = () if self._undo is None else self._undo.unrestored
+        if unrestored:
+            undone = f"NOT put back: {', '.join(unrestored)}; switch the supply off and on"
         elif self._undo is None:
             undone = "nothing was written"
         else:
@@ -219,14 +224,52 @@ class _Run:
             rows=tuple(self._rows),
             answers=answers,
             undone=undone,
-            undone_ok=not left,
+            undone_ok=not unrestored,
             comparisons=self._budget.spent,
-            false_alarm=self._budget.total,
+            false_alarm=FALSE_ALARM,
             stopped=self._stopped,
         )
 
 
-def _bridge(bus: ClockCeiling) -> dict[str, Any]:
+def new_result(step: BringupStep) -> StepResult:
+    """Return an empty result of a step."""
+    return StepResult(step.name, step.does, step.effect)
+
+
+def judge_rows(bench: BringupBench, step: BringupStep, found: StepResult) -> StepResult:
+    """Answer the open questions of a step by the rows of the register table; return its result `found`.
+
+    The rows are judged by the calls of the step. If the step gave no text, the rows also give its verdict:
+    a contradicted row is a difference from the table.
+    """
+    names = [name for name in step.settles if name in BY_QUESTION and name not in found.answers]
+    if not names:
+        return found
+    chip = RecordedChip(bench.bus.calls, bench.bus.edge_rises)
+    for name in names:
+        finding = BY_QUESTION[name].judge([*BY_QUESTION[name].observe(chip, bench.sensor.variant)])
+        if finding.observations:
+            text = f"{finding.question} {finding.best}"
+            if finding.outcome is not Outcome.CONFIRMS:
+                undecided = " (undecided)" if finding.outcome is Outcome.OPEN else ""
+                text += f", the table says {finding.table}{undecided}"
+            if finding.seen != f"{finding.best}: {finding.observations}":
+                text += f" ({finding.seen})"
+            found.answer(name, finding.outcome, text, *(found.figures or finding.measured))
+        elif not found.text:
+            found.answer(name, Outcome.NOT_MEASURED, NO_ANSWER.format("the replies do not show it"))
+    if found.text:
+        return found
+    answers = found.answers.values()
+    if wrong := [one.text for one in answers if one.outcome is Outcome.CONTRADICTS]:
+        return found.differs("; ".join(wrong))
+    if all(one.outcome is Outcome.NOT_MEASURED for one in answers):
+        return found.not_measured("the replies do not show it")
+    texts = [one.text for one in sorted(answers, key=lambda one: one.outcome is Outcome.NOT_MEASURED)]
+    return found.ok("; ".join(dict.fromkeys(texts)))
+
+
+def _bridge(bus: BringupBus) -> dict[str, Any]:
     """Return facts about the bridge for the JSON document: bus, capabilities, limits, firmware."""
     inner = bus.inner
     facts: dict[str, Any] = {"bus": inner.kind, "capabilities": sorted(inner.capabilities)}

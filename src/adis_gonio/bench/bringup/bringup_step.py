@@ -16,14 +16,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from itertools import pairwise
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.jsonable import INLINE, JsonRecord, key
+from adis_gonio.base.jsonable import JsonRecord, key
 from adis_gonio.device.bus import Capability, SpiBus, SpiTiming, Words
-from adis_gonio.device.bus.forwarding import ForwardingBus
+from adis_gonio.device.bus.recording import Call, ObservedBus
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.registers import BY_NAME, EA, IDLE, VARIANTS, Register, register, registers
 from adis_gonio.device.sensor.scanning import PolledScans, ScanLayout, ScanStream
@@ -191,33 +192,6 @@ class Answer(JsonRecord):
     figures: tuple[Measured, ...] = field(default=(), metadata=key("measured"))
 
 
-@dataclass(frozen=True)
-class Curve:
-    """Curves of one diagram.
-
-    Attributes
-    ----------
-    name, caption : str
-        Title of the diagram, and sentence below it.
-    x_label, y_label : str
-        Labels of the axes.
-    x : sequence of float
-        Abscissas of all curves.
-    y : mapping of str to sequence of float
-        Ordinates of each curve by its name.
-    log : bool
-        True for a logarithmic y axis and lines; False for a linear axis and points.
-    """
-
-    name: str
-    x_label: str
-    y_label: str
-    x: Sequence[float]
-    y: Mapping[str, Sequence[float]]
-    caption: str
-    log: bool = False
-
-
 def _plain(number: Number) -> Number:
     return number.item() if isinstance(number, np.generic) else number
 
@@ -227,6 +201,10 @@ class StepResult(JsonRecord, frozen=False):
 
     Attributes
     ----------
+    name, does : str
+        Name of the step, and its description in one line.
+    effect : str
+        Kind of change that the step makes to the sensor, a `SideEffect`.
     verdict : Verdict
         Kind of the result.
     text : str
@@ -235,17 +213,17 @@ class StepResult(JsonRecord, frozen=False):
         Measured figures.
     answers : dict of str to Answer
         Answers to open questions, by the question's name.
-    curves : tuple of Curve
-        Diagrams for the report.
     """
 
-    document_keys = ("verdict", "text", "figures")
+    document_keys = ("name", "does", "effect", "verdict", "text", "figures")
 
+    name: str
+    does: str
+    effect: str
     verdict: Verdict = Verdict.NOT_MEASURED
     text: str = ""
     figures: list[Measured] = field(default_factory=list)
     answers: dict[str, Answer] = field(default_factory=dict)
-    curves: tuple[Curve, ...] = ()
 
     def measure(
         self,
@@ -272,20 +250,6 @@ class StepResult(JsonRecord, frozen=False):
         """Record the answer to a question: it confirms the table if `holds`, else contradicts it."""
         self.answer(question, Outcome.CONFIRMS if holds else Outcome.CONTRADICTS, text, *figures)
 
-    def settle(self, question: str, text: str, *, differs: bool) -> StepResult:
-        """Record all figures of the step as the answer to its only question, and end the step.
-
-        `question` is the question's name; `differs` is True if the answer contradicts the table. Returns
-        the result.
-        """
-        self.check(question, not differs, text, *self.figures)
-        return self.differs(text) if differs else self.ok(text)
-
-    def contradictions(self) -> str:
-        """Join the texts of the answers that contradict the table; empty if there are none."""
-        answers = self.answers.values()
-        return "; ".join(one.text for one in answers if one.outcome is Outcome.CONTRADICTS)
-
     def ok(self, text: str) -> StepResult:
         """End the step without a fault; `text` is its result in one sentence. Returns the result."""
         return self._end(Verdict.OK, text)
@@ -307,25 +271,6 @@ class StepResult(JsonRecord, frozen=False):
         return self
 
 
-class Row(JsonRecord):
-    """A bring-up step with its result, as in the JSON document.
-
-    Attributes
-    ----------
-    name, does : str
-        Name of the step, and its description in one line.
-    effect : str
-        Kind of change that the step makes to the sensor, a `SideEffect`.
-    result : StepResult
-        Result of the step.
-    """
-
-    name: str
-    does: str
-    effect: str
-    result: StepResult = field(metadata=INLINE)
-
-
 @dataclass(frozen=True)
 class Bringup:
     """Result of a bring-up: the results of all steps, and the answers to open questions.
@@ -340,8 +285,8 @@ class Bringup:
         Facts about the bridge.
     registers : mapping of str to int
         Words of the registers before the bring-up, by name; empty if they were not read.
-    rows : tuple of Row
-        One row for each step, in order.
+    rows : tuple of StepResult
+        Results of the steps, in order.
     answers : mapping of str to Answer
         One answer for each open question about the sensor (`QUESTIONS`), by name.
     undone : str
@@ -362,7 +307,7 @@ class Bringup:
     software: str
     bridge: Mapping[str, Any]
     registers: Mapping[str, int]
-    rows: tuple[Row, ...]
+    rows: tuple[StepResult, ...]
     answers: Mapping[str, Answer]
     undone: str
     undone_ok: bool
@@ -372,19 +317,17 @@ class Bringup:
 
     def row(self, name: str) -> StepResult:
         """Return the result of a step by the step's name."""
-        return next(row.result for row in self.rows if row.name == name)
+        return next(row for row in self.rows if row.name == name)
 
     @property
     def accused(self) -> tuple[str, ...]:
         """Names of the steps that found a fault of the board or a difference from the table."""
-        return tuple(
-            row.name for row in self.rows if row.result.verdict in (Verdict.FAULT, Verdict.DIFFERS)
-        )
+        return tuple(row.name for row in self.rows if row.verdict in (Verdict.FAULT, Verdict.DIFFERS))
 
     @property
     def sound(self) -> bool:
         """True if no step found a fault and all registers were restored."""
-        return self.undone_ok and all(row.result.verdict is not Verdict.FAULT for row in self.rows)
+        return self.undone_ok and all(row.verdict is not Verdict.FAULT for row in self.rows)
 
     @property
     def simulated(self) -> bool:
@@ -394,9 +337,9 @@ class Bringup:
     @property
     def headline(self) -> str:
         """Result of the bring-up in one sentence."""
-        faults = [row.name for row in self.rows if row.result.verdict is Verdict.FAULT]
-        differs = [row.name for row in self.rows if row.result.verdict is Verdict.DIFFERS]
-        left = sum(row.result.verdict is Verdict.NOT_MEASURED for row in self.rows)
+        faults = [row.name for row in self.rows if row.verdict is Verdict.FAULT]
+        differs = [row.name for row in self.rows if row.verdict is Verdict.DIFFERS]
+        left = sum(row.verdict is Verdict.NOT_MEASURED for row in self.rows)
         parts = [f"fault: {', '.join(faults)}" if faults else "no fault was found"]
         if differs:
             parts.append(f"differs from the table: {', '.join(differs)}")
@@ -420,18 +363,26 @@ class Bringup:
         }
 
 
-class ClockCeiling(ForwardingBus):
-    """A bus that forwards to another bus and limits the SPI clock to `ceiling_hz`.
+class BringupBus(ObservedBus):
+    """A bus that forwards to another bus, limits the SPI clock to `ceiling_hz` and keeps its calls.
 
     A new limit acts from the next `configure` on.
+
+    Attributes
+    ----------
+    ceiling_hz : float
+        Highest SPI clock in Hz.
+    calls : list of Call
+        Calls since the list was last cleared, in order.
     """
 
     def __init__(self, inner: SpiBus, ceiling_hz: float) -> None:
-        super().__init__(inner)
+        self.calls: list[Call] = []
+        super().__init__(inner, self.calls.append)
         self.ceiling_hz = ceiling_hz
 
     def _configure(self, timing: SpiTiming) -> SpiTiming:
-        return self.inner.configure(replace(timing, clock_hz=min(timing.clock_hz, self.ceiling_hz)))
+        return super()._configure(replace(timing, clock_hz=min(timing.clock_hz, self.ceiling_hz)))
 
 
 FALSE_ALARM = 1e-4
@@ -441,21 +392,15 @@ MOST_TESTS = 256
 
 
 class AlarmBudget:
-    """Divides the permitted probability of a false alarm among the comparisons of a bring-up.
+    """Divides `FALSE_ALARM` into equal parts, one for each of at most `MOST_TESTS` comparisons.
 
     Attributes
     ----------
-    total : float
-        Permitted probability of a false alarm in the whole bring-up.
-    tests : int
-        Largest number of comparisons; each has an equal part of the probability.
     spent : int
         Number of comparisons so far.
     """
 
-    def __init__(self, total: float = FALSE_ALARM, tests: int = MOST_TESTS) -> None:
-        self.total = total
-        self.tests = tests
+    def __init__(self) -> None:
         self.spent = 0
 
     def alpha(self) -> float:
@@ -466,10 +411,10 @@ class AlarmBudget:
         RuntimeError
             All comparisons are used up, which is an error of the program.
         """
-        if self.spent >= self.tests:
-            raise RuntimeError(f"more than {self.tests} comparisons: the false alarm rate does not hold")
+        if self.spent >= MOST_TESTS:
+            raise RuntimeError(f"more than {MOST_TESTS} comparisons: the false alarm rate does not hold")
         self.spent += 1
-        return self.total / self.tests
+        return FALSE_ALARM / MOST_TESTS
 
     def z(self) -> float:
         """Return the largest permitted deviation from an expected value, in standard uncertainties.
@@ -500,14 +445,14 @@ class AlarmBudget:
         return math.log(bins / self.alpha())
 
 
-def at_most(errors: int, trials: int, confidence: float = 0.95) -> float:
-    """Return the upper confidence limit of an error probability, from `errors` errors in `trials` trials.
+def at_most(errors: int, trials: int) -> float:
+    """Return the upper 95 % confidence limit of an error probability, from `errors` errors in `trials`.
 
     Source: Clopper and Pearson.
     """
     from scipy.special import betaincinv
 
-    return 1.0 if errors >= trials else float(betaincinv(errors + 1, trials - errors, confidence))
+    return 1.0 if errors >= trials else float(betaincinv(errors + 1, trials - errors, 0.95))
 
 
 Floats = NDArray[np.float64]
@@ -561,7 +506,9 @@ class BringupStep(ABC):
     def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Run the step, fill the result `found` and return it; `bench` has the sensor and earlier findings.
 
-        Raises `AdisGonioError` if the sensor or the bridge fails.
+        A step that ends without a text in `found` leaves the judgement to the rows of the register table
+        that answer its questions; the rows are compared with the calls of the step. Raises `AdisGonioError`
+        if the sensor or the bridge fails.
         """
 
 
@@ -571,8 +518,8 @@ class BringupBench:
 
     Attributes
     ----------
-    bus : ClockCeiling
-        The bus, with a limit of its clock.
+    bus : BringupBus
+        The bus, which limits its clock and keeps the calls of the present step.
     sensor : Adis16354
         The sensor.
     budget : AlarmBudget
@@ -583,8 +530,6 @@ class BringupBench:
         Reason why no further step can measure; empty while steps can.
     clock : float
         Measured period of the sample update divided by its nominal period; 1 if unknown.
-    clock_known : bool
-        True if `clock` was measured.
     data_ready : bool
         True if edges of data-ready were seen to follow the updates.
     supply_ok : bool
@@ -593,13 +538,12 @@ class BringupBench:
         Words of the constant registers by name, as read by the step `link`; empty before it.
     """
 
-    bus: ClockCeiling
+    bus: BringupBus
     sensor: Adis16354
     budget: AlarmBudget = field(default_factory=AlarmBudget)
     lends: bool = True
     blocked: str = ""
     clock: float = 1.0
-    clock_known: bool = False
     data_ready: bool = False
     supply_ok: bool = True
     constants: dict[str, int] = field(default_factory=dict)
@@ -646,9 +590,13 @@ class BringupBench:
                 late = self.bus.now_s() - begin_s > LONGEST_S
                 if have >= count or (late and have >= FEWEST):
                     break
-        whole = join(blocks).first(count)
-        run = _longest_run(blocks, count)
-        return (run, True) if len(run) >= count // 2 else (whole, False)
+        scans = join(blocks)
+        begin, end = longest_run(scans.time_s, self.sensor.configuration().sample_period_s * self.clock)
+        if end - begin < count // 2:
+            return scans.first(count), False
+        cut = slice(begin, min(end, begin + count))
+        words, times = scans.words[cut], scans.time_s[cut]
+        return replace(scans, words=words, time_s=times, lost=0, missed=None), True
 
     def _stream(self, names: Sequence[str], block_scans: int) -> ScanStream:
         if self.lends and self.data_ready:
@@ -690,28 +638,13 @@ class BringupBench:
         self.bus.sleep_s(now.settling_s + count * now.sample_period_s)
 
 
-def _longest_run(blocks: Sequence[ScanBlock], count: int) -> ScanBlock:
-    """Return the longest run of scans without a missed update, at most `count` scans.
+def longest_run(times: Floats, step_s: float) -> tuple[int, int]:
+    """Return begin and end (exclusive) of the longest run of times (n,) in s without a gap.
 
-    A block with gaps at unknown places is not used.
+    A gap is a step of more than 1.5 times `step_s`.
     """
-    whole = join(blocks)
-    # Scans before which an update was missed.
-    breaks: list[int] = [0]
-    at = 0
-    for block in blocks:
-        if block.missed is not None:
-            breaks += [at + int(k) for k in np.flatnonzero(block.missed)]
-        elif block.lost:
-            breaks += range(at, at + len(block))
-        at += len(block)
-    breaks = sorted({*breaks, len(whole)})
-    lengths = np.diff(breaks)
-    if not len(lengths):
-        return whole.first(0)
-    best = int(np.argmax(lengths))
-    cut = slice(breaks[best], min(breaks[best + 1], breaks[best] + count))
-    return replace(whole, words=whole.words[cut], time_s=whole.time_s[cut], lost=0, missed=None)
+    ends = [0, *(np.flatnonzero(np.diff(times) > 1.5 * step_s) + 1), len(times)]
+    return max(pairwise(ends), key=lambda run: run[1] - run[0])
 
 
 def writable() -> tuple[Register, ...]:

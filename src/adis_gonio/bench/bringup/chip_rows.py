@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.bench.bringup.bringup_step import FALSE_ALARM, QUESTIONS, Outcome, Question
+from adis_gonio.bench.bringup.bringup_step import FALSE_ALARM, QUESTIONS, Measured, Outcome, Question
 from adis_gonio.bench.bringup.recorded_chip import SELF_TEST, RecordedChip, RegisterSpan, RestStatistics
 from adis_gonio.device.bus.capture import LogicCapture
 from adis_gonio.device.bus.recording import BusRecording
@@ -140,7 +140,12 @@ class ChipRow:
             self.question.name, self.question.text, names[0], self.question.source,
             self.question.confidence, outcome, max(chances, key=lambda name: chances[name]),
             len(observed), odds, alone, chances, self._described(labels, figures), more,
+            tuple(self._measured(number, figure) for number, figure in enumerate(figures, 1)),
         )  # fmt: skip
+
+    def _measured(self, number: int, figure: RowFigure) -> Measured:
+        value, scale = (math.exp(figure.x),) * 2 if self.logarithmic else (float(figure.x), 1.0)
+        return Measured(f"{self.question.name} {number}", value, self.unit or "1", scale * figure.u)
 
     def _described(self, labels: Counter[str], figures: Sequence[RowFigure]) -> str:
         parts = [f"{label}: {count}" for label, count in labels.most_common(3)]
@@ -178,6 +183,8 @@ class RowFinding(JsonRecord):
     more_recordings : int or None
         Number of further recordings with figures like these that decide an open row with 95 %; None if the
         row is not open, or if such figures do not distinguish the alternatives.
+    measured : tuple of Measured
+        The observed figures, in order.
     """
 
     name: str
@@ -193,6 +200,7 @@ class RowFinding(JsonRecord):
     probabilities: dict[str, float]
     seen: str
     more_recordings: int | None
+    measured: tuple[Measured, ...] = ()
 
 
 def _of_labels(names: Sequence[str], labels: Counter[str]) -> Floats:
@@ -402,10 +410,11 @@ def _bursts(chip: RecordedChip) -> Iterator[tuple[RegisterSpan, float, np.ndarra
 
 
 def _periods(chip: RecordedChip, _: Variant) -> Iterator[RowFigure]:
-    """Yield the logarithms of measured sample periods, one for each value of SMPL_PRD.
+    """Yield the logarithms of measured sample periods divided by their nominal periods.
 
-    The most precise period is yielded in s. Each other period is yielded as its ratio to the most precise
-    one, which the error of the chip's clock (3 %) does not change.
+    There is one figure for each value of SMPL_PRD. The most precise period is judged as it is. Each other
+    period is judged by its ratio to the most precise one, which the error of the chip's clock (3 %) does
+    not change.
     """
     bursts: dict[int, list[tuple[float, float]]] = {}
     for span, step_s, flags, _period_s in _bursts(chip):
@@ -424,8 +433,9 @@ def _periods(chip: RecordedChip, _: Variant) -> Iterator[RowFigure]:
         wide = dict.fromkeys(due, _STEADY if reference else 0.03)
         if code >> 7 and not (reference and best >> 7):
             wide[_OTHER_BASE] = math.log(2)
-        predicted = {name: (one - wide[name], one + wide[name]) for name, one in due.items()}
-        yield RowFigure(log - shared, u, predicted)
+        nominal = due["base × (N + 1)"]
+        predicted = {name: (d - nominal - wide[name], d - nominal + wide[name]) for name, d in due.items()}
+        yield RowFigure(log - shared - nominal, u, predicted)
 
 
 _OTHER_BASE = "another slow base"
@@ -762,7 +772,7 @@ ROWS: tuple[ChipRow, ...] = (
            *_ROUNDINGS, wide=(-50.0, 50.0)),
     _entry("sample_period", _periods,
            "base × (N + 1)", "base × N", "bit 7 has no effect", _OTHER_BASE,
-           wide=(-10.0, 5.0), unit="s", logarithmic=True),
+           wide=(-10.0, 5.0), unit="times the nominal", logarithmic=True),
     _entry("filter_gain", _filter_gain, *_GAINS, wide=(-7.0, 2.0), logarithmic=True),
     _entry("accel_noise", _noise(_ACCELS), "as the table",
            wide=(-3.0, 3.0), unit="times the table", logarithmic=True),
@@ -778,6 +788,7 @@ ROWS: tuple[ChipRow, ...] = (
 )
 # fmt: on
 """Rows of the table in the order of the report."""
+BY_QUESTION = {row.question.name: row for row in ROWS}
 
 
 def judge_recordings(paths: Iterable[str | Path], part: Variant) -> tuple[RowFinding, ...]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,7 +12,6 @@ from adis_gonio.bench.bringup.bringup_step import (
     BOARD_CLOCK_U,
     BringupBench,
     BringupStep,
-    Curve,
     Floats,
     StepResult,
     at_most,
@@ -162,7 +160,9 @@ class Timing(BringupStep):
             if got.stall_us < asked.stall_us or got.period_us < asked.period_us:
                 wrong.append(f"stall {got.stall_us:g} and period {got.period_us:g} µs in {mode} mode")
         bench.bus.configure(NORMAL)
-        frame_us = 1e6 * _frame_s(bench, self._frames)
+        begin_s = bench.bus.now_s()
+        bench.bus.exchange_array(np.full(self._frames, IDLE, np.uint16))
+        frame_us = 1e6 * (bench.bus.now_s() - begin_s) / self._frames
         found.measure("normal: a frame took", frame_us, "us", expected=NORMAL.period_us)
         wrong += _too_quick(frame_us, bench.bus.timing)
         if wrong:
@@ -176,13 +176,6 @@ class Timing(BringupStep):
         )
 
 
-def _frame_s(bench: BringupBench, count: int) -> float:
-    """Measure the time of a frame in a batch of `count` frames, in s, by the clock of the bus."""
-    begin_s = bench.bus.now_s()
-    bench.bus.exchange_array(np.full(count, IDLE, np.uint16))
-    return (bench.bus.now_s() - begin_s) / count
-
-
 def _too_quick(frame_us: float, timing: SpiTiming) -> list[str]:
     """Return a message, in a list, if a frame takes less time than the bridge reports; else an empty list.
 
@@ -193,17 +186,6 @@ def _too_quick(frame_us: float, timing: SpiTiming) -> list[str]:
     if frame_us < least_us * (1 - np.sqrt(3) * BOARD_CLOCK_U):
         return [f"a frame takes {frame_us:.1f} µs, the part needs {least_us:.0f}: the stall is not kept"]
     return []
-
-
-@dataclass(frozen=True)
-class _Trial:
-    """Result of reading constant registers at one clock: words read, wrong words and bits, frame time."""
-
-    clock_hz: float
-    reads: int
-    wrong_words: int
-    wrong_bits: int
-    frame_us: float
 
 
 class BitErrors(BringupStep):
@@ -222,52 +204,44 @@ class BitErrors(BringupStep):
         mode, limit = ("fast", FAST) if smpl_prd <= FAST_UP_TO else ("normal", NORMAL)
         clocks = _offered(bench, FASTEST_HZ[mode], limit)
         bench.bus.inner.configure(dataclasses.replace(limit, clock_hz=clocks[0]))
-        expected = np.array([bench.constants[row.name] for row in _CONSTANT], np.uint16)
-        trials: list[_Trial] = []
+        expected = np.empty(0, np.uint16)
+        wrong_words: list[int] = []
+        reads = wrong_bits = 0
         quick: list[str] = []
         for clock in clocks:
             timing = bench.bus.inner.configure(dataclasses.replace(limit, clock_hz=clock))
-            trial, words = _try(bench, clock, expected)
-            if (
-                not trials
-            ):  # at the slowest the majority is the truth: a wrong first reading is no reference
+            words, frame_us = _read_constants(bench)
+            if not wrong_words:  # the majority at the slowest clock is the truth
                 expected = _majority(words)
-                trial = _judge(clock, words, expected, trial.frame_us)
-            trials.append(trial)
-            quick += _too_quick(trial.frame_us, timing)
-            if trial.wrong_words:
+            wrong = words ^ expected
+            wrong_words.append(int(np.count_nonzero(wrong)))
+            wrong_bits += int(np.unpackbits(wrong.view(np.uint8)).sum())
+            reads = words.size
+            quick += _too_quick(frame_us, timing)
+            if wrong_words[-1]:
                 break
-        bad = trials[-1] if trials[-1].wrong_words else None
-        clean = [trial.clock_hz for trial in trials if not trial.wrong_words]
+        tried, bad = clocks[: len(wrong_words)], wrong_words[-1]
+        clean = tried[:-1] if bad else tried
         bench.bus.inner.configure(dataclasses.replace(limit, clock_hz=clocks[0]))
         changed: list[str] = []
-        if bad is not None and clean:
-            _, words = _try(bench, clocks[0], expected)
-            changed = [
-                row.name for row, a, b in zip(_CONSTANT, expected, _majority(words), strict=True) if a != b
-            ]
+        if bad and clean:
+            now = _majority(_read_constants(bench)[0])
+            changed = [row.name for row, a, b in zip(_CONSTANT, expected, now, strict=True) if a != b]
         bench.bus.ceiling_hz = max(clean, default=clocks[0])
         bench.refresh()
-        bits = 16 * sum(trial.reads for trial in trials)
-        errors = sum(trial.wrong_bits for trial in trials)
-        for t in trials:
-            found.measure(f"wrong of {t.reads} at {t.clock_hz / 1e3:g} kHz", t.wrong_words, expected=0)
-        found.measure("bit error rate, upper limit (95 %)", at_most(errors, bits))
-        curve = Curve(
-            "bit errors", "clock / kHz", "wrong words / 1000 reads", [t.clock_hz / 1e3 for t in trials],
-            {"wrong words": [1e3 * t.wrong_words / t.reads for t in trials]},
-            "Wrong words at each clock; no clock above the first with errors is tried.",
-        )  # fmt: skip
-        found.curves = (curve,)
+        total = reads * len(tried)
+        for clock, count in zip(tried, wrong_words, strict=True):
+            found.measure(f"wrong of {reads} at {clock / 1e3:g} kHz", count, expected=0)
+        found.measure("bit error rate, upper limit (95 %)", at_most(wrong_bits, 16 * total))
         if quick:
             bench.blocked = "the bridge breaks the part's limits"
             return found.fault(quick[0])
-        if bad is None:
+        if not bad:
             return found.ok(
-                f"no error in {bits // 16} words at {len(trials)} clocks from {clocks[0] / 1e3:g} to"
+                f"no error in {total} words at {len(tried)} clocks from {clocks[0] / 1e3:g} to"
                 f" {clocks[-1] / 1e3:g} kHz"
             )
-        text = f"{bad.wrong_words} of {bad.reads} words are wrong at {bad.clock_hz / 1e3:g} kHz"
+        text = f"{bad} of {reads} words are wrong at {tried[-1] / 1e3:g} kHz"
         if not clean:
             bench.blocked = "words are wrong at the slowest clock"
             text += ", the slowest: shorten the wires, check supply and ground"
@@ -293,19 +267,16 @@ def _offered(bench: BringupBench, most_hz: float, limit: SpiTiming) -> list[floa
     return sorted(clock for clock in found if clock <= most_hz)
 
 
-def _try(bench: BringupBench, clock_hz: float, expected: Words) -> tuple[_Trial, Words]:
+def _read_constants(bench: BringupBench) -> tuple[Words, float]:
+    """Read about `READS` words of constant registers.
+
+    Returns the words (passes, registers), and the time of a frame in µs.
+    """
     passes = -(-READS // len(_CONSTANT))
     frames = np.append(np.tile(read_frames(_CONSTANT), passes), np.uint16(IDLE))
     begin_s = bench.bus.now_s()
     words = bench.bus.exchange_array(frames)[1:].reshape(passes, -1)
-    frame_us = 1e6 * (bench.bus.now_s() - begin_s) / len(frames)
-    return _judge(clock_hz, words, expected, frame_us), words
-
-
-def _judge(clock_hz: float, words: Words, expected: Words, frame_us: float) -> _Trial:
-    wrong = words ^ expected
-    bits = int(np.unpackbits(wrong.astype(">u2").view(np.uint8)).sum())
-    return _Trial(clock_hz, words.size, int(np.count_nonzero(wrong)), bits, frame_us)
+    return words, 1e6 * (bench.bus.now_s() - begin_s) / len(frames)
 
 
 def _majority(words: Words) -> Words:

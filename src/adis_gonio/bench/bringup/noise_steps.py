@@ -12,7 +12,6 @@ from adis_gonio.bench.bringup.bringup_step import (
     LONGEST_S,
     BringupBench,
     BringupStep,
-    Curve,
     Floats,
     Measured,
     SideEffect,
@@ -114,7 +113,6 @@ class Noise(BringupStep):
             spacing = float(np.mean(np.diff(block.time_s))) * rate
             judged = _by_variance(bench, numbers, m, spacing, expected / lsb)
         sigma, u = judged.sigma * lsb, judged.u * lsb
-        found.curves = judged.curves()
         for name, s, d, e, unit in zip(names, sigma, u, expected, units, strict=True):
             found.measure(f"noise of {name}, unfiltered", s, unit, d, e)
         found.measure("scans", len(block))
@@ -158,8 +156,6 @@ class _Judged:
         Axis, frequency in Hz and rms in LSB of each single tone.
     figures : tuple of Measured
         Further figures of the step.
-    density : tuple of array or None
-        Frequencies, relative spectra and expected shape for the report; None without a spectrum.
     """
 
     def __init__(self, sigma: Floats, u: Floats) -> None:
@@ -169,26 +165,6 @@ class _Judged:
         self.shape_off: list[int] = []
         self.tones: list[tuple[int, float, float]] = []
         self.figures: tuple[Measured, ...] = ()
-        self.density: tuple[Floats, Floats, Floats] | None = None
-
-    def curves(self) -> tuple[Curve, ...]:
-        """Return the smoothed spectra and the expected spectrum for the report; empty without any."""
-        if self.density is None:
-            return ()
-        hz, power, shape = self.density
-        return (
-            Curve(
-                "noise", "frequency / Hz", "noise / that of the figure, unfiltered", [float(f) for f in hz],
-                {
-                    "accelerometers": [float(p) for p in power[:, :3].mean(axis=1)],
-                    "gyros": [float(p) for p in power[:, 3:].mean(axis=1)],
-                }
-                | {"filter": [float(p) for p in shape]},
-                "Spectra over the level that the variant's noise has without the filter, neighbouring bins"
-                " averaged, and the shape of the filter.",
-                log=True,
-            ),
-        )  # fmt: skip
 
 
 def floors(part: Variant, expected: Floats) -> Floats:
@@ -260,12 +236,6 @@ def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, e
             low, high = bench.budget.variance_ratio(2 * len(band) / HANN_WIDTH)
             if not low <= float(np.mean(band)) <= high and k not in judged.shape_off:
                 judged.shape_off.append(k)
-    # At most about 200 points are drawn: means over neighbouring bins.
-    step = max(1, len(power) // 200)
-    size = len(power) // step * step
-    smooth = power[:size].reshape(-1, step, power.shape[1]).mean(axis=1) / expected**2
-    at = (cycles[:size].reshape(-1, step).mean(axis=1)) * rate_hz
-    judged.density = (at, smooth, gain[:size].reshape(-1, step).mean(axis=1) + 1 / 12 / expected[0] ** 2)
     judged.figures = (Measured("lowest frequency that is judged", float(hz[0]), "Hz"),)
     return judged
 
@@ -294,38 +264,10 @@ class FilterSteps(BringupStep):
     _scans = 2048
 
     def run(self, bench: BringupBench, found: StepResult) -> StepResult:
-        """Compare the measured noise gain of the filter at each setting M with the tabulated noise gain.
-
-        The measured gain is the root of the variance at M divided by the variance at M = 0.
-        """
-        lsb = bench.sensor.variant.accel_mg_per_lsb
-        flicker = (bench.sensor.variant.performance.bias_instability_mg / lsb) ** 2
-        variances, dofs = [], []
+        """Read the accelerometers at rest with each setting M."""
         bench.sample_quickly()
         for m in range(7):
             bench.sensor.write("SENS_AVG", sens_avg_word(300, m))
-            configuration = bench.sensor.configuration()
-            bench.bus.sleep_s(configuration.settling_s)
-            block, whole = bench.scans(self._scans, ACCEL_OUT)
-            if not whole:
-                block = block.first(_FEW // 2)
-            numbers = block.numbers().astype(np.float64)
-            spacing = 1.0 if whole else float(np.mean(np.diff(block.time_s))) * configuration.sample_rate_hz
-            variances.append(np.maximum(numbers.var(axis=0, ddof=1) - 1 / 12, 1e-9))
-            dofs.append(degrees_of_freedom(len(block), m, spacing))
-        off: list[int] = []
-        reference, reference_dof = variances[0], 3 * dofs[0]
-        for m in range(1, 7):
-            # The three axes are taken together; flicker passes every filter.
-            unfiltered = float(np.sum(reference))
-            gain2 = (float(np.sum(variances[m])) - 3 * flicker) / unfiltered
-            relative_u = math.sqrt(2 / (3 * dofs[m]) + 2 / reference_dof)
-            gain = math.sqrt(max(gain2, 0.0))
-            expected = white_noise_gain(m)
-            found.measure(f"noise gain at M = {m}", gain, "1", gain * relative_u / 2, expected)
-            low, high = bench.budget.variance_ratio(2 / relative_u**2)
-            if not low <= gain2 / expected**2 <= high:
-                off.append(m)
-        gains = ", ".join(f"{figure.value:.3f}" for figure in found.figures)
-        end = f"not the table's at M = {', '.join(map(str, off))}" if off else "as the table says"
-        return found.settle("filter_gain", f"noise gains {gains} for M = 1 … 6, {end}", differs=bool(off))
+            bench.bus.sleep_s(bench.sensor.configuration().settling_s)
+            bench.scans(self._scans, ACCEL_OUT)
+        return found

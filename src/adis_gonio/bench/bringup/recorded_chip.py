@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.bench.bringup.bringup_step import longest_run
 from adis_gonio.bench.bringup.link_steps import legal
 from adis_gonio.bench.bringup.noise_steps import BANDS, HANN_WIDTH, degrees_of_freedom, spectrum
 from adis_gonio.device.bus import FrameBlock
@@ -217,14 +218,11 @@ def remove_lines(values: Floats) -> tuple[float, Floats, bool]:
 
 
 def _longest_run(times: Floats) -> tuple[int, int]:
-    """Return begin and end (exclusive) of the longest run of times without a gap.
+    """Return begin and end (exclusive) of the longest run of times with about the median step.
 
-    A gap is more than 1.5 times the median step. If no run has more than a quarter of the times, all times
-    are returned as one run.
+    If no run has more than a quarter of the times, all times are returned as one run.
     """
-    steps = np.diff(times)
-    ends = [0, *(np.flatnonzero(steps > 1.5 * np.median(steps)) + 1), len(times)]
-    begin, end = max(pairwise(ends), key=lambda run: run[1] - run[0])
+    begin, end = longest_run(times, float(np.median(np.diff(times))))
     return (begin, end) if 4 * (end - begin) > len(times) else (0, len(times))
 
 
@@ -244,7 +242,7 @@ def noise_color(powers: list[Floats], m: int) -> float:
             return 0.0
         levels += [band.mean() for band in np.array_split(power[used] / gain[used], BANDS)]
         independent += len(used) / BANDS / HANN_WIDTH
-    scatter = float(np.var(np.log(levels), ddof=1)) if powers else 0.0
+    scatter = float(np.var(np.log(np.maximum(levels, 1e-12)), ddof=1)) if powers else 0.0
     # Chance scatters the levels by 1 / independent, and this by chance up to about 2.5 times as much.
     return math.sqrt(scatter) if scatter * independent > 2.5 else 0.0
 

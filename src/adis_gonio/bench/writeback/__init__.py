@@ -4,7 +4,6 @@ The sensor adds an offset register to its output (data sheet, A), so that the re
 negative bias: new = number during the recording − bias / LSB.
 """
 
-from adis_gonio.bench.writeback.offset_checks import AutonullFound
 from adis_gonio.bench.writeback.offset_plan import (
     WritePlan,
     bias_left_mg,
@@ -16,6 +15,6 @@ from adis_gonio.bench.writeback.offset_plan import (
 from adis_gonio.bench.writeback.offset_writer import OffsetWriter, WriteSettings
 
 __all__ = [
-    "AutonullFound", "OffsetWriter", "WritePlan", "WriteSettings", "bias_left_mg", "offsets_in_force",
+    "OffsetWriter", "WritePlan", "WriteSettings", "bias_left_mg", "offsets_in_force",
     "offsets_recorded", "plan_gyro_offsets", "plan_offsets",
 ]  # fmt: skip

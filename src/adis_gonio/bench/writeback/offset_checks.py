@@ -242,6 +242,17 @@ class Agreement(JsonRecord):
         """True if no difference exceeds `SIGMAS` standard uncertainties."""
         return bool((np.abs(self.off) <= SIGMAS).all())
 
+    @property
+    def excess(self) -> str:
+        """Text with the differences (measured minus expected) that exceed `SIGMAS` uncertainties."""
+        unit = UNITS[self.unit]
+        each = zip(self.names, self.measured - self.expected, self.u, self.off, strict=True)
+        return ", ".join(
+            f"{name} {signed(by, 3)} {unit} (u {u:.2g} {unit})"
+            for name, by, u, off in each
+            if abs(off) > SIGMAS
+        )
+
     def __str__(self) -> str:
         unit, places = UNITS[self.unit], 2 if self.unit == "mg" else 3
         figures = [
@@ -412,118 +423,6 @@ PRECISE_S = 30.0
 """Averaging time of a precision autonull in s (data sheet, A: about 30 s)."""
 
 
-class AutonullFound(JsonRecord):
-    """Zero rates (3,) of the gyros in °/s, as found by the chip's autonull and as predicted by the session.
-
-    Both are for the sensor at rest in its present pose, with the offsets during the recording.
-
-    Attributes
-    ----------
-    new : dict of str to int
-        Numbers that the chip wrote to its offset registers, by name.
-    chip_dps, u_chip_dps : (3,) float
-        Zero rates by the autonull, and their standard uncertainties.
-    session_dps, u_session_dps : (3,) float
-        Zero rates by the session, and their standard uncertainties.
-    force_dps : (3,) float
-        Contribution of force in this pose to the zero rates of the session.
-    """
-
-    document_keys = (
-        *("new", "chip_dps", "u_chip_dps", "session_dps", "u_session_dps", "force_dps", "off_dps", "u_dps"),
-        "agrees",
-    )
-
-    new: dict[str, int]
-    chip_dps: Floats
-    u_chip_dps: Floats
-    session_dps: Floats
-    u_session_dps: Floats
-    force_dps: Floats
-
-    @property
-    def off_dps(self) -> Floats:
-        """Differences (3,) in °/s: zero rates found by the chip minus zero rates of the session."""
-        return np.asarray(self.chip_dps - self.session_dps)
-
-    @property
-    def u_dps(self) -> Floats:
-        """Standard uncertainties (3,) of the differences in °/s."""
-        return np.hypot(self.u_chip_dps, self.u_session_dps)
-
-    @property
-    def agrees(self) -> bool:
-        """True if no gyro differs by more than `SIGMAS` standard uncertainties."""
-        return bool((np.abs(self.off_dps) <= SIGMAS * self.u_dps).all())
-
-    @property
-    def by(self) -> str:
-        """Text with the differences that exceed the limit, one for each gyro."""
-        return ", ".join(
-            f"{axis.upper()} {signed(off, 3)} °/s (u {u:.2g} °/s)"
-            for axis, off, u in zip(AXES, self.off_dps, self.u_dps, strict=True)
-            if abs(off) > SIGMAS * u
-        )
-
-    def __str__(self) -> str:
-        figures = [
-            f"{axis.upper()} {signed(c, 3)} °/s (u {uc:.2g}), session {signed(s, 3)} °/s"
-            f" (u {us:.2g}, {signed(f, 3)} by force)"
-            for axis, c, uc, s, us, f in zip(
-                AXES,
-                self.chip_dps,
-                self.u_chip_dps,
-                self.session_dps,
-                self.u_session_dps,
-                self.force_dps,
-                strict=True,
-            )
-        ]
-        return f"zero rates in this pose by the chip against the session: {'; '.join(figures)}"
-
-
-def compare_autonull(
-    part: Gyros, plan: WritePlan, rest: Rest, nulled: Numbers, samples: float | None
-) -> AutonullFound:
-    """Compare the chip's offsets with the session's zero rates in the pose of a dwell.
-
-    Parameters
-    ----------
-    part : Gyros
-        Gyros of the session.
-    plan : WritePlan
-        Plan of their offsets, which has the numbers during the recording.
-    rest : Rest
-        A dwell in this pose, with gyros.
-    nulled : mapping of str to int
-        Numbers that the chip wrote to its registers.
-    samples : float or None
-        Number of samples that a precision autonull averages; None for the quick autonull, which takes one
-        filtered sample.
-
-    Raises
-    ------
-    UsageError
-        The dwell has no gyros.
-    """
-    if rest.sample_dps is None or rest.u_dps is None:
-        raise UsageError("an autonull needs a dwell with gyros for comparison")
-    zero, u = part.zero(rest)
-    recorded = {axis.register: axis.recorded for axis in plan.axes}
-    lsb = plan.axes[0].lsb
-    chip = np.array([(recorded[name] - nulled[name]) * lsb for name in GYRO_OFF])
-    # White noise of a mean falls with the root of its length; the dwell before gives its size.
-    noise = rest.sample_dps if samples is None else rest.u_dps * np.sqrt(rest.samples / samples)
-    return AutonullFound(
-        dict(nulled),
-        chip,
-        np.sqrt(noise**2 + lsb**2 / 12),
-        zero,
-        np.hypot(u, part.wander(rest)),
-        part.by_force(rest)[0],
-    )
-
-
 GYRO_NAMES = tuple(axis.upper() for axis in AXES)
 TEMPCO_DPS_PER_C = 0.02
 """Assumed temperature coefficient of a zero rate in °/s/°C if the session does not determine it (D)."""
@@ -666,6 +565,42 @@ class Gyros:
         mean, u = rest.of_gyros
         force, of_force = self.by_force(rest)
         return mean - force, np.hypot(u, of_force)
+
+    def compare_autonull(
+        self, plan: WritePlan, rest: Rest, nulled: Numbers, samples: float | None
+    ) -> Agreement:
+        """Compare the zero rates found by the chip's autonull with the session's, in the pose of a dwell.
+
+        Both are for the offsets during the recording, and include the effect of force in this pose.
+
+        Parameters
+        ----------
+        plan : WritePlan
+            Plan of the offsets, which has the numbers during the recording.
+        rest : Rest
+            A dwell in this pose, with gyros.
+        nulled : mapping of str to int
+            Numbers that the chip wrote to its registers.
+        samples : float or None
+            Number of samples that a precision autonull averages; None for the quick autonull, which takes
+            one filtered sample.
+
+        Raises
+        ------
+        UsageError
+            The dwell has no gyros.
+        """
+        if rest.sample_dps is None or rest.u_dps is None:
+            raise UsageError("an autonull needs a dwell with gyros for comparison")
+        zero, u = self.zero(rest)
+        lsb = plan.axes[0].lsb
+        chip = np.array([(axis.recorded - nulled[axis.register]) * lsb for axis in plan.axes])
+        # White noise of a mean falls with the root of its length; the dwell before gives its size.
+        noise = rest.sample_dps if samples is None else rest.u_dps * np.sqrt(rest.samples / samples)
+        u = np.sqrt(noise**2 + lsb**2 / 12 + u**2 + self.wander(rest) ** 2)
+        force = ", ".join(signed(each, 3) for each in self.by_force(rest)[0].tolist())
+        what = f"zero rates in this pose by the chip against the session ({force} °/s of it by force)"
+        return Agreement(what, GYRO_NAMES, chip, zero, u, "dps")
 
     def zero(self, rest: Rest) -> tuple[Floats, Floats]:
         """Return the zero rates (3,) in °/s that the session predicts for a dwell, and their u.

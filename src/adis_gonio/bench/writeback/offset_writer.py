@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +23,8 @@ from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.bench.writeback.offset_checks import (
     PRECISE_S,
     Agreement,
-    AutonullFound,
     Gyros,
     Rest,
-    compare_autonull,
     measure,
     part_of,
 )
@@ -157,8 +155,10 @@ class WriteResult:
         rates (x, y, z). Empty if the angle is not known or no such dwell was recorded.
     unit : str
         Unit of the biases: `mg` or `dps`.
-    autonull : AutonullFound or None
+    autonull : Agreement or None
         Comparison of the chip's autonull with the session; None without an autonull.
+    nulled : dict of str to int
+        Numbers that the autonull wrote to the offset registers, by name; empty without an autonull.
     """
 
     standing: HeldOffsets
@@ -168,11 +168,12 @@ class WriteResult:
     bias: tuple[float, ...] = ()
     bias_u: tuple[float, ...] = ()
     unit: str = "mg"
-    autonull: AutonullFound | None = None
+    autonull: Agreement | None = None
+    nulled: dict[str, int] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result in JSON form."""
-        null = {} if self.autonull is None else {"autonull": self.autonull.as_dict()}
+        null = {} if self.autonull is None else {"autonull": {"new": self.nulled} | self.autonull.as_dict()}
         return {
             "state": self.standing.as_dict(),
             "endurance": {"before": self.endurance_before, "after": self.endurance_after},
@@ -360,8 +361,8 @@ class OffsetWriter:
         with self._journal(operation) as journal, self._reporting_state():
             back = Undo(self.sensor, registers(earlier.old), _words(earlier.old))
             back.put_back()
-            if back.left or not self._holds(earlier.old):
-                raise VerifyError(f"{', '.join(back.left) or 'the registers'} could not be set back")
+            if back.unrestored or not self._has_numbers(earlier.old):
+                raise VerifyError(f"{', '.join(back.unrestored) or 'the registers'} could not be set back")
             journal.note(WriteStep.WRITTEN)
             self._tell(f"set back and read back: {_format_numbers(earlier.old)}")
             if saves:
@@ -401,7 +402,7 @@ class OffsetWriter:
         self._require_supply(before.supply_v)
         operation = Operation(0, "autonull", now, now, now, True, ())
         with self._journal(operation) as journal:
-            journal.note(WriteStep.SAVING, endurance=endurance, beside=self._beside())
+            journal.note(WriteStep.SAVING, endurance=endurance, beside=self._other_offsets())
             with self._reporting_state():
                 _ = self.sensor.precision_autonull() if precise else self.sensor.autonull()
                 nulled, after = self._read()
@@ -409,15 +410,15 @@ class OffsetWriter:
                 journal.note(WriteStep.DONE)
         self.session = load(self.path)
         rate = self.sensor.configuration().sample_rate_hz
-        found = compare_autonull(part, plan, before, nulled, PRECISE_S * rate if precise else None)
+        found = part.compare_autonull(plan, before, nulled, PRECISE_S * rate if precise else None)
         self._tell(f"the chip's autonull gives {_format_numbers(nulled)}; {found}")
         if not found.agrees:
             undone = self.undo()
             raise VerifyError(
-                f"the chip's autonull is not kept: it differs from the session by {found.by};"
+                f"the chip's autonull is not kept: it differs from the session by {found.excess};"
                 f" {undone.standing.text}"
             )
-        return replace(self._outcome(endurance, ((), ())), autonull=found)
+        return replace(self._outcome(endurance, ((), ())), autonull=found, nulled=nulled)
 
     # -- steps ----------------------------------------------------------------------------------------
 
@@ -425,7 +426,7 @@ class OffsetWriter:
         for axis in plan.axes:
             if axis.new != axis.now:
                 self.sensor.write(axis.register, axis.new)
-        if not self._holds(plan.new):
+        if not self._has_numbers(plan.new):
             raise VerifyError(
                 f"the registers were read back with other numbers than {_format_numbers(plan.new)}"
             )
@@ -458,11 +459,11 @@ class OffsetWriter:
         value, u = found
         unit, places = UNITS[self._part.unit], 2 if self._part.unit == "mg" else 3
         each = zip("XYZ", value, u, strict=False)
-        told = ", ".join(f"{axis} {signed(v, places)} {unit} (u {s:.2g} {unit})" for axis, v, s in each)
+        text = ", ".join(f"{axis} {signed(v, places)} {unit} (u {s:.2g} {unit})" for axis, v, s in each)
         lsb = plan.axes[0].lsb
         near = "zero" if (abs(value) <= lsb + 2 * u).all() else "not zero"
         what = "bias" if self._part.unit == "mg" else "zero rate"
-        self._tell(f"{what} by this dwell alone: {told}: {near} within an LSB ({lsb:.4g} {unit}) and 2 u")
+        self._tell(f"{what} by this dwell alone: {text}: {near} within an LSB ({lsb:.4g} {unit}) and 2 u")
         return tuple(value.tolist()), tuple(u.tolist())
 
     def _save(self, journal: Logbook, numbers: dict[str, int]) -> None:
@@ -470,7 +471,7 @@ class OffsetWriter:
         self._require_supply(self.sensor.quantity("SUPPLY_OUT").value)
         now, endurance = self._read()
         _require(now, numbers, "changed by themselves before they were saved")
-        journal.note(WriteStep.SAVING, endurance=endurance, beside=self._beside())
+        journal.note(WriteStep.SAVING, endurance=endurance, beside=self._other_offsets())
         after = self.sensor.save_to_flash()
         now, _ = self._read()
         _require(now, numbers, "changed while they were saved")
@@ -517,7 +518,7 @@ class OffsetWriter:
         back = Undo(self.sensor, registers(found), _words(found))
         with contextlib.suppress(KeyboardInterrupt):
             back.put_back()
-        if not back.left and self._holds(found):
+        if not back.unrestored and self._has_numbers(found):
             journal.note(WriteStep.SET_BACK, why=why)
 
     # -- inside ---------------------------------------------------------------------------------------
@@ -563,7 +564,7 @@ class OffsetWriter:
         numbers = {row.name: row.number(word) for row, word in zip(rows, words, strict=True)}
         return {name: numbers[name] for name in names}, numbers["ENDURANCE"]
 
-    def _beside(self) -> dict[str, int]:
+    def _other_offsets(self) -> dict[str, int]:
         """Read the other offset registers (of the gyros if accelerometers are written, or the reverse).
 
         A flash update saves these registers too.
@@ -572,7 +573,7 @@ class OffsetWriter:
         words = self.sensor.read_words(rows)
         return {row.name: row.number(word) for row, word in zip(rows, words, strict=True)}
 
-    def _holds(self, numbers: dict[str, int]) -> bool:
+    def _has_numbers(self, numbers: dict[str, int]) -> bool:
         now, _ = self._read()
         return all(now[name] == number for name, number in numbers.items())
 

@@ -120,11 +120,16 @@ def spi_word(code: int) -> int:
     return 1 << CPHA_BIT | 1 << CPOL_BIT | 1 << PUSH_PULL_BIT | code
 
 
+def _sized(data: bytes, size: int, what: str) -> bytes:
+    """Return a reply of `size` bytes; raise `ProtocolError`, which names `what`, if it has another size."""
+    if len(data) != size:
+        raise ProtocolError(f"CP2130: {what} of {len(data)} bytes instead of {size}")
+    return data
+
+
 def parse_spi_words(data: bytes) -> tuple[int, ...]:
     """Return the SPI configuration bytes of all channels, from the reply to `GET_SPI_WORD`."""
-    if len(data) != CHANNELS:
-        raise ProtocolError(f"CP2130: {len(data)} SPI words instead of {CHANNELS}")
-    return tuple(data)
+    return tuple(_sized(data, CHANNELS, "SPI words"))
 
 
 def parse_selects(data: bytes) -> tuple[frozenset[int], frozenset[int]]:
@@ -132,9 +137,7 @@ def parse_selects(data: bytes) -> tuple[frozenset[int], frozenset[int]]:
 
     `data` is the reply to `GET_CHIP_SELECT`.
     """
-    if len(data) != _SELECTS.size:
-        raise ProtocolError(f"CP2130: chip selects of {len(data)} bytes instead of {_SELECTS.size}")
-    channels, pins = _SELECTS.unpack(data)
+    channels, pins = _SELECTS.unpack(_sized(data, _SELECTS.size, "chip selects"))
     return (
         frozenset(channel for channel in range(CHANNELS) if channels >> channel & 1),
         frozenset(pin for pin, bit in enumerate(PIN_BITS) if pins >> bit & 1),
@@ -148,9 +151,7 @@ def frame_command(frame: int) -> bytes:
 
 def parse_frame(data: bytes) -> int:
     """Return the 16-bit word that the chip sent during a frame, from the bulk reply of two bytes."""
-    if len(data) != FRAME_BYTES:
-        raise ProtocolError(f"CP2130: {len(data)} bytes came in for a frame of {FRAME_BYTES}")
-    return int.from_bytes(data, "big")
+    return int.from_bytes(_sized(data, FRAME_BYTES, "a frame"), "big")
 
 
 def parse_counter(data: bytes) -> tuple[int, int]:
@@ -158,9 +159,7 @@ def parse_counter(data: bytes) -> tuple[int, int]:
 
     The count has 16 bits and wraps.
     """
-    if len(data) != _COUNTER.size:
-        raise ProtocolError(f"CP2130: an event counter of {len(data)} bytes instead of {_COUNTER.size}")
-    mode, count = _COUNTER.unpack(data)
+    mode, count = _COUNTER.unpack(_sized(data, _COUNTER.size, "an event counter"))
     return mode & 7, count
 
 
@@ -316,7 +315,7 @@ class Cp2130Bus(host.UsbBus):
 
     def _typed(self, error: OSError, what: str) -> BusError:
         if error.errno in _GONE:
-            return host.gone(self.url)
+            return host.gone_error(self.url)
         if error.errno in _LATE:
             return BusTimeoutError(f"{self.url}: no answer to {what} within {self._options.timeout_s:g} s")
         if error.errno == errno.EACCES:
@@ -401,9 +400,9 @@ def open_from_url(url: BusUrl, *, backend: Any = None, clock: host.Clock = host.
         and (not url.place or _serial(usb, board) == url.place)
     ]
     if not fits and (denied := [board for board in boards if _serial(usb, board) is None]):
-        raise host.no_permission(url.text, _node(denied[0]), "usb 87a0")
+        raise host.permission_error(url.text, _node(denied[0]), "usb 87a0")
     what = "such CP2130" if boards else "CP2130"
-    device = host.choose(url, what, fits, boards, lambda boards: _devices(usb, boards))
+    device = host.choose_board(url, what, fits, boards, lambda boards: _devices(usb, boards))
 
     def claim() -> None:
         usb.util.claim_interface(device, _INTERFACE)
@@ -503,16 +502,16 @@ def _devices(usb: Any, boards: Sequence[Any]) -> list[Device]:
     for board, serial in zip(boards, serials, strict=True):
         unique = serial and serial.isalnum() and serials.count(serial) == 1
         place = serial if unique else f"?bus={board.bus}&address={board.address}"
-        denied = ", no permission (adis-gonio devices --udev)" if serial is None else ""
+        denied = host.NO_PERMISSION if serial is None else ""
         devices.append(Device(f"cp2130:{place}", f"CP2130, USB to SPI, {_node(board)}{denied}"))
     return devices
 
 
 def _cannot_open(url: str, device: Any, error: Any) -> BusError:
     if error.errno == errno.EACCES:
-        return host.no_permission(url, _node(device), "usb 87a0")
+        return host.permission_error(url, _node(device), "usb 87a0")
     if error.errno == errno.EBUSY:
-        return host.busy(url, _node(device))
+        return host.busy_error(url, _node(device))
     if error.errno in (errno.ENODEV, errno.ENOENT):
-        return host.gone(url)
+        return host.gone_error(url)
     return ProtocolError(f"{url}: the CP2130 cannot be opened: {error.strerror or error}")

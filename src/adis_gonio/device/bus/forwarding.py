@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from typing import Any, TypeVar
+
+import numpy as np
 
 from adis_gonio.device.bus.contract import FrameStream, SpiBus, SpiTiming, Words
 
@@ -47,13 +50,27 @@ class ForwardingBus(SpiBus):
         """True if the clock of the inner bus advances only during calls."""
         return bool(getattr(self.inner, "virtual_time", False))
 
+    def forward(
+        self,
+        name: str,
+        action: Callable[[], T],
+        frames: Words | None = None,
+        arguments: Sequence[Any] = (),
+    ) -> T:
+        """Run `action`, which calls the method `name` of the inner bus, and return its result.
+
+        A subclass overrides this method to observe the calls. `frames` and `arguments` (JSON values) are
+        the arguments of the call.
+        """
+        return action()
+
     def now_s(self) -> float:
         """Return the time in s on the clock of the inner bus."""
         return self.inner.now_s()
 
     def sleep_s(self, seconds: float) -> None:
         """Wait for some seconds on the clock of the inner bus."""
-        self.inner.sleep_s(seconds)
+        self.forward("sleep_s", lambda: self.inner.sleep_s(seconds), arguments=[float(seconds)])
 
     def witness(self, name: str, observe: Callable[[], T]) -> T:
         """Call the method `witness` of the inner bus and return its result, normally `observe()`.
@@ -65,28 +82,32 @@ class ForwardingBus(SpiBus):
 
     def hard_reset(self) -> None:
         """Reset the chip by the RST line of the inner bus."""
-        self.inner.hard_reset()
+        self.forward("hard_reset", self.inner.hard_reset)
 
     def read_event_counter(self) -> int:
         """Return the number of data-ready edges, counted by the inner bus, since the last call."""
-        return self.inner.read_event_counter()
+        return self.forward("read_event_counter", self.inner.read_event_counter)
 
     def count_events(self) -> tuple[int, float]:
         """Return data-ready edges since the last call, and the time in s, from the inner bus."""
-        return self.inner.count_events()
+        return self.forward("count_events", self.inner.count_events)
 
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
         """Start a stream of the read frames `frames` on the inner bus.
 
-        A block of the stream holds about `block_scans` scans.
+        A block of the stream has about `block_scans` scans.
         """
-        return self.inner.stream(frames, block_scans=block_scans)
+
+        def start() -> FrameStream:
+            return self.inner.stream(frames, block_scans=block_scans)
+
+        return self.forward("stream", start, np.array(frames).astype(np.uint16), [block_scans])
 
     def _exchange(self, frames: Words) -> Words:
-        return self.inner.exchange_array(frames)
+        return self.forward("exchange", lambda: self.inner.exchange_array(frames), frames)
 
     def _configure(self, timing: SpiTiming) -> SpiTiming:
-        return self.inner.configure(timing)
+        return self.forward("configure", lambda: self.inner.configure(timing), arguments=[asdict(timing)])
 
     def _close(self) -> None:
-        self.inner.close()
+        self.forward("close", self.inner.close)

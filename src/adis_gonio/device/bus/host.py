@@ -268,7 +268,7 @@ class UsbBus(HostBus):
         """Bring the device back to a known state after a failure."""
 
 
-def choose(url: BusUrl, what: str, fits: Sequence[T], boards: Sequence[T], devices: Listing[T]) -> T:
+def choose_board(url: BusUrl, what: str, fits: Sequence[T], boards: Sequence[T], devices: Listing[T]) -> T:
     """Return the only board that fits a URL.
 
     Parameters
@@ -288,14 +288,14 @@ def choose(url: BusUrl, what: str, fits: Sequence[T], boards: Sequence[T], devic
         Several boards fit, of which none is chosen automatically.
     """
     if not fits:
-        raise missing(url.text, what, devices(boards))
+        raise missing_error(url.text, what, devices(boards))
     if len(fits) > 1:
         urls = " or ".join(device.url for device in devices(fits))
         raise UsageError(f"{url.text}: {len(fits)} devices fit; choose {urls}")
     return fits[0]
 
 
-def no_permission(url: str, what: str, rule: str) -> CannotOpenError:
+def permission_error(url: str, what: str, rule: str) -> CannotOpenError:
     """Make the error for missing permission; its message gives the udev rule that helps.
 
     `what` is the device file. `rule` has words that identify the rule, see `udev_rule`.
@@ -307,17 +307,17 @@ def no_permission(url: str, what: str, rule: str) -> CannotOpenError:
     )
 
 
-def busy(url: str, what: str) -> CannotOpenError:
+def busy_error(url: str, what: str) -> CannotOpenError:
     """Make the error for a device, called `what` in the message, that another program is using."""
     return CannotOpenError(f"{url}: {what} is busy: close the other program that uses it")
 
 
-def gone(url: str) -> CannotOpenError:
+def gone_error(url: str) -> CannotOpenError:
     """Make the error for a device that was unplugged after opening."""
     return CannotOpenError(f"{url}: the device is gone: plug it in and open the bus again")
 
 
-def missing(url: str, what: str, others: Sequence[Device] = ()) -> CannotOpenError:
+def missing_error(url: str, what: str, others: Sequence[Device] = ()) -> CannotOpenError:
     """Make the error for a device that is not connected; its message lists the connected devices `others`.
 
     `what` is the kind of device.
@@ -327,7 +327,7 @@ def missing(url: str, what: str, others: Sequence[Device] = ()) -> CannotOpenErr
 
 
 @contextlib.contextmanager
-def claimed(path: str, url: str) -> Iterator[None]:
+def locked(path: str, url: str) -> Iterator[None]:
     """Lock the device file `path` for this process while the block runs.
 
     A device file such as /dev/hidraw0 can be opened by several programs, and an answer would go to the
@@ -351,10 +351,19 @@ def claimed(path: str, url: str) -> Iterator[None]:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise busy(url, path) from None
+            raise busy_error(url, path) from None
         yield
     finally:
         os.close(handle)
+
+
+NO_PERMISSION = ", no permission (adis-gonio devices --udev)"
+"""End of the description of a device that this user may not open."""
+
+
+def permission_note(path: str) -> str:
+    """Return `NO_PERMISSION` if the device file may not be read or written; otherwise an empty text."""
+    return "" if readable_and_writable(path) else NO_PERMISSION
 
 
 def readable_and_writable(path: str) -> bool:

@@ -58,23 +58,8 @@ from adis_gonio.base.errors import (
     UsageError,
     install_extra,
 )
+from adis_gonio.device.bus import host
 from adis_gonio.device.bus.contract import SpiTiming
-from adis_gonio.device.bus.host import (
-    RESET_PULSE_S,
-    SAFE_TIMING,
-    WALL,
-    Clock,
-    UrlOptions,
-    UsbBus,
-    UsbOptions,
-    busy,
-    choose,
-    claimed,
-    gone,
-    missing,
-    no_permission,
-    readable_and_writable,
-)
 from adis_gonio.device.bus.opening import BusUrl, Device
 
 VENDOR_ID, PRODUCT_ID = 0x04D8, 0x00DE
@@ -402,7 +387,7 @@ _MOST_LATE = 64
 """Largest number of answers to other commands that are discarded before an error is raised."""
 
 
-class Mcp2210Bus(UsbBus):
+class Mcp2210Bus(host.UsbBus):
     """A bus over an open HID device with the MCP2210.
 
     Parameters
@@ -418,7 +403,9 @@ class Mcp2210Bus(UsbBus):
         The device does not take its settings.
     """
 
-    def __init__(self, device: Any, url: str, options: UsbOptions, clock: Clock = WALL) -> None:
+    def __init__(
+        self, device: Any, url: str, options: host.UsbOptions, clock: host.Clock = host.WALL
+    ) -> None:
         super().__init__(url, options, clock)
         self._device = device
         self._unsure = True
@@ -427,7 +414,7 @@ class Mcp2210Bus(UsbBus):
         device.set_nonblocking(1)
         self._settle()
         self._set_pins()
-        self._timing = self._configure(SAFE_TIMING)
+        self._timing = self._configure(host.SAFE_TIMING)
 
     # -- frames --------------------------------------------------------------------------------------
 
@@ -478,7 +465,7 @@ class Mcp2210Bus(UsbBus):
             if left:
                 self._cancel()
                 self._pace.wait(self._timing)
-        raise busy(self.url, f"the SPI side ({status_words(status)})")
+        raise host.busy_error(self.url, f"the SPI side ({status_words(status)})")
 
     # -- optional capabilities -----------------------------------------------------------------------
 
@@ -490,7 +477,7 @@ class Mcp2210Bus(UsbBus):
         self._send_word(Command.SET_GPIO_VALUES, values & ~bit)
         for directions in (inputs & ~bit, inputs | bit):
             self._send_word(Command.SET_GPIO_DIRECTIONS, directions)
-            self.sleep_s(RESET_PULSE_S)
+            self.sleep_s(host.RESET_PULSE_S)
 
     def _count_edges(self) -> int:
         """Return the number of data-ready edges on pin GP6 since the last call."""
@@ -566,15 +553,15 @@ class Mcp2210Bus(UsbBus):
             self._takes_reports = False
             raise BusTimeoutError(f"{self.url}: the device takes no report within {WRITE_S:g} s") from error
         except (OSError, ValueError) as error:
-            raise gone(self.url) from error
+            raise host.gone_error(self.url) from error
         if sent < 0:
-            raise gone(self.url)
+            raise host.gone_error(self.url)
 
     def _read(self, timeout_ms: int) -> bytes:
         try:
             return bytes(self._device.read(REPORT, timeout_ms))
         except (OSError, ValueError) as error:
-            raise gone(self.url) from error
+            raise host.gone_error(self.url) from error
 
     # -- after a failure -------------------------------------------------------------------------------
 
@@ -598,7 +585,7 @@ _OPTIONS = ("cs", "reset_gpio", "event_counter", "timeout_ms", "backend", "path"
 _BACKENDS = ("hidraw", "libusb")
 
 
-def open_from_url(url: BusUrl, *, hid: Any = None, clock: Clock = WALL) -> Mcp2210Bus:
+def open_from_url(url: BusUrl, *, hid: Any = None, clock: host.Clock = host.WALL) -> Mcp2210Bus:
     """Open an MCP2210 board by its URL (see the module's text).
 
     Parameters
@@ -617,9 +604,9 @@ def open_from_url(url: BusUrl, *, hid: Any = None, clock: Clock = WALL) -> Mcp22
     CannotOpenError
         No such board, no permission, or another program has it.
     """
-    options = UrlOptions(url, _OPTIONS)
+    options = host.UrlOptions(url, _OPTIONS)
     backend = options.one_of("backend", _BACKENDS)
-    usual = UsbOptions.of(options, PINS, EVENT_PIN, f"GP{EVENT_PIN}")
+    usual = host.UsbOptions.of(options, PINS, EVENT_PIN, f"GP{EVENT_PIN}")
     blocks = hid is None
     hid = hid or _load(backend)
     boards = _boards(hid)
@@ -629,7 +616,7 @@ def open_from_url(url: BusUrl, *, hid: Any = None, clock: Clock = WALL) -> Mcp22
         for board in boards
         if (not wanted or _path(board) == wanted) and (not url.place or _serial(board) == url.place)
     ]
-    board = choose(url, "such MCP2210" if boards else "MCP2210", fits, boards, _devices)
+    board = host.choose_board(url, "such MCP2210" if boards else "MCP2210", fits, boards, _devices)
     with contextlib.ExitStack() as stack:
         device = _open(hid, url.text, board, stack)
         if blocks:
@@ -667,17 +654,17 @@ def _load(backend: str) -> Any:
 def _open(hid: Any, url: str, board: dict[str, Any], stack: contextlib.ExitStack) -> Any:
     path = _path(board)
     node = _node(path)
-    if not readable_and_writable(node):
-        raise no_permission(url, node, f"{'hidraw' if 'hidraw' in node else 'usb'} 04d8")
-    stack.enter_context(claimed(node, url))
+    if not host.readable_and_writable(node):
+        raise host.permission_error(url, node, f"{'hidraw' if 'hidraw' in node else 'usb'} 04d8")
+    stack.enter_context(host.locked(node, url))
     device = hid.device()
     try:
         device.open_path(board["path"])
     except OSError:
         # hidapi reports only "open failed": find the reason.
         if not any(_path(other) == path for other in _boards(hid)):
-            raise missing(url, "MCP2210 any more") from None
-        raise busy(url, node) from None
+            raise host.missing_error(url, "MCP2210 any more") from None
+        raise host.busy_error(url, node) from None
     return device
 
 
@@ -716,7 +703,8 @@ def _devices(boards: Sequence[dict[str, Any]]) -> list[Device]:
         path = _path(board)
         unique = serial.isalnum() and serials.count(serial) == 1
         place = serial if unique else f"?path={quote(path, safe='/')}"
-        denied = "" if readable_and_writable(_node(path)) else ", no permission (adis-gonio devices --udev)"
         name = board.get("product_string") or "MCP2210"
-        devices.append(Device(f"mcp2210:{place}", f"{name}, HID to SPI, {path}{denied}"))
+        devices.append(
+            Device(f"mcp2210:{place}", f"{name}, HID to SPI, {path}{host.permission_note(_node(path))}")
+        )
     return devices

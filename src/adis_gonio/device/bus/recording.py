@@ -140,24 +140,12 @@ class _Writer:
             raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
         self._write(MAGIC)
 
-    def add(self, kind: RecordKind, *content: bytes) -> None:
-        """Append one record; do nothing after a failure or after `close`.
-
-        `kind` is its kind, and `content` the parts of its content, in order.
-        """
-        body = b"".join(content)
-        record = _HEAD.pack(kind, len(body)) + body
+    def add(self, kind: RecordKind, content: bytes) -> None:
+        """Append one record; do nothing after a failure or after `close`."""
+        record = _HEAD.pack(kind, len(content)) + content
         with self._lock:
             if self._failure is None and not self._file.closed:
                 self._write(record + _CRC.pack(zlib.crc32(record)))
-
-    def call(self, name: str, begin_s: float, end_s: float, **facts: Any) -> None:
-        """Append a record of kind `CALL`.
-
-        `facts` are further entries of its JSON object, such as the result. `begin_s` and `end_s` are the
-        times of the call and of its return.
-        """
-        self.add(RecordKind.CALL, _to_json({"call": name, "begin": begin_s, "end": end_s} | facts))
 
     def _write(self, record: bytes) -> None:
         begin = self._file.tell()
@@ -187,11 +175,130 @@ class _Writer:
             )
 
 
+def _encode(call: Call) -> tuple[RecordKind, bytes]:
+    """Return kind and content of the record of a call; `_call` decodes them."""
+    times = call.begin_s, call.end_s
+    if call.name == "clock":
+        return RecordKind.CLOCK, _CLOCK.pack(call.end_s)
+    if call.error is None and call.name == "exchange":
+        words = np.concatenate([call.frames, call.result]).astype("<u2")
+        return RecordKind.EXCHANGE, _TIMES.pack(*times) + words.tobytes()
+    if call.error is None and call.name == "block":
+        block: FrameBlock = call.result
+        head = _BLOCK.pack(*times, block.lost, *block.words.shape)
+        parts = head, block.time_s.astype("<f8").tobytes(), block.words.astype("<u2").tobytes()
+        return RecordKind.BLOCK, b"".join(parts)
+    facts: dict[str, Any] = {"call": call.name, "begin": call.begin_s, "end": call.end_s}
+    if call.frames is not None:
+        facts["frames"] = call.frames.tolist()
+    if call.arguments:
+        facts["arguments"] = call.arguments
+    if call.error is None:
+        facts["result"] = call.result
+    else:
+        facts["error"] = [type(call.error).__name__, str(call.error)]
+    return RecordKind.CALL, _to_json(facts)
+
+
 def _to_json(document: dict[str, Any]) -> bytes:
     return json.dumps(document, ensure_ascii=True, separators=(",", ":")).encode()
 
 
-class RecordingBus(ForwardingBus):
+class ObservedBus(ForwardingBus):
+    """A bus that forwards every call to another bus and passes the finished call to a function.
+
+    Parameters
+    ----------
+    inner : SpiBus
+        The other bus; `close` also closes it.
+    note : callable
+        Called with the `Call` (number 0) after each call of the inner bus, also after a call that failed.
+    """
+
+    def __init__(self, inner: SpiBus, note: Callable[[Call], object]) -> None:
+        super().__init__(inner)
+        self._note = note
+
+    @property
+    def stage(self) -> Any:
+        """Stage of the inner bus, with observed calls; None if that bus has no stage."""
+        return self._helper("stage")
+
+    @property
+    def world(self) -> Any:
+        """Simulated world of the inner bus, with observed calls; None if that bus has no world."""
+        return self._helper("world")
+
+    def _helper(self, name: str) -> Any:
+        helper = getattr(self.inner, name, None)
+
+        def call(method: str, *arguments: Any) -> Any:
+            return self.forward(f"{name}.{method}", lambda: getattr(helper, method)(*arguments))
+
+        return _stand_in(_describe(helper), call)
+
+    def witness(self, name: str, observe: Callable[[], T]) -> T:
+        """Return `observe()` and note it under `name`, unless it is empty or false."""
+        value = self.inner.witness(name, observe)
+        if value:
+            now = self.inner.now_s()
+            self._note(Call(0, name, now, now, result=value))
+        return value
+
+    def now_s(self) -> float:
+        """Return the time in s on the clock of the inner bus, and note it."""
+        now = self.inner.now_s()
+        self._note(Call(0, "clock", now, now, result=now))
+        return now
+
+    def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
+        """Start a stream of the read frames `frames` on the inner bus and note its blocks.
+
+        A block of the stream has about `block_scans` scans.
+        """
+        return _ObservedStream(self, super().stream(frames, block_scans=block_scans))
+
+    def forward(
+        self,
+        name: str,
+        action: Callable[[], T],
+        frames: Words | None = None,
+        arguments: Sequence[Any] = (),
+    ) -> T:
+        """Run `action`, which calls the inner bus, and return its result; note the call under `name`.
+
+        `frames` and `arguments` are attributes of the noted `Call`.
+        """
+        begin_s = self.inner.now_s()
+        try:
+            result = action()
+        except AdisGonioError as error:
+            self._note(Call(0, name, begin_s, self.inner.now_s(), frames, arguments, error=error))
+            raise
+        noted: Any = None if isinstance(result, FrameStream) else result
+        noted = asdict(noted) if isinstance(noted, SpiTiming) else noted
+        self._note(Call(0, name, begin_s, self.inner.now_s(), frames, arguments, noted))
+        return result
+
+
+class _ObservedStream(FrameStream):
+    """A running stream of the inner bus of an `ObservedBus`, which notes each block."""
+
+    def __init__(self, bus: ObservedBus, inner: FrameStream) -> None:
+        self._bus, self._inner = bus, inner
+        self._closed = False
+
+    def __next__(self) -> FrameBlock:
+        return self._bus.forward("block", lambda: next(self._inner))
+
+    def close(self) -> None:
+        """Stop the stream and free the bus; may be called twice."""
+        if not self._closed:
+            self._closed = True
+            self._bus.forward("end_stream", self._inner.close)
+
+
+class RecordingBus(ObservedBus):
     """A bus that forwards every call to another bus and writes the call to a file.
 
     Parameters
@@ -210,8 +317,8 @@ class RecordingBus(ForwardingBus):
     """
 
     def __init__(self, inner: SpiBus, path: str | Path) -> None:
-        super().__init__(inner)
         self.writer = _Writer(check_output(path, cure="choose another name for the recording"))
+        super().__init__(inner, lambda call: self.writer.add(*_encode(call)))
         header = {
             "kind": inner.kind,
             "url": inner.url,
@@ -226,110 +333,11 @@ class RecordingBus(ForwardingBus):
         if self.writer.failed:
             self.writer.close()
 
-    @property
-    def stage(self) -> Any:
-        """Stage of the inner bus, with recorded calls; None if that bus has no stage."""
-        return self._helper("stage")
-
-    @property
-    def world(self) -> Any:
-        """Simulated world of the inner bus, with recorded calls; None if that bus has no world."""
-        return self._helper("world")
-
-    def _helper(self, name: str) -> Any:
-        helper = getattr(self.inner, name, None)
-
-        def call(method: str, *arguments: Any) -> Any:
-            return self._record(f"{name}.{method}", lambda: getattr(helper, method)(*arguments))
-
-        return _stand_in(_describe(helper), call)
-
-    def witness(self, name: str, observe: Callable[[], T]) -> T:
-        """Return `observe()` and record it under `name`, unless it is empty or false."""
-        value = self.inner.witness(name, observe)
-        if value:
-            now = self.inner.now_s()
-            self.writer.call(name, now, now, result=value)
-        return value
-
-    def now_s(self) -> float:
-        """Return the time in s on the clock of the inner bus, and record it."""
-        now = self.inner.now_s()
-        self.writer.add(RecordKind.CLOCK, _CLOCK.pack(now))
-        return now
-
-    def sleep_s(self, seconds: float) -> None:
-        """Wait for some seconds on the clock of the inner bus; record the call."""
-        self._record("sleep_s", lambda: self.inner.sleep_s(seconds), arguments=[float(seconds)])
-
-    def hard_reset(self) -> None:
-        """Reset the chip by the RST line of the inner bus; record the call."""
-        self._record("hard_reset", self.inner.hard_reset)
-
-    def read_event_counter(self) -> int:
-        """Return the data-ready edges that the inner bus has counted since the last call; record them."""
-        return self._record("read_event_counter", self.inner.read_event_counter)
-
-    def count_events(self) -> tuple[int, float]:
-        """Return the edges since the last call and the time in s from the inner bus; record both.
-
-        The edges are data-ready edges, the time is when they were counted.
-        """
-        return self._record("count_events", self.inner.count_events)
-
-    def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
-        """Start a stream of the read frames `frames` on the inner bus and record its blocks."""
-
-        def start() -> FrameStream:
-            return self.inner.stream(frames, block_scans=block_scans)
-
-        facts = {"frames": [int(frame) for frame in frames], "arguments": [block_scans]}
-        return _RecordedStream(self, self._record("stream", start, lambda _: None, **facts))
-
-    def _exchange(self, frames: Words) -> Words:
-        begin_s = self.inner.now_s()
-        try:
-            replies = self.inner.exchange_array(frames)
-        except AdisGonioError as error:
-            self.writer.call(
-                "exchange", begin_s, self.inner.now_s(), frames=frames.tolist(), error=_error(error)
-            )
-            raise
-        words = np.concatenate([frames, replies]).astype("<u2")
-        self.writer.add(RecordKind.EXCHANGE, _TIMES.pack(begin_s, self.inner.now_s()), words.tobytes())
-        return replies
-
-    def _configure(self, timing: SpiTiming) -> SpiTiming:
-        return self._record(
-            "configure", lambda: self.inner.configure(timing), asdict, arguments=[asdict(timing)]
-        )
-
     def _close(self) -> None:
         try:
-            self._record("close", self.inner.close)
+            super()._close()
         finally:
             self.writer.close()
-
-    def _record(
-        self,
-        name: str,
-        action: Callable[[], T],
-        document: Callable[[T], Any] = lambda value: value,
-        **facts: Any,
-    ) -> T:
-        """Run `action`, which calls the inner bus, and return its result; record the call under `name`.
-
-        `document` converts the result to the JSON value that is recorded. `facts` are further entries of
-        the record.
-        """
-        begin_s = self.inner.now_s()
-        try:
-            result = action()
-        except AdisGonioError as error:
-            self.writer.call(name, begin_s, self.inner.now_s(), **facts, error=_error(error))
-            raise
-        self.writer.call(name, begin_s, self.inner.now_s(), **facts, result=document(result))
-        return result
 
 
 _HELPERS = ("stage", "world")
@@ -363,41 +371,6 @@ def _stand_in(described: dict[str, Any] | None, call: Callable[..., Any]) -> Any
         return None
     named = {name: lambda _, *given, name=name: call(name, *given) for name in described["methods"]}
     return type("StandIn", (), named | {"settings": SimpleNamespace(**described["settings"] or {})})()
-
-
-def _error(error: AdisGonioError) -> list[str]:
-    return [type(error).__name__, str(error)]
-
-
-class _RecordedStream(FrameStream):
-    """A running stream of the inner bus, with a record for each block."""
-
-    def __init__(self, bus: RecordingBus, inner: FrameStream) -> None:
-        self._bus, self._inner = bus, inner
-        self._closed = False
-
-    def __next__(self) -> FrameBlock:
-        clock, writer = self._bus.inner.now_s, self._bus.writer
-        begin_s = clock()
-        try:
-            block = next(self._inner)
-        except AdisGonioError as error:
-            writer.call("block", begin_s, clock(), error=_error(error))
-            raise
-        n, k = block.words.shape
-        writer.add(
-            RecordKind.BLOCK,
-            _BLOCK.pack(begin_s, clock(), block.lost, n, k),
-            block.time_s.astype("<f8").tobytes(),
-            block.words.astype("<u2").tobytes(),
-        )
-        return block
-
-    def close(self) -> None:
-        """Stop the stream and free the bus; may be called twice."""
-        if not self._closed:
-            self._closed = True
-            self._bus._record("end_stream", self._inner.close)
 
 
 # -- reading ---------------------------------------------------------------------------------------------

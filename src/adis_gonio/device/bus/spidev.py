@@ -361,7 +361,7 @@ class SpidevBus(host.HostBus):
 
     def _typed(self, error: OSError) -> BusError:
         if error.errno in _GONE:
-            return host.gone(self.url)
+            return host.gone_error(self.url)
         if error.errno == errno.ETIMEDOUT:
             return BusTimeoutError(f"{self.url}: the SPI controller does not finish a transfer")
         if error.errno == errno.ENOTTY:
@@ -405,7 +405,9 @@ def open_from_url(
     path = url.place
     if not path:
         found = find_devices(folder=folder)
-        only = host.choose(url, "SPI device file (on a Raspberry Pi: dtparam=spi=on)", found, [], list)
+        only = host.choose_board(
+            url, "SPI device file (on a Raspberry Pi: dtparam=spi=on)", found, [], list
+        )
         path = BusUrl.parse(only.url).place
     if system is None:
         try:
@@ -418,7 +420,7 @@ def open_from_url(
         try:
             system.lock(fd)
         except BlockingIOError:
-            raise host.busy(url.text, path) from None
+            raise host.busy_error(url.text, path) from None
         reset_fd = None
         if line:
             reset_fd = _request_line(system, url.text, *_find_line(system, url.text, line, folder), folder)
@@ -431,13 +433,10 @@ def find_devices(*, folder: str = "/dev") -> list[Device]:
 
     `folder` is the folder of the device files.
     """
-    devices = []
-    for path in sorted(Path(folder).glob("spidev*")):
-        denied = (
-            "" if host.readable_and_writable(str(path)) else ", no permission (adis-gonio devices --udev)"
-        )
-        devices.append(Device(f"spidev:{path}", f"SPI pins of this machine{denied}"))
-    return devices
+    return [
+        Device(f"spidev:{path}", f"SPI pins of this machine{host.permission_note(str(path))}")
+        for path in sorted(Path(folder).glob("spidev*"))
+    ]
 
 
 def _find_line(system: Kernel, url: str, line: str, folder: str) -> tuple[str, int]:
@@ -497,9 +496,11 @@ def _request_line(system: Kernel, url: str, path: str, offset: int, folder: str)
 
 def _cannot_open(error: OSError, url: str, path: str, rule: str, folder: str) -> BusError:
     if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
-        return host.missing(url, f"{path} (on a Raspberry Pi: dtparam=spi=on)", find_devices(folder=folder))
+        return host.missing_error(
+            url, f"{path} (on a Raspberry Pi: dtparam=spi=on)", find_devices(folder=folder)
+        )
     if error.errno in (errno.EACCES, errno.EPERM):
-        return host.no_permission(url, path, rule)
+        return host.permission_error(url, path, rule)
     if error.errno == errno.EBUSY:
-        return host.busy(url, path)
+        return host.busy_error(url, path)
     return ProtocolError(f"{url}: {path} cannot be opened: {error.strerror or error}")

@@ -6,16 +6,14 @@ from adis_gonio.device.sensor.scanning import ScanStream
 from adis_gonio.device.sensor.settings import (
     Alarm,
     Configuration,
-    ManualSelfTest,
     Offsets,
     ScanBlock,
-    SelfTest,
     Status,
     decode_numbers,
 )
 
 __all__ = [
-    "DEFAULT_SCAN", "REGISTERS", "VARIANTS", "Adis16354", "Alarm", "Configuration", "ManualSelfTest",
-    "Offsets", "Quantity", "Register", "ScanBlock", "ScanStream", "SelfTest", "Status", "Variant",
+    "DEFAULT_SCAN", "REGISTERS", "VARIANTS", "Adis16354", "Alarm", "Configuration",
+    "Offsets", "Quantity", "Register", "ScanBlock", "ScanStream", "Status", "Variant",
     "decode_numbers", "open_sensor",
 ]  # fmt: skip

@@ -52,14 +52,12 @@ from adis_gonio.device.sensor.registers import (
 )
 from adis_gonio.device.sensor.scanning import (
     LONGEST_EXCHANGE_S,
-    UPDATE_EDGE,
     USED_BY,
     DataReadyLoan,
     PolledScans,
     ScanLayout,
     ScanStream,
     StreamedScans,
-    UpdateEdge,
     edge_at_update,
     edges_arrive,
     wrong_edge_error,
@@ -68,10 +66,8 @@ from adis_gonio.device.sensor.settings import (
     ALARM_SOURCES,
     Alarm,
     Configuration,
-    ManualSelfTest,
     Offsets,
     ScanBlock,
-    SelfTest,
     Status,
     join,
     scales,
@@ -115,7 +111,6 @@ PLAUSIBLE = 0.15
 It allows ±2 % of scale and a bias of tens of mg; the next variant differs by a factor of 5.4.
 """
 CHECK_SCANS = 32
-MANUAL_SCANS = 64
 
 
 @dataclass(frozen=True)
@@ -170,8 +165,6 @@ class Adis16354(Closing):
         Sensor type, see `registers.VARIANTS`.
     check : bool
         True checks on opening that the chip answers and measures 1 g at rest for this variant.
-    update_edge : {"first", "last"}
-        End of the data-ready pulse at which new data are ready (see `scanning.UPDATE_EDGE`).
     """
 
     def __init__(
@@ -180,10 +173,8 @@ class Adis16354(Closing):
         variant_: str | Variant = "adis16354",
         *,
         check: bool = True,
-        update_edge: UpdateEdge = UPDATE_EDGE,
     ) -> None:
         self.bus = bus
-        self.update_edge: UpdateEdge = update_edge
         self.variant: Variant = variant(variant_)
         self._gyro_range: int | None = None
         bus.sleep_s(START_UP_S)
@@ -439,7 +430,7 @@ class Adis16354(Closing):
                 if streams and not edge_at_update(self.bus, table, period_s):
                     raise wrong_edge_error(self.bus)
             elif looks:
-                loan = DataReadyLoan(self, table, period_s, self.update_edge)
+                loan = DataReadyLoan(self, table, period_s)
                 failed.callback(loan.give_back)
                 at_end.callback(loan.give_back)
                 ready = loan.wired
@@ -466,7 +457,7 @@ class Adis16354(Closing):
         if not USED_BY & self.bus.capabilities:
             return None
         period_s = self.configuration().sample_period_s
-        return DataReadyLoan(self, registers(names), period_s, self.update_edge)
+        return DataReadyLoan(self, registers(names), period_s)
 
     def read_scans(
         self,
@@ -505,8 +496,10 @@ class Adis16354(Closing):
         """Read STATUS, which clears it; the bit of a lasting condition is set again at the next update."""
         return Status(self.read("STATUS"))
 
-    def self_test(self) -> SelfTest:
-        """Run the internal self-test (35 ms, outputs unavailable meanwhile) and read its result.
+    def self_test(self) -> Status:
+        """Run the internal self-test (35 ms, outputs unavailable meanwhile) and read STATUS.
+
+        The test has passed if the attribute `self_test_failures` of the result is empty.
 
         Raises
         ------
@@ -522,35 +515,7 @@ class Adis16354(Closing):
         self.bus.sleep_s(SELF_TEST_S)
         if self.read_checked([row])[0] & busy:
             raise ChipError("the self-test did not end in 60 ms: reset the part and check its supply")
-        return SelfTest(self.status())
-
-    def manual_self_test(self) -> ManualSelfTest:
-        """Apply the self-test stimulus with each sign; return the changes of the outputs.
-
-        The sensor must be at rest. MSC_CTRL is always restored at the end.
-
-        Raises
-        ------
-        VerifyError
-            MSC_CTRL reads back another value.
-        """
-        means, noise = {}, np.zeros(6)
-        settling_s = self.configuration().settling_s
-        try:
-            for name, positive, negative in (("rest", 0, 0), ("positive", 1, 0), ("negative", 0, 1)):
-                self.write_fields("MSC_CTRL", positive=positive, negative=negative)
-                self.bus.sleep_s(2 * settling_s)
-                values = self.read_scans(MANUAL_SCANS, (*ACCEL_OUT, *GYRO_OUT), data_ready=False).values()
-                means[name] = values.mean(axis=0)
-                if name == "rest":
-                    noise = values.std(axis=0, ddof=1)
-        finally:
-            self.write_fields("MSC_CTRL", positive=0, negative=0)
-            self.bus.sleep_s(2 * settling_s)
-        up, down = means["positive"] - means["rest"], means["negative"] - means["rest"]
-        parts = [values[k : k + 3] for k in (0, 3) for values in (up, down)] + [noise[:3], noise[3:]]
-        x = [(float(part[0]), float(part[1]), float(part[2])) for part in parts]
-        return ManualSelfTest(*x)
+        return self.status()
 
     # -- offsets and flash --------------------------------------------------------------------------
 
@@ -562,77 +527,42 @@ class Adis16354(Closing):
         values = [float(value) for value in lsb * numbers]
         return Offsets((values[0], values[1], values[2]), (values[3], values[4], values[5]))
 
-    def write_offsets(
-        self, *, accel_mg: Sequence[float] | None = None, gyro_dps: Sequence[float] | None = None
-    ) -> Offsets:
-        """Write offsets (x, y, z) that the chip adds to its outputs; volatile until `save_to_flash`.
-
-        `accel_mg` and `gyro_dps` are None if these offsets shall not change. Returns the new offsets: the
-        requested values, rounded to an LSB.
-
-        Raises
-        ------
-        UsageError
-            Not three values, or a value outside the range of the register; nothing was written.
-        VerifyError
-            An offset register reads back another value.
-        """
-        writes: list[tuple[Register, int]] = []
-        for names, values, what in ((ACCEL_OFF, accel_mg, "accel_mg"), (GYRO_OFF, gyro_dps, "gyro_dps")):
-            if values is None:
-                continue
-            if len(values) != 3 or not np.all(np.isfinite(values)):
-                raise UsageError(f"{what} takes three finite values (x, y, z), not {list(values)}")
-            rows = registers(names)
-            lsb, _, units = scales(rows, self.variant, self._gyro_range)
-            for row, value, size, unit in zip(rows, values, lsb, units, strict=True):
-                number = round(value / size)
-                low, high = row.range
-                if not low <= number <= high:
-                    raise UsageError(
-                        f"{row.name} takes {low * size:.4g} to {high * size:.4g} {unit}, not {value:.4g}"
-                    )
-                writes.append((row, number))
-        for row, number in writes:
-            self.write(row, number)
-        return self.offsets()
-
-    def save_to_flash(self, *, force: bool = False) -> int:
+    def save_to_flash(self) -> int:
         """Save the registers that have a flash copy to flash; return the count of flash updates afterwards.
 
         Raises
         ------
         ChipError
-            The flash is worn (10 000 writes) and `force` is False; nothing was written.
+            The flash is worn (10 000 writes); nothing was written.
         VerifyError
             The endurance counter did not go up by one.
         StatusError
             STATUS reports a failed flash update.
         """
-        return self._flash_command("flash_update", FLASH_UPDATE_S, "the flash update", force=force)
+        return self._flash_command("flash_update", FLASH_UPDATE_S, "the flash update")
 
-    def autonull(self, *, force: bool = False) -> Offsets:
+    def autonull(self) -> Offsets:
         """Let the chip cancel its present gyro outputs while it is at rest; return the new offsets.
 
-        The autonull ends in a flash update. Unless `force` is True, it raises `ChipError` if the flash is
-        worn (10 000 updates). The maker does not give the duration of an autonull; the method waits until
-        filter and flash update must have ended.
+        The autonull ends in a flash update, so `ChipError` is raised if the flash is worn (10 000 updates).
+        The maker does not give its duration: the method waits until filter and flash update must have
+        ended.
         """
         wait = self.configuration().settling_s + START_UP_S + FLASH_UPDATE_S
-        self._flash_command("autonull", wait, "the autonull", force=force)
+        self._flash_command("autonull", wait, "the autonull")
         return self.offsets()
 
-    def precision_autonull(self, *, force: bool = False) -> Offsets:
+    def precision_autonull(self) -> Offsets:
         """Let the chip measure and cancel its gyro biases for 30 s at rest; return the new offsets.
 
-        The precision autonull ends in a flash update. Unless `force` is True, it raises `ChipError` if the
-        flash is worn (10 000 updates). Only a reset of the chip stops the autonull.
+        The precision autonull ends in a flash update. It raises `ChipError` if the flash is worn
+        (10 000 updates). Only a reset of the chip stops the autonull.
         """
         what = "the precision autonull"
-        self._flash_command("precision_autonull", PRECISION_AUTONULL_S, what, force=force)
+        self._flash_command("precision_autonull", PRECISION_AUTONULL_S, what)
         return self.offsets()
 
-    def restore_factory(self, *, force: bool = False) -> Offsets:
+    def restore_factory(self) -> Offsets:
         """Set the six offset registers to zero by the factory restore; return them as read back.
 
         The restore ends in a flash update.
@@ -640,11 +570,11 @@ class Adis16354(Closing):
         Raises
         ------
         ChipError
-            The flash is worn (10 000 updates) and `force` is False; nothing was written.
+            The flash is worn (10 000 updates); nothing was written.
         VerifyError
             An offset is not zero afterwards, or the endurance counter did not go up.
         """
-        self._flash_command("restore", START_UP_S, "the factory restore", force=force)
+        self._flash_command("restore", START_UP_S, "the factory restore")
         left = self.offsets()
         if any((*left.gyro_dps, *left.accel_mg)):
             raise VerifyError(f"after the factory restore offsets are not zero: {left}")
@@ -751,12 +681,10 @@ class Adis16354(Closing):
         row = BY_NAME["COMMAND"]
         self.bus.exchange_array(write_frames(row, row.field(field).mask, byte_mask=0x00FF))
 
-    def _flash_command(self, field: str, wait_s: float, what: str, *, force: bool) -> int:
+    def _flash_command(self, field: str, wait_s: float, what: str) -> int:
         before = self.endurance()
-        if before >= FLASH_LIFE and not force:
-            raise ChipError(
-                f"ENDURANCE is {before}: the flash is made for {FLASH_LIFE} writes; force it if you must"
-            )
+        if before >= FLASH_LIFE:
+            raise ChipError(f"ENDURANCE is {before}: the flash is made for {FLASH_LIFE} writes")
         self.forget_mark()
         self._command(field)
         self.bus.sleep_s(wait_s)
@@ -834,7 +762,7 @@ class Undo:
     ----------
     before : dict of str to int
         Words to restore, limited to the writable bits.
-    left : tuple of str
+    unrestored : tuple of str
         Names of the registers that `put_back` could not restore.
     """
 
@@ -846,10 +774,10 @@ class Undo:
         self.before = (
             self._read() if before is None else {r.name: before[r.name] & r.write_mask for r in rows}
         )
-        self.left: tuple[str, ...] = ()
+        self.unrestored: tuple[str, ...] = ()
 
     def put_back(self) -> None:
-        """Restore all changed registers; set `left` to the names of those that could not be restored.
+        """Restore all changed registers; set `unrestored` to the names of those that could not be restored.
 
         Raises
         ------
@@ -858,11 +786,11 @@ class Undo:
             done.
         """
         interrupted = False
-        self.left = tuple(row.name for row in self.rows)
+        self.unrestored = tuple(row.name for row in self.rows)
         for _ in range(_TRIES):
             try:
-                self.left = tuple(row.name for row in self._restore())
-                if not self.left:
+                self.unrestored = tuple(row.name for row in self._restore())
+                if not self.unrestored:
                     break
             except KeyboardInterrupt:
                 interrupted = True

@@ -428,8 +428,6 @@ class Performance:
     noise_mg, bias_instability_mg, initial_bias_mg : float
         Noise of an unfiltered accelerometer sample (rms), floor of the Allan deviation, and standard
         deviation of the bias between sensors, in mg.
-    noise_density_pole_hz : float
-        Pole of the analog front end in Hz.
     scale_error_typical : float
         Standard deviation of the relative error of an axis's sensitivity.
     non_orthogonality_deg : float
@@ -447,7 +445,6 @@ class Performance:
     noise_mg: float
     bias_instability_mg: float
     initial_bias_mg: float
-    noise_density_pole_hz: float
     scale_error_typical: float
     non_orthogonality_deg: float
     bias_tempco_mg_per_c: float
@@ -522,15 +519,15 @@ VARIANTS: dict[str, Variant] = {
     for variant in (
         Variant(
             "adis16354", 0.4672, 1.7, "three independent public code bases", "A",
-            Performance(4.7, 0.1, 10.0, 350.0, 0.001, 0.25, 0.5, 40.0),
+            Performance(4.7, 0.1, 10.0, 0.001, 0.25, 0.5, 40.0),
         ),
         Variant(
             "adis16350", 2.522, 10.0, "DS", "A",
-            Performance(35.0, 0.7, 40.0, 350.0, 0.01, 0.25, 4.0, 100.0),
+            Performance(35.0, 0.7, 40.0, 0.01, 0.25, 4.0, 100.0),
         ),
         Variant(
             "adis16355", 2.522, 10.0, "DS", "A",
-            Performance(35.0, 0.7, 40.0, 350.0, 0.01, 0.25, 0.5, 40.0),
+            Performance(35.0, 0.7, 40.0, 0.01, 0.25, 0.5, 40.0),
         ),
     )
 }  # fmt: skip

@@ -34,7 +34,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,16 +51,6 @@ if TYPE_CHECKING:
 
 USED_BY = frozenset({Capability.STREAM, Capability.EVENT_COUNTER})
 """Capabilities of a bus that make use of data-ready."""
-
-UpdateEdge = Literal["first", "last"]
-
-UPDATE_EDGE: UpdateEdge = "first"
-"""End of the data-ready pulse at which new outputs are ready, by default.
-
-The pulse announces new data (MSC_CTRL[2], A); the choice of its first edge is inferred, without support in
-data sheet or code (C). `edge_at_update` checks it, and `DataReadyLoan` takes the other edge if the declared
-one is wrong.
-"""
 
 _PERIODS = 2.5
 """Shortest time for which `edges_arrive` counts edges, in sample periods.
@@ -149,8 +139,10 @@ def wrong_edge_error(bus: SpiBus) -> ChipError:
 class DataReadyLoan:
     """Enables data-ready on DIO1, the line wired to the bridges, until the old setting is restored.
 
-    The polarity is chosen so that the edge used by the bus comes at the update. Only the low byte of
-    MSC_CTRL is written, and only its three bits of data-ready change.
+    The pulse announces new data (MSC_CTRL[2], A). Its first edge is expected at the update (inferred,
+    without support in data sheet or code, C); if the updates are found at the last edge, this edge is used.
+    The polarity is chosen so that the bridge starts its scans there. Only the low byte of MSC_CTRL is
+    written, and only its three bits of data-ready change.
 
     Parameters
     ----------
@@ -160,13 +152,11 @@ class DataReadyLoan:
         Registers of the scans.
     period_s : float
         Sample period in s.
-    edge : {"first", "last"}
-        Edge of the data-ready pulse at which the update is expected.
 
     Attributes
     ----------
     edge : {"first", "last"}
-        Edge that the bus uses: the expected edge, or the other one if the updates were found there.
+        Edge of the pulse that the bus uses.
     wired : bool
         False if no edge arrives; MSC_CTRL is then already restored.
 
@@ -178,11 +168,9 @@ class DataReadyLoan:
         Edges arrive, but not at the chip's updates. MSC_CTRL is restored.
     """
 
-    def __init__(
-        self, sensor: Adis16354, table: Sequence[Register], period_s: float, edge: UpdateEdge = UPDATE_EDGE
-    ) -> None:
+    def __init__(self, sensor: Adis16354, table: Sequence[Register], period_s: float) -> None:
         self._sensor = sensor
-        self.edge = edge
+        self.edge = "first"
         self._before = sensor.read(_ROW) & MASK
         self._ours = self._before
         try:
@@ -204,7 +192,7 @@ class DataReadyLoan:
         self._ours = self._before
 
     def _find_edge(self, table: Sequence[Register], period_s: float) -> None:
-        """Select the end of the pulse at which updates happen: the declared end, or else the other.
+        """Select the end of the pulse at which updates happen: the first, or else the last.
 
         Raises `ChipError` if updates happen at neither end. Does nothing if the bus cannot stream. `table`
         has the registers of a scan, `period_s` is the sample period.
@@ -300,8 +288,11 @@ class ScanLayout:
     at_end: Callable[[], object] = lambda: None
 
 
-class ScanStream(Closing):
-    """Iterator of `ScanBlock` that restores the chip's settings when closed; a context manager.
+B = TypeVar("B")
+
+
+class BlockStream(Closing, Generic[B]):
+    """Iterator of blocks of samples until it is closed; a context manager.
 
     Attributes
     ----------
@@ -310,6 +301,32 @@ class ScanStream(Closing):
     """
 
     how: str = ""
+    _closed = False
+
+    def __iter__(self) -> Iterator[B]:
+        return self
+
+    def __next__(self) -> B:
+        """Wait for the next block and return it; raise `BusError` or `ChipError` on failure."""
+        if self._closed:
+            raise StopIteration
+        return self._next()
+
+    def close(self) -> None:
+        """Stop the stream; may be called twice."""
+        if not self._closed:
+            self._closed = True
+            self._stop()
+
+    @abstractmethod
+    def _next(self) -> B: ...
+
+    def _stop(self) -> None:
+        """Stop the activity of the stream on the bus."""
+
+
+class ScanStream(BlockStream[ScanBlock]):
+    """Iterator of `ScanBlock` that restores the chip's settings when closed; a context manager."""
 
     @property
     def caveat(self) -> str:
@@ -320,17 +337,7 @@ class ScanStream(Closing):
         self._layout = layout
         self._names = tuple(row.name for row in layout.table)
         self._period_s = layout.period_s
-        self._closed = False
         self._last_s: float | None = None
-
-    def __iter__(self) -> Iterator[ScanBlock]:
-        return self
-
-    def __next__(self) -> ScanBlock:
-        """Return the next block of new scans; raise `BusError` or `SilentChipError` on failure."""
-        if self._closed:
-            raise StopIteration
-        return self._next()
 
     def close(self) -> None:
         """Stop the stream and restore the settings that it changed; may be called twice.
@@ -341,9 +348,8 @@ class ScanStream(Closing):
             The bus failed or a register reads back another value, so that data-ready may still be enabled.
         """
         if not self._closed:
-            self._closed = True
             try:
-                self._stop()
+                super().close()
             finally:
                 self._layout.at_end()
 
@@ -351,12 +357,6 @@ class ScanStream(Closing):
         # The first error counts: if the bus is gone, the restoration fails too.
         with contextlib.nullcontext() if error[0] is None else contextlib.suppress(AdisGonioError):
             self.close()
-
-    @abstractmethod
-    def _next(self) -> ScanBlock: ...
-
-    def _stop(self) -> None:
-        """Stop the activity of the stream on the bus."""
 
     def _block(
         self, words: Words, time_s: Floats, lost: int, missed: NDArray[np.int64] | None = None

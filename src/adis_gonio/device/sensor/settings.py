@@ -6,7 +6,6 @@ the words of many scans to numbers and units, vectorised.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
@@ -25,7 +24,6 @@ from adis_gonio.device.sensor.registers import (
     EA,
     GYRO_OUT,
     LEAST_M,
-    ND,
     RANGE_CODE,
     TEMP_OUT,
     Kind,
@@ -155,21 +153,18 @@ def filter_settling_samples(filter_m: int) -> int:
 def low_pass_3db_hz(filter_m: int, sample_rate_hz: float) -> float:
     """Return the frequency in Hz at which the filter of size M halves the power.
 
-    It is the −3 dB column of the data sheet's table (confidence A). Two boxcars of N = 2^M taps pass (sin(N
-    x) / (N sin x))² of an amplitude, with x = π f / rate. Without the filter (M = 0) only the pole of the
-    analog front end remains.
+    It is the −3 dB column of the data sheet's table (confidence A). Without the filter (M = 0), only the
+    pole of the analog front end remains.
     """
     if filter_m == 0:
         return ANALOG_POLE_HZ
-    n = 2**filter_m
-    low, high = 0.0, math.pi / n  # the first zero
-    for _ in range(60):
-        x = (low + high) / 2
-        if (math.sin(n * x) / (n * math.sin(x))) ** 2 > math.sqrt(0.5):
-            low = x
-        else:
-            high = x
-    return sample_rate_hz * low / math.pi
+    from scipy.optimize import brentq
+
+    def above_half(cycles: float) -> float:
+        return float(filter_response(filter_m, np.array(cycles))) - 0.5
+
+    # The response falls from 1 to its first zero, at one cycle in 2^M samples.
+    return sample_rate_hz * float(brentq(above_half, 0.0, 0.5**filter_m))
 
 
 @dataclass(frozen=True)
@@ -293,84 +288,14 @@ class Status:
         """Meanings of the errors and alarms that are set in STATUS, one line of text each."""
         return tuple(field.meaning for field in BY_NAME["STATUS"].fields if field.of(self.word))
 
+    @property
+    def self_test_failures(self) -> tuple[str, ...]:
+        """Failures of a self-test, one line of text each: bit 5 (error), bits 15:10 (one for each axis)."""
+        fields = [field for field in BY_NAME["STATUS"].fields if field.name.endswith("self_test")]
+        return tuple(field.meaning for field in fields if field.of(self.word))
+
     def __str__(self) -> str:
         return "; ".join(self.messages) or "no fault, no alarm"
-
-
-@dataclass(frozen=True)
-class SelfTest:
-    """Result of the internal self-test, from STATUS bit 5 (error) and bits 15:10 (one for each axis)."""
-
-    status: Status
-
-    @property
-    def passed(self) -> bool:
-        """True if STATUS shows no failure: neither the error bit nor the bit of a sensor axis."""
-        return not self.failures
-
-    @property
-    def failures(self) -> tuple[str, ...]:
-        """Failed axes, one line of text each."""
-        return tuple(
-            field.meaning
-            for field in BY_NAME["STATUS"].fields
-            if field.name.endswith("self_test") and field.of(self.status.word)
-        )
-
-
-@dataclass(frozen=True)
-class ManualSelfTest:
-    """Result of the manual self-test: change of each mean output under a stimulus of either sign.
-
-    The gyros answer to both signs, the accelerometers to the positive sign only (data sheet p. 19,
-    confidence B). The size is not specified, so only presence and direction are judged.
-
-    Attributes
-    ----------
-    accel_positive_mg, accel_negative_mg : tuple of 3 float
-        Change of the mean accelerometer outputs (x, y, z) under the positive and the negative stimulus.
-    gyro_positive_dps, gyro_negative_dps : tuple of 3 float
-        Change of the mean gyro outputs (x, y, z) under the positive and the negative stimulus.
-    accel_noise_mg, gyro_noise_dps : tuple of 3 float
-        Standard deviation of a sample at rest; a change of the mean by four standard deviations is an
-        answer.
-    """
-
-    accel_positive_mg: tuple[float, float, float]
-    accel_negative_mg: tuple[float, float, float]
-    gyro_positive_dps: tuple[float, float, float]
-    gyro_negative_dps: tuple[float, float, float]
-    accel_noise_mg: tuple[float, float, float]
-    gyro_noise_dps: tuple[float, float, float]
-
-    @property
-    def passed(self) -> bool:
-        """True if each axis answers the stimulus as the data sheet states."""
-        return not self.failures
-
-    @property
-    def failures(self) -> tuple[str, ...]:
-        """Axes with a missing or wrong answer to the stimulus, one line of text each."""
-        found = []
-        for k, axis in enumerate("XYZ"):
-            most = 4 * self.accel_noise_mg[k]
-            if abs(self.accel_positive_mg[k]) <= most:
-                found.append(f"accelerometer {axis} does not answer to the positive stimulus")
-            if abs(self.accel_negative_mg[k]) > most:
-                found.append(f"accelerometer {axis} moves under the negative stimulus")
-        for k, axis in enumerate("XYZ"):
-            most = 4 * self.gyro_noise_dps[k]
-            up, down = self.gyro_positive_dps[k], self.gyro_negative_dps[k]
-            for value, sign in ((up, "positive"), (down, "negative")):
-                if abs(value) <= most:
-                    found.append(f"gyro {axis} does not answer to the {sign} stimulus")
-            if min(abs(up), abs(down)) > most and up * down > 0:
-                found.append(f"gyro {axis} moves the same way under both stimuli")
-        return tuple(found)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the result in JSON form."""
-        return asdict(self) | {"passed": self.passed, "failures": list(self.failures)}
 
 
 ALARM_SOURCES: dict[str, int] = {
@@ -599,11 +524,6 @@ class ScanBlock:
     def supply_v(self) -> Floats:
         """Supply voltage (n,) in V."""
         return self.column("SUPPLY_OUT")
-
-    @property
-    def fresh(self) -> NDArray[np.bool_]:
-        """For each word (n, k): True if its flag ND marks data that had not been read before."""
-        return (self.words & ND).astype(bool)
 
     @property
     def alarm(self) -> NDArray[np.bool_]:

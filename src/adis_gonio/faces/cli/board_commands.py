@@ -15,7 +15,7 @@ from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import console, print_json, print_table, report_written, say
 
 if TYPE_CHECKING:
-    from adis_gonio.bench.bringup import Bringup, Row
+    from adis_gonio.bench.bringup import Bringup, StepResult
     from adis_gonio.bench.writeback import OffsetWriter, WritePlan
 
 
@@ -78,8 +78,8 @@ def bringup_command(
         except click.Abort:
             raise KeyboardInterrupt from None
 
-    def tell(row: Row) -> None:
-        say(f"{row.result.verdict:13} {row.name:15} {row.result.text}", err=as_json, hang=30)
+    def tell(row: StepResult) -> None:
+        say(f"{row.verdict:13} {row.name:15} {row.text}", err=as_json, hang=30)
 
     part = find_variant(variant)
     permission = Permission(allow_writes, flash, not leave_registers, ask)

@@ -289,7 +289,7 @@ def _trace(session: Session, advisor: TraceAdvisor) -> TraceResult | None:
         return advisor.result
     try:
         with report_progress(f"tracing {counted(len(session.dwells), 'dwell')}"):
-            return trace(session, advisor.max_effects)
+            return trace(session)
     except FitError as error:
         click.echo(f"not traced: {error}", err=True)
         return None

@@ -27,7 +27,7 @@ from adis_gonio.base.errors import (
     UsageError,
     install_extra,
 )
-from adis_gonio.device.bus.host import WALL, Clock, UrlOptions, busy, choose, gone, missing, no_permission
+from adis_gonio.device.bus import host
 from adis_gonio.device.bus.opening import BusUrl, Device
 from adis_gonio.device.bus.serial.bus import BOOT_S, Port, SerialBus, SerialLink
 from adis_gonio.device.bus.wire import load_cobs, protocol as wire
@@ -89,7 +89,7 @@ class SerialPort:
                     return data if self._whole or not data else data + self._rest()
         except (OSError, TypeError, AttributeError) as error:
             # pyserial raises TypeError if another thread closes the port during a read.
-            raise gone(self._url) from error
+            raise host.gone_error(self._url) from error
 
     def _rest(self) -> bytes:
         """Return the further bytes that a socket has ready, without waiting for more."""
@@ -107,7 +107,7 @@ class SerialPort:
         except self._serial.SerialTimeoutException as error:
             raise BusTimeoutError(f"{self._url}: the port takes no bytes within {WRITE_S:g} s") from error
         except (OSError, TypeError, AttributeError) as error:
-            raise gone(self._url) from error
+            raise host.gone_error(self._url) from error
 
     def close(self) -> None:
         """Close the port. Linux waits up to 30 s if a hanging board has not taken all bytes."""
@@ -178,13 +178,13 @@ def devices(ports: Sequence[Any]) -> list[Device]:
 def _cannot_open(error: OSError, place: str, baud: int, url: str) -> BusError:
     code = error.errno
     if code in (errno.EACCES, errno.EPERM):
-        return no_permission(url, place, "tty")
+        return host.permission_error(url, place, "tty")
     # Windows reports a port in use as "access denied", which pyserial gives as text only.
     words = ("exclusively lock", "PermissionError")
     if code in (errno.EBUSY, errno.EAGAIN) or any(word in str(error) for word in words):
-        return busy(url, place)
+        return host.busy_error(url, place)
     if code in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "FileNotFoundError" in str(error):
-        return missing(url, f"port {place}", devices(list_boards()))
+        return host.missing_error(url, f"port {place}", devices(list_boards()))
     return ProtocolError(f"{url}: {place} cannot be opened at {baud} baud: {error}")
 
 
@@ -193,7 +193,7 @@ __all__ = ["Port", "SerialBus", "SerialLink", "find_devices", "open_from_url"]
 _OPTIONS = ("baud", "edge", "boot_ms", "serial_number")
 
 
-def open_from_url(url: BusUrl, *, port: Port | None = None, clock: Clock = WALL) -> SerialBus:
+def open_from_url(url: BusUrl, *, port: Port | None = None, clock: host.Clock = host.WALL) -> SerialBus:
     """Open a board with the project's firmware by its URL (see the module's text).
 
     Parameters
@@ -214,7 +214,7 @@ def open_from_url(url: BusUrl, *, port: Port | None = None, clock: Clock = WALL)
     BusTimeoutError
         No firmware answers.
     """
-    options = UrlOptions(url, _OPTIONS)
+    options = host.UrlOptions(url, _OPTIONS)
     baud = options.number("baud", wire.BAUD, 300, 4_000_000)
     trigger = wire.Trigger[options.one_of("edge", ("falling", "rising")).upper()]
     boot_ms = options.number("boot_ms", round(BOOT_S * 1000), 100, 60_000)
@@ -242,4 +242,4 @@ def _place(url: BusUrl, number: str) -> str:
     if len(fits) > 1:
         fits = [board for board in fits if names_itself(board)] or fits
     what = f"port with serial number {number}" if number else "USB serial port"
-    return str(choose(url, what, fits, boards, devices).device)
+    return str(host.choose_board(url, what, fits, boards, devices).device)

@@ -16,10 +16,11 @@ times have no jumps.
 
 from __future__ import annotations
 
+import itertools
 import math
 import random
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
@@ -168,23 +169,23 @@ class SerialLink:
         bad = self.receiver.counts.bad
         quiet_s = end_s - max(wait_s - LOADER_S, HELLO_EVERY_S)
 
-        def again(sent: int) -> bool:
+        for sent in itertools.count():
             if sent and self._clock.now_s() >= end_s:
-                return False
+                break
             if sent == EARLY_HELLOS:
                 self._listen(quiet_s - self._clock.now_s())
             self._send_zeros(ZEROS_AGAIN_S if sent else ZEROS_FIRST_S)
-            return True
-
-        answer, _ = self._converse(packet, wire.HelloReply, HELLO_EVERY_S, again, nonce)
-        if isinstance(answer, wire.HelloReply):
-            if answer.protocol != wire.VERSION:
-                raise self._other_version(answer.protocol)
-            return answer
-        if answer is not None:
-            if answer.code == wire.Refusal.PROTOCOL_VERSION:
-                raise self._other_version(answer.detail)
-            raise ProtocolError(f"{self.url}: {RefusedError('hello', answer, once=True)}")
+            self.port.send(packet)
+            answer = self._await(wire.HelloReply, HELLO_EVERY_S, nonce)
+            if isinstance(answer, wire.Error):
+                if answer.code == wire.Refusal.PROTOCOL_VERSION:
+                    raise self._other_version(answer.detail)
+                raise ProtocolError(f"{self.url}: {RefusedError('hello', answer, once=True)}")
+            if answer is not None:
+                if answer.protocol != wire.VERSION:
+                    raise self._other_version(answer.protocol)
+                return answer
+            self.counts.retries += 1
         noise = ", only noise (another baud rate?)" if self.receiver.counts.bad > bad else ""
         raise BusTimeoutError(
             f"{self.url}: no adis-gonio firmware answers within {wait_s:g} s{noise}; is it flashed, and is"
@@ -212,15 +213,17 @@ class SerialLink:
         """
         packet = self._packet(body)
         self.counts.requests += 1
-        wait_s = RETRY_S + 1.1 * runs_s
-        answer, sent = self._converse(packet, reply, wait_s, lambda sent: sent < TRIES)
-        if isinstance(answer, wire.Error):
-            raise RefusedError(type(body).__name__, answer, once=sent == 1)
-        if answer is None:
-            raise BusTimeoutError(
-                f"{self.url}: no answer from the firmware to {TRIES} tries of {type(body).__name__}"
-            )
-        return answer
+        for sent in range(1, TRIES + 1):
+            self.port.send(packet)
+            answer = self._await(reply, RETRY_S + 1.1 * runs_s)
+            if isinstance(answer, wire.Error):
+                raise RefusedError(type(body).__name__, answer, once=sent == 1)
+            if answer is not None:
+                return answer
+            self.counts.retries += 1
+        raise BusTimeoutError(
+            f"{self.url}: no answer from the firmware to {TRIES} tries of {type(body).__name__}"
+        )
 
     @property
     def last_id(self) -> int:
@@ -262,31 +265,12 @@ class SerialLink:
         self._id = (self._id + 1) & 0xFFFF
         return encode(Packet.of(body, self._id))
 
-    def _converse(
-        self,
-        packet: bytes,
-        reply: type[B],
-        wait_s: float,
-        again: Callable[[int], bool],
-        nonce: int | None = None,
-    ) -> tuple[B | wire.Error | None, int]:
-        """Send a request until it is answered; return the reply or refusal, and the number of copies sent.
+    def _await(self, reply: type[B], wait_s: float, nonce: int | None = None) -> B | wire.Error | None:
+        """Return the reply or the refusal of the last request; None if neither comes within `wait_s`.
 
-        The reply is None if no answer came. `reply` is the class of the expected reply, `wait_s` the time
-        to wait after each copy. `again(copies sent)` decides if one more copy may be sent. `nonce` is the
-        number that the reply to a hello must repeat; None for other requests.
+        `reply` is the class of the expected reply. `nonce` is the number that the reply to a hello must
+        repeat; None for other requests.
         """
-        sent = 0
-        while again(sent):
-            self.port.send(packet)
-            sent += 1
-            answer = self._await(reply, wait_s, nonce)
-            if answer is not None:
-                return answer, sent
-            self.counts.retries += 1
-        return None, sent
-
-    def _await(self, reply: type[B], wait_s: float, nonce: int | None) -> B | wire.Error | None:
         end_s = self._clock.now_s() + wait_s
         while True:
             while self._replies:
@@ -762,6 +746,9 @@ class SerialBus(HostBus):
             self._lost_session = True
             raise
         self._renew()
+        return self._ask_once(request, reply, runs_s)
+
+    def _ask_once(self, request: Body, reply: type[B], runs_s: float = 0.0) -> B:
         try:
             return self._link.request(request, reply, runs_s)
         except RefusedError as refused:
@@ -771,11 +758,6 @@ class SerialBus(HostBus):
         """Open a new session with the firmware and set the SPI timing again, which the hello resets."""
         self.firmware = self._link.hello(AGAIN_S)
         timing = self.timing
-        request = wire.ConfigureRequest(
-            int(timing.clock_hz), math.ceil(timing.stall_us), math.ceil(timing.period_us)
-        )
-        try:
-            self._link.request(request, wire.ConfigureReply)
-        except RefusedError as refused:
-            raise ProtocolError(f"{self.url}: {refused}") from refused
+        stall, period = math.ceil(timing.stall_us), math.ceil(timing.period_us)
+        self._ask_once(wire.ConfigureRequest(int(timing.clock_hz), stall, period), wire.ConfigureReply)
         self._lost_session = False
