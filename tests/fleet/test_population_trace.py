@@ -147,7 +147,7 @@ def test_the_amplitude_is_that_of_the_affected_sessions_where_these_are_the_nois
 def test_names_that_are_one_column_are_a_set() -> None:
     """In one plane a_x² is 1 − a_y²: beside a bias nobody can tell K2 from Kpp."""
     rng = np.random.default_rng(15)
-    result = trace_population(drawn(rng, 200, "quadratic||x|k2_x|mg/g²", 2.6 * np.ones(100)))
+    result = trace_population(drawn(rng, 200, "quadratic||x|k2_x|mg/g²", 3.5 * np.ones(100)))
     assert [set(one) for one in names(result)] == [{"quadratic", "cross_quadratic"}]
     assert not result.found
 

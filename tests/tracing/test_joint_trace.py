@@ -18,12 +18,14 @@ from adis_gonio.model.effects.base import lagged
 from adis_gonio.model.measurement import FreeAttitude, JointMeasurement, PlanarTurn, SessionOrigin
 from adis_gonio.tracing.joint_trace import JointResult, trace_sessions, trace_stacked
 from adis_gonio.tracing.linear_problem import Products, amplitudes, linearise, span
+from adis_gonio.tracing.model_search import Search, _Climb
 from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.sharing import sharings, split_effect
 from adis_gonio.tracing.stacking import stack
 from adis_gonio.tracing.trace import trace_readings
 from recordings import recording
 from tracing.joint_fleets import draw_fleet, draw_part, draw_session, origins
+from tracing.small_problems import names_only
 
 
 @pytest.mark.parametrize("model", [PlanarTurn, FreeAttitude])
@@ -238,6 +240,16 @@ def test_columns_by_session_give_what_columns_over_all_rows_give(parts, stages) 
         basis, residual = span(problem, model)
         ours, theirs = (one.gains(basis, residual)[outside] for one in (problem, dense))
         np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-5)
+
+
+def test_a_less_exact_score_of_a_model_replaces_no_other() -> None:
+    """The ridge of a gain lowers it if a bias of each session is nearly the bias of all that is added."""
+    found = Search(replace(names_only("quadratic", "cubic"), joint=True), np.zeros(2))
+    found.promise = np.full(2, -np.inf)
+    climb = _Climb(found, 1, 2, 1)
+    for score in (5.0, 3.0):
+        climb._keep((), np.array([[0]]), np.array([score]))
+    assert found.scores[0,] == 5.0
 
 
 def test_columns_by_session_are_those_of_each_session() -> None:

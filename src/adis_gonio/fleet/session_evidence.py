@@ -34,9 +34,9 @@ from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, catalogue
 from adis_gonio.model.measurement import PlanarTurn
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
+from adis_gonio.tracing.linear_problem import reduced
 from adis_gonio.tracing.named_candidates import cycles_shown
-from adis_gonio.tracing.session_blocks import orthonormal
-from adis_gonio.tracing.thresholds import limits
+from adis_gonio.tracing.session_blocks import project_off_base
 from adis_gonio.tracing.trace_result import TraceResult
 
 TAUS_S = tuple(float(f"{tau:.3g}") for tau in np.geomspace(10.0, 3160.0, 11))
@@ -404,30 +404,21 @@ def _bias(data: Readings) -> NamedTerm:
 def _of_fit(fit: Fit, **origin: Any) -> SessionEvidence:
     data = fit.data
     terms, missing = columns_of(data)
-    residual = fit.declared_misfit
-    # Add the fitted terms to the residual again; bias and single dwells are projected out instead.
-    own: list[Term] = [_bias(data)]
-    for k, term in enumerate(fit.terms):
-        residual = residual + fit.added(k)
-        if isinstance(term, NamedTerm) and "dwell" in term.effect.choices():
-            own.append(term)
-    beside = [fit.white(fit.base_columns), *(fit.white(fit.candidate(term)) for term in own)]
-    base = orthonormal(np.concatenate(beside, axis=1))
-    target = fit.white(residual[:, :, None])[:, 0]
-    target = target - base @ (base.T @ target)
+    # Bias and single dwells are projected out, as is the base model.
+    single = [
+        term for term in fit.terms if isinstance(term, NamedTerm) and "dwell" in term.effect.choices()
+    ]
+    base, target = reduced(fit, [_bias(data), *single])
     # χ² of the fitted model: a large effect that a trace has found is no scatter.
     rest = fit.residual.ravel()
     rest = rest - base @ (base.T @ rest)
 
-    columns = fit.white(np.concatenate([fit.candidate(term) for term, _ in terms], axis=2))
+    raw, _ = fit.candidates([term for term, _ in terms])
     keys = [column.key for _, evidence in terms for column in evidence]
-    before = np.linalg.norm(columns, axis=0)
-    # Project base model, bias and single dwells out of the candidates' columns.
-    columns = columns - base @ (base.T @ columns)
-    length = np.linalg.norm(columns, axis=0)
+    columns, length = project_off_base(base, fit.white(raw), np.ones(raw.shape[2], dtype=np.intp))
     # Columns that lie in the projected space are not determined.
-    seen = np.isfinite(length) & (length**2 > limits.independent * before**2) & (length > 0)
-    unit = columns[:, seen] / length[seen]
+    seen = np.asarray(columns.any(axis=0))
+    unit = columns[:, seen]
     for name in {key.split("|")[0] for key in keys} - {
         key.split("|")[0] for key, there in zip(keys, seen, strict=True) if there
     }:

@@ -23,13 +23,10 @@ from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.validation import (
     Fold,
     HeldOut,
-    drop_unpredicted,
-    folds,
+    held_out_alike,
     leave_each_out,
     leaves_too_few,
-    predicted_dwells,
     residuals_on,
-    select_counted,
 )
 
 MOST_FURTHER = 1
@@ -167,11 +164,7 @@ def _left_out(
         return [[residuals_on(fit, checking)] for fit in fits]
     if leaves_too_few(fits[-1]):
         return leave_each_out(fits)[0]
-    data = fits[0].data
-    designs = folds(data)
-    lefts = [fold.left_out(data, designs, fit) for fit in fits]
-    counts = drop_unpredicted(predicted_dwells(data, designs, fits[chosen].terms), lefts[chosen])
-    return [select_counted(left, counts) for left in lefts]
+    return held_out_alike([(fold, fits[0].data, fit) for fit in fits], fits[chosen].terms, [chosen])
 
 
 def next_term(bought: Sequence[Bought], unit: str) -> str:

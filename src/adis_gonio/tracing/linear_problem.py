@@ -27,10 +27,9 @@ from adis_gonio.tracing.session_blocks import (
     ModelBasis,
     SessionBlocks,
     by_session,
+    columns_of,
     orthonormal,
     orthonormal_combinations,
-    orthonormalising,
-    project_off_base,
     runs,
     session_bases,
     solve_small_systems,
@@ -236,7 +235,7 @@ class LinearProblem:
         """Return the problem restricted to the terms with the numbers `chosen`, in ascending order."""
         count = len(self.first)
         shared, own = chosen[chosen < count].tolist(), (chosen[chosen >= count] - count).tolist()
-        index = [column for k in shared for column in range(self.first[k], self.first[k] + self.width[k])]
+        index = columns_of(self.first, self.width, shared)
         width = self.width[shared]
         return replace(
             self,
@@ -432,39 +431,39 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
 
     The model of the fit may already contain some of the terms.
     """
-    # The target contains the contributions of the fit's own terms, which are candidates like all others.
-    left = fit.declared_misfit
-    for k in range(len(fit.terms)):
-        left = left + fit.added(k)
-    y = fit.white(left[:, :, None])[:, 0]
-
-    base = orthonormal(fit.white(fit.base_columns))
-    y = y - base @ (base.T @ y)
-
+    base, target = reduced(fit)
     # The last terms have amplitudes of their own in each session.
     own = {} if _sessions_share_noise(fit) else _terms_of_sessions(fit, terms)
     shared = [term for k, term in enumerate(terms) if k not in own]
-    raw, widths = fit.candidates(shared)
-    columns, length = project_off_base(base, fit.white(raw), widths)
-    spread = amplitude_spreads(fit.data.model, shared, widths)
-    chosen, width, together, back, prior = _orthonormal_blocks(columns, length, spread, widths)
+    rows = len(target)
+    # All rows as one session, whose base model is projected out.
+    whole = np.arange(rows)[None], (base[None], base[None, :, :0])
+    numbers, blocks, prior = _blocks(fit, shared, *whole)
+    # Only the columns that the readings show, with terms of equal width side by side.
+    order = np.lexsort((numbers, blocks.total))[int((blocks.total == 0).sum()) :].tolist()
+    index = columns_of(blocks.first, blocks.width, order)
+    columns = blocks.columns[0][:, index[blocks.seen[0, index]]]
+    back, held = ([one[k][0] for k in order] for one in (blocks.back, prior))
+    for i, k in enumerate(order):
+        if blocks.total[k] < blocks.width[k]:
+            shown = blocks.seen[0, blocks.places(k)]
+            back[i], held[i] = back[i][:, shown], held[i][shown][:, shown]
+    width = blocks.total[order]
     first = (np.cumsum(width) - width).astype(np.intp)
-    prices = np.add.reduceat(_column_prices(together), first) if len(first) else np.zeros(0)
-    free = LinearProblem(
-        terms=tuple(shared[k] for k in chosen),
-        columns=together,
+    made = LinearProblem(
+        terms=tuple(shared[numbers[k]] for k in order),
+        columns=columns,
         first=first,
         width=width,
-        target=y,
-        dof=len(y) - base.shape[1],
-        back=back,
+        target=target,
+        dof=rows - base.shape[1],
+        back=tuple(back),
         hidden=(),
         cost=np.zeros(0),
-        column_price=prices,
+        column_price=np.add.reduceat(_column_prices(columns), first) if len(first) else np.zeros(0),
         prior=tuple(np.zeros((size, size)) for size in width.tolist()),
         joint=bool(fit.data.model.origins),
-    )
-    made = free._with_prior(prior, 1.0)
+    )._with_prior(held, 1.0)
     if own:
         made = _with_split(made, fit, [terms[k] for k in own], list(own.values()))
     for k, term in enumerate(made.terms):
@@ -494,7 +493,7 @@ def _sessions_share_noise(fit: Fit) -> bool:
 def _terms_of_sessions(fit: Fit, terms: Sequence[Term]) -> dict[int, NamedTerm]:
     """Return the terms with amplitudes of their own in each session, as terms of a single session.
 
-    The keys are their numbers among `terms`, in ascending order of the number of amplitudes.
+    The keys are their numbers among `terms`.
     """
     each = tuple(range(len(fit.data.model.origins)))
     found: dict[int, NamedTerm] = {}
@@ -506,7 +505,7 @@ def _terms_of_sessions(fit: Fit, terms: Sequence[Term]) -> dict[int, NamedTerm]:
             index = [i for i, one in enumerate(whole.parameters) if one.shape]
             values = [value for _, value in sorted(term.shapes)]
             found[k] = replace(term, effect=whole, shapes=tuple(zip(index, values, strict=True)))
-    return dict(sorted(found.items(), key=lambda item: len(item[1].amplitudes)))
+    return found
 
 
 def _with_split(
@@ -514,7 +513,7 @@ def _with_split(
 ) -> LinearProblem:
     """Add terms with amplitudes of their own in each session to a problem.
 
-    `of_one` are these terms for a single session, in ascending order of the number of their columns.
+    `of_one` are these terms for a single session.
     """
     data, rows = fit.data, len(problem.target)
     session = np.repeat(data.conditions.covariate("session").astype(np.intp), rows // len(data))
@@ -522,88 +521,49 @@ def _with_split(
     place = np.full((len(members), max(map(len, members))), rows)
     for own, index in zip(place, members, strict=True):
         own[: len(index)] = index
-    raw, width = fit.candidates(of_one)
-    split, prior = SessionBlocks.of(
-        rows,
-        place,
-        session_bases(by_session(fit.white(fit.base_columns), place)),
-        by_session(fit.white(raw), place),
-        amplitude_spreads(data.model, of_one, width),
-        width,
-    )
-    price = _column_prices(split.columns).sum(axis=0)
-    seen = np.flatnonzero(split.total)
-    first = (np.cumsum(width) - width)[seen]
-    prior = [prior[k] for k in seen]
-    ends = first + width[seen]
+    bases = session_bases(by_session(fit.white(fit.base_columns), place))
+    numbers, split, prior = _blocks(fit, of_one, place, bases)
+    shown = np.flatnonzero(split.total).tolist()
+    price = np.add.reduceat(_column_prices(split.columns).sum(axis=0), split.first)
     return replace(
         problem,
-        terms=(*problem.terms, *(terms[k] for k in seen.tolist())),
-        width=np.concatenate([problem.width, split.total[seen]]),
-        column_price=np.append(
-            problem.column_price, [price[i:j].sum() for i, j in zip(first, ends, strict=True)]
-        ),
-        split=split.subset(seen.tolist()).with_prior(prior),
+        terms=(*problem.terms, *(terms[numbers[k]] for k in shown)),
+        width=np.concatenate([problem.width, split.total[shown]]),
+        column_price=np.concatenate([problem.column_price, price[shown]]),
+        split=split.subset(shown).with_prior([prior[k] for k in shown]),
     )
 
 
-def _orthonormal_blocks(
-    columns: Floats, length: Floats, spread: Floats, widths: NDArray[np.intp]
-) -> tuple[list[int], NDArray[np.intp], Floats, tuple[Floats, ...], tuple[Floats, ...]]:
-    """Orthonormalise the columns of each term; return the terms that the session shows, and their blocks.
+def _blocks(
+    fit: Fit, terms: Sequence[Term], place: NDArray[np.intp], bases: tuple[Floats, Floats]
+) -> tuple[NDArray[np.intp], SessionBlocks, list[Floats]]:
+    """Return the columns of terms in each session, sorted by their width, and the prior of the amplitudes.
 
-    The result is: terms, widths (M,), blocks (rows, P), back maps and prior Gram matrices. Blocks of equal
-    width are adjacent and computed at once. A back map converts the coefficients of a block
-    to amplitudes. A prior Gram matrix (width, width) follows from the prior standard deviation `spread`
-    (P,) of each column's amplitude. `length` (P,) is the length of each column before it was scaled.
+    The first result are the numbers of the terms in this order. `place` and `bases` are as in
+    `SessionBlocks.of`.
     """
-    starts = np.cumsum(widths) - widths
-    found: dict[int, list[tuple[int, Floats, Floats, Floats]]] = {}
-    for size in np.unique(widths).tolist():
-        members = np.flatnonzero(widths == size)
-        index = starts[members, None] + np.arange(size)
-        stack = columns[:, index].transpose(1, 0, 2)
-        half = orthonormalising(stack.swapaxes(-1, -2) @ stack)
-        whole = half.any(axis=-2).all(axis=-1)
-        own = (
-            members[whole].tolist(),
-            stack[whole] @ half[whole],
-            *_back_maps(half[whole], index[whole], length, spread),
-        )
-        found.setdefault(size, []).extend(zip(*own, strict=True))
-        for k in np.flatnonzero(~whole).tolist():
-            seen = half[k].any(axis=0)
-            if seen.any():
-                rest = half[k][:, seen]
-                own_ = int(members[k]), stack[k] @ rest, *_back_maps(rest, index[k], length, spread)
-                found.setdefault(rest.shape[1], []).append(own_)
-    blocks = [block for size in sorted(found) for block in sorted(found[size], key=lambda own: own[0])]
-    return (
-        [member for member, _, _, _ in blocks],
-        np.array([block.shape[1] for _, block, _, _ in blocks], dtype=np.intp),
-        np.concatenate([np.zeros((len(columns), 0)), *(block for _, block, _, _ in blocks)], axis=1),
-        tuple(back for _, _, back, _ in blocks),
-        tuple(prior for _, _, _, prior in blocks),
-    )
+    raw, width = fit.candidates(terms)
+    spread = amplitude_spreads(fit.data.model, terms, width)
+    numbers = np.argsort(width, kind="stable")
+    index = columns_of(np.cumsum(width) - width, width, numbers)
+    white = fit.white(raw)
+    columns = by_session(white[:, index], place)
+    return numbers, *SessionBlocks.of(len(white), place, bases, columns, spread[index], width[numbers])
 
 
-def _back_maps(
-    half: Floats, index: NDArray[np.intp], length: Floats, spread: Floats
-) -> tuple[Floats, Floats]:
-    """Return matrices that convert block coefficients to amplitudes, and Gram matrices of the prior.
+def reduced(fit: Fit, beside: Sequence[Term] = ()) -> tuple[Floats, Floats]:
+    """Return an orthonormal basis of the whitened base model, and the target outside it.
 
-    Parameters
-    ----------
-    half : (…, d, width) float
-        Combinations of a term's d columns that form its block.
-    index : (…, d) int
-        Numbers of these columns.
-    length, spread : (P,) float
-        Length of each column before scaling, and prior standard deviation of its amplitude.
+    The target (rows,) contains the contributions of the fit's own terms, which are candidates like all
+    others. The basis (rows, k) includes the columns of the terms `beside`.
     """
-    back = half / length[index][..., None]
-    away = back / spread[index][..., None]
-    return back, away.swapaxes(-1, -2) @ away
+    left = fit.declared_misfit
+    for k in range(len(fit.terms)):
+        left = left + fit.added(k)
+    target = fit.white(left[:, :, None])[:, 0]
+    every = [fit.base_columns, *(fit.candidate(term) for term in beside)]
+    base = orthonormal(fit.white(np.concatenate(every, axis=2)))
+    return base, target - base @ (base.T @ target)
 
 
 def _column_prices(columns: Floats) -> Floats:

@@ -264,7 +264,13 @@ class _Climb:
         wider = np.empty((len(added), len(model) + added.shape[1]), dtype=np.intp)
         wider[:, : len(model)], wider[:, len(model) :] = model, added
         wider.sort(axis=1)
-        self.found.scores.update(zip(map(tuple, wider.tolist()), scores.tolist(), strict=True))
+        known = self.found.scores
+        fresh = dict(zip(map(tuple, wider.tolist()), scores.tolist(), strict=True))
+        if self.found.problem.joint:
+            # A bias of all sessions is nearly inside one of each session, and the ridge of the gains then
+            # lowers its gain by far more than rounding. The largest score of a model is the most exact.
+            fresh = {one: max(score, known.get(one, score)) for one, score in fresh.items()}
+        known.update(fresh)
         self.top = max(self.top, float(scores.max(initial=-np.inf)))
         # Of the terms of one kind, all are named or none is, so only the best score of each can lead.
         group = (self.kind[added] * len(self.kind) ** np.arange(added.shape[1])).sum(axis=1)

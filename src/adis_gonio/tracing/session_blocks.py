@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,17 +107,18 @@ class SessionBlocks:
         columns, length = project_off_base(own, columns, width)
         seen = np.zeros(length.shape, dtype=bool)
         back: list[Floats] = []
+        prior: list[Floats] = []
         for _, places, size in runs(width):
             stack = _by_term(columns[..., places], size)
             half = orthonormalising(stack.swapaxes(-1, -2) @ stack)
             columns[..., places] = _by_row(stack @ half)
             seen[:, places] = _by_row(half).any(axis=1)
-            back.extend(half / _by_term(length[:, None, places], size).swapaxes(-1, -2))
-        first = np.cumsum(width) - width
-        away = [own / spread[k : k + own.shape[1], None] for k, own in zip(first, back, strict=True)]
-        none = tuple(np.zeros_like(one) for one in away)
-        free = cls(rows, place, shared, columns, width, seen, tuple(back), none)
-        return free, [one.swapaxes(-1, -2) @ one for one in away]
+            half = half / _by_term(length[:, None, places], size).swapaxes(-1, -2)
+            away = half / spread[places].reshape(-1, 1, size, 1)
+            back.extend(half)
+            prior.extend(away.swapaxes(-1, -2) @ away)
+        none = [np.zeros((len(seen), size, size)) for size in width.tolist()]
+        return cls(rows, place, shared, columns, width, seen, tuple(back), tuple(none)), prior
 
     def by_row(self, values: Floats) -> Floats:
         """Arrange values (S, n, …) of all sessions as rows (rows, …)."""
@@ -124,15 +126,20 @@ class SessionBlocks:
         out[self.place] = values
         return out[:-1]
 
+    @cached_property
+    def first(self) -> NDArray[np.intp]:
+        """First column (M,) of each term."""
+        return (np.cumsum(self.width) - self.width).astype(np.intp)
+
     def places(self, term: int) -> slice:
         """Return the slice of the columns of one term."""
-        end = int(self.width[: term + 1].sum())
-        return slice(end - int(self.width[term]), end)
+        return slice(self.first[term], self.first[term] + self.width[term])
 
-    @property
+    @cached_property
     def total(self) -> NDArray[np.intp]:
-        """Number of columns (M,) of each term over all sessions."""
-        return np.array([self.seen[:, self.places(k)].sum() for k in range(len(self.width))], dtype=np.intp)
+        """Number of columns (M,) of each term that the sessions show, added up over the sessions."""
+        shown = self.seen.sum(axis=0)
+        return np.add.reduceat(shown, self.first) if len(self.first) else shown
 
     def of_term(self, term: int) -> Floats:
         """Return the columns (rows, S · width) of one term, without those that no session shows."""
@@ -158,7 +165,7 @@ class SessionBlocks:
 
     def subset(self, chosen: Sequence[int]) -> SessionBlocks:
         """Return the blocks of the chosen terms, in ascending order."""
-        index = [k for term in chosen for k in range(self.places(term).start, self.places(term).stop)]
+        index = columns_of(self.first, self.width, chosen)
         return replace(
             self,
             columns=np.ascontiguousarray(self.columns[..., index]),
@@ -219,7 +226,8 @@ class SessionBlocks:
         if with_prior:
             gram[held:, held:] = together
         gram -= np.tensordot(across, across, axes=((0, 1), (0, 1)))
-        turn = orthonormal_combinations(gram)
+        # A bias of all sessions beside one of each, of which the prior alone tells it apart, is short.
+        turn = orthonormal_combinations(gram, _RANK)
         turn = turn[:, turn.any(axis=0)]
         rank = int(half.any(axis=1).sum()) + turn.shape[1] - held
         return ModelBasis(columns, (every - columns @ across) @ turn, rank)
@@ -306,6 +314,16 @@ def _by_row(stack: Floats) -> Floats:
     return stack.transpose(1, 2, 0, 3).reshape(*stack.shape[1:3], -1)
 
 
+def columns_of(
+    first: NDArray[np.intp], width: NDArray[np.intp], chosen: Sequence[int] | NDArray[np.intp]
+) -> NDArray[np.intp]:
+    """Return the numbers of the columns of chosen terms, from the first column and width of every term."""
+    chosen = np.asarray(chosen, dtype=np.intp)
+    own = width[chosen]
+    ends = np.cumsum(own)
+    return np.asarray(np.repeat(first[chosen] - ends + own, own) + np.arange(own.sum()))
+
+
 def runs(width: NDArray[np.intp]) -> list[tuple[slice, slice, int]]:
     """Group adjacent terms of equal width: slice of their numbers, slice of their columns, width."""
     ends = np.append(np.flatnonzero(np.diff(width)) + 1, len(width)) if len(width) else width
@@ -375,13 +393,13 @@ def orthonormalising(gram: Floats) -> Floats:
     return half
 
 
-def orthonormal_combinations(gram: Floats) -> Floats:
+def orthonormal_combinations(gram: Floats, least: float = limits.independent) -> Floats:
     """Return matrices (…, p, p) that turn p columns with these Gram matrices into orthonormal columns.
 
-    Columns of the result are zero for combinations that are too short.
+    Columns of the result are zero for combinations with a squared length of at most `least`.
     """
     values, vectors = np.linalg.eigh(gram)
-    seen = values > limits.independent
+    seen = values > least
     scale: Floats = np.where(seen, 1 / np.sqrt(np.where(seen, values, 1.0)), 0.0)
     return np.asarray(scale[..., None, :] * vectors)
 

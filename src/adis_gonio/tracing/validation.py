@@ -277,6 +277,28 @@ def drop_unpredicted(
     return out or dict(counts)
 
 
+def held_out_alike(
+    asked: Sequence[tuple[Fold, Readings, Fit | None]], terms: Sequence[Term], by: Sequence[int]
+) -> list[list[HeldOut]]:
+    """Return the residuals of several models on the same held-out dwells, for each design of the folds.
+
+    Parameters
+    ----------
+    asked : sequence of (Fold, Readings, Fit or None)
+        Arguments of `Fold.left_out` for each model, with the readings of the same dwells.
+    terms : sequence of Term
+        Terms of the chosen model, by which dwells count (`predicted_dwells`).
+    by : sequence of int
+        Numbers of the models that must determine each dwell that counts.
+    """
+    designs = folds(asked[0][1])
+    lefts = [fold.left_out(data, designs, fit) for fold, data, fit in asked]
+    counts = predicted_dwells(asked[0][1], designs, terms)
+    for k in by:
+        counts = drop_unpredicted(counts, lefts[k])
+    return [select_counted(left, counts) for left in lefts]
+
+
 @dataclass(frozen=True)
 class Fold:
     """Settings and results of choosing and fitting a model again without the dwells of each fold.

@@ -35,12 +35,9 @@ from adis_gonio.tracing.scatter import log_evidence, price_of_scatter
 from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace_result import ErrorFigures
 from adis_gonio.tracing.validation import (
-    drop_unpredicted,
-    folds,
+    held_out_alike,
     heldout_errors,
     leaves_too_few,
-    predicted_dwells,
-    select_counted,
 )
 
 if TYPE_CHECKING:
@@ -348,16 +345,9 @@ def _errors(free: TraceRun, asked: TraceRun) -> list[ErrorFigures]:
     if free.checking is not None or few or current().left_out:
         return figures
     data = free.selection.data
-    designs = folds(data)
-    runs = [
-        (free, free.fits[0]),
-        *((run, run.fits[-1] if run.shortened else None) for run in (free, asked)),
-    ]
-    lefts = [run.fold.left_out(run.selection.data, designs, fit) for run, fit in runs]
-    counts = predicted_dwells(data, designs, free.selection.terms)
-    for left in lefts[1:]:
-        counts = drop_unpredicted(counts, left)
+    searched = [(run, run.fits[-1] if run.shortened else None) for run in (free, asked)]
+    models = [(run.fold, run.selection.data, fit) for run, fit in ((free, free.fits[0]), *searched)]
     return [
-        replace(figure, heldout_kept=None, **heldout_errors(data, select_counted(left, counts)))
-        for figure, left in zip(figures, lefts, strict=True)
+        replace(figure, heldout_kept=None, **heldout_errors(data, left))
+        for figure, left in zip(figures, held_out_alike(models, free.selection.terms, (1, 2)), strict=True)
     ]
