@@ -330,7 +330,7 @@ class Knowledge:
     judge : Judge or None
         Judge of the positions; None before the noise is known, and if positions are not judged.
     limits : StillnessLimits or None
-        Limits of stillness; None before the noise is known, and if it has to be measured anew.
+        Limits of stillness; None if the noise is not known, or has to be measured again.
     reversed : bool
         True if the stage counts angles the other way than the plan.
     fits_dwells : bool

@@ -164,7 +164,7 @@ def as_normal(t: Floats, dof: Floats) -> Floats:
 def tau_of(q_at: Callable[[float], float], goal: float, values: Floats) -> float:
     """Return the standard deviation τ between sessions at which Cochran's Q equals `goal`.
 
-    `q_at(τ)` computes Q of the `values` (n,), whose range is the first guess of τ. The result is 0 if Q is
+    `q_at(τ)` computes Q of the `values` (n,). Their range is the first guess of τ. The result is 0 if Q is
     at most `goal` at τ = 0 (Paule and Mandel).
     """
     from scipy.optimize import brentq

@@ -225,7 +225,7 @@ _OBSTACLES = {
     "SQLITE_LOCKED": _LOCKED,
     "SQLITE_IOERR": "the disk failed ({}); all completed dwells are kept",
 }
-"""Message for errors of SQLite whose cause is outside the file, by the beginning of the error's name.
+"""Message for errors of SQLite with a cause outside the file, by the beginning of the error's name.
 
 {} stands for the message of SQLite.
 """

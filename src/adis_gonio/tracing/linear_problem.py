@@ -436,7 +436,7 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
     own = {} if _sessions_share_noise(fit) else _terms_of_sessions(fit, terms)
     shared = [term for k, term in enumerate(terms) if k not in own]
     rows = len(target)
-    # All rows as one session, whose base model is projected out.
+    # All rows as one session; its base model is projected out.
     whole = np.arange(rows)[None], (base[None], base[None, :, :0])
     numbers, blocks, prior = _blocks(fit, shared, *whole)
     # Only the columns that the readings show, with terms of equal width side by side.

@@ -234,7 +234,7 @@ class Sampler:
                 return
 
     def _publish(self, block: ScanBlock, since_1970_ns: int) -> None:
-        """Publish the scans of a block between whose checks SENS_AVG has not changed; count the others."""
+        """Publish the scans of a block if its two checks of SENS_AVG agree; count the others."""
         if not len(block):
             return
         sound = (block.words[:, [0, -1]] == self.state.sens_avg).all(axis=1)

@@ -64,7 +64,7 @@ class Course:
     noise : (axes,) float
         Variance from dwell to dwell of the projection on the course, in mg².
     p_value : (axes,) float
-        p-value of the t-test over the dwells, not corrected; 1 on an axis whose factor is zero.
+        p-value of the t-test over the dwells, not corrected; 1 on an axis with a factor of zero.
     """
 
     tau: float | None

@@ -287,7 +287,7 @@ def _joined(
 def _varying(samples: Samples, dwells: NDArray[np.intp], levels: dict[int, Levels]) -> WithinFinding:
     """Return the finding for variances that do not differ by a single change; without p-value and figure.
 
-    `levels` has the variances and levels of each axis whose variances differ between dwells.
+    `levels` has the variances and levels of each axis on which the variances differ between dwells.
     """
     d = len(dwells)
     unusual = np.zeros(d, dtype=bool)
