@@ -48,7 +48,7 @@ class Inputs:
     accel_mg : (n, 3) float
         Accelerations x, y, z in mg (thousandths of 9.80665 m/s²); level with Z up, z is -1000.
     gyro_dps : (n, 3) float
-        Rates of turn in °/s, right-handed about the drawn axes.
+        Rates of turn in °/s, right-handed about the axes of the sensor.
     temperature_c : (n, 3) float
         Temperatures of the dies of the three gyros in °C.
     supply_v, aux_v : (n,) float

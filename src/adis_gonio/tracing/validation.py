@@ -369,8 +369,9 @@ class Fold:
 def nest_fits(selection: Selection, averaged: Averaged | None) -> tuple[list[Fit], list[str]]:
     """Return fits of nested models, from the base model to the chosen model, and the name added at each.
 
-    The term that explains most is added first, after the forced terms. `averaged` is the average that
-    replaces the unnamed part, if any.
+    The term that explains most is added first, after the forced terms. `averaged` is the fit with the
+    average of several functions in the place of one unnamed function; it is then the last fit. It is None
+    if nothing was averaged.
     """
     left = list(selection.verdict.best)
     model: list[int] = []

@@ -327,8 +327,9 @@ class RecordedChip:
     def attribute_to_reads(self) -> None:
         """Attribute cleared alarms to reads of any register.
 
-        This is right if another recording of the part has shown that any read clears STATUS. It concerns
-        alarm bits that cleared before STATUS was read, and flags EA that only some outputs had.
+        This is right if another recording of the part has shown that any read clears STATUS. It explains
+        alarm bits that cleared before STATUS was read, and error flags (EA) that only some output registers
+        carried.
         """
         self.error_flags = [one.replace("on some outputs", "lost") for one in self.error_flags]
         self.error_flags += ["lost"] * self.ended.count(("alarm", False))

@@ -313,7 +313,10 @@ class Basis:
 
 
 def in_g(ideal: Floats, conditions: Conditions) -> Floats:
-    """Return the stimulus (n, axes) of accelerometers, which scale errors multiply: ideal readings in g."""
+    """Convert ideal readings (n, axes) of accelerometers from mg to g; the conditions are not used.
+
+    An error of a scale factor is multiplied by the result.
+    """
     return ideal / MG_PER_G
 
 

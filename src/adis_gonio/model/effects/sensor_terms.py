@@ -43,8 +43,8 @@ class Bias(LinearAxisEffect):
 
     Formula: a_i += bias_i
 
-    Separated by: Two positions cannot show it, opposite positions (0/180°) can. An even nonlinearity adds
-    to it in one plane: use positions out of the plane.
+    Separated by: Opposite positions (0° and 180°) show it; 0° and 90° alone do not. An even nonlinearity
+    adds to it in one plane: use positions out of the plane.
     """
 
     name = "bias"
@@ -461,8 +461,8 @@ class WarmUp(CourseEffect):
 
     Formula: a_i += warm_up_i · exp(−t/τ), t from the session's start
 
-    Separated by: In a session shorter than τ it looks like `bias_drift`, and if the temperature is recorded
-    like `bias_temperature`: switch off and on within the session.
+    Separated by: In a session shorter than τ it looks like `bias_drift`. If the temperature is recorded, it
+    can also look like `bias_temperature`. A second session after a cold start tells them apart.
     """
 
     name = "warm_up"

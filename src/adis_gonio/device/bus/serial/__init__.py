@@ -154,7 +154,7 @@ def list_boards() -> list[Any]:
 def names_itself(port: Any) -> bool:
     """Return True if a port's USB strings identify this package's firmware.
 
-    The Raspberry Pi Pico does so.
+    They do on the Raspberry Pi Pico.
     """
     return str(port.product or "").startswith(PRODUCT)
 
