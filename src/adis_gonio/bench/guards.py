@@ -406,7 +406,10 @@ class Turning:
         self._broken = False
 
     def rest(self, dwell: Block) -> None:
-        """End a dwell and begin the next turn; the dwell's mean rate is the zero rate of the gyros."""
+        """Take note of the end of a dwell, from which the next turn is integrated.
+
+        The mean rate of the dwell is the zero rate of the gyros in this turn.
+        """
         rates = _rates(dwell)
         self._broken = rates is None or not len(dwell)
         if rates is None or not len(dwell):
@@ -608,7 +611,7 @@ class Judge:
     sense : {1, -1}
         −1 in a reversed session (the stage counts angles the other way than the plan).
     longest_gap_s : float
-        Longest time in s without samples after which a turn by the gyros is unknown.
+        Longest time in s without samples in a turn; after a longer gap the angle by the gyros is unknown.
     """
 
     def __init__(self, spread: PriorKnowledge, *, planar: bool, sense: int, longest_gap_s: float) -> None:

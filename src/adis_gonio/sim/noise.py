@@ -19,7 +19,7 @@ class GridProcess(ABC):
     Parameters
     ----------
     grid : (m, channels) float
-        Values at the first points of the grid that are not drawn; m may be 0.
+        Given values at the first m points of the grid; all later values are drawn at random. m may be 0.
     step_s : float
         Step of the grid in s.
     start_s : float or None

@@ -109,7 +109,7 @@ export_command.help = cleandoc(export_command.help or "").replace("FORMATS", "\n
 @option.with_default("--seed", type=int, default=0, help="Seed of all random numbers.")
 @option.with_default("--sessions", type=int, default=10, help="Simulated parts of each kind.")
 def paper_command(*, output: Path | None, as_json: bool, seed: int, sessions: int) -> None:
-    """Reproduce the seed paper: its table 1, its figure 3, and where its method overtakes MMPM.
+    """Reproduce the seed paper: its table 1, its figure 3, and when its method beats MMPM.
 
     Sessions are simulated through chip and driver, with the table's measured column as the true parameters.
     This takes about a minute. Without -o and --json the conclusions are printed.

@@ -2,9 +2,9 @@
 
 The processes are defined in IEEE Std 952-1997, Annex C, in a sampled and filtered record.
 
-Coefficients are squared standard deviations, so every density is linear in them. T is the sampling
-period. The Allan variance at τ and the two-sided density at f of each process, per squared coefficient,
-are:
+Each process has a coefficient (Q, N, F or K). Densities and Allan variances are linear in its square θ. T
+is the sampling period. The Allan variance at τ and the two-sided density at f of each process, divided by
+θ, are:
 
 ==============  ==================  ======================
 process         Allan variance      density
@@ -16,11 +16,11 @@ walk K          τ/3                 1/(2πf)²
 ==============  ==================  ======================
 
 F is the smallest value of the Allan deviation, 0.664 times the coefficient B of the standard. The
-likelihood uses the DCT-II coefficients of a record without the first one, its mean. The vectors of this
-transform are the eigenvectors of the normal matrix of differences, so the coefficients of white noise and
-of a random walk of any mean are exactly independent. The coefficients of flicker noise have correlations of
-at most 0.12, which are neglected; their squares, which enter the likelihood, have correlations of at most
-0.015.
+likelihood uses the ordinates of a record: the values of its DCT-II without the first one, the mean. The
+vectors of this transform are the eigenvectors of the normal matrix of differences, so the ordinates of
+white noise and of a random walk of any mean are exactly independent. The ordinates of flicker noise have
+correlations of at most 0.12, which are neglected; their squares, which enter the likelihood, have
+correlations of at most 0.015.
 
 The variance of the Allan deviation follows from the fitted noise of the record (its variogram), not from an
 assumed kind: for Gaussian noise Var σ̂² = 2/M² Σ (M − |l|) R(l)², with R the autocovariance of the M
@@ -28,8 +28,7 @@ overlapping differences, and the degrees of freedom are 2 (σ²)²/Var σ̂².
 
 The coefficients are fitted to the spectrum of a record at rest by restricted maximum likelihood.
 Sinusoids (a vibrating table, hum) are subtracted from the record first, and the ordinates around them are
-left out. The spectrum consists of DCT-II ordinates: the lowest ones individually, the higher ones as
-means of narrow bins.
+left out. The lowest ordinates are used individually, the higher ones as means of narrow bins.
 
 Ordinates are independent and normal with variances linear in the squared coefficients θ ≥ 0. The mean and
 the linear slope of each record are no noise. The likelihood therefore describes the part of the data

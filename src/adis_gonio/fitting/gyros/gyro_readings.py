@@ -305,11 +305,11 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
 
 
 def _consecutive(turns: Sequence[Turn]) -> dict[int, int]:
-    """Return, for each turn, the number of directly successive whole turns to which it belongs.
+    """Return the length of the series of declared turns to which each turn belongs.
 
-    The keys are the numbers of the dwells in which the turns end. Turns are directly successive if each
-    begins in the dwell in which the turn before ended. They share the error of the direction of their axis.
-    The number is 1 for a turn without a declared angle.
+    The keys are the numbers of the dwells in which the turns end. The turns of a series follow one another:
+    each begins in the dwell in which the turn before ended. They share the error of the direction of their
+    axis. A turn without a declared angle counts as a series of length 1.
     """
     consecutive = {turn.position: 1 for turn in turns}
     group: list[int] = []
