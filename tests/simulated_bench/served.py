@@ -234,8 +234,8 @@ class _Pipe:
             self._reader.feed_data(data)
 
     async def drain(self) -> None:
-        if not self.lost:
-            await self._room.wait()
+        while not (self.lost or self._room.is_set()):
+            await asyncio.sleep(0.01)
         if self.lost:
             raise ConnectionResetError
 

@@ -18,7 +18,7 @@ from adis_gonio.model.effects.base import lagged
 from adis_gonio.model.measurement import FreeAttitude, JointMeasurement, PlanarTurn, SessionOrigin
 from adis_gonio.tracing.joint_trace import JointResult, trace_sessions, trace_stacked
 from adis_gonio.tracing.linear_problem import Products, amplitudes, linearise, span
-from adis_gonio.tracing.model_search import Search, _Climb
+from adis_gonio.tracing.model_search import Climb, Search
 from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.sharing import sharings, split_effect
 from adis_gonio.tracing.stacking import stack
@@ -246,7 +246,7 @@ def test_a_less_exact_score_of_a_model_replaces_no_other() -> None:
     """The ridge of a gain lowers it if a bias of each session is nearly the bias of all that is added."""
     found = Search(replace(names_only("quadratic", "cubic"), joint=True), np.zeros(2))
     found.promise = np.full(2, -np.inf)
-    climb = _Climb(found, 1, 2, 1)
+    climb = Climb(found, 1, 2, 1)
     for score in (5.0, 3.0):
         climb._keep((), np.array([[0]]), np.array([score]))
     assert found.scores[0,] == 5.0

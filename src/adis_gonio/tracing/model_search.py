@@ -135,7 +135,7 @@ def search(
     found = Search(problem, price(problem), inflation)
     found.promise = np.full(len(problem.terms), -np.inf)
     if problem.terms:
-        _Climb(found, spare, max_terms, explored).run()
+        Climb(found, spare, max_terms, explored).run()
     else:
         found.scores[()] = 0.0
     return found
@@ -154,7 +154,7 @@ class _Joining:
         self.opened: set[Model] = set()
 
 
-class _Climb:
+class Climb:
     """Local search: it scores the neighbours of the best models until the best models do not change."""
 
     def __init__(self, found: Search, spare: int, max_terms: int, explored: int) -> None:

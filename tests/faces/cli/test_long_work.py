@@ -292,8 +292,8 @@ def test_a_full_disk_leaves_the_old_page(tmp_path, two):
 def test_a_full_disk_leaves_the_old_page_of_a_board(tmp_path):
     (tmp_path / "a.html").write_text("old", encoding="utf-8")
     arguments = ["bringup", "sim:?seed=1", "-o", str(tmp_path / "a.html"), "--force"]
-    with program(arguments, room=30000) as process:  # room for the JSON, not for the page
+    with program(arguments, room=10000) as process:  # less than the document and the page
         said = process.communicate(timeout=600)[1]
     assert process.returncode == 1
-    assert "a.html: cannot be written: File too large" in said
+    assert "a.json: cannot be written: File too large" in said
     assert (tmp_path / "a.html").read_text(encoding="utf-8") == "old"

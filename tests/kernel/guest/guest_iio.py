@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from adis_gonio.base.errors import CannotOpenError, ProtocolError
 from adis_gonio.faces.cli import app
 from adis_gonio.record.loading import load_session
-from adis_gonio.record.source import open_source
+from adis_gonio.record.source import Settings, open_source
 from kernel.hid_accelerometer import INTERVAL_MS, MG_PER_LSB, NAME, HidAccelerometer
 
 DEVICES = Path("/sys/bus/iio/devices")
@@ -44,7 +44,7 @@ def test_a_kernels_accelerometer_is_streamed_whole_with_its_own_times(sensor: Hi
     with open_source(f"iio:{NAME}") as source:
         assert source.measuring.sample_rate_hz == pytest.approx(1000 / INTERVAL_MS)
         assert source.part.step_mg == pytest.approx(MG_PER_LSB)
-        with source.stream(10) as stream:
+        with source.samples(Settings(), 10) as stream:
             assert state()["buffer/enable"] == "1\n"
             blocks = [next(stream) for _ in range(5)]
             assert "lost ones show in their times" in stream.how
@@ -61,7 +61,7 @@ def test_a_kernels_accelerometer_is_streamed_whole_with_its_own_times(sensor: Hi
 
 
 def test_a_kernels_accelerometer_is_polled_value_by_value(sensor: HidAccelerometer) -> None:
-    with open_source(f"iio:{NAME}?poll=20") as source, source.stream(5) as stream:
+    with open_source(f"iio:{NAME}?poll=20") as source, source.samples(Settings(), 5) as stream:
         block = next(stream)
     x, y, z = (block.accel_mg / MG_PER_LSB).T
     assert (np.abs(x + y) < 50).all()  # the axes are read one after another
@@ -85,7 +85,7 @@ def test_a_kernels_accelerometer_is_listed_and_recorded(sensor: HidAccelerometer
 
 def test_a_kernels_accelerometer_that_is_pulled_out_is_a_typed_error(sensor: HidAccelerometer) -> None:
     with open_source(f"iio:{NAME}") as source:
-        stream = source.stream(5)
+        stream = source.samples(Settings(), 5)
         next(stream)
         sensor.unplug()
         with pytest.raises(ProtocolError, match="the device is gone"):

@@ -302,7 +302,7 @@ def diagnose(angles: Angles) -> Diagnosis:
     return Diagnosis(tuple(sorted(findings, key=lambda one: one.position)))
 
 
-class Search(NamedTuple):
+class FaultSearch(NamedTuple):
     """Faults that were accepted in the search for wrong positions, with the model that they belong to.
 
     `rows` is the linear model of the session, `grid` the assumptions on its ordinary errors, `accepted` the
@@ -315,7 +315,7 @@ class Search(NamedTuple):
     scatter: ScatterPoint
 
 
-def search_faults(angles: Angles) -> Search | None:
+def search_faults(angles: Angles) -> FaultSearch | None:
     """Search for faults, and calibrate without them; None with too few or too many angles (`diagnose`)."""
     declared = int(np.isfinite(angles.declared_rad).sum())
     watched = angles.turns is not None and bool(np.isfinite(angles.turns.angle_rad).any())
@@ -330,7 +330,7 @@ def search_faults(angles: Angles) -> Search | None:
     if float(np.abs(rows.design[: len(rows), 1 : 1 + BASE] @ step).max()) > SETTLED_RAD:
         rows = rows_at(angles, calibration + step)
         accepted, last = _search(rows, grid)
-    return Search(rows, grid, accepted, last.scatter)
+    return FaultSearch(rows, grid, accepted, last.scatter)
 
 
 def _search(rows: Rows, grid: Sequence[ScatterPoint]) -> tuple[list[Pattern], Weighed]:
@@ -375,7 +375,7 @@ def _posterior(rows: Rows, accepted: Sequence[Pattern], scatter: ScatterPoint) -
 # -- findings ------------------------------------------------------------------------------------------
 
 
-def _findings(angles: Angles, search: Search) -> list[PositionFinding]:
+def _findings(angles: Angles, search: FaultSearch) -> list[PositionFinding]:
     rows, grid, accepted, _ = search
     found: dict[tuple[int, Name], PositionFinding] = {}
     for pattern in accepted:
