@@ -83,6 +83,18 @@ def test_the_stages_angle_is_shown_while_it_turns(calibration, to_deg):
     assert not any(reading.notes for reading, *_ in shown)
 
 
+def test_u_grows_with_the_distance_from_the_temperature_of_the_calibration(calibration):
+    widths = []
+    for ambient_c in (22, 35):
+        reading, true, _ = turned(f"{HIDDEN}&ambient_c={ambient_c}", calibration, 0.0, seconds=4.0)[-1]
+        assert abs(wrapped(reading.smoothed_deg - true)) < 3 * reading.smoothed_u_deg
+        widths.append(reading.smoothed_u_deg)
+    by_calibration = calibration.stage_angle(
+        calibration.readings_of([[1.0, 0.0]])[0], calibration.provenance.temperature_c.mean + 13
+    )
+    assert widths[1] > 0.9 * by_calibration.u_deg > 5 * widths[0]
+
+
 def test_another_parts_calibration_is_said_and_widens_u(calibration, tmp_path):
     other = calibrated(
         "sim:?seed=10&bias_x_mg=-40&bias_y_mg=50&fixture_sigma_deg=0", tmp_path / "b.session"

@@ -71,6 +71,8 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
     polynomial = fixed_point.polynomial_of(calibration)
     planes = _planes(calibration)
     where, gyro = calibration.provenance, calibration.gyro
+    degrees = where.temperature_c
+    at = "" if degrees is None else f" at the session's mean temperature, {degrees.mean:.1f} degC"
     u_udeg = None
     if calibration.covariance is not None:
         u_udeg = int(np.ceil(calibration.error_curves(stage=False)[1].u_deg.max() * 1e6))
@@ -94,7 +96,7 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
         "fixed_udeg": FIXED_UDEG,
         "angle_u": "The u of an angle by the calibration is not known."
         if u_udeg is None
-        else f"The u of an angle by the calibration is at most {u_udeg} udeg.",
+        else f"The u of an angle by the calibration is at most {u_udeg} udeg{at}.",
         "u_udeg": u_udeg,
         "alpha_udeg": round(calibration["alpha"].value * 1e6) if "alpha" in calibration else None,
         "id": f"0x{zlib.crc32(json_text(calibration.as_dict()).encode()):08X}UL",

@@ -831,8 +831,8 @@ class SmoothedAngle:
         Rate of turn at that time, corrected for the estimated errors of the gyro.
     zero_dps, zero_u_dps : float
         Estimated zero rate that the gyro has after its calibration, and its standard uncertainty.
-    accel_mg : (3,) float
-        Mean reading of the accelerometers in the time step of this angle.
+    accel_mg, temperature_c : (3,) float, float or None
+        Mean reading of the accelerometers in the time step of this angle, and its temperature if measured.
     notes : tuple of str
         Events from a second before this time until the newest sample: `gap`, `saturated`, `out_of_plane`;
         and `gyro_calibration` if the gyros' calibration cannot belong to this sensor.
@@ -845,6 +845,7 @@ class SmoothedAngle:
     zero_dps: float
     zero_u_dps: float
     accel_mg: Floats
+    temperature_c: float | None
     notes: tuple[str, ...]
 
 
@@ -1071,6 +1072,7 @@ class AngleSmoother:
             float(mean[ZERO]),
             float(u[ZERO]),
             at.increment.accel_mg,
+            at.increment.temperature_c,
             (*notes, "gyro_calibration") if self._doubted else notes,
         )
 

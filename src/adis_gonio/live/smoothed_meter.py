@@ -176,7 +176,7 @@ class SmoothedMeter:
         if calibration is not None:
             if "alpha" in calibration:
                 shown_deg = wrap_degrees(shown_deg + calibration["alpha"].value)
-            _, by_calibration = corrected_angle(calibration, angle.accel_mg, None)
+            _, by_calibration = corrected_angle(calibration, angle.accel_mg, angle.temperature_c)
             u_deg = math.hypot(u_deg, by_calibration or 0.0, math.degrees(self._off))
             notes = (*notes, "calibration") if self._off else notes
         return Smoothed(
