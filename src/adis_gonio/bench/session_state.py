@@ -14,6 +14,7 @@ from adis_gonio.base.errors import AdisGonioError, UsageError
 from adis_gonio.bench.events import NoiseMeasured, Problem, Running, Vector, Watching, Withdrawn
 from adis_gonio.bench.guards import Judge
 from adis_gonio.bench.session_bench import SessionBench
+from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.live.smoothed_meter import SmoothedMeter, sensing_of
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
 from adis_gonio.record.archive import Archive
@@ -190,6 +191,11 @@ class RunningFit:
     def _session(self, plan: Plan, *, reverse: bool) -> Session:
         header, sign = self._header, -1.0 if reverse else 1.0
         variance = float(np.mean([one for _, _, one in self._means.values()] or [1.0]))
+        count = len(self._means)
+        if header.variant in VARIANTS and count > 1:
+            # Variance of n means by 1/f noise: n ln n/(2 (n − 1) ln 2) Allan variances (Allan 1966).
+            ratio = count * math.log2(count) / (2 * (count - 1))
+            variance += ratio * VARIANTS[header.variant].performance.bias_instability_mg ** 2
         dwells = []
         for number, place in enumerate(sorted(self._means)):
             position, mean_mg, _ = self._means[place]
