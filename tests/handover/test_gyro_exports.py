@@ -273,7 +273,7 @@ def test_registers_show_the_chip_s_offsets_beside_what_the_calibration_would_wri
     with_gyros(calibration(PLANE), ZERO, offsets_lsb=(0, 0, 0)).save(path)
     assert main(["registers", "sim:?seed=1", "XGYRO_OFF=12", "--cal", str(path)]) == 0
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
-    (row,) = [line for line in lines if line[:1] == ["XGYRO_OFF"]]
+    row = next(line for line in lines if line[:1] == ["XGYRO_OFF"])
     assert row[2:5] == ["12", "0.21978", "°/s"]
     assert row[5:10] == ["-66", "=", "−1.209", "°/s", "(u"]
     assert main(["registers", "sim:?seed=1", "--cal", str(path), "--json"]) == 0
