@@ -309,8 +309,9 @@ def _control_chart(history: History, limits: Rules) -> Rule:
     if not passes(0):
         bound = reached(0).bound_deg(limits.tolerance.accepted_risk)
         why = (
-            f"a calibration with its scatter between sessions needs a tolerance of {bound:.3g}° already, "
-            f"not {limit}: calibrate with more dwells, or raise the tolerance"
+            f"a calibration with its scatter between {len(history.sessions)} sessions needs a tolerance of "
+            f"{bound:.4g}° already, not {limit}: add sessions, calibrate with more dwells, or raise the "
+            "tolerance"
         )
         return Rule(method, date_of(last), why, assumes)
     # The error grows with time: the last day with a pass, by bisection.
