@@ -272,7 +272,9 @@ def _unknown_fixture(follow: _Follow, noise: NoiseAssumptions, dof: int) -> Nois
         carried = np.where(np.isfinite(fit.data.fixture), (along**2).sum(axis=(1, 2)), 0.0)
         # Log determinants of the covariance and of the information: restricted likelihood.
         spread = np.log1p(sigma**2 * carried).sum()
-        return fit.chi2 + float(spread + np.linalg.slogdet(information(fit)[np.ix_(free, free)])[1])
+        # Directions that the positions do not show have only rounding errors.
+        known = np.linalg.eigvalsh(information(fit)[np.ix_(free, free)])
+        return fit.chi2 + float(spread + np.log(np.maximum(known, 1e-15 * known.max())).sum())
 
     low, high = math.log(1e-6), math.log(_LARGEST_SIGMA_RAD)
     found = minimize_scalar(deviance, bounds=(low, high), method="bounded", options={"xatol": 0.02})
