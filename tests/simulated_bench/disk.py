@@ -280,7 +280,10 @@ class Disk:
 
     def _hooked_fsync(self, real: Callable[[int], None]) -> Callable[[int], None]:
         def hooked(number: int) -> None:
-            own = self._own(Path(f"/proc/self/fd/{number}").readlink())
+            path = Path(f"/proc/self/fd/{number}").readlink()
+            own = self._own(path)
+            if path == self.folder.resolve():
+                self._renamed = []  # names are on the disk
 
             def act() -> None:
                 real(number)

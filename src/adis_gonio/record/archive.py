@@ -167,7 +167,12 @@ def set_aside(path: Path) -> Path:
     with suppress(AdisGonioError):
         connect(path, write=True).close()
     free = (path.with_name(f"{path.stem}.{k}{path.suffix}") for k in count(1))
-    return path.rename(next(one for one in free if not one.exists()))
+    aside = path.rename(next(one for one in free if not one.exists()))
+    if hasattr(os, "O_DIRECTORY"):  # a power cut must not undo the renaming after the next file has begun
+        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+        os.fsync(folder)
+        os.close(folder)
+    return aside
 
 
 def make_durable(connection: sqlite3.Connection) -> None:
