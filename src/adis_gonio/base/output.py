@@ -126,6 +126,21 @@ def _flushed(path: Path) -> None:
         os.fsync(file.fileno())
 
 
+def flush_names(folder: Path) -> None:
+    """Flush the names of a folder's files to the disk, so that no power cut undoes a renaming.
+
+    Nothing happens if the system or the file system cannot do that.
+    """
+    if not hasattr(os, "O_DIRECTORY"):
+        return
+    with suppress(OSError):
+        number = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(number)
+        finally:
+            os.close(number)
+
+
 def _unwritten(path: Path, error: OSError) -> OutputError:
     return OutputError(f"{path}: cannot be written: {error.strerror or error}")
 

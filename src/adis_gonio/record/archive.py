@@ -45,7 +45,7 @@ import numpy as np
 
 from adis_gonio.base import Closing, __version__
 from adis_gonio.base.errors import AdisGonioError, DataError, SessionError, one_line
-from adis_gonio.base.output import exists_error
+from adis_gonio.base.output import exists_error, flush_names
 from adis_gonio.base.shapes import ShapeError, anything
 from adis_gonio.device.sensor.registers import ACCEL_OUT, BY_NAME
 from adis_gonio.record.archive_tables import (
@@ -168,10 +168,7 @@ def set_aside(path: Path) -> Path:
         connect(path, write=True).close()
     free = (path.with_name(f"{path.stem}.{k}{path.suffix}") for k in count(1))
     aside = path.rename(next(one for one in free if not one.exists()))
-    if hasattr(os, "O_DIRECTORY"):  # a power cut must not undo the renaming after the next file has begun
-        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-        os.fsync(folder)
-        os.close(folder)
+    flush_names(path.parent)  # before the next file of the old name begins
     return aside
 
 
