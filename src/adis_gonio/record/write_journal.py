@@ -209,10 +209,10 @@ class HeldOffsets(JsonRecord):
     Attributes
     ----------
     registers : {"untouched", "old", "new", "half", "other"}
-        Common state of the registers: numbers before or after the last operation, half written, or other
-        numbers; `untouched` if the journal has no operation.
+        State of all registers together: contents from before (`old`) or after (`new`) the last operation,
+        half written, or other contents; `untouched` if the journal has no operation.
     saved : bool or None
-        True if, by the journal, the flash has the numbers of the registers; None if unknown.
+        True if, by the journal, the flash has the present contents of the registers; None if unknown.
     open : bool
         True if an operation was not completed.
     axes : dict of str to str
@@ -276,10 +276,10 @@ def flash_untouched(
 
 
 def _common_state(now: Numbers, last: Operation, axes: Mapping[str, RegisterState]) -> RegisterState:
-    """Return the common state of all registers after the operation `last`.
+    """Return the state of all registers together, compared with the operation `last`.
 
-    `now` has the register contents, `axes` the state of each register. A register that the operation leaves
-    unchanged counts as both old and new.
+    `now` has the present register contents, `axes` the state of each register. A register that the
+    operation leaves unchanged counts as both old and new.
     """
     both: list[tuple[RegisterState, Numbers]] = [("new", last.new), ("old", last.old)]
     written = last.op == "write" or (last.op == "autonull" and last.saved)
@@ -349,10 +349,10 @@ def _words(registers: str, flashed: str, axes: Mapping[str, RegisterState], last
 
 
 def _flash(registers: str, flash: dict[str, int] | None, last: Operation) -> str:
-    """Return the clause of a message that states whether the offsets in the registers are also in flash.
+    """Return the clause of a message that states if the offsets in the registers are also in flash.
 
-    `registers` is "old" or "new" (or another state), `flash` the contents of the flash by name (None if
-    unknown), and `last` the last operation.
+    `registers` is the state of the registers (`HeldOffsets.registers`), `flash` the result of `_in_flash`,
+    and `last` the last operation.
     """
     held, other = (last.new, last.old) if registers == "new" else (last.old, last.new)
     if flash is None:
