@@ -376,8 +376,8 @@ class AngleReading:
     """Angles `angle_deg` (n,), −180 to 180 degrees, and their standard uncertainties `u_deg` (n,).
 
     An unknown uncertainty is NaN. One reading (axes,) gives arrays of zero dimensions, which can be used as
-    numbers. If the caller gave no temperature, angle and u hold only at `assumed_c`, the mean temperature of
-    the session in °C; it is None otherwise, and if the session did not record the temperature.
+    numbers. If the caller gave no temperature, angle and u hold only at `assumed_c`, the mean temperature
+    of the session in °C; it is None otherwise, and if the session did not record the temperature.
     """
 
     angle_deg: Floats

@@ -182,8 +182,8 @@ def _remarks(known: Sequence[Operation], recorded: Numbers, what: str) -> tuple[
         else "saved to flash"
     )
     return (
-        f"offsets were written to the sensor since ({changes}): {what} here are those of the recording, and "
-        f"exported coefficients hold only while the part holds the offsets written; they are {kept}",
+        f"offsets were written to the sensor since ({changes}): {what} here are those of the recording, "
+        f"and exported coefficients hold only while the part holds the offsets written; they are {kept}",
     )
 
 

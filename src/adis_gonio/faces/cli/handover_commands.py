@@ -14,7 +14,14 @@ import click
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import check_page, print_json, report_progress, report_written, say, write_page
+from adis_gonio.faces.cli.show import (
+    check_page,
+    print_json,
+    report_progress,
+    report_written,
+    say,
+    write_page,
+)
 from adis_gonio.handover.formats import BY_NAME, FORMATS, format_of
 
 if TYPE_CHECKING:
