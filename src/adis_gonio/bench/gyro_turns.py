@@ -323,7 +323,7 @@ def judge_whole_turn(turn: GyroTurn, found: Integral | str) -> Guard | None:
 
 
 def way(angle_deg: float) -> str:
-    """Return the sense of a turn seen from above: `counter-clockwise` or `clockwise`."""
+    """Return the sense of a turn seen from above: `counter-clockwise` (`angle_deg` > 0) or `clockwise`."""
     return "counter-clockwise" if angle_deg > 0 else "clockwise"
 
 

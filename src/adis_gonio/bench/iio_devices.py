@@ -213,9 +213,9 @@ class BufferLayout:
 
 
 def parse_number(attributes: Mapping[str, str], name: str, default: float, where: str) -> float:
-    """Return the number in the text of an attribute, or the default if there is no such attribute.
+    """Return the number in the text of the attribute `name`, or `default` if there is no such attribute.
 
-    `where` names the device in error messages.
+    `attributes` has the texts by name; `where` names the device in error messages.
 
     Raises
     ------
@@ -401,7 +401,7 @@ class LocalDevice:
             self._found.append((path, before))
 
     def _text(self, name: str) -> str | None:
-        """Read the text of an attribute; None if it is missing or cannot be read."""
+        """Read the text of the attribute in the file `name`; None if it is missing or cannot be read."""
         try:
             return (self._folder / name).read_text()
         except OSError:
@@ -640,7 +640,7 @@ class NetworkDevice:
         return self._exactly(length + 1)[:-1]
 
     def _number(self, line: str, timeout_s: float | None = None) -> int:
-        """Send a request and return the number that the server answers.
+        """Send the request `line` and return the number that the server answers.
 
         The whole answer, with the bytes after this number, must come within `timeout_s` (None: the time
         limit of the device).

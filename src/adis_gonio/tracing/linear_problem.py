@@ -118,7 +118,10 @@ class LinearProblem:
         return self.split.prior_of(own) if self.split is not None and own >= 0 else self.prior[term]
 
     def basis_of(self, model: Sequence[int], *, with_prior: bool = True) -> ModelBasis:
-        """Return orthonormal columns of a model of several sessions (`SessionBlocks.basis`)."""
+        """Return orthonormal columns of a model of several sessions; `model` has the numbers of its terms.
+
+        `with_prior` includes the prior rows of the amplitudes (see `SessionBlocks.basis`).
+        """
         assert self.split is not None
         shared = [k for k in model if k < len(self.first)]
         columns, gram = self.columns_and_gram(shared)
@@ -127,9 +130,9 @@ class LinearProblem:
         return self.split.basis(own, columns, gram, with_prior=with_prior)
 
     def off(self, model: Sequence[int], values: Floats) -> Floats:
-        """Return the part of values (rows,) outside a model with free amplitudes.
+        """Return the part (rows,) of values (rows,) that a model with free amplitudes cannot reproduce.
 
-        The values have no part in the base model, such as the target.
+        The values must have no part in the base model; the target has none.
         """
         if self.split is None:
             basis = span(self, model)[0]
@@ -539,8 +542,8 @@ def _blocks(
 ) -> tuple[NDArray[np.intp], SessionBlocks, list[Floats]]:
     """Return the columns of terms in each session, sorted by their width, and the prior of the amplitudes.
 
-    The first result are the numbers of the terms in this order. `place` and `bases` are as in
-    `SessionBlocks.of`.
+    The first result (M,) are the indices in `terms` in this order. `place` and `bases` are as in
+    `SessionBlocks.of`, which returns the other two results.
     """
     raw, width = fit.candidates(terms)
     spread = amplitude_spreads(fit.data.model, terms, width)
@@ -589,13 +592,13 @@ def span(problem: LinearProblem, model: Sequence[int]) -> tuple[Floats, Floats]:
 
 
 def _full_combinations(gram: Floats) -> Floats:
-    """Return a matrix (p, k) that turns p columns with this Gram matrix into k orthonormal columns."""
+    """Return a matrix (p, k) that turns p columns with Gram matrix `gram` into k orthonormal columns."""
     half = orthonormal_combinations(gram)
     return half[:, half.any(axis=0)]
 
 
 def amplitudes(problem: LinearProblem, model: Sequence[int]) -> list[Floats]:
-    """Return the most probable amplitudes of each term of a model, by least squares with the prior."""
+    """Return the most probable amplitudes (d,) of each term of a model, by least squares with the prior."""
     if not len(model):
         return []
     if len(model) == 1 and model[0] < len(problem.first):

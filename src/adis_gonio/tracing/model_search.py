@@ -378,7 +378,7 @@ def weigh(found: Search) -> ModelPosterior:
 def presence_probabilities(terms: Sequence[Term], weights: Mapping[Model, float]) -> dict[str, float]:
     """Return the probability that each name is present: the weight of the models that contain it.
 
-    `weights` are the posterior probabilities of the models.
+    `terms` are all candidate terms; `weights` are the posterior probabilities of the models.
     """
     names: dict[str, float] = defaultdict(float)
     for model, weight in weights.items():

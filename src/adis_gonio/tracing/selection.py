@@ -94,7 +94,10 @@ class Selection(ComputedOnce):
         return replace(self, found=found, verdict=verdict).with_model(verdict.best)
 
     def with_model(self, chosen: Sequence[int]) -> Selection:
-        """Return a copy of the selection that chooses and refits the model with these term numbers."""
+        """Return a copy of the selection with another model; `chosen` has the numbers of its terms.
+
+        The model is fitted again.
+        """
         model = tuple(chosen)
         return replace(
             self.with_fit(fit_model(self.problem, model, self.base)),
@@ -182,9 +185,9 @@ def select(
 def _start_with_slips(base: Fit, terms: Sequence[Term]) -> Fit:
     """Return a fit of the base model with approximate slips of the part and a bias, to linearise about it.
 
-    `base` is returned unchanged if no candidate is a slip of known size. A slip that is too large for the
-    linearised model would look like an outlier on both axes. If the model is linearised about the
-    approximate slip and bias instead, the linearisation is accurate.
+    `base` is returned unchanged if no candidate in `terms` is a slip of known size. A slip that is too
+    large for the linearised model would look like an outlier on both axes. If the model is linearised about
+    the approximate slip and bias instead, the linearisation is accurate.
     """
     orders = base.data.conditions.order
     here = set() if orders is None else set(np.round(orders).tolist())
@@ -222,8 +225,8 @@ def _search_with_noise(
     """Return a search and its noise factor; if no model is adequate, search again with a larger noise.
 
     The unexplained part is then treated as noise of unknown origin (Birge's ratio), so that a name must be
-    significant against it. `inflation` is the first noise factor; `explored` is the number of the best
-    models for which all neighbours are scored.
+    significant against it. `inflation` is the first noise factor. `max_terms` and `explored` are as in
+    `search`.
     """
     found = search(problem, max_terms, inflation, explored)
     for _ in range(4):

@@ -111,9 +111,9 @@ class ChipRow:
     logarithmic: bool = False
 
     def judge(self, observed: Sequence[Observation], recordings: int = 1) -> RowFinding:
-        """Compute the probabilities of the alternatives after observations.
+        """Compute the probabilities of the alternatives after the observations `observed`.
 
-        `recordings` is the number of recordings from which the observations come.
+        `recordings` is the number of recordings from which they come.
         """
         names = (*self.alternatives, ELSE)
         prior = PRIOR[self.question.confidence]
@@ -204,9 +204,10 @@ class RowFinding(JsonRecord):
 
 
 def _of_labels(names: Sequence[str], labels: Counter[str]) -> Floats:
-    """Return the log-likelihood of each alternative for the counts of labels.
+    """Return the log-likelihood (k,) of the observed labels under each of k alternatives.
 
-    `names` are the alternatives, "something else" last. The module's text describes the model.
+    `labels` counts each label; `names` are the alternatives, "something else" last. The docstring of the
+    module describes the model.
     """
     keys = [*names[:-1], *sorted({*labels} - {*names[:-1]}), ELSE]
     keys = list(dict.fromkeys(keys))
@@ -222,10 +223,10 @@ def _of_labels(names: Sequence[str], labels: Counter[str]) -> Floats:
 
 
 def _of_figures(names: Sequence[str], figures: Sequence[RowFigure], wide: tuple[float, float]) -> Floats:
-    """Return the log-likelihood of each alternative for figures.
+    """Return the log-likelihood (k,) of the observed figures under each of k alternatives.
 
     `names` are the alternatives, "something else" last; `wide` is the range of a figure in that case. The
-    module's text describes the model.
+    docstring of the module describes the model.
     """
     flat = 1 / (wide[1] - wide[0])
     density = np.array([[_density(figure, name) for name in names[:-1]] for figure in figures])
@@ -391,7 +392,7 @@ def _new_data(chip: RecordedChip, _: Variant) -> Iterator[str]:
 
 
 def _rises(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return the indices of flags that are True after a False flag."""
+    """Return the indices (k,) of the flags that are True and follow a False flag."""
     return np.flatnonzero(flags[1:] & ~flags[:-1]) + 1
 
 
@@ -792,9 +793,9 @@ BY_QUESTION = {row.question.name: row for row in ROWS}
 
 
 def judge_recordings(paths: Iterable[str | Path], part: Variant) -> tuple[RowFinding, ...]:
-    """Judge all rows of the register table by recordings or captures of one sensor variant.
+    """Judge all rows of the register table by files of recordings or captures of one sensor variant.
 
-    The files are judged together; each counts as a separate power-on of a chip.
+    The files at `paths` are judged together; each counts as a separate power-on of a chip.
 
     Raises
     ------

@@ -46,7 +46,7 @@ _OVER_RANGE = BY_NAME["STATUS"].field("over_range").mask
 _NEAR_LIMIT = 100
 """Distance from the limit of the range, in LSB of an offset, within which noise sets the over-range bit."""
 _LINE = 30.0
-"""Power of a bin of a spectrum over the medians on both sides from which it is a line."""
+"""Ratio of the power in a bin of a spectrum to the medians on both sides above which the bin is a line."""
 _ALARMS = _ALARM | BY_NAME["STATUS"].field("alarm2").mask
 _MOVING = ("SLP_CNT", "GPIO_CTRL")
 """Registers that also change without a write."""
@@ -134,14 +134,18 @@ class RegisterSpan:
         )
 
     def first(self, name: str) -> tuple[float, int] | None:
-        """Return time in s and number of the first word of an output register; None if it was not read."""
+        """Return time (s) and number of the first word of the output register `name`.
+
+        The result is None if the register was not read.
+        """
         runs = self.outputs.get(name)
         return (float(runs[0][0][0]), BY_NAME[name].number(int(runs[0][1][0]))) if runs else None
 
     def settled(self, name: str) -> tuple[Floats, Floats]:
-        """Return times (n,) in s and numbers (n,) of the updates of an output register after settling.
+        """Return times (n,) in s and numbers (n,) of the updates of output register `name` after settling.
 
-        Both are empty if the register was not read or the settings are not known.
+        A number is the decoded content of a word. Both are empty if the register was not read or the
+        settings are not known.
         """
         runs = self.outputs.get(name)
         if not runs or self.m is None or math.isnan(self.period_s):

@@ -117,7 +117,7 @@ def _by_clock(bench: BringupBench, expected_s: float, updates: int) -> Period | 
 
 
 def nearest_code(period_s: float) -> int:
-    """Return the value of SMPL_PRD with the nominal period that is nearest to a period, by ratio."""
+    """Return the value of SMPL_PRD with the nominal period nearest to `period_s` on a logarithmic scale."""
     return min(_CODES, key=lambda n: abs(math.log(period_s / sample_period_s(n))))
 
 
@@ -312,7 +312,7 @@ class DataReady(BringupStep):
         return f"{rate:.0f} edges a second where {1 / period_s:.1f} updates are configured: {rest}"
 
     def _scan(self, bench: BringupBench, period_s: float) -> _Edges:
-        """Record scans of one register, started at data-ready edges, each nearly as long as the period.
+        """Record scans of one register, started at data-ready edges, each nearly as long as `period_s`.
 
         A bridge may be too slow for long scans, so edges count as missed only if short scans miss them too.
         """
@@ -403,7 +403,7 @@ def _positions(words: Words) -> NDArray[np.int64]:
 
 
 def _jitter(time_s: Floats, period_s: float) -> tuple[float, float]:
-    """Return the rms deviation in µs of times from even steps, and the rate of the times in Hz.
+    """Return the rms deviation in µs of the times `time_s` (n,) from even steps, and their rate in Hz.
 
     `period_s` is the expected step.
     """
