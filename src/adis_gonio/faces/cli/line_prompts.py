@@ -356,7 +356,7 @@ def _progress_of(
 ) -> tuple[str, str, float | None, float | None]:
     """Return the content of the progress line: activity, note, elapsed time in s and total length in s.
 
-    The elapsed time and the length are None while the runner waits until the part is still.
+    The elapsed time and the length are None outside a dwell, a wait or a turn.
     """
     if isinstance(event, events.Watching):
         note = f"spread {max(event.spread_mg):.2f} mg"

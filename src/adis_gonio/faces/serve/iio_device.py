@@ -158,7 +158,7 @@ class Sampler:
         return row.number(words[1])
 
     def _require_sound(self, words: Sequence[int]) -> None:
-        """Raise `SilentChipError` if the first or the last word is not the known content of SENS_AVG."""
+        """Raise `SilentChipError` if the first or last of `words` is not the known content of SENS_AVG."""
         known = self.state.sens_avg
         for word in (words[0], words[-1]):
             if word != known:
@@ -234,7 +234,10 @@ class Sampler:
                 return
 
     def _publish(self, block: ScanBlock, since_1970_ns: int) -> None:
-        """Publish the scans of a block if its two checks of SENS_AVG agree; count the others."""
+        """Publish the scans of a block in which both words of SENS_AVG are right; count the others as lost.
+
+        `since_1970_ns` is the time in ns since 1970 at which the clock of the bus was 0.
+        """
         if not len(block):
             return
         sound = (block.words[:, [0, -1]] == self.state.sens_avg).all(axis=1)
@@ -294,7 +297,7 @@ class ScanQueue:
         return b"".join(part.tobytes() for part in self._remove(min(most, self._held)))
 
     def _remove(self, count: int) -> list[NDArray[np.void]]:
-        """Remove the oldest `count` scans and return them as a list of arrays."""
+        """Remove the oldest `count` scans and return them as a list of arrays (n,)."""
         parts = []
         self._held -= count
         while count:
@@ -568,7 +571,7 @@ class ServedDevice:
         return device in (DEVICE_ID, self.part.name)
 
     def channel(self, name: str) -> Channel:
-        """Return the channel with this id; `Refused` if there is none."""
+        """Return the channel with the id `name`; raise `Refused` if there is none."""
         for channel in self.channels:
             if name == channel.id:
                 return channel
@@ -585,7 +588,7 @@ class ServedDevice:
         return float(lsb[0]) * _SI[row.kind], float(zero[0] / lsb[0])
 
     def channel_value(self, channel: Channel, name: str, state: SensorState) -> str:
-        """Return the value of a channel's attribute as text; `Refused` if there is none.
+        """Return the value of a channel's attribute `name` as text; raise `Refused` if there is none.
 
         The attribute `raw`, which needs a scan, is not served here.
         """
@@ -601,7 +604,7 @@ class ServedDevice:
         return _text({"scale": scale, "offset": offset}.get(name, frequency_hz))
 
     def device_value(self, name: str, state: SensorState) -> str:
-        """Return the value of an attribute of the device as text; `Refused` if there is none."""
+        """Return the value of the device's attribute `name` as text; raise `Refused` if there is none."""
         match name:
             case "sampling_frequency":
                 return _text(state.configuration.sample_rate_hz)
@@ -710,7 +713,7 @@ class ScanFormat:
         )
 
     def pack(self, numbers: NDArray[np.int32], time_ns: NDArray[np.int64]) -> NDArray[np.void]:
-        """Pack numbers (n, channels of the device) and times (n,) into scans (n,) of this format."""
+        """Pack `numbers` (n, registers of the device) and times (n,) into scans (n,) of this format."""
         scans = np.zeros(len(numbers), self.dtype)
         for channel in self.channels:
             scans[channel.id] = time_ns if channel.register is None else numbers[:, channel.index]

@@ -50,7 +50,7 @@ _DIGITS = {
 
 
 def large_angle(value_deg: float | None, scale: int = 1) -> list[str]:
-    """Draw an angle with two decimals in large digits, as rows of block characters; a dash for None.
+    """Draw an angle in degrees with two decimals in large digits, as rows of text; None gives a dash.
 
     Parameters
     ----------
@@ -320,10 +320,7 @@ def surroundings(state: BenchState, width: int, silence_s: float = 0.0) -> list[
 
 
 def format_measured(name: str, value: float) -> tuple[str, str]:
-    """Return name and value with unit as text, for a number whose name ends in its unit.
-
-    An example of such a name is `gyro_deg`.
-    """
+    """Return name and value with unit as text, for a number whose name ends in its unit (`gyro_deg`)."""
     stem, _, unit = name.rpartition("_")
     if not stem or unit not in _UNITS:
         return name.replace("_", " "), use_minus(f"{value:.4g}")
