@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.jsonable import JsonRecord, key
-from adis_gonio.device.bus import Capability, SpiBus, SpiTiming, Words
+from adis_gonio.device.bus import SpiBus, SpiTiming, Words
 from adis_gonio.device.bus.recording import Call, ObservedBus
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.registers import BY_NAME, EA, IDLE, VARIANTS, Register, register, registers
@@ -554,10 +554,6 @@ class BringupBench:
     data_ready: bool = False
     supply_ok: bool = True
     constants: dict[str, int] = field(default_factory=dict)
-
-    def has(self, capability: Capability) -> bool:
-        """True if the bridge offers this capability, such as streams."""
-        return capability in self.bus.capabilities
 
     def refresh(self) -> None:
         """Set the SPI clock to the fastest that the sensor's present mode and the bus's limit allow."""

@@ -234,7 +234,8 @@ class DataReady(BringupStep):
 
     def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Test both polarities if the bridge starts scans at edges; only count edges if it cannot."""
-        streams, counts = bench.has(Capability.STREAM), bench.has(Capability.EVENT_COUNTER)
+        capabilities = bench.bus.capabilities
+        streams, counts = (one in capabilities for one in (Capability.STREAM, Capability.EVENT_COUNTER))
         if not (streams or counts):
             return found.not_measured(
                 "this bridge has no data-ready input (neither streams nor an event counter)"
@@ -343,7 +344,7 @@ class DataReady(BringupStep):
             try:
                 blocks = [next(stream) for _ in range(4)]
             except BusTimeoutError as error:
-                if bench.has(Capability.EVENT_COUNTER):  # the counter has seen edges
+                if Capability.EVENT_COUNTER in bench.bus.capabilities:  # the counter has seen edges
                     raise
                 raise _NoEdgeError from error
         words = np.concatenate([block.words for block in blocks])

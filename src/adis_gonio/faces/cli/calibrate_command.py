@@ -206,7 +206,7 @@ def _run(
                 options["rate_hz"] = FREE_RATE_HZ
         runner = _runner(sensor, output, resume=resume, advisor=advisor, **options)
         prompts = PlainBench(runner, auto=options["auto"], hands=hands)
-        plain = plain or options["auto"] or not runner.on_screen
+        plain = plain or options["auto"] or runner.one_recording  # the screen shows positions
         face = choose_face(runner, prompts, plain=plain, resume_by=resume_by, hands=hands)
         complete = False
         try:
@@ -336,7 +336,7 @@ def _runner(
     from adis_gonio.bench.gyro_turns import ALL_THERMOMETERS
     from adis_gonio.bench.runner import SessionRunner
     from adis_gonio.device.sensor.driver import DEFAULT_SCAN
-    from adis_gonio.faces.cli.line_prompts import on_terminal
+    from adis_gonio.faces.cli.terminal import on_terminal
     from adis_gonio.record.archive import ArchiveView
     from adis_gonio.record.plans import GYRO_TURNS
     from adis_gonio.record.session_reader import FREE_TURN

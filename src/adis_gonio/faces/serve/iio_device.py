@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.errors import AdisGonioError, SilentChipError, UsageError
+from adis_gonio.bench.iio_devices import aligned_dtype
 from adis_gonio.device.sensor import Adis16354, ScanBlock, registers as register_table
 from adis_gonio.device.sensor.settings import Configuration, low_pass_3db_hz, sample_period_s, scales
 from adis_gonio.faces.serve.iiod_protocol import Errno, Refused
@@ -667,10 +668,7 @@ def _text(value: float) -> str:
 
 @dataclass(frozen=True)
 class ScanFormat:
-    """The channels that a client has enabled, and the layout of its scans.
-
-    Each sample is aligned to its own size, and the size of a scan is a multiple of its largest sample; the
-    kernel and libiio have this layout.
+    """The channels that a client has enabled, and the layout of its scans (`aligned_dtype`).
 
     Attributes
     ----------
@@ -697,20 +695,7 @@ class ScanFormat:
     @cached_property
     def dtype(self) -> np.dtype[np.void]:
         """Numpy type of one scan, with a field for each channel."""
-        offsets, at, largest = [], 0, 1
-        for channel in self.channels:
-            size = np.dtype(channel.dtype).itemsize
-            at += -at % size  # align to the size of the sample
-            offsets.append(at)
-            at, largest = at + size, max(largest, size)
-        return np.dtype(
-            {
-                "names": [channel.id for channel in self.channels],
-                "formats": [channel.dtype for channel in self.channels],
-                "offsets": offsets,
-                "itemsize": at + -at % largest,
-            }
-        )
+        return aligned_dtype({channel.id: channel.dtype for channel in self.channels})
 
     def pack(self, numbers: NDArray[np.int32], time_ns: NDArray[np.int64]) -> NDArray[np.void]:
         """Pack `numbers` (n, registers of the device) and times (n,) into scans (n,) of this format."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from adis_gonio.base.numbers import DASH, counted, format_duration, signed, use_minus
 from adis_gonio.bench import events
-from adis_gonio.bench.guidance import face, to_do
+from adis_gonio.bench.guidance import face, to_do, turns_text
 from adis_gonio.bench.runner import SHARE_OF_RANGE
 from adis_gonio.faces import bench_words as words
 from adis_gonio.faces.tui.bench_state import BenchState, Mark
@@ -146,10 +146,8 @@ def task(state: BenchState) -> str:
 def _table_task(position: Position) -> str:
     if position.turned_deg is None:
         return f"lay the part flat on the table against the mark, {face(position)}, then press Enter"
-    turns = round(abs(position.turned_deg) / 360)
-    way = "counter-clockwise" if position.turned_deg > 0 else "clockwise"
-    times = "once" if turns == 1 else f"{turns} times"
-    return f"press Enter, 1 s later turn it {times} {way}, seen from above, back to the mark"
+    turns = turns_text(position.turned_deg)
+    return f"press Enter, 1 s later turn it {turns}, seen from above, back to the mark"
 
 
 def target(state: BenchState) -> str:
