@@ -116,7 +116,7 @@ def finding_of(
         axes=tuple(axes),
         parameters=parameters,
         p_value=_p_value(selection, members),
-        explains=0.0,  # set by `with_shares` when the steps are known
+        explains=0.0,  # known when the steps are (`trace.shown_findings`)
         probability=probability_of(judged or selection, name, averaged),
         equivalents=tuple(dict.fromkeys(same))[:5],
         cause=cause,
@@ -346,14 +346,6 @@ def shares(steps: Sequence[str], excess: Sequence[float]) -> dict[str, float]:
         least -= fall
         found[name] += fall / excess[0] if excess[0] > 0 else 0.0
     return found
-
-
-def with_shares(found: Sequence[Finding], of_step: dict[str, float]) -> tuple[Finding, ...]:
-    """Return the findings `found` with `explains` set to the effect's share of the base model's excess χ².
-
-    `of_step` are these shares by effect.
-    """
-    return tuple(replace(finding, explains=of_step.get(finding.effect, 0.0)) for finding in found)
 
 
 def unnamed_with_share(unnamed: Unnamed | None, of_step: dict[str, float]) -> Unnamed | None:

@@ -98,6 +98,15 @@ class LinearProblem:
         """χ² of the base model's residual."""
         return float(self.target @ self.target)
 
+    @property
+    def widest_bias(self) -> int | None:
+        """Number of the bias term that acts on the most axes; None if no candidate is a bias.
+
+        A bias with a stated prior of its size does not count.
+        """
+        biases = [k for k, term in enumerate(self.terms) if term.constant and term.prior_sd is None]
+        return max(biases, key=lambda k: int(self.width[k]), default=None)
+
     def block(self, term: int) -> Floats:
         """Return the columns (rows, width) of one term, given by its number."""
         own = term - len(self.first)

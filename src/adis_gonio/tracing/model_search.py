@@ -166,8 +166,7 @@ class Climb:
         self.paired: set[Model] = set()
         columns = int(self.names.problem.width.sum())
         self.paired_names = not problem.joint or (explored > 1 and columns <= limits.paired)
-        biases = [k for k, term in enumerate(terms) if term.constant and term.prior_sd is None]
-        self.bias = max(biases, key=lambda k: int(problem.width[k]), default=None)
+        self.bias = problem.widest_bias
         self.nameless = frozenset(np.flatnonzero(~self.named).tolist())
         # The best of all models and of those with names only, by their names and covariates.
         kinds = {key: i for i, key in enumerate(dict.fromkeys((t.name, t.covariates) for t in terms))}

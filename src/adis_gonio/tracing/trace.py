@@ -51,7 +51,6 @@ from adis_gonio.tracing.findings import (
     shares,
     unnamed_of,
     unnamed_with_share,
-    with_shares,
     zeros_of,
 )
 from adis_gonio.tracing.further_terms import best_by_terms
@@ -514,7 +513,8 @@ def shown_findings(
 
     `of_step` are these shares by effect. Scatter, if any, is the last finding, with the remaining share.
     """
-    seen = with_shares([in_units_of_file(finding, data.unit) for finding in findings], of_step)
+    stated = (in_units_of_file(finding, data.unit) for finding in findings)
+    seen = tuple(replace(finding, explains=of_step.get(finding.effect, 0.0)) for finding in stated)
     if scatter is None:
         return seen
     return (*seen, scatter_finding(scatter, max(1.0 - sum(of_step.values()), 0.0)))

@@ -204,11 +204,6 @@ _CORRELATED = 0.2
 _FARTHEST = 64
 
 
-def search_within(samples: Samples) -> tuple[WithinFinding, ...]:
-    """Search the samples inside the dwells for effects; return the findings, for `TraceResult.within`."""
-    return look_within(samples)[0]
-
-
 def look_within(samples: Samples) -> tuple[tuple[WithinFinding, ...], dict[str, Detectable]]:
     """Search inside the dwells; return the findings and the smallest detectable amplitudes by effect."""
     spread = scatter(samples)
