@@ -618,11 +618,11 @@ def _noise(columns: slice) -> Observer:
     return observe
 
 
-def _self_test(columns: slice, part_of: Callable[[bool, bool, bool], str]) -> Observer:
+def _self_test(columns: slice, alike: str) -> Observer:
     """Return a function that labels the responses of three axes to both signs of the manual self-test.
 
-    The function takes a recorded chip and its variant. `columns` chooses the axes. `part_of` returns the
-    label for three flags: the axis responds to +, it responds to −, and the two responses are opposite.
+    The function takes a recorded chip and its variant. `columns` chooses the axes. `alike` is the label of
+    an axis with responses of one sign to both signs.
     """
 
     def observe(chip: RecordedChip, part: Variant) -> Iterator[str]:
@@ -634,19 +634,12 @@ def _self_test(columns: slice, part_of: Callable[[bool, bool, bool], str]) -> Ob
             up, down = (latest[key].mean[columns] - latest[0].mean[columns] for key in (1, 2))
             limit = 8 * max(_mean_u(part, rest, columns) for rest in latest.values())
             for plus, minus in zip(up.tolist(), down.tolist(), strict=True):
-                yield part_of(abs(plus) > limit, abs(minus) > limit, plus * minus < 0)
+                if abs(plus) > limit and abs(minus) > limit:
+                    yield "to both" if plus * minus < 0 else alike
+                else:
+                    yield "to the positive" if abs(plus) > limit else ELSE
 
     return observe
-
-
-def _of_gyro(plus: bool, minus: bool, opposite: bool) -> str:
-    if plus and minus:
-        return "to both" if opposite else "the same way"
-    return "to the positive" if plus else ELSE
-
-
-def _of_accel(plus: bool, minus: bool, _: bool) -> str:
-    return "to both" if plus and minus else "to the positive" if plus else ELSE
 
 
 def _never(chip: RecordedChip, _: Variant) -> Iterator[str]:
@@ -779,8 +772,9 @@ ROWS: tuple[ChipRow, ...] = (
            wide=(-3.0, 3.0), unit="times the table", logarithmic=True),
     _entry("gyro_noise", _noise(_GYROS), "as the table",
            wide=(-3.0, 3.0), unit="times the table", logarithmic=True),
-    _entry("self_test_gyro", _self_test(_GYROS, _of_gyro), "to both", "the same way", "to the positive"),
-    _entry("self_test_accel", _self_test(_ACCELS, _of_accel), "to the positive", "to both"),
+    _entry("self_test_gyro", _self_test(_GYROS, "the same way"),
+           "to both", "the same way", "to the positive"),
+    _entry("self_test_accel", _self_test(_ACCELS, "to both"), "to the positive", "to both"),
     _entry("data_ready_edge", _edge, "the first", "the second"),
     _entry("stall | Effect of too short a pause between frames? | later parts | C", _never, "silence"),
     _entry("idle_ones | Is a frame of ones a write to COMMAND? | code | C", _never, "a write"),
