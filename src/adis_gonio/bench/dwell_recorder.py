@@ -217,7 +217,9 @@ class Recording:
         return index if index < self._count else None
 
     def _pieces(self) -> list[tuple[Phase, Block]]:
-        """Return the blocks with their phases, split at the begin and the end of the dwell.
+        """Return the blocks, split at the begin and the end of the dwell, each part with its phase.
+
+        The phases are `before`, `dwell` and `after`.
 
         All scans lost in a block that is split count as lost in the dwell.
         """

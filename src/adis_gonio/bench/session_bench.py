@@ -333,8 +333,8 @@ class SessionBench:
     def _carry_out(self, move: Move, *, watched: bool = True) -> bool:
         """Move the stage and return True; return False if there is no stage that can do it.
 
-        If turns are recorded, a stage that moves while scans are read only begins the move, unless
-        `watched` is False.
+        If turns are recorded and `watched` is True, a stage that can move while scans are read only begins
+        the move.
         """
         stage = self.stage
         scanned = stage if watched and self.settings.turns and isinstance(stage, WatchedStage) else None

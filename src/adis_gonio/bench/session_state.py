@@ -379,7 +379,7 @@ class Knowledge:
         )
 
     def _new_judge(self, noise_mg: float) -> Judge | None:
-        """Return a judge of positions that knows the dwells so far; None if any angle is allowed.
+        """Return a judge of positions that knows the dwells so far; None if positions are not judged.
 
         `noise_mg` is the largest noise of an axis.
         """

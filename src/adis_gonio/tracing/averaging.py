@@ -215,7 +215,7 @@ def average(selection: Selection, candidates: Sequence[Process] | None = None) -
 
 
 def _average(selection: Selection, candidates: Sequence[Process] | None) -> Averaged | None:
-    """Return the average under the noise of a selection; None if no unnamed function is needed.
+    """Return the average with the noise of a selection (`inflation`); None if no function is needed.
 
     `candidates` are the Gaussian processes to try; None tries all.
     """

@@ -151,7 +151,7 @@ class LinearProblem:
 
     @cached_property
     def dense(self) -> LinearProblem:
-        """The problem with the columns of every term in `columns`, for sums over pairs of columns."""
+        """This problem with the columns of all terms in `columns`, so that `split` is None."""
         if self.split is None:
             return self
         every = range(len(self.terms))

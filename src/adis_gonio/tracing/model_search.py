@@ -235,8 +235,8 @@ class Climb:
     def score_pairs(self, model: Model, *, start: bool = False) -> None:
         """Score all models that extend a model by two named terms.
 
-        Pairs that score at most `limits.window` nats below the best model are stored; at the start of a
-        search (`start`), at most this below the best pair.
+        A pair is stored if it scores at most `limits.window` nats below the best model. If `start` is True,
+        it is compared with the best pair instead.
         """
         found, problem, joining = self.found, self.found.problem, self.names
         if (

@@ -194,7 +194,7 @@ def _inducing(low: float, high: float, length: float) -> Callable[[Floats], Floa
 
 
 def _line(get: Get, seen: Floats, length: float) -> Get:
-    """Return basis functions for a constant, a line and the kernel exp(−½ Δ²/ℓ²) of a covariate.
+    """Return basis functions (n, k) for a constant, a line and the kernel exp(−½ Δ²/ℓ²) of a covariate.
 
     `get` returns the covariate, `seen` are its values in the fitted dwells, ℓ is `length` in units of their
     range. The covariate is clipped shortly beyond this range.
@@ -220,7 +220,7 @@ def _product(one: Get, two: Get) -> Get:
 
 
 def _ring(get: Get, width: float) -> Get:
-    """Return basis functions for the periodic kernel exp(−2 sin²(Δ/2)/w²) of an angle.
+    """Return basis functions (n, k) for the periodic kernel exp(−2 sin²(Δ/2)/w²) of an angle.
 
     Its Fourier coefficients are modified Bessel functions I_k(1/w²). `get` returns the angle in rad, w is
     `width`.

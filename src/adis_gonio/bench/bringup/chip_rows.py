@@ -354,7 +354,7 @@ def _waits(command: str) -> Observer:
 
 
 def _status_clears(chip: RecordedChip, _: Variant) -> Iterator[str]:
-    yield from ("kept" if word else "cleared" for _, word in chip.statuses)
+    yield from ("kept" if kept else "cleared" for kept in chip.kept_alarms)
     yield from ("cleared by any read" for label in chip.error_flags if label == "lost")
 
 

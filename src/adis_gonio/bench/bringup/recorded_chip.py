@@ -273,9 +273,9 @@ class RecordedChip:
         By command: times in s after the command at which the chip was seen ready (True) or not.
     counts : list of (command, int)
         Change of ENDURANCE by each command that saves to flash.
-    statuses : list of (bool, int)
-        False, and the alarm bit in the second word of STATUS after the condition of an alarm has ended, if
-        the first word had this bit.
+    kept_alarms : list of bool
+        For each alarm whose condition has ended and whose bit the first word of STATUS had: True if the
+        second word has the bit too.
     error_flags : list of str
         Labels of the flag EA (error or alarm) in the output words during an alarm. `set`: all words from
         the first flag on have it. `missing`: no word has it, although STATUS has the bit of the alarm.
@@ -298,7 +298,7 @@ class RecordedChip:
         self.after_writes: list[tuple[int, int, int, int]] = []
         self.waits: dict[str, list[tuple[float, bool]]] = {}
         self.counts: list[tuple[str, int]] = []
-        self.statuses: list[tuple[bool, int]] = []
+        self.kept_alarms: list[bool] = []
         self.error_flags: list[str] = []
         self.ended: list[tuple[str, bool]] = []
         self.nulls: list[tuple[int, str]] = []
@@ -504,7 +504,7 @@ class RecordedChip:
             if self._cleared or self._proved:
                 self.ended.append(("alarm", self._cleared))
         elif alone and self._cleared:
-            self.statuses.append((False, word & _ALARM))
+            self.kept_alarms.append(bool(word & _ALARM))
             self._cleared = False
         self._ending = False
         self._flagged = False

@@ -343,7 +343,7 @@ class Density:
     frequency : (k,) float
         Frequency in cycles per sample.
     searched : slice
-        Part of the grid in which lines are searched for.
+        Part of the frequencies in which lines are searched for.
     power : (d, k, axes) float
         Periodograms in mg² (two-sided density per sample).
     level : (d, axes) float
@@ -354,7 +354,7 @@ class Density:
     bound : (k, axes) float
         Density that a line has to exceed: `base` or, if larger, the density on either side.
     width : (k,) float
-        Number of independent ordinates in the running median.
+        Number of independent values of the spectrum in the running median, at each frequency.
     """
 
     dwells: NDArray[np.intp]
