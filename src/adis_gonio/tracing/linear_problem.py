@@ -151,7 +151,7 @@ class LinearProblem:
 
     @cached_property
     def dense(self) -> LinearProblem:
-        """This problem with the columns of all terms in `columns`, so that `split` is None."""
+        """Problem with the columns of all terms in `columns`, so that `split` is None."""
         if self.split is None:
             return self
         every = range(len(self.terms))

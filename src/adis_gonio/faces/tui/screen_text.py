@@ -78,7 +78,7 @@ def title(state: BenchState) -> str:
 def _place_name(position: Position, *, on_table: bool) -> str:
     """Return the short name of a position in the list, such as `90° from above check`.
 
-    The words are added if the position is approached from above, and if it is a check dwell.
+    ` from above` is added if the position is approached from above, and ` check` if it is a check dwell.
 
     `on_table` is True in a session of whole turns on a table.
     """
