@@ -14,7 +14,7 @@ settings.register_profile("no deadline", deadline=None)
 settings.load_profile("no deadline")
 
 
-# The collected tests are a million objects that live to the end. The garbage collector would go through them
+# The collected tests are a million objects that live to the end. The garbage collector would visit them
 # again and again, which takes 40 % of the time of the collection.
 gc.disable()
 
