@@ -22,7 +22,7 @@ unset PYTHONDONTWRITEBYTECODE
 # Threads of BLAS in addition to the workers would wait for one another on matrices of a hundred rows.
 export OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"
 # Recorders wait until each step is on the disk. In memory, if there is enough, that takes no time.
-free_kib="$(df -Pk /dev/shm 2>/dev/null | awk 'NR == 2 { print $4 }')"
+free_kib="$({ df -Pk /dev/shm 2>/dev/null || true; } | awk 'NR == 2 { print $4 }')"
 if [ -w /dev/shm ] && [ "${free_kib:-0}" -gt 6000000 ]; then
   TMPDIR="$(mktemp -d /dev/shm/gonio.XXXXXX)"
 else

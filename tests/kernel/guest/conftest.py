@@ -3,12 +3,10 @@
 import signal
 from collections.abc import Iterator
 
-# Imported once, before the processes are forked: the guest takes seconds for each.
-import hid  # noqa: F401
-import hidraw  # noqa: F401
 import pytest
+
+# Imported once, before the processes are forked: the guest takes seconds for each. Not hidapi: it has a state.
 import serial.tools.list_ports  # noqa: F401
-import usb.backend.libusb1
 import usb.util  # noqa: F401
 
 import adis_gonio.device.bus.cp2130

@@ -57,10 +57,9 @@ def test_boards_are_listed_and_refused_to_a_user_until_the_rules_are_installed(
 ) -> None:
     urls = plug_all(bench)
     ids = {
-        serial: ":".join(
-            (serials()[serial] / name).read_text().strip() for name in ("idVendor", "idProduct")
-        )
-        for serial in ("A1", "B2", "C3")
+        serial: tuple((path / name).read_text().strip() for name in ("idVendor", "idProduct"))
+        for serial, path in serials().items()
+        if serial in ("A1", "B2", "C3")
     }
     assert ids == {"A1": ("04d8", "00de"), "B2": ("10c4", "87a0"), "C3": ("2341", "0043")}
     assert (serials()["A1"] / "product").read_text().strip() == "MCP2210 USB-to-SPI Master"
