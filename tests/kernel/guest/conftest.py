@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-# Imported once, before the processes are forked: the guest takes seconds for each. Not hidapi: it has a state.
+# Imported once, before the processes are forked; the guest takes seconds for each. hidapi has a state.
 import serial.tools.list_ports  # noqa: F401
 import usb.util  # noqa: F401
 
