@@ -60,8 +60,8 @@ class LiveAngle:
         Angle at a fixed time (the lag) before the newest sample, computed from gyros and gravity together;
         None without gyros, and until a lag has passed.
     notes : tuple of str
-        Notes of the smoothed angle; `calibration` also without one, if the reading at rest contradicts the
-        calibration. The difference is then part of every u.
+        `calibration` if the reading at rest contradicts the calibration; the difference is then part of
+        every u.
     """
 
     time_s: float
@@ -78,8 +78,12 @@ class LiveAngle:
     def as_dict(self) -> dict[str, Any]:
         """Return the reading as one flat JSON object; the entries of `smoothed` are null if it is None."""
         document = asdict(self)
-        smoothed = document.pop("smoothed") or dict.fromkeys(Smoothed.__dataclass_fields__)
-        return document | smoothed | {"notes": list(self.notes)}
+        notes = document.pop("notes")
+        smoothed = document.pop("smoothed") or {
+            **dict.fromkeys(Smoothed.__dataclass_fields__),
+            "notes": notes,
+        }
+        return document | smoothed | {"notes": list(smoothed["notes"])}
 
 
 def raw_angle_deg(accel_mg: Floats) -> Floats:
@@ -190,7 +194,6 @@ class AngleMeter:
         if self._calibration is not None:
             corrected_deg, u_deg = corrected_angle(self._calibration, mean, temperature_c, u_mg)
             u_deg = None if u_mg is None or u_deg is None else math.hypot(u_deg, off_deg)
-        notes = ("calibration",) if off_deg else ()
         return LiveAngle(
             self._last_s,
             raw_deg,
@@ -201,7 +204,7 @@ class AngleMeter:
             temperature_c,
             self._lost,
             smoothed,
-            notes if smoothed is None else smoothed.notes,
+            ("calibration",) if off_deg else (),
         )
 
     def _raw(self, mean_mg: Floats, u_mg: Floats | None) -> tuple[float, float | None]:

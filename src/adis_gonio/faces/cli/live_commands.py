@@ -495,8 +495,9 @@ def format_angle(reading: LiveAngle, width: int | None = None) -> str:
         main, u_deg = smoothed.smoothed_deg, smoothed.smoothed_u_deg
     u = "" if u_deg is None else f" ± {NORMAL_95 * u_deg:.3f}"
     parts = [f"{signed(main, 3):>9}{u}°"]
-    if reading.notes:
-        parts.append(", ".join(NOTES[note] for note in reading.notes))
+    notes = reading.notes if smoothed is None else smoothed.notes
+    if notes:
+        parts.append(", ".join(NOTES[note] for note in notes))
     if smoothed is not None:
         parts.append(f"gravity {signed(by_gravity, 3):>9}°")
     if reading.corrected_deg is not None:
