@@ -194,8 +194,8 @@ def _key(values: Mapping[str, Value]) -> list[KeyFigure]:
 def _large(name: str, value: Value) -> KeyFigure:
     """Make a key figure (a result in large numerals) of a value with its expanded uncertainty U.
 
-    `name` is the name of the quantity. If this is the error of the angle, U is the uncertainty of a
-    displayed angle and not of the error, and is shown in the small print.
+    `name` is the name of the quantity. If it is `angle`, the error of the angle, U belongs to a displayed
+    angle and not to the error; it is then shown in the small print.
     """
     if value.k is None:
         return KeyFigure(NAMES[name], with_unit(format_number(value.value, 4), value.unit), UNKNOWN)
@@ -797,7 +797,7 @@ def build_page(
     Returns
     -------
     str
-        One page that loads nothing; all texts are escaped.
+        One page that needs no other file; all texts are escaped.
     """
     software = f"adis-gonio {__version__}"
     result = traced if isinstance(traced, TraceResult) else None
