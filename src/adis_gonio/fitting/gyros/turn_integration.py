@@ -363,7 +363,7 @@ def integrate(path: Path, sampling: Sampling) -> Integral | str:
 
 
 def has_gap(path: Path) -> bool:
-    """Return True if samples are missing for longer than a straight line may bridge."""
+    """Return True if a gap between samples is longer than a straight line may bridge (`LONGEST_GAP_S`)."""
     return float(np.diff(path.time_s).max()) > LONGEST_GAP_S
 
 
