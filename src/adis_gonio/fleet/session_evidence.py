@@ -100,14 +100,14 @@ class Column:
         return cls(cause.removeprefix("~"), not cause.startswith("~"), variant, axes, parameter, unit)
 
 
-def columns_of(data: Readings) -> tuple[list[tuple[Term, list[Column]]], dict[str, str]]:
-    """List the model terms that may act in a session, each with its columns.
+def columns_of(data: Readings) -> tuple[list[tuple[Term, list[Column | None]]], dict[str, str]]:
+    """List the model terms that may act in a session, each with the column of each of its amplitudes.
 
-    `data` are the readings of the session. Returned with the list is the reason for each effect that has no
-    columns.
+    The column is None for an amplitude on which another term gives evidence. `data` are the readings of the
+    session. Returned with the list is the reason for each effect that has no columns.
     """
     missing: dict[str, str] = {}
-    out: list[tuple[Term, list[Column]]] = []
+    out: list[tuple[Term, list[Column | None]]] = []
     for name, kind in catalogue("accelerometer").items():
         reason = _why_not(kind, data)
         if reason:
@@ -116,14 +116,13 @@ def columns_of(data: Readings) -> tuple[list[tuple[Term, list[Column]]], dict[st
         for variant, one, shapes in _variants(kind, data):
             term = NamedTerm("", kind.covariates, 0.0, one, shapes)
             parameters = [one.parameters[k] for k in term.amplitudes]
-            chosen = list(range(len(parameters)))
-            if "degree" in kind.choices():
-                chosen = chosen[-1:]  # the lower powers have their own columns
-            evidence = [
-                Column(name, True, variant, "".join(one.axes), parameters[k].name, parameters[k].unit)
-                for k in chosen
+            axes = "".join(one.axes)
+            every: list[Column | None] = [
+                Column(name, True, variant, axes, q.name, q.unit) for q in parameters
             ]
-            out.append((_Part(term, chosen) if len(chosen) < len(parameters) else term, evidence))
+            if "degree" in kind.choices():
+                every[:-1] = [None] * (len(every) - 1)  # the lower powers have their own columns
+            out.append((term, every))
     out += list(_nameless(data))
     return out, missing
 
@@ -166,23 +165,7 @@ def _variants(
                 yield variant, effect, tuple((k, p.typical) for k, p in shaped)
 
 
-class _Part(NamedTerm):
-    """A model term of a named effect that uses only some of the effect's amplitudes."""
-
-    def __init__(self, term: NamedTerm, chosen: list[int]) -> None:
-        super().__init__(term.label, term.covariates, term.cost, term.effect, term.shapes)
-        object.__setattr__(self, "_chosen", chosen)
-
-    def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """Return the basis functions of the chosen amplitudes, along the last axis of the result.
-
-        `ideal` are the readings of ideal axes, `conditions` the covariates of the effect.
-        """
-        chosen: list[int] = self._chosen  # type: ignore[attr-defined]
-        return super().columns(ideal, conditions)[..., chosen]
-
-
-def _nameless(data: Readings) -> Iterator[tuple[Term, list[Column]]]:
+def _nameless(data: Readings) -> Iterator[tuple[Term, list[Column | None]]]:
     """Yield the model terms of unnamed functions with their columns, one term per function and axis."""
     conditions = data.conditions
     for cause, gain, basis in _functions(conditions, data.planar):
@@ -378,31 +361,12 @@ def evidence_of(session: Session, result: TraceResult | None = None) -> SessionE
     DataError, FitError
         The session has no readings to fit, or the fit fails.
     """
-    fit = _begun(readings_of(session).training) if result is None or not result.fits else result.fits[-1]
-    origin = provenance_of(session)
-    return _of_fit(
-        fit,
-        digest=origin.sha256,
-        source=origin.source,
-        serial=origin.serial,
-        operator=origin.operator,
-        stage=origin.stage,
-        sensor=origin.sensor,
-    )
-
-
-def _begun(data: Readings) -> Fit:
-    """Fit the base model and a bias of each axis to the readings of a session."""
-    bias = _bias(data)
-    return Fit.begin(data).with_terms((bias,), (np.zeros(data.axes),)).refit()
-
-
-def _bias(data: Readings) -> NamedTerm:
-    return NamedTerm.offset(AXES[: data.axes])
-
-
-def _of_fit(fit: Fit, **origin: Any) -> SessionEvidence:
-    data = fit.data
+    if result is None or not result.fits:
+        data = readings_of(session).training
+        fit = Fit.begin(data).with_terms((_bias(data),), (np.zeros(data.axes),)).refit()
+    else:
+        fit = result.fits[-1]
+        data = fit.data
     terms, missing = columns_of(data)
     # Bias and single dwells are projected out, as is the base model.
     single = [
@@ -414,26 +378,32 @@ def _of_fit(fit: Fit, **origin: Any) -> SessionEvidence:
     rest = rest - base @ (base.T @ rest)
 
     raw, _ = fit.candidates([term for term, _ in terms])
-    keys = [column.key for _, evidence in terms for column in evidence]
-    columns, length = project_off_base(base, fit.white(raw), np.ones(raw.shape[2], dtype=np.intp))
+    every = [column for _, own in terms for column in own]
+    own = [k for k, column in enumerate(every) if column is not None]
+    made = [column for column in every if column is not None]
+    columns, length = project_off_base(base, fit.white(raw[:, :, own]), np.ones(len(own), dtype=np.intp))
     # Columns that lie in the projected space are not determined.
     seen = np.asarray(columns.any(axis=0))
     unit = columns[:, seen]
-    for name in {key.split("|")[0] for key in keys} - {
-        key.split("|")[0] for key, there in zip(keys, seen, strict=True) if there
-    }:
-        if not name.startswith("~"):
-            missing[name] = "lies in the base model and bias"
+    keys = tuple(column.key for column, there in zip(made, seen, strict=True) if there)
+    shown = {key.split("|")[0] for key in keys}
+    hidden = {column.cause for column in made if column.named} - shown
+    origin = provenance_of(session)
     return SessionEvidence(
-        keys=tuple(key for key, there in zip(keys, seen, strict=True) if there),
+        keys=keys,
         z=unit.T @ target,
         length=length[seen],
         directions=_reduced(unit),
         scatter=_scatter(fit, rest, base),
         noise_known=data.noise_known,
-        missing=missing,
-        **origin,
+        missing=missing | dict.fromkeys(hidden, "lies in the base model and bias"),
+        digest=origin.sha256,
+        **{name: getattr(origin, name) for name in _TEXTS[1:]},
     )
+
+
+def _bias(data: Readings) -> NamedTerm:
+    return NamedTerm.offset(AXES[: data.axes])
 
 
 def _unit(directions: Floats) -> Floats:
