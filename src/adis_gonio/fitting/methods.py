@@ -225,10 +225,11 @@ def fit_paper(readings: Readings) -> FitResult:
 
 
 def _by_paper(chosen: Readings, weights: Floats, exact: _Linear) -> tuple[_Linear, Floats]:
-    """Return the parameters of `_Linear` by the method `paper`, and (ΔK, Δφ) alone.
+    """Return the fit by the method `paper`, and its ΔK and Δφ alone as an array (2,).
 
     ΔK and Δφ (rad) follow from equations 5 to 12. The start angle and the scale of X are those in `exact`,
-    the closed form of the same dwells. `weights` (2, n) give the mean reading at each of the two angles.
+    the closed form of the dwells `chosen`. `weights` (2, n) give the mean reading at each of the two
+    angles.
 
     Raises
     ------

@@ -327,7 +327,7 @@ def _links(fit: Fit, rotation: Floats) -> Source:
 
 
 def _each(response: Floats, roots: Floats) -> Floats:
-    """Return the changes (p, n·axes) of the parameters by independent errors of each dwell.
+    """Return the changes (p, n·axes) of p parameters by independent errors of each of n dwells.
 
     The errors have the covariances root·rootᵀ for `roots` (n, axes, axes); `response` (p, n, axes) is the
     derivative of the parameters by each reading.
@@ -366,10 +366,11 @@ def _own(data: Readings, noise: NoiseAssumptions) -> Floats:
 
 
 def repeatability_of(data: Readings, noise: NoiseAssumptions) -> tuple[Floats, Floats, NDArray[np.intp]]:
-    """Return roots of the readings' covariance, and the origin of its variances.
+    """Return roots of the covariance of the readings by noise that averaging reduces, and its origin.
 
-    The covariance is of noise that averaging reduces. The results are the roots (n, axes, axes), the
-    degrees of freedom (n, axes) and the number of the estimate (n, axes) behind each variance.
+    The results are the roots (n, axes, axes), with the covariance root · rootᵀ, the degrees of freedom (n,
+    axes) of each variance, and the number (n, axes) of the estimate from which it comes; variances with
+    equal numbers have a common error.
     """
     n, axes = data.mean.shape
     first = np.full(n, _POOLED) if data.pooled else 3 * np.arange(n) + _EACH
@@ -750,9 +751,9 @@ def missing_curvature(fit: Fit, inflation: float = 1.0) -> Floats:
 
 
 def _columns(fit: Fit, covariates: tuple[str, ...] | None = None) -> Iterator[Floats]:
-    """Yield the change (n, axes, d) of the readings by each effect of the catalogue at its typical size.
+    """Yield the changes (n, axes, d) of the readings by each effect of the catalogue at its typical size.
 
-    Effects that cannot act on this session are omitted. With `covariates`, only effects of the sensor that
+    An effect has d amplitudes. Effects that cannot act on this session are omitted. With `covariates`, only effects of the sensor that
     depend on exactly these, and that the base model lacks, are included.
     """
     data = fit.data

@@ -51,7 +51,7 @@ class LiveAngle:
         True if no axis varies by more than at rest, over a window of samples; None until the first window
         is complete.
     spread_mg : float or None
-        Largest standard deviation of an axis over the newest samples; None with a single sample.
+        Standard deviation of the newest samples, of the axis with the largest; None with a single sample.
     temperature_c : float or None
         Mean temperature over the span; None if the sensor has no thermometer.
     lost : int

@@ -324,7 +324,7 @@ class Stage:
         return Motion(*(np.concatenate([getattr(part, name) for part in parts]) for name in _NAMES))
 
     def course(self) -> tuple[Floats, Floats]:
-        """Return times (m,) in s and directions (m, 3) of gravity, dense enough for linear interpolation.
+        """Return m times in s, (m,), and the directions of gravity (m, 3) then, for linear interpolation.
 
         The sensor rests before the first time and after the last one; without any move there is one time, 0
         s.
@@ -499,9 +499,9 @@ def _motion(leg: _Leg, time_s: Floats, *course: Floats) -> Motion:
 
 
 def _course(leg: _Leg, time_s: Floats) -> Course:
-    """Return the completed share (n,) of a move at each time, and its derivative per s.
+    """Return the completed share (n,) of the move `leg` at times (n,) in s, and its derivative (n,) per s.
 
-    `leg` is the move. The share is 0 at its start and 1 from its end on.
+    The share is 0 at the start of the move and 1 from its end on.
     """
     n = len(time_s)
     moving = time_s - leg.end_s < 0

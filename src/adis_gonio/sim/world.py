@@ -270,10 +270,10 @@ class World:
     def bring_to(
         self, time_s: float, temperature_c: float | None = None, supply_v: float | None = None
     ) -> None:
-        """Change the sensor's temperature or the supply, from the time `time_s` on.
+        """Change the sensor's temperature, the supply or both from the time `time_s` on.
 
         This time must not have been sampled yet. The temperature approaches `temperature_c` exponentially
-        (`WARMING_TAU_S`); drifts and swings continue. None changes nothing.
+        with the time constant `WARMING_TAU_S`; drifts and swings continue. None is no change.
         """
         now = np.array([time_s])
         if temperature_c is not None:

@@ -107,7 +107,7 @@ class Rests:
 
 
 def rests_of(session: Session, part: Part) -> Rests:
-    """Return the records of a session at rest: its dwells, or the still parts of a recording.
+    """Return the gap-free records of a session at rest: its dwells, or the still parts of a recording.
 
     Raises
     ------
@@ -513,7 +513,7 @@ def _quiet(parts: Sequence[Ordinates], highest: float) -> list[int]:
 
 
 def _drawn(fitted: _Fitted, profiles: dict[Kind, Profile]) -> Floats:
-    """Return the squared coefficients (4,) of the four noise processes for the predicted Allan curve.
+    """Return the squared coefficients (4,) of the noise processes with which the Allan curve is predicted.
 
     They are zero for processes that may be absent. If the data show slow noise but cannot tell flicker
     noise from random walk, both keep their coefficients.

@@ -182,7 +182,7 @@ class GyroScore:
 
 
 class GyroFit(ParameterTable):
-    """Fitted parameters of the gyros with their covariance.
+    """Result of a fit of the gyros: their parameters with covariance, residuals and warnings.
 
     Attributes
     ----------
@@ -567,9 +567,9 @@ def _lacks(data: Readings, name: str) -> bool:
 
 
 def _gyro_of(name: str) -> str:
-    """Return the letter of the gyro that a parameter belongs to, such as x for `g_sensitivity_xy`.
+    """Return the letter of the gyro to which a parameter belongs, such as x for `g_sensitivity_xy`.
 
-    The name of a parameter that all gyros share gives another letter, which is no axis.
+    For a parameter that all gyros share the result is another letter, which is no axis.
     """
     return name.rsplit("_", 1)[-1][0]
 

@@ -165,7 +165,10 @@ class Aliasing:
 
 
 def _second_differences(time_s: Floats, rate_dps: Floats, lag: int, period_s: float) -> Floats:
-    """Return f(t + h) − 2 f(t) + f(t − h), (k, 3), for h of `lag` samples without a lost scan."""
+    """Return second differences (k, 3) of rates: f(t + h) − 2 f(t) + f(t − h) with h of `lag` samples.
+
+    Places at which a scan was lost are left out. `period_s` is the usual time between samples.
+    """
     ahead = rate_dps[2 * lag :] - 2 * rate_dps[lag:-lag] + rate_dps[: -2 * lag]
     return np.asarray(ahead[time_s[2 * lag :] - time_s[: -2 * lag] < (2 * lag + 0.5) * period_s])
 
@@ -389,9 +392,9 @@ def moving(path: Path, sampling: Sampling) -> NDArray[np.bool_]:
 
 
 def _is_rest(path: Path, sampling: Sampling, low: int, high: int, zero_dps: Floats) -> bool:
-    """Return True if the rates between two rows show only a zero rate and noise.
+    """Return True if the sensor is at rest between two samples: its rates show only a zero rate and noise.
 
-    `low` and `high` are the rows, `zero_dps` is the zero rate of the adjacent dwell.
+    `low` and `high` are the indices of the samples, `zero_dps` (3,) is the zero rate in the adjacent dwell.
     """
     time, rate = path.time_s[low : high + 1], path.rate_dps[low : high + 1] - zero_dps
     length = float(time[-1] - time[0])
@@ -566,7 +569,10 @@ def attitude(
 
 
 def rates_at_end(time_s: Floats, rate_dps: Floats) -> Floats:
-    """Return the rates (n, 3) of a turn with components along the axes at its end, by perfect gyros."""
+    """Convert the rates (n, 3) of a turn to components along the directions of the axes at its end.
+
+    The rotation until the end is computed as if the gyros were perfect.
+    """
     mean = np.radians(rate_dps[1:] + rate_dps[:-1]) / 2
     return np.asarray((_to_end(mean * np.diff(time_s)[:, None]) @ rate_dps[:, :, None])[:, :, 0])
 
