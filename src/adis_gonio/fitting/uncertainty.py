@@ -753,8 +753,8 @@ def missing_curvature(fit: Fit, inflation: float = 1.0) -> Floats:
 def _columns(fit: Fit, covariates: tuple[str, ...] | None = None) -> Iterator[Floats]:
     """Yield the changes (n, axes, d) of the readings by each effect of the catalogue at its typical size.
 
-    An effect has d amplitudes. Effects that cannot act on this session are omitted. With `covariates`, only effects of the sensor that
-    depend on exactly these, and that the base model lacks, are included.
+    An effect has d amplitudes. Effects that cannot act on this session are omitted. With `covariates`, only
+    effects of the sensor that depend on exactly these, and that the base model lacks, are included.
     """
     data = fit.data
     # A choice is a discrete number (a dwell, a degree): the scatter of the readings covers these.
