@@ -51,8 +51,8 @@ HAND_LSB = 40
 SIGNS = (0x100, 0x200)
 """Bits of the manual self-test: positive, negative."""
 LENGTHS = {
-    "fit": (0.1, 4), "angle": (1.5, 4), "export": (0.1, 9), "write": (6.0, 28), "write --save": (6.0, 34),
-    "undo": (0.5, 29), "status": (0.4, 5), "serve": (8.0, 0), "bringup": (10.0, 10),
+    "fit": (0.1, 4), "angle": (1.5, 4), "export": (0.1, 9), "write": (12.0, 28), "write --save": (12.0, 34),
+    "undo": (0.5, 29), "status": (0.4, 5), "serve": (10.0, 0), "bringup": (10.0, 10),
 }  # fmt: skip
 """Time in s and number of operations of the disk that a command takes: faults are drawn from them."""
 MOST_TRIES = 4
