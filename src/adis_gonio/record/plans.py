@@ -44,7 +44,7 @@ from adis_gonio.base.arrays import Floats, wrap_radians
 from adis_gonio.base.errors import DataError, UsageError, suggest
 from adis_gonio.base.jsonable import OPTIONAL, JsonRecord, finite, json_value
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.output import ends_in, replacing
+from adis_gonio.base.output import ends_in, write_text
 from adis_gonio.base.shapes import ShapeError, anything, choice, fields, list_of, number, shown, text
 from adis_gonio.base.uncertainty import POSITION_QUESTIONED
 from adis_gonio.model.records import Plane, Use
@@ -434,8 +434,7 @@ def write_plan(path: str | Path, made: Plan, made_for: Mapping[str, Any] | None 
         The file cannot be written.
     """
     content = json.dumps(document_of(made, made_for), ensure_ascii=False, indent=1, allow_nan=False)
-    with replacing(path) as temporary:
-        temporary.write_text(f"{content}\n", encoding="utf-8", newline="\n")
+    write_text(path, f"{content}\n")
 
 
 def read_plan(path: str | Path) -> Plan:
