@@ -763,7 +763,7 @@ class PlaneWatch:
     def see(self, rate_dps: Floats, accel_mg: Floats) -> float:
         """Add a time step; return the error (°/s) of the angle's rate because of turns out of the plane.
 
-        It is 0 before the first rest.
+        `rate_dps` (3,) and `accel_mg` (3,) are the means of the step. The error is 0 before the first rest.
         """
         self._rows.append(np.concatenate([rate_dps, accel_mg]))
         if len(self._rows) == self._rows.maxlen:
@@ -966,7 +966,7 @@ class AngleSmoother:
             self._done -= 1
 
     def _pass(self, state: StateEstimate) -> None:
-        """Advance the Kalman filter by the oldest waiting time step, from `state`."""
+        """Advance the Kalman filter from `state` by the oldest time step that it has not passed."""
         passed = advance(state, self._step_of(self._done, state))
         self._state = self._doubt_calibration(passed.filtered)
         self._done += 1
@@ -1052,7 +1052,7 @@ class AngleSmoother:
     def angle(self) -> SmoothedAngle | None:
         """Return the angle at one lag before the newest sample, estimated from all samples so far.
 
-        None until a lag has passed.
+        Return None until a lag has passed.
         """
         if self._state is None or not self._done:
             return None

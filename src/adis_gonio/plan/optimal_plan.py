@@ -236,7 +236,7 @@ class Candidates:
         return Criterion(best, self.base, self.gradient, self.precision)
 
     def _covariance(self, choice: Choice) -> Floats:
-        """Return the covariance (2 n, 2 n) in mg² of the readings of a plan with n dwells and two axes."""
+        """Return the covariance (2 n, 2 n) in mg² of the readings of the plan `choice` with n dwells."""
         n = len(choice)
         covariance = self.shared.copy()
         each = np.arange(n)

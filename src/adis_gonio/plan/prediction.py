@@ -298,9 +298,9 @@ class PlanUncertainty:
     roots_deg: Floats | None = field(default=None, compare=False)
 
     def conformity(self, tolerance: Tolerance) -> Conformity | None:
-        """Return the conformity of the calibrated angle with a tolerance after such a session.
+        """Return the conformity of the calibrated angle with a tolerance after a session with the plan.
 
-        None if the plan does not determine the angle.
+        Return None if the plan does not determine the angle.
         """
         if self.roots_deg is None:
             return None
@@ -410,9 +410,9 @@ def predict_uncertainty(plan: Plan, bench: Bench) -> PlanUncertainty:
 
 
 def _reach_off(plan: Plan, bench: Bench, off_deg: Floats) -> PlanUncertainty | None:
-    """Predict the uncertainties if stage angles are wrong by `off_deg` (n,).
+    """Predict the uncertainties if the stage's angles are wrong by `off_deg` (n,).
 
-    None if the fit to such a session fails.
+    Return None if the fit to such a session fails.
     """
     try:
         return _reach(fit_readings(expected_readings(plan, bench, off_deg).training))

@@ -111,12 +111,15 @@ _SELECTS = struct.Struct(">HH")
 
 
 def clock_code(clock_hz: float) -> int | None:
-    """Return the code of the fastest SPI clock not above `clock_hz`; None if all clocks are faster."""
+    """Return the index in `CLOCKS_HZ` of the fastest clock not above `clock_hz`; None if all are faster."""
     return next((code for code, clock in enumerate(CLOCKS_HZ) if clock <= clock_hz), None)
 
 
 def spi_word(code: int) -> int:
-    """Return the SPI configuration byte of a channel for a clock code: mode 3, push-pull chip select."""
+    """Return the SPI configuration byte of a channel: mode 3, push-pull chip select, clock by its code.
+
+    `code` is an index of `CLOCKS_HZ`.
+    """
     return 1 << CPHA_BIT | 1 << CPOL_BIT | 1 << PUSH_PULL_BIT | code
 
 
@@ -236,7 +239,7 @@ class Cp2130Bus(host.UsbBus):
     def _set_up(self, code: int) -> None:
         """Set the SPI channel to mode 3 without delays, and enable its chip select alone.
 
-        `code` is the code of the SPI clock.
+        `code` is the index of the SPI clock in `CLOCKS_HZ`.
         """
         word, channel = spi_word(code), self._options.cs
         self._out(ControlRequest.SET_SPI_WORD, bytes((channel, word)))

@@ -755,7 +755,7 @@ class SerialBus(HostBus):
             raise ProtocolError(f"{self.url}: {refused}") from refused
 
     def _renew(self) -> None:
-        """Open a new session with the firmware and set the SPI timing again, which the hello resets."""
+        """Open a new session by a hello request, which resets the SPI timing; set the timing again."""
         self.firmware = self._link.hello(AGAIN_S)
         timing = self.timing
         stall, period = math.ceil(timing.stall_us), math.ceil(timing.period_us)
