@@ -375,16 +375,20 @@ class AngleReading:
     """Angles `angle_deg` (n,), −180 to 180 degrees, and their standard uncertainties `u_deg` (n,).
 
     An unknown uncertainty is NaN. One reading (axes,) gives arrays of zero dimensions, which can be used as
-    numbers.
+    numbers. If the caller gave no temperature, angle and u hold only at `assumed_c`, the mean temperature
+    of the session in °C; it is None otherwise, and if the session did not record the temperature.
     """
 
     angle_deg: Floats
     u_deg: Floats
+    assumed_c: float | None = None
 
     def __repr__(self) -> str:
         u_deg = np.atleast_1d(self.u_deg)
         known = u_deg[np.isfinite(u_deg)]
         u = f"{known.max():.4f}°" if known.size else "unknown"
+        if self.assumed_c is not None:
+            u += f" at {self.assumed_c:.1f} °C, give temperature_c for another"
         if np.ndim(self.angle_deg) == 0:
             return f"AngleReading({float(self.angle_deg):.4f}°, u {u})"
         n = len(self.angle_deg)
@@ -603,7 +607,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         session's declared angles. `accel` are the readings (n, axes) or (axes,) in the unit of the
         calibration (mg or counts), and `reading_u` is their standard uncertainty; without it u is the
         uncertainty by the calibration alone. The default of `temperature_c` and `supply_v` is the mean of
-        the session.
+        the session; u then has no part for another temperature.
 
         Raises
         ------
@@ -812,7 +816,10 @@ class Calibration(Coefficients, eq=False, kw_only=True):
             )
             variance += ((slopes * u) ** 2).sum(axis=1)
         angle_deg, u_deg = np.degrees(wrap_radians(angle)), np.degrees(np.sqrt(variance))
-        return AngleReading(angle_deg[0], u_deg[0]) if single else AngleReading(angle_deg, u_deg)
+        covered = self.provenance.temperature_c
+        assumed_c = covered.mean if covered is not None and temperature_c is None else None
+        at = 0 if single else slice(None)
+        return AngleReading(angle_deg[at], u_deg[at], assumed_c)
 
     def _left_to_temperature(self, readings: Floats, temperature_c: ArrayLike | None) -> Iterator[Floats]:
         """Yield the change (n, axes) of readings by each temperature effect outside the calibration.

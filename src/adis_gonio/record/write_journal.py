@@ -168,14 +168,22 @@ def _remarks(known: Sequence[Operation], recorded: Numbers, what: str) -> tuple[
         return ()
     if known[-1].open:
         return (INTERRUPTED,)
-    now = {name: number for name, number in known[-1].target.items() if number != recorded.get(name)}
+    held = known[-1].target
+    now = {name: number for name, number in held.items() if number != recorded.get(name)}
     if not now:
         return ()
     changes = ", ".join(f"{name} {recorded.get(name, 'unknown')} → {n}" for name, n in now.items())
-    flash = "saved to flash" if known[-1].saved else "not saved to flash"
+    flash = {**recorded, **next((one.target_of_saving for one in reversed(known) if one.saved), {})}
+    lost = [f"{name} {flash.get(name, 'unknown')}" for name, n in held.items() if n != flash.get(name)]
+    kept = (
+        f"not saved to flash: a power cycle brings back {join_words(lost)}, so use `adis-gonio write` with "
+        "--save, or with --undo before the export"
+        if lost
+        else "saved to flash"
+    )
     return (
-        f"offsets were written to the sensor since ({changes}; {flash}): {what} here are those of the "
-        "recording, exported coefficients hold with the offsets written",
+        f"offsets were written to the sensor since ({changes}): {what} here are those of the recording, "
+        f"and exported coefficients hold only while the part holds the offsets written; they are {kept}",
     )
 
 
