@@ -42,6 +42,8 @@ steps within its lag. This pass follows Rauch, Tung and Striebel in the form of 
 smoothing with discrete measurements", 1973). It carries the information of later observations as an adjoint
 vector and matrix, and needs no inverse, so constant parts of the state, or parts without variance, are no
 special case.
+
+A letter B or D after a figure is its confidence: B from the data sheet of related sensors, D an estimate.
 """
 
 from __future__ import annotations

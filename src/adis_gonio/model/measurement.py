@@ -503,7 +503,10 @@ def axes_matrix(skews_rad: Floats) -> Floats:
 
 
 def axes_matrix_derivatives(skews_rad: Floats) -> Floats:
-    """Return the derivatives of D with respect to each skew, (3, 3, 3); the first index is the skew."""
+    """Return the derivatives of the axes' directions D by each skew, (3, 3, 3) per rad.
+
+    The first index is the skew. `axes_matrix` returns D, whose rows are the axes.
+    """
     axes = axes_matrix(skews_rad)
     (s_xy, s_xz, _), (c_xy, c_xz, c_yz) = np.sin(skews_rad), np.cos(skews_rad)
     y, z = axes[2, 1], axes[2, 2]

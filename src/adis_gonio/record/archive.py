@@ -73,7 +73,7 @@ from adis_gonio.record.blocks import GENERIC, UNITS, Block, count_alarms, from_b
 from adis_gonio.record.plans import Plan, Position
 
 MOST_STEPS = 100_000_000
-"""Number of SQLite's machine instructions after which a query is stopped; a day-long session takes 10⁶."""
+"""Number of SQLite instructions after which a query is stopped; a day-long session takes 10⁶."""
 LONGEST_ROW_BYTES = 4_000_000
 """Largest size of a table row in bytes: a block has some ten kilobytes, a plan of 3600 positions 500 kB."""
 MOST_TEXT = 4_000_000

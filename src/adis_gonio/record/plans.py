@@ -531,9 +531,9 @@ K = NormalDist().inv_cdf(1 - POSITION_QUESTIONED / 2)
 """Deviation of an angle, in standard uncertainties, above which a position is reported as doubtful."""
 
 GAIN_LIMIT = 0.02
-"""Limit of the relative error of a gain (rectangular distribution): ±2 %, by the sibling's data sheet."""
+"""Limit of the relative error of a gain: ±2 % (rectangular distribution), by the ADIS16350's data sheet."""
 ANGLE_LIMIT_DEG = 0.25 + 0.5
-"""Limit of Δφ in degrees: non-orthogonality ±0.25° and axis to frame ±0.5° (sibling's data sheet)."""
+"""Limit of Δφ in degrees: non-orthogonality ±0.25° and axis to frame ±0.5° (ADIS16350's data sheet)."""
 UNMODELLED_MG = SHIFT_MG / math.sqrt(3)
 """Standard uncertainty in mg of a reading from effects outside this model.
 

@@ -27,8 +27,8 @@ from adis_gonio.device.bus import SpiTiming, Words
 
 Confidence = Literal["A", "B", "C", "D"]
 CONFIDENCES: dict[Confidence, str] = {
-    "A": "the siblings' data sheet and independent code for this part agree",
-    "B": "the siblings' data sheet only",
+    "A": "the data sheet of the ADIS16350 and independent code for this part agree",
+    "B": "the data sheet of the ADIS16350 only",
     "C": "derived, or code only",
     "D": "an estimate",
 }

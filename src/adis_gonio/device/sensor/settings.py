@@ -1,7 +1,8 @@
 """Settings of the sensor, and decoding of its words.
 
 Configuration, offsets, alarms and status as data; the digital filter of the sensor; and the conversion of
-the words of many scans to numbers and units, vectorised.
+the words of many scans to numbers and units, vectorised. A letter after DS (data sheet) is the confidence
+that the figure is valid for this sensor, see `registers.CONFIDENCES`.
 """
 
 from __future__ import annotations

@@ -676,7 +676,7 @@ class SerialBus(HostBus):
         return self.count_events()[0]
 
     def count_events(self) -> tuple[int, float]:
-        """Return the data-ready edges since the last call, and the present time in s of the firmware."""
+        """Return the number of data-ready edges since the last call, and the firmware's time in s."""
         with self._lock:
             self._require(Capability.EVENT_COUNTER)
             now = self._ask(wire.StatisticsRequest(), wire.StatisticsReply)
