@@ -233,7 +233,7 @@ def _facts(view: ArchiveView) -> JsonDict:
     return {
         "url": header.url,
         "note": header.note,
-        # A board that hands move is simulated too, though nothing knows its truth.
+        # A simulated board that a hand moves gives simulated samples too, although its truth is unknown.
         "simulated": header.simulated or header.url.startswith("sim:"),
         "software": header.software,
         "started_utc": header.created_utc,

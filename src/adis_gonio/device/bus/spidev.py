@@ -413,7 +413,7 @@ def open_from_url(
         try:
             system = Kernel()
         except ImportError:
-            raise CannotOpenError(f"{url.text}: spidev is Linux's; this system has none") from None
+            raise CannotOpenError(f"{url.text}: spidev is a part of Linux; this system has none") from None
     with contextlib.ExitStack() as stack:
         fd = _open(system, url.text, path, "spidev", folder)
         stack.callback(system.close, fd)
