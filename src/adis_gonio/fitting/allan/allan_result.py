@@ -377,7 +377,7 @@ def notes_of(
 def missing(parameter: NoiseParameter) -> str:
     """Return the text for a process that may be absent: its upper limit, and the detectable size."""
     found = parameter.profile
-    limit = f"not present: at most {format_number(found.high)} (95 %)"
+    limit = f"not separately detected: at most {format_number(found.high)} (95 %)"
     if parameter.kind == "white":
         return limit
     return f"{limit}; {format_number(found.detectable)} would have shown"
