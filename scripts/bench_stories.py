@@ -21,6 +21,7 @@ import signal
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from itertools import count
 from pathlib import Path
@@ -93,12 +94,15 @@ def run(first: int, minutes: float) -> int:
 def find_defects(names: Sequence[str], first: int, most: int, state: Path | None) -> int:
     """Print how many seeds it takes to find each known defect; return the number of those not found.
 
+    The second number of a line counts the stories among them that reach the place of the defect.
+
     A story that may reach the place of a defect is played without one first; only the defects whose place
     it reaches can change it, and are put back one by one, so that the numbers are those of playing all.
     `state` is a file from which the search goes on, or None.
     """
     known = json.loads(state.read_text()) if state is not None and state.exists() else {}
     next_seed, found = known.get("next", first), known.get("found", {})
+    reached = Counter(known.get("reached", {}))
     for seed in range(next_seed, first + most):
         story, watch = draw(seed), Watch()
         missed = [name for name in names if name not in found]
@@ -113,19 +117,21 @@ def find_defects(names: Sequence[str], first: int, most: int, state: Path | None
             print(f"seed {seed} fails without a defect: {outcome.wrong[0]}", flush=True)
         for name in wanted if not outcome.wrong else ():
             if name in watch.reached:
+                reached[name] += 1
                 with put_back(name):
                     outcome = played(story)
                 if outcome.wrong:
                     found[name] = seed - first + 1
-                    print(
-                        f"{name:20} {found[name]:4}  {name_of(outcome):50}  {DEFECTS[name].text}",
-                        flush=True,
-                    )
+                    which = f"{found[name]:5} {reached[name]:5}  {name_of(outcome):50}"
+                    print(f"{name:20} {which}  {DEFECTS[name].text}", flush=True)
         if state is not None:
-            state.write_text(json.dumps({"next": seed + 1, "found": found}))
+            state.write_text(json.dumps({"next": seed + 1, "found": found, "reached": reached}))
     missed = [name for name in names if name not in found]
     for name in missed:
-        print(f"{name:20} not found in {most} seeds  {DEFECTS[name].text}", flush=True)
+        print(
+            f"{name:20} not found in {most} seeds, {reached[name]} reach it  {DEFECTS[name].text}",
+            flush=True,
+        )
     return len(missed)
 
 

@@ -1,6 +1,7 @@
 """Record chips with one changed rule, and test that `bringup --from` names this rule alone.
 
-    python scripts/changed_chips.py [--seeds 3] [--sound 20] [--jobs 2] [--only WORD] [--list MODULE]
+    python scripts/changed_chips.py [--first 0] [--seeds 3] [--sound 20] [--jobs 2] [--only WORD]
+        [--list MODULE]
 
 For each change of tests/fakes/changed_chips.py (or of another module of tests/fakes in the same form) and
 seed, a bring-up and a service session are recorded, and `bringup --from` judges both files together. If a
@@ -51,6 +52,7 @@ def contradicted(module: str, name: str, seed: int) -> tuple[bool, tuple[str, ..
 def main() -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--sound", type=int, default=20)
     parser.add_argument("--jobs", type=int, default=2)
@@ -58,8 +60,10 @@ def main() -> int:
     parser.add_argument("--list", default="changed_chips", help="module of tests/fakes with the changes")
     given = parser.parse_args()
     changes = changes_of(given.list)
-    jobs = [(name, seed) for name in changes if given.only in name for seed in range(given.seeds)]
-    jobs += [("", seed) for seed in range(given.sound)] if not given.only else []
+    first = given.first
+    chosen = [name for name in changes if given.only in name]
+    jobs = [(name, seed) for name in chosen for seed in range(first, first + given.seeds)]
+    jobs += [("", seed) for seed in range(first, first + given.sound)] if not given.only else []
     total = named = alone = idle = sound = 0
     print(f"{'change':46}{'seed':>5} {'row':20} contradicted")
     with ProcessPoolExecutor(given.jobs) as pool:

@@ -189,18 +189,18 @@ def scheme() -> tempfile.TemporaryDirectory[str]:
 
 @contextmanager
 def host_limit(seconds: float) -> Iterator[None]:
-    """Raise `HostOvertimeError` after so many seconds of the host's clock."""
+    """Raise `HostOvertimeError` after so many seconds of the process's processor time."""
 
     def stop(number: int, frame: object) -> None:
-        raise HostOvertimeError(f"{seconds:g} s of the host's time")
+        raise HostOvertimeError(f"{seconds:g} s of processor time")
 
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
 
 
 def run(words: Sequence[str]) -> tuple[int, str, str]:

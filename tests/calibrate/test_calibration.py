@@ -140,6 +140,16 @@ def test_angles_of_the_stage_are_the_declared_ones():
     assert (shown.u_deg < 0.01).all()
 
 
+def test_an_angle_without_a_temperature_names_the_temperature_that_it_assumes():
+    calibration = known()  # 29 to 31 °C, without a temperature coefficient
+    assumed, warm = (calibration.angle([1000.0, 2.0], at) for at in (None, 41.0))
+    assert assumed.assumed_c == 30.0
+    assert "at 30.0 °C, give temperature_c" in repr(assumed)
+    assert warm.assumed_c is None
+    assert "°C" not in repr(warm)
+    assert warm.u_deg > assumed.u_deg
+
+
 def test_space_gives_gravity_back_and_an_angle_in_a_named_plane():
     rng = np.random.default_rng(3)
     gains, skews, bias = (1.02, 0.98, 1.01), (0.5, -0.3, 0.2), (20.0, -30.0, 5.0)

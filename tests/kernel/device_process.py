@@ -21,7 +21,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from kernel.boards import BulkBoard, HidBoard, SerialBoard
-from kernel.echoes import EchoBulk, EchoHid, EchoSerial
+from kernel.echoes import EchoSerial
 from kernel.urb import UsbDevice, plug_in, pull_out
 
 Figures = Callable[[], dict[str, Any]]
@@ -62,14 +62,6 @@ def _pins() -> Any:
     return pins
 
 
-def _echo_hid(serial: str) -> Made:
-    return HidBoard(EchoHid(), serial), dict
-
-
-def _echo_bulk(serial: str) -> Made:
-    return BulkBoard(EchoBulk(), serial), dict
-
-
 def _echo_serial(serial: str) -> Made:
     board = SerialBoard(EchoSerial(), serial)
     return board, lambda: {"line_state": board.line_state, "baud_rate": board.baud_rate}
@@ -79,8 +71,6 @@ KINDS: dict[str, Callable[[str], Made]] = {
     "mcp2210": _mcp2210,
     "cp2130": _cp2130,
     "serial": _serial,
-    "echo-hid": _echo_hid,
-    "echo-bulk": _echo_bulk,
     "echo-serial": _echo_serial,
 }
 

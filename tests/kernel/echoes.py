@@ -7,17 +7,6 @@ from collections.abc import Callable
 from fakes.cp2130_device import StallError
 
 
-class EchoHid:
-    """Answers a report with itself."""
-
-    def report(self, request: bytes) -> bytes:
-        """The same report."""
-        return request
-
-    def usb_reset(self) -> None:
-        """Nothing to forget."""
-
-
 class EchoBulk:
     """Gives a bulk transfer back; control request 0x31 reads what 0x30 wrote."""
 

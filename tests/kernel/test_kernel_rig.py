@@ -18,7 +18,7 @@ import pytest
 
 from firmware import avr_build
 from kernel.image import RigMissingError, kernel_image
-from kernel.machine import run_in_guest
+from kernel.machine import FIRST, run_in_guest
 
 REPO = Path(__file__).parents[2]
 GUEST = Path(__file__).parent / "guest"
@@ -86,7 +86,7 @@ def firmware(folder: Path) -> Iterator[list[str]]:
     with tempfile.TemporaryDirectory(prefix="gonio-") as short:
         place = Path(short) / "line"
         process = subprocess.Popen(
-            [sys.executable, "-m", "kernel.firmware_process", str(elf), str(place)],
+            [*FIRST, sys.executable, "-m", "kernel.firmware_process", str(elf), str(place)],
             env={**os.environ, "PYTHONPATH": f"{REPO / 'src'}:{REPO / 'tests'}"},
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -94,7 +94,10 @@ def firmware(folder: Path) -> Iterator[list[str]]:
         )
         assert process.stdout is not None
         try:
-            assert process.stdout.readline() == "listening\n"
+            line = process.stdout.readline()
+            while line.startswith("nice:"):  # not permitted
+                line = process.stdout.readline()
+            assert line == "listening\n"
             yield [
                 *("-device", "qemu-xhci", "-chardev", f"socket,id=line,path={place}"),
                 *("-device", "usb-serial,chardev=line,serial=FW1"),

@@ -44,7 +44,7 @@ BEGIN = datetime(2026, 1, 1, 8, 0, tzinfo=UTC)
 PATIENCE_S = 3600.0
 """No command may take more virtual time than this beyond the operator's own pauses."""
 HOST_LIMIT_S = 600.0
-"""No command may take more time of the host than this: far more than on the slowest machine."""
+"""No command may take more processor time than this; the time of a stopped process does not count."""
 UNREAD_S, UNREAD_SAMPLES = 300.0, 50_000
 UNPLUGGED, BUSY, SHORT, LATE = "unplug", "busy", "short", "late"
 NOISE, SHAKE, KILL = "noise-on-data-ready", "shake", "kill"
@@ -378,6 +378,11 @@ class Bench:
         self.now_s = max(self.now_s, self.chip.inner.time_s) + 1.0
         self.note_settings()
 
+    def lose_power(self) -> None:
+        """Computer and part lose their power right after a command, and have it again."""
+        self.disk.lose_power()
+        self.switch_part_off_and_on()
+
     def note_settings(self) -> None:
         """Note the settings of the part if they have changed."""
         chip = self.chip.inner
@@ -391,8 +396,9 @@ class Bench:
         return earlier + [held for held in self.held if begin_s < held.since_s <= end_s]
 
     def wait(self, seconds: float) -> None:
-        """Let time pass between two commands."""
+        """Let time pass between two commands, in which all data reaches the disk."""
         self.now_s += seconds
+        self.disk.rest()
 
     # -- commands --------------------------------------------------------------------------------------
 
@@ -466,8 +472,8 @@ class Bench:
         os.chdir(self.folder)
         clock = SimpleNamespace(sleep=self.advance, monotonic=lambda: self.now_s)
         handler = signal.signal(signal.SIGINT, signal.default_int_handler)
-        alarm = signal.signal(signal.SIGALRM, _host_overtime)
-        signal.setitimer(signal.ITIMER_REAL, HOST_LIMIT_S)
+        alarm = signal.signal(signal.SIGPROF, _host_overtime)
+        signal.setitimer(signal.ITIMER_PROF, HOST_LIMIT_S)
         try:
             with ExitStack() as stack:
                 enter = stack.enter_context
@@ -485,8 +491,8 @@ class Bench:
                 enter(self.disk.hooked())
                 yield
         finally:
-            signal.setitimer(signal.ITIMER_REAL, 0)
-            signal.signal(signal.SIGALRM, alarm)
+            signal.setitimer(signal.ITIMER_PROF, 0)
+            signal.signal(signal.SIGPROF, alarm)
             signal.signal(signal.SIGINT, handler)
             os.chdir(here)
             _OPEN.pop()
@@ -514,7 +520,7 @@ def open_from_url(url: BusUrl) -> BenchBus:
 
 
 def _host_overtime(number: int, frame: object) -> None:
-    raise OvertimeError(f"{HOST_LIMIT_S:g} s of the host's time")
+    raise OvertimeError(f"{HOST_LIMIT_S:g} s of processor time")
 
 
 @cache

@@ -12,8 +12,9 @@ import math
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import wraps
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from unittest import mock
@@ -30,12 +31,16 @@ from adis_gonio.faces.cli import calibrate_command
 from adis_gonio.faces.serve import iio_device
 from adis_gonio.record import archive, archive_tables
 from adis_gonio.record.source import ChipSource
+from simulated_bench.stories import AFRESH, CALIBRATE, OUTAGE
 
 if TYPE_CHECKING:
     from simulated_bench.bench import Ended
     from simulated_bench.stories import Play, Step, Story
 
 
+SESSIONS = (CALIBRATE, AFRESH)
+REPORTS = ("export", "bringup")
+WRITES = ("write", "write --save", "undo")
 LONG_S = 20.0
 """Time in s after which a program that waits for rest gives up, or less."""
 
@@ -62,8 +67,8 @@ class Look:
 
     @property
     def cut(self) -> bool:
-        """True if the computer lost its power in the command."""
-        return self.ended.how == "cut"
+        """True if the computer lost its power in a command like this or right after it."""
+        return self.ended.how == "cut" or self.step in _before_outages(self.play.story)
 
     @property
     def forged(self) -> bool:
@@ -85,7 +90,7 @@ class Look:
 
 
 def _writes(story: Story) -> bool:
-    return any(step.command in ("write", "write --save", "undo") for step in story.steps)
+    return any(step.command in WRITES for step in story.steps)
 
 
 def _dies(story: Story) -> bool:
@@ -96,8 +101,28 @@ def _dies(story: Story) -> bool:
     )
 
 
-def _is_cut(story: Story) -> bool:
-    return any(step.disk is not None and step.disk.kind == "cut" for step in story.steps)
+def _before_outages(story: Story) -> list[Step]:
+    """Steps right after which the power fails."""
+    return [one for one, after in pairwise(story.steps) if after.command == OUTAGE]
+
+
+def _is_cut(story: Story, *commands: str) -> bool:
+    """True if the computer loses its power in or right after a command, or one of some commands."""
+    within = [step for step in story.steps if step.disk is not None and step.disk.kind == "cut"]
+    return any(not commands or step.command in commands for step in (*within, *_before_outages(story)))
+
+
+def _is_cut_again(story: Story) -> bool:
+    """True if the computer loses its power in a session after another."""
+    later = [step for step in story.steps if step.command in SESSIONS][1:]
+    return _is_cut(replace(story, steps=tuple(later)))
+
+
+def _begins_after_death(story: Story) -> bool:
+    """True if a session may begin afresh after the program died."""
+    deaths = [k for k, step in enumerate(story.steps) if step.crashes]
+    again = [k for k, step in enumerate(story.steps) if step.command == AFRESH]
+    return bool(deaths) and (bool(again and again[-1] > deaths[0]) or _is_forged(story))
 
 
 def _fails(story: Story) -> bool:
@@ -214,6 +239,15 @@ def _forgetful_recording(self: Any, recording: Any, rested_mg: Any) -> Any:
     return broken
 
 
+def _take_by_old_noise(self: Any, place: int) -> Any:
+    limits = self._knowledge.limits
+    yield from _TAKE(self, place)
+    self._knowledge.limits = limits
+
+
+_TAKE = dwell_recorder.DwellRecorder.take
+
+
 def _always_explained(self: Any, now: Any) -> None:
     """Any numbers in the registers are taken for those of the session."""
 
@@ -319,7 +353,13 @@ DEFECTS: dict[str, Defect] = {
     ),
     "journal orphaned": Defect(
         "a session set aside loses its journal", archive, "set_aside", _set_aside,
-        reached=lambda look: look.play.journal, needs=_dies,
+        reached=lambda look: look.play.journal, needs=_begins_after_death,
+    ),
+    "aside forgotten": Defect(
+        "a power cut undoes the renaming of a session set aside, after the next one has begun",
+        archive, "flush_names", lambda folder: None,
+        reached=lambda look: look.cut,
+        needs=_is_cut_again,
     ),
     "samples lost": Defect(
         "the row of a dwell is written without its samples",
@@ -338,13 +378,14 @@ DEFECTS: dict[str, Defect] = {
     ),
     "half a report": Defect(
         "a report is written in place, so that a power cut leaves a half", output, "replacing", _in_place,
-        reached=lambda look: look.step.faults > 0,
-        needs=lambda story: any(s.faults and s.command in ("export", "bringup") for s in story.steps),
+        reached=lambda look: look.step.faults > 0 or look.cut,
+        needs=lambda story: _is_cut(story, *REPORTS)
+        or any(step.faults and step.command in REPORTS for step in story.steps),
     ),
     "no fsync": Defect(
         "a report is renamed before it is on the disk", output, "_flushed", lambda path: None,
         reached=lambda look: look.cut,
-        needs=lambda story: _is_cut(story) and any(s.command in ("export", "bringup") for s in story.steps),
+        needs=lambda story: _is_cut(story, *REPORTS),
     ),
     "late journal": Defect(
         "the journal of a write is written at its end", offset_writer.Logbook, "note", _late_note,
@@ -354,7 +395,7 @@ DEFECTS: dict[str, Defect] = {
     "not set back": Defect(
         "an interrupted write leaves the new numbers without a word",
         offset_writer.OffsetWriter, "_restore", _restored_nothing,
-        needs=_writes,
+        needs=lambda story: any(step.faults and step.command in WRITES for step in story.steps),
     ),
     "said saved": Defect(
         "numbers are said to be saved that are only in the registers",
@@ -388,6 +429,13 @@ DEFECTS: dict[str, Defect] = {
         dwell_recorder, "WINDOWS_TO_STILLNESS", math.inf,
         differs=None, reached=lambda look: look.shaken,
         needs=lambda story: story.only != "none" or any(_has(step, "shake") for step in story.steps),
+    ),
+    "old noise": Defect(
+        "a session keeps its first noise if the sensor no longer comes to rest by it",
+        dwell_recorder.DwellRecorder, "take", _take_by_old_noise,
+        differs=None, reached=lambda look: "no dwell was possible" in look.ended.err,
+        needs=lambda story: not story.motor
+        and (story.only != "none" or any(step.line and step.command in SESSIONS for step in story.steps)),
     ),
     "forged values": Defect(
         "a value with a fitting checksum is taken without a check of its type and range",

@@ -13,7 +13,10 @@ numbers. A `DiskFault` acts at one of them:
 
 A commit is one operation, but a power cut or a kill within it leaves a rollback journal and a part of the
 database's pages, as SQLite's file format defines them. Durability follows the documents of SQLite: with
-`synchronous` below EXTRA the last commit may be undone by a power cut, and below FULL any commit.
+`synchronous` below EXTRA the last commit may be undone by a power cut, and below FULL any commit; a commit
+with EXTRA also flushes the names of the folder. A change of a name is atomic, and a power cut may undo it
+until the folder is flushed: the file then has its old name, unless another file took this name meanwhile.
+Data that was not flushed reaches the disk before the next command, unless the power fails right before it.
 """
 
 from __future__ import annotations
@@ -41,6 +44,8 @@ FAILURES = {
 }
 SIDES = ("before", "within", "after")
 _MAGIC = bytes.fromhex("d9d505f920a163d7")
+TEARING = ("COMMIT", "write file")
+"""Operations that write content to the disk, so that a kill or a power cut can come in their middle."""
 _SECTOR = 512
 
 
@@ -70,7 +75,8 @@ class DiskFault:
     operation : int
         Number of the operation, from 1.
     side : str
-        `before`, `within` or `after`; only for `kill` and `cut`.
+        `before`, `within` or `after`; only for `kill` and `cut`. `within` is in the middle of this
+        operation, or of the next one that writes content to the disk and so takes time.
     """
 
     kind: str
@@ -105,23 +111,37 @@ class Disk:
         self.dead = False
         self._after_death: dict[str, bytes] | None = None
         self._synced: dict[str, bytes] = {}
-        self._renamed: list[tuple[str, bytes | None]] = []
+        self._renamed: list[tuple[str, str, bytes | None]] = []
         self._uncertain: dict[str, bytes] = {}
 
     def begin(self, fault: DiskFault | None) -> None:
         """Begin a command; all earlier writes have reached the disk meanwhile."""
         self.fault, self.labels, self.acted, self.dead, self._after_death = fault, [], "", False, None
-        self._synced, self._renamed, self._uncertain = self._files(), [], {}
+        self.rest()
 
     def end(self) -> None:
         """After a kill or a cut, give the folder the content that the next program finds."""
         if self._after_death is None:
             return
+        self._put(self._after_death)
+        self._after_death = None
+        if self.fault is not None and self.fault.kind == "cut":
+            self.rest()
+
+    def lose_power(self) -> None:
+        """Lose the power right after a command: what it has not flushed is uncertain."""
+        self._put(self._after_cut(self._files(), {}))
+        self.rest()
+
+    def rest(self) -> None:
+        """All that was written reaches the disk."""
+        self._synced, self._renamed, self._uncertain = self._files(), [], {}
+
+    def _put(self, files: dict[str, bytes]) -> None:
         for path in self.folder.iterdir():
             path.unlink()
-        for name, content in self._after_death.items():
+        for name, content in files.items():
             (self.folder / name).write_bytes(content)
-        self._after_death = None
 
     def die(self, *, cut: bool = False, torn: dict[str, bytes] | None = None) -> None:
         """End the program here; `torn` are files in the middle of an operation."""
@@ -144,13 +164,14 @@ class Disk:
             if databases or files[name] == self._synced.get(name):
                 continue
             files[name] = files[name][: int(self._rng.integers(len(files[name]) + 1))]
-        for name, before in reversed(self._renamed):
+        for source, name, before in reversed(self._renamed):
             if self._rng.random() < 0.5:
                 continue
-            if before is None:
-                files.pop(name, None)
-            else:
+            content = files.pop(name, None)
+            if before is not None:
                 files[name] = before
+            if content is not None:
+                files.setdefault(source, content)
         return files
 
     # -- operations ------------------------------------------------------------------------------------
@@ -161,7 +182,12 @@ class Disk:
             raise Killed
         self.labels.append(label)
         number, fault = len(self.labels), self.fault
-        due = fault is not None and number == fault.operation
+        takes_time = label in TEARING
+        ends = fault is not None and fault.kind in ("kill", "cut")
+        within = ends and fault is not None and fault.side == "within"
+        due = fault is not None and (
+            number == fault.operation if not within else number >= fault.operation and takes_time
+        )
         if due:
             self.acted = label
         if fault is not None and number >= fault.operation:
@@ -170,13 +196,13 @@ class Disk:
                 self._fail(fault.kind, label, path)
             if fault.kind == "slow" and number < fault.operation + SLOW_OPERATIONS:
                 self._advance(SLOW_S)
-        ends = due and fault is not None and fault.kind in ("kill", "cut")
+        ends &= due
         if ends and fault is not None and fault.side == "before":
             self.die(cut=fault.kind == "cut")
-        before = self._files() if ends and writes else {}
+        before = self._files() if ends and within else {}
         result = act()
         if ends and fault is not None:
-            torn = self._torn(before, self._files()) if fault.side == "within" and writes else None
+            torn = self._torn(before, self._files()) if within else None
             self.die(cut=fault.kind == "cut", torn=torn)
         if due and fault is not None and fault.kind == "interrupt":
             press_ctrl_c()
@@ -268,7 +294,7 @@ class Disk:
             def act() -> None:
                 real(path, *rest, **options)
                 if target is not None:
-                    self._renamed.append((target.name, before))
+                    self._renamed.append((own.name, target.name, before))
                     if content is not None:
                         self._synced[target.name] = content
 
@@ -331,6 +357,7 @@ class Disk:
         name = Path(path).name
         if synchronous >= 3:
             self._uncertain.pop(name, None)
+            self._renamed = []
         elif synchronous == 2:
             self._uncertain[name] = before
         else:

@@ -21,9 +21,9 @@ from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.device.sensor import DEFAULT_SCAN, REGISTERS
 from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, READING_BITS
 from adis_gonio.record.archive import ArchiveView
-from adis_gonio.record.write_journal import operations
+from adis_gonio.record.write_journal import Operation, operations
 from fakes.faulty_chip import FAULTS
-from simulated_bench.bench import LATE, Bench, Ended
+from simulated_bench.bench import BUSY, LATE, NOISE, SHAKE, SHORT, Bench, Ended
 
 if TYPE_CHECKING:
     from simulated_bench.stories import Step, Story
@@ -46,6 +46,8 @@ COLDER_C = 0.5
 SLACK_S = 0.1
 """Longest time in s between a word of the part and the time of its scan."""
 STIMULUS = BY_NAME["MSC_CTRL"].field("positive").mask | BY_NAME["MSC_CTRL"].field("negative").mask
+PASSING = frozenset({BUSY, SHORT, LATE, NOISE, SHAKE})
+"""Faults that are over at once, so that a command that fails by one of them can still use the line."""
 TAMPERING = frozenset(FAULTS) - {"stuck-high", "stuck-low", "dip"}
 """Faults that change registers of the part."""
 
@@ -374,12 +376,19 @@ def the_journal_says_what_the_part_holds(case: Case) -> str:
         if _numbers(one.old, record.base) != record.base:
             return f"the journal says that {one.old} was there before, it was {record.base}"
     noted = len(case.after["records"]) > len(case.before.get("records", []))
-    by_itself = case.ran and case.step.disk is None and not case.step.line
-    if case.ended.words[0] == "write" and noted and by_itself and known[-1].open:
+    open_write = case.ended.words[0] == "write" and noted and known[-1].open
+    if open_write and case.ran and case.step.disk is None and _could_set_back(case.step, known[-1]):
         return f"a write that was interrupted is neither done nor set back: {known[-1]}"
     if noted and case.ended.words[0] == "write" and record.found == record.by_hand != now:
         return f"a write took the place of numbers that somebody wrote by hand: {record.by_hand}"
     return _report_is_true(case, now, planned)
+
+
+def _could_set_back(step: Step, last: Operation) -> bool:
+    """True if the line was sound again after a write that was interrupted; an undo can be repeated."""
+    if not step.line:
+        return True
+    return step.faults == 1 and step.line[0].kind in PASSING and last.op != "undo"
 
 
 def _report_is_true(case: Case, now: tuple[int, ...], planned: list[tuple[int, ...]]) -> str:

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from simulated_bench.bench import LINE_KINDS, PATIENCE_S, SHAKE, SHORT, URL, Bench, Ended, LineFault
-from simulated_bench.disk import FAILURES, SIDES, DiskFault
+from simulated_bench.bench import KILL, LINE_KINDS, PATIENCE_S, SHAKE, SHORT, URL, Bench, Ended, LineFault
+from simulated_bench.disk import SIDES, DiskFault
 from simulated_bench.forging import FORGERIES, forge
 from simulated_bench.invariants import Record, check
 
@@ -27,11 +27,26 @@ PLANS = (
     ("poses", 9, 0.1),
 )
 IN_SPACE = ("tumble", "poses")
-COMMANDS = ("fit", "angle", "export", "write", "write --save", "undo", "status", "serve")
-SHARES = (0.06, 0.08, 0.16, 0.24, 0.12, 0.1, 0.1, 0.14)
+SHARES = {
+    "fit": 0.06, "angle": 0.08, "export": 0.16, "write": 0.24, "write --save": 0.12, "undo": 0.1,
+    "status": 0.1, "serve": 0.14,
+}  # fmt: skip
 """Share of each command after a session."""
-CALIBRATE, AFRESH, NIGHT, POWER = "calibrate", "calibrate afresh", "night", "power"
+COMMANDS = tuple(SHARES)
+CALIBRATE, AFRESH = "calibrate", "calibrate afresh"
+NIGHT, POWER, OUTAGE, STRANGER = "night", "power", "outage", "stranger"
 SELF_TEST, OFFSET = "self-test on", "offset by hand"
+HAPPENINGS = {NIGHT: 0.3, POWER: 0.15, OUTAGE: 0.15, SELF_TEST: 0.1, OFFSET: 0.1, STRANGER: 0.2}
+"""Share of each thing that happens between two commands."""
+HAPPENS = 0.45
+"""Probability that something happens between two commands."""
+DISK_SHARES = {
+    "kill": 0.3, "cut": 0.3, "full": 0.1, "read-only": 0.05, "broken": 0.1, "slow": 0.05, "interrupt": 0.1,
+}  # fmt: skip
+AFTER_CRASH, OTHERWISE = 0.5, 0.15
+"""Probability that a second session begins afresh after the first was killed, and otherwise."""
+AGAIN = 0.25
+"""Probability that the operator types the same command again."""
 HAND_LSB = 40
 SIGNS = (0x100, 0x200)
 """Bits of the manual self-test: positive, negative."""
@@ -53,9 +68,9 @@ class Step:
     ----------
     command : str
         `calibrate` (begins or resumes), `calibrate afresh` (with --force), one of `COMMANDS`, `night`
-        (nobody is there for `hours`), `power` (the part is switched off and on), `self-test on` or
-        `offset by hand` (somebody writes to a register), or a key of `FORGERIES` (a stranger changes the
-        session file).
+        (nobody is there for `hours`), `power` (the part is switched off and on), `outage` (computer and
+        part lose their power right after the command before), `self-test on` or `offset by hand` (somebody
+        writes to a register), or a key of `FORGERIES` (a stranger changes the session file).
     line : tuple of LineFault
     disk : DiskFault or None
     interrupt_s : float or None
@@ -76,6 +91,12 @@ class Step:
     def faults(self) -> int:
         """Number of faults around the command."""
         return len(self.line) + (self.disk is not None) + (self.interrupt_s is not None)
+
+    @property
+    def crashes(self) -> bool:
+        """True if the program is killed or the computer loses its power."""
+        killed = self.disk is not None and self.disk.kind in ("kill", "cut")
+        return killed or any(fault.kind == KILL for fault in self.line)
 
 
 @dataclass(frozen=True)
@@ -129,6 +150,92 @@ class Outcome:
 # -- drawing -------------------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True)
+class _World:
+    """What can happen in one story at all, with shares.
+
+    Each story has about half of the commands, happenings and faults: those that it has come often enough to
+    coincide ("swarm testing": Groce et al., ISSTA 2012).
+    """
+
+    rng: np.random.Generator
+    commands: dict[str, float]
+    happenings: dict[str, float]
+    forgeries: dict[str, float]
+    disk: dict[str, float]
+    line: dict[str, float]
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, *, motor: bool) -> _World:
+        # An operator has no plan on the wall for a forged session.
+        happenings = {k: v for k, v in HAPPENINGS.items() if motor or k != STRANGER}
+        same = ({**dict.fromkeys(kinds, 1.0)} for kinds in (FORGERIES, LINE_KINDS))
+        forgeries, line = (_some(rng, shares) for shares in same)
+        return cls(
+            rng, _some(rng, SHARES), _some(rng, happenings), forgeries, _some(rng, DISK_SHARES), line
+        )
+
+    def command(self, before: str | None = None) -> str:
+        """Draw a command after a session; the operator may type the one before again."""
+        if before is not None and self.rng.random() < AGAIN:
+            return before
+        return _one(self.rng, self.commands)
+
+    def between(self) -> list[Step]:
+        """Draw what happens between two commands."""
+        rng = self.rng
+        if rng.random() >= HAPPENS:
+            return []
+        kind = _one(rng, self.happenings)
+        if kind == NIGHT:
+            return [Step(NIGHT, hours=float(rng.choice([0.2, 2.0, 8.0, 14.0])))]
+        if kind in (SELF_TEST, OFFSET):
+            return [Step(kind, draw=int(rng.integers(2)))]
+        if kind == STRANGER:
+            return [Step(_one(rng, self.forgeries), draw=int(rng.integers(1 << 16)))]
+        return [Step(kind)]
+
+    def step(self, command: str, length_s: float, operations: int, share: float) -> Step:
+        """Draw the faults around a command that takes about so many seconds and operations of the disk."""
+        rng = self.rng
+        step = Step(command, draw=int(rng.integers(1 << 16)) if command == "serve" else 0)
+        if rng.random() >= share:
+            return step
+        kind = rng.random()
+        if kind < 0.5 and operations:
+            step = replace(step, disk=self._disk_fault(operations))
+        if kind > 0.4 or not operations:
+            count = 1 + int(rng.random() < 0.2)
+            step = replace(step, line=tuple(self._line_fault(length_s) for _ in range(count)))
+        if kind > 0.9 or 0.2 < kind < 0.35:
+            step = replace(step, interrupt_s=round(float(rng.uniform(0, length_s)), 2))
+        return step
+
+    def _disk_fault(self, operations: int) -> DiskFault:
+        rng = self.rng
+        number = 1 + int(rng.integers(operations if rng.random() < 0.8 else min(operations, 10)))
+        return DiskFault(_one(rng, self.disk), number, str(rng.choice(SIDES)))
+
+    def _line_fault(self, length_s: float) -> LineFault:
+        rng = self.rng
+        kind = _one(rng, self.line)
+        sizes = {SHORT: [1.0, 2.0, 3.0], SHAKE: [0.5, 3.0, 20.0, 300.0]}
+        size = float(rng.choice(sizes.get(kind, [0.5, 3.0, 20.0])))
+        at_s = rng.uniform(0, length_s) if rng.random() < 0.85 else rng.uniform(0, 0.3)
+        return LineFault(kind, round(float(at_s), 3), size)
+
+
+def _some(rng: np.random.Generator, shares: dict[str, float]) -> dict[str, float]:
+    """About half of some kinds, at least one."""
+    chosen = {kind: share for kind, share in shares.items() if rng.random() < 0.5}
+    return chosen or dict([list(shares.items())[int(rng.integers(len(shares)))]])
+
+
+def _one(rng: np.random.Generator, shares: dict[str, float]) -> str:
+    weights = np.array([*shares.values()])
+    return str(rng.choice([*shares], p=weights / weights.sum()))
+
+
 def draw(seed: int) -> Story:
     """Draw a story from its seed."""
     rng = np.random.default_rng([seed, 35])
@@ -146,68 +253,25 @@ def draw(seed: int) -> Story:
         drift_c_per_h=float(rng.choice([0.0, 0.0, 0.5, -2.0])),
         only="" if rng.random() < 0.25 else "none",
     )
+    world = _World.draw(rng, motor=motor)
     steps: list[Step] = []
     if rng.random() < 0.16:
         command = str(rng.choice(["bringup", "serve"]))
-        steps.append(_step(rng, command, *LENGTHS[command], share=0.6))
-    for number in range(int(rng.integers(1, 3))):
-        command = AFRESH if number and rng.random() < 0.15 else CALIBRATE
+        steps.append(world.step(command, *LENGTHS[command], share=0.6))
+    for number in range(int(rng.integers(1, 4))):
+        crashed = number > 0 and any(step.crashes for step in steps)
+        afresh = number > 0 and rng.random() < (AFTER_CRASH if crashed else OTHERWISE)
         length_s, share = 4.0 + 3.0 * counts[which], 0.4 if number else 0.8
-        steps.append(_step(rng, command, length_s, 30 * counts[which], share))
-        steps += _between(rng, motor=motor)
+        steps.append(world.step(AFRESH if afresh else CALIBRATE, length_s, 30 * counts[which], share))
+        steps += world.between()
     if rng.random() < 0.6:
         steps.append(Step(CALIBRATE))
-    for _ in range(int(rng.integers(1, 5))):
-        command = str(rng.choice(COMMANDS, p=SHARES))
-        steps.append(_step(rng, command, *LENGTHS[command], share=0.6))
-        steps += _between(rng, motor=motor)
+    command = None
+    for _ in range(int(rng.integers(2, 8))):
+        command = world.command(command)
+        steps.append(world.step(command, *LENGTHS[command], share=0.6))
+        steps += world.between()
     return replace(story, steps=tuple(steps))
-
-
-def _between(rng: np.random.Generator, *, motor: bool) -> list[Step]:
-    """Draw what happens between two commands; an operator has no plan on the wall for a forged session."""
-    kind = rng.random()
-    if kind < 0.15:
-        return [Step(NIGHT, hours=float(rng.choice([0.2, 2.0, 8.0, 14.0])))]
-    if kind < 0.23:
-        return [Step(POWER)]
-    if kind < 0.33:
-        return [Step(SELF_TEST if kind < 0.28 else OFFSET, draw=int(rng.integers(2)))]
-    if kind < 0.43 and motor:
-        return [Step(str(rng.choice([*FORGERIES])), draw=int(rng.integers(1 << 16)))]
-    return []
-
-
-def _step(rng: np.random.Generator, command: str, length_s: float, operations: int, share: float) -> Step:
-    """Draw the faults around a command that takes about so many seconds and operations of the disk."""
-    step = Step(command, draw=int(rng.integers(1 << 16)) if command == "serve" else 0)
-    if rng.random() >= share:
-        return step
-    kind = rng.random()
-    if kind < 0.5 and operations:
-        step = replace(step, disk=_disk_fault(rng, operations))
-    if kind > 0.4 or not operations:
-        count = 1 + int(rng.random() < 0.2)
-        step = replace(step, line=tuple(_line_fault(rng, length_s) for _ in range(count)))
-    if kind > 0.9 or 0.2 < kind < 0.35:
-        step = replace(step, interrupt_s=round(float(rng.uniform(0, length_s)), 2))
-    return step
-
-
-def _disk_fault(rng: np.random.Generator, operations: int) -> DiskFault:
-    kind = str(
-        rng.choice(["kill", "cut", *FAILURES, "slow", "interrupt"], p=[0.3, 0.3, 0.1, 0.05, 0.1, 0.05, 0.1])
-    )
-    number = 1 + int(rng.integers(operations if rng.random() < 0.8 else min(operations, 10)))
-    return DiskFault(kind, number, str(rng.choice(SIDES)))
-
-
-def _line_fault(rng: np.random.Generator, length_s: float) -> LineFault:
-    kind = str(rng.choice(LINE_KINDS))
-    sizes = {SHORT: [1.0, 2.0, 3.0], SHAKE: [0.5, 3.0, 20.0, 300.0]}
-    size = float(rng.choice(sizes.get(kind, [0.5, 3.0, 20.0])))
-    at_s = rng.uniform(0, length_s) if rng.random() < 0.85 else rng.uniform(0, 0.3)
-    return LineFault(kind, round(float(at_s), 3), size)
 
 
 # -- playing -------------------------------------------------------------------------------------------
@@ -253,6 +317,11 @@ class Play:
             bench.switch_part_off_and_on()
             self.record.note_power()
             outcome.told.append("the part is switched off and on")
+            return None
+        if step.command == OUTAGE:
+            bench.lose_power()
+            self.record.note_power()
+            outcome.told.append("computer and part lose their power and have it again")
             return None
         if step.command in FORGERIES:
             if self.record.readable():

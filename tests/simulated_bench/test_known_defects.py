@@ -47,6 +47,17 @@ STORIES = {
     ),
     "hot journal": ("the session can be read", story(KILLED, CALIBRATE)),
     "journal orphaned": ("a session set aside is whole", story(KILLED, Step("calibrate afresh"))),
+    "aside forgotten": (
+        "a session set aside is whole",
+        Story(
+            8,
+            (STOPPED, Step("calibrate afresh", disk=DiskFault("cut", 10, "after"))),
+            motor=True,
+            only="none",
+            plan="two-position",
+            positions=2,
+        ),
+    ),
     "samples lost": ("every failure is one line", story(CALIBRATE)),
     "interruption lost": (
         "the last scans before an error are kept",
@@ -86,6 +97,17 @@ STORIES = {
     "endless wait": (
         "every wait ends",
         story(Step("calibrate", line=(LineFault("shake", 5.0, 4000.0),)), patience_s=90.0),
+    ),
+    "old noise": (
+        "every wait ends",
+        Story(
+            4000052,
+            (Step("calibrate", line=(LineFault("range", 1.484),)),),
+            only="none",
+            plan="two-position",
+            positions=2,
+            patience_s=150.0,
+        ),
     ),
     "forged values": (
         "every failure is one line",

@@ -64,7 +64,8 @@ def block_means(values: Floats, starts: NDArray[np.intp]) -> Floats:
 def log_sum_exp(values: Floats, axis: int | tuple[int, ...] | None = None) -> Floats:
     """Return the logarithm of the sum of exponentials along `axis` (None: of all values), without overflow.
 
-    Unlike `scipy.special.logsumexp` it is for real finite numbers and −∞ only, and several times as fast.
+    The result has the shape of `values` without the dimensions in `axis`. Unlike `scipy.special.logsumexp`
+    the function is for real finite numbers and −∞ only, and several times as fast.
     """
     top = values.max(axis=axis, keepdims=True)
     top = np.where(np.isfinite(top), top, 0.0)

@@ -48,7 +48,7 @@ LEAST_RATIO = 3.0
 """Least ratio of the tolerance to U, the expanded uncertainty of the error, for the rule `shared`."""
 _DIRECTIONS = 2048
 _NOTHING = 1e-9
-"""Relative size of an independent part of the error below which this part is a rounding error."""
+"""Size of an independent part of the error, relative to the largest part, up to which it is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,9 +254,9 @@ class Statement(JsonRecord):
 
     @property
     def states(self) -> dict[str, Conformity]:
-        """Conformity by the state of the sensor, `with calibration` or `without calibration`.
+        """Conformity by the state of the sensor, `with calibration` and `without calibration`.
 
-        The latter is missing if the sensor's scale is unknown.
+        The entry `without calibration` is missing if the sensor's scale is unknown.
         """
         known = {"with calibration": self.with_calibration, "without calibration": self.without_calibration}
         return {name: one for name, one in known.items() if one is not None}

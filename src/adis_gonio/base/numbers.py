@@ -74,7 +74,7 @@ def signed(value: float | None, decimals: int | None = None, *, digits: int = 0)
 def format_span(low: float, high: float, decimals: int, unit: str) -> str:
     """Format a range such as `24.4 to 24.9 °C`; a single value if both ends have the same text.
 
-    Both ends have `decimals` decimals.
+    Both ends have `decimals` decimals; the unit is stated once, at the end.
     """
     ends = dict.fromkeys(format_fixed(end, decimals) for end in (low, high))
     return f"{' to '.join(ends)}{NO_BREAK}{unit}"

@@ -21,9 +21,9 @@ from adis_gonio.base.numbers import format_uncertain
 INADEQUATE = 0.01
 """p-value of χ² below which the residual of a model is too large for the measured noise."""
 FOUND_WITHIN = 0.01
-"""Probability that an undisturbed session has any finding within its dwells (family-wise)."""
+"""Probability of any finding within the dwells of an undisturbed session (family-wise)."""
 OUTLYING = 0.01
-"""Probability that a population without any outlying unit, stage or operator names one (family-wise)."""
+"""Probability that any unit, stage or operator is reported as outlying if none is (family-wise)."""
 DRIFTING = 0.05
 """Probability that any quantity of a stable sensor is reported to drift over its history (Bonferroni)."""
 SLOW_NOISE = 0.025
@@ -33,13 +33,13 @@ LINE_IN_NOISE = 1e-4
 LINK_REFUSED = 1e-3
 """p-value below which links (turns recorded by the gyros) contradict the poses shown by gravity."""
 COMMON_DIVISOR = 1e-6
-"""Probability below which a common divisor of all differences between samples is not chance."""
+"""Probability of a common divisor of all differences between samples below which it is not chance."""
 POSITION_QUESTIONED = 1e-4
 """Probability that a correct position is reported as doubtful: 1 % for a hundred positions together."""
 CREDIBLE_SET = 0.95
-"""Smallest total probability of the credible set of names for one session."""
+"""Total probability that the credible set of names for a cause in one session has at least."""
 POPULATION_SET = 0.99
-"""Smallest total probability of the credible set of names for a population of sessions."""
+"""Total probability that the credible set of names for a population of sessions has at least."""
 
 
 COVERED = 0.95

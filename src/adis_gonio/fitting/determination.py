@@ -81,14 +81,10 @@ class Determination:
         """Fisher information (p, p) of all parameters in natural units."""
         return information(self.fit)
 
-    def on(self, data: Readings) -> Determination:
-        """Return a copy with these parameter values for readings that differ in their noise only."""
-        return replace(self, fit=replace(self.fit, data=data))
-
     def determined_by(self, fit: Fit) -> bool:
-        """Return True if the readings of `fit` determine at least as many parameters as these readings.
+        """Return True if the readings of `fit` determine as many parameters as the readings of this object.
 
-        Independent combinations of parameters are counted.
+        Independent combinations of parameters are counted; more are allowed, too.
         """
         return bool(_null_space(fit, self.free).shape[1] <= self.null.shape[1])
 
@@ -99,7 +95,7 @@ class Determination:
 
 
 def names_of(model: Measurement) -> tuple[str, ...]:
-    """Return the names of the base parameters, then of the biases."""
+    """Return the names of all parameters of a model with biases: base parameters, then biases."""
     return (*model.names, *(f"bias_{axis}" for axis in AXES[: model.axes]))
 
 
@@ -183,9 +179,10 @@ def _start(data: Readings) -> Fit:
 
 
 def _directions(fit: Fit, free: NDArray[np.bool_], null: Floats) -> Floats:
-    """Return the directions (p, k) in which the parameters may change, in units of the fit.
+    """Return k independent directions (p, k) in which a fit may change the p parameters.
 
-    They exclude parameters that are not `free`, and the undetermined directions `null` (p, j).
+    They are in units of the fit. They exclude parameters that are not `free`, and the undetermined
+    directions `null` (p, j).
     """
     return np.asarray(natural_units(fit.data)[:, None] * _complement(free, null))
 

@@ -244,7 +244,10 @@ def _near(links: Links, fit: Fit) -> NDArray[np.bool_]:
 
 
 def _settled(found: GyroLinks, links: Links, data: Readings) -> tuple[Links, determination.Determination]:
-    """Fit readings with links, linearise the links again at the fitted gyro parameters, and return both."""
+    """Fit readings with links, and linearise the links at the fitted gyro parameters until these settle.
+
+    Return the links, linearised at the last parameters, and the fit.
+    """
     size = np.maximum(np.sqrt(np.diagonal(found.prior.covariance)), 1e-12)
     values = found.prior.values
     linked = determination.determine(replace(data, links=links))
@@ -259,7 +262,7 @@ def _settled(found: GyroLinks, links: Links, data: Readings) -> tuple[Links, det
 
 
 def _alike(found: Links, links: Links) -> Links:
-    """Select from `found` the links that connect the poses of any link in `links`."""
+    """Select from `found` each link that connects the same two poses as a link in `links`."""
     wanted = set(zip(links.before.tolist(), links.after.tolist(), strict=True))
     pairs = zip(found.before.tolist(), found.after.tolist(), strict=True)
     return found.only(np.array([pair in wanted for pair in pairs]))
@@ -278,10 +281,10 @@ def probable_gyros(fit: Fit, prior: GyroPrior) -> Floats:
 
 
 def _misclosure(fit: Fit) -> Floats:
-    """Return the disagreement (m, 2) in rad of each link with gravity.
+    """Return the disagreement (m, 2) in rad of each link with gravity, along two directions across gravity.
 
-    It is the direction of gravity after the turn, minus the direction before it after the rotation by the
-    fitted gyros.
+    It is the direction of gravity after the turn, minus the direction that follows from the direction
+    before it and the rotation by the fitted gyros.
     """
     rows = fit.link_rows
     assert rows is not None

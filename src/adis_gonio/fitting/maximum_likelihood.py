@@ -25,7 +25,9 @@ from adis_gonio.fitting.uncertainty import Sources, by_rotation_of, response_of,
 
 
 def fit_ml(readings: Readings) -> FitResult:
-    """Fit the base model and a bias of each axis by maximum likelihood (method `ml`).
+    """Fit the base model (attitude, gains, misalignments) and a bias of each axis by maximum likelihood.
+
+    This is the method `ml`.
 
     Raises
     ------

@@ -225,10 +225,11 @@ def fit_paper(readings: Readings) -> FitResult:
 
 
 def _by_paper(chosen: Readings, weights: Floats, exact: _Linear) -> tuple[_Linear, Floats]:
-    """Return the parameters of `_Linear` by the method `paper`, and (ΔK, Δφ) alone.
+    """Return the fit by the method `paper`, and its ΔK and Δφ alone as an array (2,).
 
     ΔK and Δφ (rad) follow from equations 5 to 12. The start angle and the scale of X are those in `exact`,
-    the closed form of the same dwells. `weights` (2, n) give the mean reading at each of the two angles.
+    the closed form of the dwells `chosen`. `weights` (2, n) give the mean reading at each of the two
+    angles.
 
     Raises
     ------
@@ -602,8 +603,8 @@ def _by_default(readings: Readings) -> FitResult:
 def applicable_methods(session: Session) -> tuple[str, ...]:
     """Return the methods that the positions of a session allow.
 
-    A fit may still find a parameter undetermined. If the readings are unusable, the result is `ml`; its
-    error states the reason.
+    A fit may still find a parameter undetermined. If the readings are unusable, the result is `ml`; a fit
+    then raises an error with the reason.
     """
     if session.free_turn:
         return (FREE_TURN,)

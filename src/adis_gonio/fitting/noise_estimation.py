@@ -66,7 +66,7 @@ class NoiseAssumptions:
     notes: tuple[str, ...] = ()
 
     def applied(self, readings: Readings) -> Readings:
-        """Return a copy of the readings with this noise."""
+        """Return a copy of the readings with this noise in their covariance and their declared angles."""
         # Readings without a stated noise have a placeholder of 1 mg, scaled here.
         factor = np.where(readings.known, 1.0, self.scale**2)[:, None, None]
         covariance = readings.own_covariance * factor + self.extra_mg**2 * np.eye(readings.axes)
@@ -89,7 +89,7 @@ class Settled:
 
 
 def settle(readings: Readings) -> Settled:
-    """Fit base model and bias, and estimate the noise that the session does not state."""
+    """Fit base model and biases to readings, and estimate the noise that the session does not state."""
     if readings.known.any() and not readings.noise_known:
         first = _settle_known(readings)
         return _without_noise(readings) if first is None else _settle_unknown(readings, first)
@@ -132,7 +132,7 @@ def _settle_known(readings: Readings) -> Settled | None:
 
 
 def _without_noise(readings: Readings) -> Settled:
-    """Fit base model and bias without any knowledge of the noise, so without uncertainties."""
+    """Fit base model and biases if the noise cannot be estimated; the result has no uncertainties."""
     determination = determine(readings)
     note = (
         "the readings with a known noise cannot be fitted by themselves: no uncertainty can be given; "
@@ -244,7 +244,7 @@ def _unknown_readings(
         return replace(noise, known=False, notes=tuple(notes))
     notes.append(
         f"reading_u_mg is not stated: all readings were given {scale:.3g} mg, estimated from the residual "
-        f"({dof} degrees of freedom); chi2 says nothing about the model then"
+        f"({dof} degrees of freedom); chi2 is therefore no test of the model"
     )
     return replace(noise, scale=scale, scale_dof=float(dof), notes=tuple(notes))
 

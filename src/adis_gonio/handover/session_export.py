@@ -155,8 +155,8 @@ class ExportSource:
         session = self._session(kind)
         if chosen.holds == "document":
             write_utf8(path, self._json(session))
-        else:
-            chosen.function()(session, path)
+            return [*changed_registers(session), *describe_later_writes(session.facts)]
+        chosen.function()(session, path)
         return changed_registers(session)
 
     def _session(self, kind: str) -> Session:

@@ -145,7 +145,7 @@ BEGIN_S = 0.05
 """Length of a gap, in s, above which a hand may begin to turn the sensor; during a shorter gap it continues
 its motion."""
 OVER_RANGE = 0.98
-"""Share of the gyro's range above which a reading counts as saturated."""
+"""Reading of a gyro, as a fraction of its range, from which it counts as saturated."""
 SATURATED_DPS = 200.0
 """Standard deviation, in °/s, by which the true rate may exceed the reading of a saturated gyro (D)."""
 
@@ -257,8 +257,8 @@ class Stepper:
     ) -> list[Increment]:
         """Add n samples; return the time steps that they complete.
 
-        Times and temperatures have the shape (n,), accelerations and rates the shape (n, 3). The
-        temperatures are None if not measured.
+        Times and temperatures are (n,), accelerations and rates (n, 3). The temperatures are None if not
+        measured.
         """
         warm = np.full(len(time_s), np.nan) if temperature_c is None else temperature_c
         # Columns: time, three accelerations, three rates, temperature.
@@ -586,8 +586,9 @@ SIZE = 9 + DRIFT_STATES
 LEVER_MM = 50.0
 """Standard deviation, in mm, of each component of the sensor's distance from the stage's axis (D)."""
 BEND = 0.012
-"""Standard deviation of the relative error in the slope of the angle that gravity shows, for uncalibrated
-accelerometers: bias 10 mg, gains ±2 %, Δφ ±0.25° (ADIS16350 data sheet, B and D)."""
+"""Standard deviation of the error of dφ/dψ, which is 1 without errors, for uncalibrated accelerometers.
+φ is the angle computed from the direction of gravity, ψ the true angle. Bias 10 mg, gains ±2 %, Δφ ±0.25°
+(ADIS16350 data sheet, B and D)."""
 OPEN_DEG = 90.0
 """Standard deviation, in degrees, of an angle about which nothing is known."""
 LEAST_MG = 50.0
@@ -657,8 +658,8 @@ class MotionModel:
     gyros : GyroKnowledge
         Standard uncertainties of the gyro.
     bend : float
-        Standard deviation of the relative error in the slope of the angle that gravity shows, as a function
-        of the true angle. Errors of the accelerometers cause it, and it varies with the angle.
+        Standard deviation of the error of dφ/dψ, with the angle φ computed from the direction of gravity
+        and the true angle ψ. Errors of the accelerometers cause this error, and it varies with the angle.
     """
 
     def __init__(self, sensing: Sensing, gyros: GyroKnowledge, bend: float = BEND) -> None:
@@ -749,7 +750,7 @@ gravity, at which the sensor is still in its plane."""
 
 
 class PlaneWatch:
-    """Detect turns out of the plane of X and Y, which the model of the angle assumes.
+    """Detects turns out of the plane of X and Y; the model of the angle assumes that there are none.
 
     The zero rates of the gyros are estimated at rest. Before the first rest they are unknown, and turns are
     detected by gravity alone.
@@ -779,7 +780,7 @@ class PlaneWatch:
         return float(abs(z * (x * about[0] + y * about[1])) / square) if square > 1.0 else 0.0
 
     def forget(self) -> None:
-        """Delete the stored time steps, because a gap in the samples follows."""
+        """Delete the stored time steps, because a gap in the samples separates them from later steps."""
         self._rows.clear()
 
     @property
@@ -853,9 +854,9 @@ class SmoothedAngle:
 class _Seen:
     """A time step of the recording, with the direction of gravity reduced to a fixed attitude.
 
-    `segment` is the number of gaps before the step. `level` is gravity in the plane (x + i y), turned back
-    by the gyros to the attitude after the last gap. `turned` is the step itself, `notes` are remarks for
-    the user.
+    `turned` is the step itself. `level` is gravity in the plane as x − i y in mg, turned back by the gyros
+    to the attitude after the last gap. `segment` is the number of gaps before the step. `notes` are names
+    of events, as in `SmoothedAngle`.
     """
 
     turned: Turned
@@ -878,8 +879,8 @@ class AngleSmoother:
     corrected : callable, optional
         Function that corrects accelerometer readings; without it they are not corrected.
     bend : float
-        Standard deviation of the relative error in the slope of the angle that gravity shows, as a function
-        of the true angle; the default `motion_model.BEND` is for uncalibrated accelerometers.
+        Standard deviation of the error of dφ/dψ, with the angle φ computed from the direction of gravity
+        and the true angle ψ; the default is for uncalibrated accelerometers.
 
     Raises
     ------
@@ -973,8 +974,9 @@ class AngleSmoother:
     def _doubt_calibration(self, state: StateEstimate) -> StateEstimate:
         """Return the state, with larger uncertainties if its zero rate contradicts the gyros' calibration.
 
-        It contradicts if it is above `DOUBT` standard uncertainties that the calibration states for it. The
-        variances of an uncalibrated gyro are then added to the variances of the state, only once.
+        The calibrated zero rate is 0, with a standard uncertainty that the calibration states. An estimate
+        of more than `DOUBT` times this uncertainty contradicts it. The variances of an uncalibrated gyro
+        are then added to the variances of the state, only once.
         """
         stated = self._gyros
         if self._doubted or stated.calibration is None or abs(state.mean[ZERO]) < DOUBT * stated.zero_dps:
@@ -1080,5 +1082,5 @@ class AngleSmoother:
         return at.increment.time_s - self._sensing.delay_s
 
     def _drift_deg(self, at: Turned) -> float:
-        """Return the standard deviation of an angle, in degrees, by 1/f noise too slow for the state."""
+        """Return the standard deviation in degrees of the angle by the 1/f noise outside the state."""
         return math.degrees(slow_drift_mg(self._sensing.drift_mg) / max(abs(at.gravity), 1.0))

@@ -60,11 +60,11 @@ mean over all sessions of the part. Source: the means of six runs at rest, 10 00
 (SMAC-Group/imudata, adis_16405_imu1 to imu6) scatter by 2.4, 1.2, 1.2 mg and 0.022, 0.023, 0.020 °/s; 15
 degrees of freedom, so ±18 %."""
 SEEN = 0.02
-"""Least visible effect of a gain or a skew for this parameter to be fitted.
-The effect is the change of the norm of a reading, in units of gravity for a parameter value of 1: its root
-mean square over the poses, after the other base parameters and a bias are removed. Six faces of a cube set
-down with an error of a degree show less of a skew; a fit would exchange a bias of milli-g for a skew of
-degrees."""
+"""Smallest effect on the readings with which a gain or a skew is fitted.
+The effect is the change of the length of a reading, in units of gravity per unit of the parameter: its rms
+over the poses, without the part that the other base parameters and a bias can imitate. If a part is set
+down on its six faces with errors of a degree, a skew has a smaller effect, and a fit would exchange a bias
+of milli-g for a skew of degrees."""
 
 
 @dataclass(frozen=True)
@@ -130,8 +130,9 @@ class Measurement(ABC):
         Covariates on which an unnamed function may depend in addition to the recorded conditions:
         `reading`, `force`, `rotation`.
     named_forms : mapping of str to tuple of str
-        For each covariate, the places (`bias`, `gain`, `misalignment`) at which the catalogue has an effect
-        in proportion to it, so that no unnamed function repeats this effect.
+        For each covariate, the properties of an axis (`bias`, `gain`, `misalignment`) for which the
+        catalogue has an effect in proportion to the covariate. The trace tries no unnamed function that
+        would repeat such an effect.
     """
 
     parameters: tuple[BaseParameter, ...]
@@ -212,38 +213,43 @@ class Measurement(ABC):
 
     @abstractmethod
     def tangent(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Return the derivative of the ideal readings by the attitude, (n, axes, freedom) in mg per rad.
+        """Return the derivative of the ideal readings by the attitude, (n, axes, freedom), per rad.
 
-        `freedom` is the number of unknown angles in an attitude.
-
-        It is taken for the base parameters `base` (p,), at attitudes rotated further by `turn_rad` (n,).
+        `freedom` is the number of unknown angles in an attitude. The derivative is taken for the base
+        parameters `base` (p,), at the attitudes of n dwells rotated further by `turn_rad` (n,).
         """
 
     @abstractmethod
     def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Return the derivative of the ideal readings by the base parameters, (n, axes, p), per rad or 1.
+        """Return the derivative of the ideal readings by the base parameters `base` (p,), (n, axes, p).
 
-        The unit is mg or °/s per rad for an angle, per 1 for a gain. The derivative is taken at the
+        It is in mg or °/s, for an angle per rad and for a gain per 1. The derivative is taken at the
         attitudes of n dwells, rotated further by `turn_rad` (n,).
         """
 
     @abstractmethod
     def moved(self, attitude: Floats, step: Floats) -> Floats:
-        """Return the attitudes after a change of each one by `step` (n, freedom) in rad."""
+        """Return the attitudes of n dwells after a rotation of each by `step` (n, freedom) in rad."""
 
     def deviation_rad(self, attitude: Floats) -> Floats:
-        """Return the deviation of attitudes from the declared ones, (n, freedom) in rad.
+        """Return the deviation of the attitudes of n dwells from the declared ones, (n, freedom) in rad.
 
-        A fit penalizes it by the uncertainty of the fixture.
+        A fit penalizes it by the uncertainty of the fixture. By default it is 0.
         """
         return np.zeros((len(attitude), self.freedom))
 
     @abstractmethod
     def calibrated(self, base: Floats, reading: Floats) -> Floats:
-        """Return the calibrated output (n, axes) for readings: gravity in local gravity, or °/s."""
+        """Return the calibrated output (n, axes) for readings (n, axes) by base parameters (p,).
+
+        It is gravity along the axes in units of local gravity, or rates of turn in °/s.
+        """
 
     def start_rad(self, base: Floats) -> float | Floats:
-        """Return the start angle α in rad of all dwells, or of each (n,); 0 without a plane."""
+        """Return the start angle α in rad: one number for all dwells, or (n,); 0 without a plane.
+
+        `base` (p,) are the base parameters.
+        """
         return 0.0
 
     @property
@@ -680,7 +686,7 @@ class JointMeasurement(Measurement):
         return self._joined([(r, m.tangent(base[k], attitude[r], turn_rad[r])) for m, r, k in self._groups])
 
     def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Return the derivative of `ideal` by all base parameters, (n, axes, p), per rad or per 1."""
+        """Return the derivative of `ideal` by all p base parameters, (n, axes, p), per rad or per 1."""
         out = np.zeros((len(self.session), self.axes, len(self.parameters)))
         for model, rows, own in self._groups:
             columns = model.columns(base[own], attitude[rows], turn_rad[rows])
@@ -688,11 +694,11 @@ class JointMeasurement(Measurement):
         return out
 
     def moved(self, attitude: Floats, step: Floats) -> Floats:
-        """Return the attitudes after a change of each one by `step` (n, freedom) in rad."""
+        """Return the attitudes of n dwells after a rotation of each by `step` (n, freedom) in rad."""
         return self.models[0].moved(attitude, step)
 
     def deviation_rad(self, attitude: Floats) -> Floats:
-        """Return how far attitudes are from the declared ones, (n, freedom) in rad."""
+        """Return the deviation of the attitudes of n dwells from the declared ones, (n, freedom) in rad."""
         return self.models[0].deviation_rad(attitude)
 
     def calibrated(self, base: Floats, reading: Floats) -> Floats:

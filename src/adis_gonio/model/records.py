@@ -306,7 +306,7 @@ class StageCurve:
 
 
 UNSTATED: dict[str, Any] = {"angle_deg": math.nan, "turned_deg": math.nan, "approach": 0, "use": "fit"}
-"""Facts of a dwell that have a column in the samples CSV, with the value for a dwell without the fact."""
+"""Facts of a dwell that have a column in the samples CSV, with the value that means "not stated"."""
 
 
 @dataclass(frozen=True)
@@ -520,5 +520,5 @@ class Session(ComputedOnce):
         return 1000.0 * self.gravity_mps2 / STANDARD_GRAVITY_MPS2
 
     def used_for(self, use: Use) -> Session:
-        """Return a copy of the session that contains only the dwells for one use, such as `fit`."""
+        """Return a copy of the session that contains only the dwells with this `use`, such as `fit`."""
         return replace(self, dwells=tuple(dwell for dwell in self.dwells if dwell.use == use))

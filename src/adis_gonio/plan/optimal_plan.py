@@ -89,12 +89,12 @@ _MEAN_WEIGHT = 0.01
 """Weight of the mean separation of the effects relative to the smallest separation, in the score
 `tell-apart`. The mean decides between plans with equal smallest separations."""
 _NOTHING = 1e-12
-"""Squared separation of an effect, below which a plan has no information on it."""
+"""Squared separation of an effect (`separations`) below which a plan has no information on the effect."""
 _LOOSE = 1.0
 """Prior standard deviation of a base parameter in natural units, so large that it has no influence."""
 _HIDDEN = 1e-6
-"""Share of an effect's column outside the span of the base model, at or below which no plan shows the
-effect."""
+"""Part of an effect's column that the base model cannot imitate, relative to the column, up to which no
+plan shows the effect."""
 _LEAST_GAIN = 1e-7
 """Smallest increase of a criterion that counts as an improvement and not as a rounding error."""
 _MOST_SWEEPS = 50
@@ -105,8 +105,7 @@ _PAIRS = 300
 """Largest number of swaps of two dwells that are tried in a pass; if there are more pairs, they are
 sampled."""
 SIMPLER = 1e-3
-"""Decrease of a plan's score (a logarithm of variance) that is accepted for a simpler order of its
-positions."""
+"""Decrease of a plan's score (a logarithm) that is accepted for positions in the order of their angles."""
 
 
 @dataclass(frozen=True)
@@ -499,8 +498,8 @@ class Gain(JsonRecord):
     figure : float
         Quantity by which the criterion judges the other plan, such as the u of the angle in degrees.
     criterion : float
-        The other plan's `figure` divided by the figure of the best plan (for `tell-apart` the inverse);
-        above 1 if the best plan is better.
+        The other plan's `figure` divided by the figure of the best plan, for `tell-apart` inverted; above 1
+        if the best plan is better.
     u : dict of str to float
         For each parameter and the angle: standard uncertainty with the other plan divided by standard
         uncertainty with the best plan.

@@ -54,7 +54,7 @@ LARGEST_NOISE_MG = 10_000.0
 LARGEST_START_DEG = 3600.0
 _STAGES = 16
 _LARGEST_CHANGE = 0.05
-"""Relative change of an uncertainty by errors of the stage, up to which these errors are neglected."""
+"""Relative change of any uncertainty by errors of the stage up to which these errors are neglected."""
 _DEPENDS = (
     "with so few positions the result depends on the errors of the stage: the figures are medians of "
     f"{_STAGES} imagined sessions"

@@ -470,7 +470,7 @@ class ArchiveView(Closing):
         return place
 
     def offset_writes(self) -> list[JsonDict]:
-        """Return the recorded steps of writes to the sensor's offset registers, in order.
+        """Return the recorded steps of writes to the sensor's offset registers, each a mapping, in order.
 
         Raises
         ------
@@ -493,9 +493,9 @@ class ArchiveView(Closing):
         return {record.value for record in self.records("withdrawn")}
 
     def faulty(self) -> list[StoredAttempt]:
-        """Return the dwells with a sensor error or alarm that the operator has not accepted.
+        """Return the dwells with an error or alarm of the sensor, except those that the operator accepted.
 
-        An error shows in STATUS after the dwell, or in the bit EA within the dwell.
+        The sensor reports an error in STATUS after the dwell, or in the bit EA within the dwell.
         """
         kept = {number for record in self.records("kept") for number in record.value}
         return [
@@ -556,10 +556,10 @@ class ArchiveView(Closing):
         return block
 
     def _line(self, attempt: int) -> list[StoredAttempt]:
-        """Return the attempts at which the runs ended that lead to an attempt, one for each run, in order.
+        """Return the last attempt of each run that led to the attempt with the number `attempt`, in order.
 
-        `attempt` is the number of the attempt, which is the last in the list. Each earlier entry is the
-        attempt after which the next run continued; later attempts of its run do not count.
+        The list ends with this attempt. The entry of an earlier run is the attempt after which the next run
+        continued, which need not be the last one that the earlier run recorded.
         """
         continues = {run["run"]: run["continues"] for run in self.runs()}
         of_number = {stored.number: stored for stored in self.attempts()}
@@ -570,9 +570,9 @@ class ArchiveView(Closing):
         return line
 
     def moves_before(self, attempt: int) -> list[Move]:
-        """Return the moves of the stage that led to its position at the end of an attempt, in order.
+        """Return the moves of the stage up to the end of an attempt, in order.
 
-        `attempt` is the number of the attempt.
+        `attempt` is the number of the attempt. Moves that a resumed run does not build on are left out.
         """
         of_run = {stored.number: stored.run for stored in self.attempts()}
         rows = self._rows("moves", "move")
@@ -584,9 +584,10 @@ class ArchiveView(Closing):
         ]
 
     def conditions_before(self, attempt: int) -> list[Record]:
-        """Return the records of temperature and supply that the program set, up to the end of an attempt.
+        """Return the records of kind `conditions` up to the end of an attempt, in the order of writing.
 
-        `attempt` is the number of the attempt; the records are in the order of writing.
+        Such a record has a temperature or a supply voltage that the program set. `attempt` is the number of
+        the attempt. Records that a resumed run does not build on are left out.
         """
         records = self.records("conditions")
         return [

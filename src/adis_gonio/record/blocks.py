@@ -93,7 +93,7 @@ Block = ScanBlock | ValueBlock
 
 
 def join(blocks: Sequence[Block]) -> Block:
-    """Join consecutive blocks of one sensor, with equal columns, to one block; add up lost samples."""
+    """Join consecutive blocks of one sensor, with equal columns, to one block; sum their lost samples."""
     values = [block for block in blocks if isinstance(block, ValueBlock)]
     if not values:
         return join_scans([block for block in blocks if isinstance(block, ScanBlock)])
@@ -106,9 +106,9 @@ def join(blocks: Sequence[Block]) -> Block:
 
 
 def cut(block: Block, low: int, high: int, *, counted: bool) -> Block:
-    """Return a copy of the samples `low` to `high` (exclusive) of a block.
+    """Return a block with only the samples `low` to `high` (exclusive) of a block.
 
-    If `counted`, the copy keeps the block's numbers of lost and dropped scans; otherwise they are zero.
+    If `counted` is True, it has the numbers of lost and dropped scans of the whole block; otherwise zero.
     """
     rows = slice(low, high)
     lost = block.lost if counted else 0
@@ -224,6 +224,7 @@ SUPPLY_LIMITS_V = (4.75, 5.25)
 """Lower and upper limit of the specified supply voltage in V (data sheet; confidence B)."""
 
 WITHOUT_NEWS = "they had no new data (ND), so their data-ready edge did not come from the sensor"
+"""Reason why scans were left out (`dropped`), for messages."""
 
 
 class Alarms(JsonRecord):

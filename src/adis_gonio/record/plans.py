@@ -54,6 +54,7 @@ Approach = Literal[-1, 0, 1]
 Order = Literal["plan", "reverse", "shuffled"]
 
 MOST_POSITIONS = 3600
+"""Largest number of positions of a plan."""
 GYRO_TURNS = "gyro-turns"
 """Name of the plan of whole turns about the vertical on a table (`gyro_turns`)."""
 DEFAULT_PLAN = "two-position"
@@ -528,6 +529,7 @@ def find_plan(name: str, positions: int | None = None, check: int = 0) -> Plan:
 
 
 K = NormalDist().inv_cdf(1 - POSITION_QUESTIONED / 2)
+"""Deviation of an angle, in standard uncertainties, above which a position is reported as doubtful."""
 
 GAIN_LIMIT = 0.02
 """Limit of the relative error of a gain (rectangular distribution): ±2 %, by the sibling's data sheet."""
@@ -567,12 +569,13 @@ class PriorKnowledge:
 
 @dataclass(frozen=True)
 class Off:
-    """Deviation of the stage angle that a reading shows from the requested angle, with its limit.
+    """Deviation of the angle that a reading of gravity shows from the requested angle, with its limit.
 
     Attributes
     ----------
     off_deg : float
-        Angle by gravity minus the requested angle, within ±180°, counted like the stage's angles.
+        Angle shown by gravity minus the requested angle, within ±180°; positive in the sense in which the
+        stage counts its angles.
     limit_deg : float
         Largest deviation of a good sensor in this fixture; infinite if it is not known yet.
     """

@@ -63,7 +63,7 @@ class Provenance:
     source : str
         Name of the file, without its folder.
     sha256 : str
-        Checksum of the dwells' data, independent of the kind of file.
+        Digest of the session's data (`digest_of`), which does not depend on the kind of file.
     recorded_utc : str
         Begin of the session (ISO 8601); empty if the file does not state it.
     software : str

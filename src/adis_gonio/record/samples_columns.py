@@ -141,10 +141,10 @@ COLUMNS: dict[str, SamplesColumn] = {
 
 
 def _column_called(alias: str, unit: str) -> str | None:
-    """Return the name of the column of the format with an alias, if possible one that allows the unit.
+    """Return the name of the column of the format that has an alias and allows a unit.
 
-    If no column with this alias allows the unit, the first column with the alias is returned; None if there
-    is no such column.
+    If several columns have this alias, the first that allows the unit is returned, or the first of all if
+    none allows it; None if no column has the alias.
     """
     names = [name for name, column in COLUMNS.items() if alias in (*column.aliases, name)]
     return next((name for name in names if COLUMNS[name].unit(unit)), names[0] if names else None)
@@ -195,9 +195,10 @@ def split_unit(text: str) -> tuple[str, str]:
 
 
 def recognise_column(text: str) -> tuple[str, str, bool] | None:
-    """Return the column of the format and the unit that a header cell means; None if it is unknown.
+    """Return the name of the column of the format that a header cell means, its unit, and a flag.
 
-    The third value is True if the cell is exactly the format's name.
+    The unit is empty if the cell states none. The flag is True if the cell is exactly the format's name.
+    Return None if the cell is not recognised.
     """
     text = text.strip()
     if text in COLUMNS:

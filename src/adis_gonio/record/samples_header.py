@@ -390,14 +390,15 @@ def read_head(path: Path, wanted: Mapping[str, str]) -> Head:
 
 
 _NUMBERS = re.compile(r"[\s\d.,;:+\-/eETZ\"]+")
-"""A line of numbers and times of the wall clock."""
+"""Pattern of a line that has only numbers and times of the wall clock."""
 
 
 def _find_header(path: Path, wanted: Mapping[str, str]) -> tuple[int, str, list[str], Lines, Lines]:
     """Find the header of a file; return its line number, delimiter and cells, and the lines above it.
 
-    The lines above it are in two lists, comment lines and other lines. The number is 0 and there are no
-    cells if the file has no line.
+    The lines above it are in two lists, comment lines and other lines. If the file has no line, the number
+    is 0 and there are no cells. `wanted` maps a column of the format to a column of the header, as the user
+    assigned them.
     """
     separator: str | None = None
     comments: Lines = []
@@ -444,7 +445,10 @@ def _first_lines(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def _names_samples(cells: list[str], wanted: Mapping[str, str]) -> bool:
-    """Return True if a header names a time and two accelerations, or a wanted column."""
+    """Return True if header cells name a time and two accelerations, or a column that the user assigned.
+
+    `wanted` maps a column of the format to such a column of the header.
+    """
     if any(_is_called(cell, text.strip()) for cell in cells for text in wanted.values()):
         return True
     return {"time_s", "ax", "ay"} <= {found[0] for found in map(recognise_column, cells) if found}

@@ -114,7 +114,7 @@ class SamplesTable:
     def texts(self, name: str, rows: slice) -> Iterator[tuple[int, str]]:
         """Yield each run of equal texts in a column, within some rows, as its first row and its text.
 
-        The column is one with a value for each dwell, such as the position.
+        `name` is a column with a value for each dwell, such as the position.
         """
         runs = self.runs[name]
         at = bisect_right(runs, rows.start, key=lambda run: run[0]) - 1
@@ -203,7 +203,10 @@ class SamplesTable:
         self._latest_s = float(time[-1])
 
     def _values(self, rows: list[list[str]], lines: list[int]) -> dict[str, Floats]:
-        """Return the numbers (n,) of n rows by column name, in the units of the format."""
+        """Return the numbers (n,) of n rows by column name, in the units of the format.
+
+        `lines` are the line numbers of the rows in the file, for messages.
+        """
         columns, values = list(zip(*rows, strict=True)), {}
         for members, _ in self._numbers.values():
             for name in members:
@@ -215,7 +218,10 @@ class SamplesTable:
         return values
 
     def _column(self, name: str, cells: Sequence[str], lines: Sequence[int]) -> Floats:
-        """Convert the cells of a column to numbers (n,), at once if all are plain, else one by one."""
+        """Convert the cells of column `name` to numbers (n,), at once if all are plain, else one by one.
+
+        `lines` are the line numbers of the cells in the file, for messages.
+        """
         each = zip(cells, lines, strict=True)
         if name == "time_s" and (
             self._began or (not len(self) and _WALL_CLOCK.fullmatch(cells[0].strip()))
@@ -519,7 +525,7 @@ def _position(table: SamplesTable, row: int, text: str) -> int:
 
 
 _DECLARED: dict[str, Any] = {"angle_deg": None, "approach": 0, "use": "fit", "turned_deg": None}
-"""Columns that have one value for each dwell besides its number, with the value of an empty cell."""
+"""Columns, apart from `position`, with one value for each dwell, and the value that an empty cell means."""
 
 
 def _declared(

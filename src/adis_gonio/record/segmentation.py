@@ -382,10 +382,11 @@ class _Runs:
 
 
 def _steps(read: Reading, window: int, unit: Floats, runs: Runs) -> tuple[NDArray[np.int64], Floats]:
-    """Return the rows at which the mean changes between adjacent windows, and the size of each change.
+    """Return the rows (m,) at which the mean changes between adjacent windows, and the changes (m,).
 
-    A change is the largest over the axes, in units of the noise `unit` (axes,), and counts if it is above
-    `UPPER`. `runs` are the rows to search.
+    A row is the first of two adjacent windows of `window` rows. The change is the difference of their means
+    in units of the noise `unit` (axes,), the largest over the axes; changes up to `UPPER` are left out.
+    `runs` are the first and last rows of the parts of the recording to search.
     """
     found = [(np.zeros(0, dtype=np.int64), np.zeros(0))]
     for row, piece in _blocks(read, 2 * window - 1) if runs else ():
@@ -406,9 +407,10 @@ def _steps(read: Reading, window: int, unit: Floats, runs: Runs) -> tuple[NDArra
 
 
 def _cuts(rows: NDArray[np.int64], jump: Floats, window: int) -> list[int]:
-    """Return the rows at which a dwell is split, from rows with changes of the mean (`jump`).
+    """Return the rows at which a dwell is split, in ascending order.
 
-    The largest change is taken first; further cuts are at least a window away from it.
+    `rows` (m,) and `jump` (m,) are the rows and changes of the mean that `_steps` found in the dwell. The
+    largest change is taken first; further cuts are at least `window` rows away from it.
     """
     cuts = []
     while rows.size:

@@ -119,7 +119,7 @@ def _turn(number: int, blocks: list[Block], after: StoredAttempt, turned_deg: fl
 
 
 def recording_of(view: ArchiveView) -> tuple[Dwell | None, str]:
-    """Return the recording of the last complete free turn, and an empty text.
+    """Return the recording of the last complete free turn of a session, and an empty text.
 
     If no free turn is complete, return the longest recording, and the reason why it was broken off. The
     recording is None if no sample was recorded.

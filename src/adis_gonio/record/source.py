@@ -119,7 +119,7 @@ T = TypeVar("T")
 
 
 class Measuring(Protocol):
-    """Configuration of a sensor, as far as a session needs it: sample rate and settling time."""
+    """Interface of a sensor's configuration: the sample rate and settling time that a session needs."""
 
     @property
     def sample_rate_hz(self) -> float:
@@ -176,9 +176,10 @@ class KnownPart:
 
 
 class SampleSource(Closing):
-    """A sensor as a session uses it; a context manager. Errors are those in `adis_gonio.base.errors`.
+    """Base class of the sensors that a session can use; a context manager.
 
-    Methods about registers have defaults for a sensor without registers.
+    Its methods raise only errors of `adis_gonio.base.errors`. The methods about registers have defaults for
+    a sensor without registers.
 
     Attributes
     ----------
@@ -273,9 +274,9 @@ HOLDING_SETTINGS = tuple(
     for row in REGISTERS
     if row.readable and row.writable and row.name not in ("GPIO_CTRL", "SLP_CNT")
 )
-"""Names of control registers with settings.
+"""Names of the control registers that must be unchanged when a session is resumed.
 
-GPIO_CTRL and SLP_CNT are excluded, because they have levels of lines and a counter.
+GPIO_CTRL and SLP_CNT are left out, because they contain levels of lines and a counter, not settings.
 """
 
 

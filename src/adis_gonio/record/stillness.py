@@ -265,7 +265,7 @@ class StillnessWatch:
 
 
 def stuck_error(axis: str, value_mg: float) -> SessionError:
-    """Return the error for an accelerometer that shows no noise, so that it is stuck."""
+    """Make the error for an accelerometer axis that is stuck at a reading in mg: it shows no noise."""
     return SessionError(
         f"accelerometer {axis} is stuck at {value_mg:.1f} mg: a live sensor shows its noise;"
         " check the sensor, its wiring and its supply, then resume the session"

@@ -168,14 +168,22 @@ def _remarks(known: Sequence[Operation], recorded: Numbers, what: str) -> tuple[
         return ()
     if known[-1].open:
         return (INTERRUPTED,)
-    now = {name: number for name, number in known[-1].target.items() if number != recorded.get(name)}
+    held = known[-1].target
+    now = {name: number for name, number in held.items() if number != recorded.get(name)}
     if not now:
         return ()
     changes = ", ".join(f"{name} {recorded.get(name, 'unknown')} → {n}" for name, n in now.items())
-    flash = "saved to flash" if known[-1].saved else "not saved to flash"
+    flash = {**recorded, **next((one.target_of_saving for one in reversed(known) if one.saved), {})}
+    lost = [f"{name} {flash.get(name, 'unknown')}" for name, n in held.items() if n != flash.get(name)]
+    kept = (
+        f"not saved to flash: a power cycle brings back {join_words(lost)}, so use `adis-gonio write` with "
+        "--save, or with --undo before the export"
+        if lost
+        else "saved to flash"
+    )
     return (
-        f"offsets were written to the sensor since ({changes}; {flash}): {what} here are those of the "
-        "recording, exported coefficients hold with the offsets written",
+        f"offsets were written to the sensor since ({changes}): {what} here are those of the recording, "
+        f"and exported coefficients hold only while the part holds the offsets written; they are {kept}",
     )
 
 
@@ -201,10 +209,10 @@ class HeldOffsets(JsonRecord):
     Attributes
     ----------
     registers : {"untouched", "old", "new", "half", "other"}
-        Common state of the registers: numbers before or after the last operation, half written, or other
-        numbers; `untouched` if the journal has no operation.
+        State of all registers together: contents from before (`old`) or after (`new`) the last operation,
+        half written, or other contents; `untouched` if the journal has no operation.
     saved : bool or None
-        True if, by the journal, the flash has the numbers of the registers; None if unknown.
+        True if, by the journal, the flash has the present contents of the registers; None if unknown.
     open : bool
         True if an operation was not completed.
     axes : dict of str to str
@@ -268,10 +276,10 @@ def flash_untouched(
 
 
 def _common_state(now: Numbers, last: Operation, axes: Mapping[str, RegisterState]) -> RegisterState:
-    """Return the common state of all registers after the operation `last`.
+    """Return the state of all registers together, compared with the operation `last`.
 
-    `now` has the register contents, `axes` the state of each register. A register that the operation leaves
-    unchanged counts as both old and new.
+    `now` has the present register contents, `axes` the state of each register. A register that the
+    operation leaves unchanged counts as both old and new.
     """
     both: list[tuple[RegisterState, Numbers]] = [("new", last.new), ("old", last.old)]
     written = last.op == "write" or (last.op == "autonull" and last.saved)
@@ -341,10 +349,10 @@ def _words(registers: str, flashed: str, axes: Mapping[str, RegisterState], last
 
 
 def _flash(registers: str, flash: dict[str, int] | None, last: Operation) -> str:
-    """Return the clause of a message that states whether the offsets in the registers are also in flash.
+    """Return the clause of a message that states if the offsets in the registers are also in flash.
 
-    `registers` is "old" or "new" (or another state), `flash` the contents of the flash by name (None if
-    unknown), and `last` the last operation.
+    `registers` is the state of the registers (`HeldOffsets.registers`), `flash` the result of `_in_flash`,
+    and `last` the last operation.
     """
     held, other = (last.new, last.old) if registers == "new" else (last.old, last.new)
     if flash is None:

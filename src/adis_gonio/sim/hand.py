@@ -53,12 +53,12 @@ class Sines:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator, band_hz: tuple[float, float]) -> Sines:
-        """Draw sines with random phases, and with random frequencies between two limits in Hz."""
+        """Draw sines with random phases, and with random frequencies between the two limits `band_hz`."""
         omega = 2 * np.pi * rng.uniform(*band_hz, _LINES)
         return cls(omega, rng.uniform(0, 2 * np.pi, _LINES))
 
     def at(self, time_s: Floats) -> Course:
-        """Return the sum of sines (n,) at times (n,) in s, and its derivative."""
+        """Return the sum of sines (n,) at times (n,) in s, and its derivative (n,) per s."""
         value, rate = np.zeros(len(time_s)), np.zeros(len(time_s))
         size = np.sqrt(2 / _LINES)
         for omega, phase in zip(self.omega, self.phase, strict=True):
@@ -104,13 +104,13 @@ def hold(time_s: Floats, length_s: float) -> Course:
 
 
 def rise(x: Floats) -> Course:
-    """Return a smooth step from 0 at x = 0 to 1 at x = 1 with minimum jerk, and its derivative."""
+    """Return a step of minimum jerk from 0 at x = 0 to 1 at x = 1, (n,), with its derivative (n,) by x."""
     x = np.clip(x, 0.0, 1.0)
     return x**3 * (10 - 15 * x + 6 * x**2), 30 * x**2 * (1 - x) ** 2
 
 
 def product(f: Course, g: Course) -> Course:
-    """Return the product of two functions of time, with its derivative by the product rule."""
+    """Return the product (n,) of two functions of time, with its derivative (n,) by the product rule."""
     return f[0] * g[0], f[1] * g[0] + f[0] * g[1]
 
 

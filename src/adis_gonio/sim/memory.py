@@ -227,7 +227,7 @@ class FlashFile:
         return words, endurance
 
     def write(self, words: Mapping[str, int], endurance: int) -> None:
-        """Save register words and flash-update count to the file, completely or not at all."""
+        """Save register words by name and ENDURANCE to the file, completely or not at all."""
         document = {"part": self.part, "endurance": endurance, "flash": dict(words)}
         with replacing(self.path) as beside:
             beside.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")

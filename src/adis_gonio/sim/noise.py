@@ -46,9 +46,10 @@ class GridProcess(ABC):
         return np.asarray(low + (place - index)[:, None] * (high - low))
 
     def past_values(self, time_s: Floats) -> Floats:
-        """Return the values (m, channels) at the grid points nearest to earlier times (n,) in s.
+        """Return the values (m, channels) at the grid points nearest to times (n,) in s.
 
-        Each grid point appears once; before the first call of `at` there are none.
+        Each grid point appears once. Points that `at` has not reached are left out, so that m is 0 before
+        the first call of `at`.
         """
         if self._start_s is None:
             return self._grid[:0]
@@ -77,13 +78,15 @@ class RateWalk(GridProcess):
 class Flicker(GridProcess):
     """Noise with a 1/f spectrum, as a sum of first-order processes with corners an octave apart.
 
-    A process of variance v at every octave has together the one-sided spectrum v / (f ln 2); the Allan
-    deviation of h/f is sqrt(2 h ln 2) at all averaging times, hence v = floor² / 2.
+    Processes with the variance v, one in each octave of the frequency f, have together the one-sided
+    spectrum v / (f ln 2). The Allan deviation of a spectrum h/f is sqrt(2 h ln 2) at all averaging times,
+    hence v = floor² / 2.
 
     Parameters
     ----------
     floor : (channels,) float
-        Allan deviation of each channel where it is flat (bias instability), in the unit of the noise.
+        Allan deviation of each channel at averaging times at which it is constant (bias instability), in
+        the unit of the noise.
     start_s : float or None
         Earliest time in s that may be asked for; None for the first requested time, rounded down.
     step_s : float

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, wrap_radians
 from adis_gonio.base.errors import UsageError
 from adis_gonio.sim.hand import Course, HandMove, HandTurn
 from adis_gonio.sim.settings import WorldSettings
@@ -168,6 +168,14 @@ class Stage:
         A fit does not know this error.
         """
         return float(np.degrees(self._legs[-1].to_error_rad))
+
+    @property
+    def free_start_deg(self) -> float | None:
+        """Angle of the sensor at rest before the last free turn, in degrees; None without a free turn."""
+        for leg in reversed(self._legs):
+            if leg.hand is not None:
+                return float(np.degrees(wrap_radians(self._alpha - leg.from_rad + leg.from_error_rad)))
+        return None
 
     @property
     def still_at_s(self) -> float:
@@ -324,7 +332,7 @@ class Stage:
         return Motion(*(np.concatenate([getattr(part, name) for part in parts]) for name in _NAMES))
 
     def course(self) -> tuple[Floats, Floats]:
-        """Return times (m,) in s and directions (m, 3) of gravity, dense enough for linear interpolation.
+        """Return m times in s, (m,), and the directions of gravity (m, 3) then, for linear interpolation.
 
         The sensor rests before the first time and after the last one; without any move there is one time, 0
         s.
@@ -499,9 +507,9 @@ def _motion(leg: _Leg, time_s: Floats, *course: Floats) -> Motion:
 
 
 def _course(leg: _Leg, time_s: Floats) -> Course:
-    """Return the completed share (n,) of a move at each time, and its derivative per s.
+    """Return the completed share (n,) of the move `leg` at times (n,) in s, and its derivative (n,) per s.
 
-    `leg` is the move. The share is 0 at its start and 1 from its end on.
+    The share is 0 at the start of the move and 1 from its end on.
     """
     n = len(time_s)
     moving = time_s - leg.end_s < 0

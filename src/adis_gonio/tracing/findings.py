@@ -39,6 +39,7 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Unit
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
 from adis_gonio.fitting.fit_result import outputs_of
+from adis_gonio.fitting.uncertainty import missing_curvature
 from adis_gonio.model.effects import AXES, Conditions, catalogue, effect
 from adis_gonio.model.effects.stage_terms import StagePeriodic, alike
 from adis_gonio.tracing.averaging import Averaged, AveragedFit, AveragedTerm, middle_s
@@ -202,7 +203,8 @@ def rivals_of(selection: Selection) -> tuple[Rival, ...]:
 def base_of(selection: Selection) -> dict[str, Value]:
     """Return the base parameters of the final fit by name, in the units of results; in the plane also ΔK.
 
-    Their uncertainty covers the values in other probable models.
+    Their uncertainty covers the values in other probable models and, for several sessions, the error by an
+    effect of the reading that is too weak to be found (`missing_curvature`).
     """
     fit = selection.fit
     data = fit.data
@@ -212,6 +214,8 @@ def base_of(selection: Selection) -> dict[str, Value]:
     base = np.where(held, data.model.nominal, fit.values.base)
     p = len(base)
     covariance = fit.covariance[:p, :p] * selection.inflation
+    if data.model.origins:
+        covariance = covariance + missing_curvature(fit, selection.inflation)[:p, :p]
     dof = dof_of(selection)
     mixture = base_mixture(selection)
     # The function that `fit` uses, so that each name has one unit in both results.

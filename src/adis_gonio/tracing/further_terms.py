@@ -164,7 +164,7 @@ def _left_out(
         return [[residuals_on(fit, checking)] for fit in fits]
     if leaves_too_few(fits[-1]):
         return leave_each_out(fits)[0]
-    return held_out_alike([(fold, fits[0].data, fit) for fit in fits], fits[chosen].terms, [chosen])
+    return held_out_alike([(fold, fits[0].data, fit) for fit in fits], fits[chosen].terms, [chosen])[0]
 
 
 def next_term(bought: Sequence[Bought], unit: str) -> str:

@@ -43,7 +43,7 @@ from adis_gonio.tracing.stacking import stack
 from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace import TraceRun, correct_slips
 from adis_gonio.tracing.trace_result import NextDwell, TraceResult
-from adis_gonio.tracing.validation import folds, rms
+from adis_gonio.tracing.validation import held_out_alike, rms
 from adis_gonio.tracing.within.moving_lines import strongest_frequency
 from adis_gonio.tracing.within.samples import samples_of
 
@@ -218,12 +218,10 @@ class JointRun(TraceRun):
         data = self.measured
         session = _session(data)
         evidence = evidence_by_session(self.selection)
-        masks = {"whole dwells": folds(data)["whole dwells"]}
-        kept = [
-            self.fold.left_out(self.selection.data, masks, fit) for fit in (self.fits[0], self.fits[-1])
-        ]
-        dwells = [left["whole dwells"].residual for left in kept]
-        whole = [left_out_sessions(fit) for fit in (self.fits[0], self.fits[-1])]
+        compared = self.fits[0], self.fits[-1]
+        models = [(self.fold, self.selection.data, fit) for fit in compared]
+        dwells = [left[0].residual for left in held_out_alike(models, compared[1].terms)[0]]
+        whole = [left_out_sessions(fit) for fit in compared]
         by_axis = data.by_axis
         out = []
         for k, origin in enumerate(with_progress(data.model.origins)):

@@ -249,14 +249,6 @@ def cross_validate(
     return out
 
 
-def select_counted(left: Mapping[str, HeldOut], counts: Mapping[str, NDArray[np.bool_]]) -> list[HeldOut]:
-    """Return for each design of holding out dwells the residuals of the dwells in the masks `counts`.
-
-    `left` has the residuals of all held-out dwells.
-    """
-    return [left[name].rows(own) for name, own in counts.items()]
-
-
 def drop_unpredicted(
     counts: Mapping[str, NDArray[np.bool_]], anew: Mapping[str, HeldOut]
 ) -> dict[str, NDArray[np.bool_]]:
@@ -278,25 +270,29 @@ def drop_unpredicted(
 
 
 def held_out_alike(
-    asked: Sequence[tuple[Fold, Readings, Fit | None]], terms: Sequence[Term], by: Sequence[int]
-) -> list[list[HeldOut]]:
+    models: Sequence[tuple[Fold, Readings, Fit | None]], terms: Sequence[Term], by: Sequence[int] = ()
+) -> tuple[list[list[HeldOut]], dict[str, NDArray[np.bool_]]]:
     """Return the residuals of several models on the same held-out dwells, for each design of the folds.
+
+    Returned with them are masks (n,) of these dwells, by design.
 
     Parameters
     ----------
-    asked : sequence of (Fold, Readings, Fit or None)
+    models : sequence of (Fold, Readings, Fit or None)
         Arguments of `Fold.left_out` for each model, with the readings of the same dwells.
     terms : sequence of Term
         Terms of the chosen model, by which dwells count (`predicted_dwells`).
     by : sequence of int
         Numbers of the models that must determine each dwell that counts.
     """
-    designs = folds(asked[0][1])
-    lefts = [fold.left_out(data, designs, fit) for fold, data, fit in asked]
-    counts = predicted_dwells(asked[0][1], designs, terms)
+    data = models[0][1]
+    designs = folds(data)
+    counts = predicted_dwells(data, designs, terms)
+    designs = {name: designs[name] for name in counts}
+    lefts = [fold.left_out(own, designs, fit) for fold, own, fit in models]
     for k in by:
         counts = drop_unpredicted(counts, lefts[k])
-    return [select_counted(left, counts) for left in lefts]
+    return [[left[name].rows(mask) for name, mask in counts.items()] for left in lefts], counts
 
 
 @dataclass(frozen=True)
@@ -423,22 +419,21 @@ def error_figures(
     if leaves_too_few(fits[-1]):
         lefts, design = leave_each_out(fits)
     else:
+        several = len(fits) > 1
+        # The effects of the final model are chosen again, and also kept if no average replaces them.
+        models = [*fits[:-1], None, *([fits[-1]] if fold.averaged is None else [])] if several else fits
+        lefts, counts = held_out_alike(
+            [(fold, data, fit) for fit in models], selection.terms, [len(fits) - 1] if several else []
+        )
         designs = folds(data)
-        counts = predicted_dwells(data, designs, selection.terms)
-        anew = fold.left_out(data, designs) if len(fits) > 1 else {}
-        counts = drop_unpredicted(counts, anew) if anew else counts
-        designs = {name: designs[name] for name in counts}
         shown = {name: f", {mask.sum()} of {len(data)} dwells" for name, mask in counts.items()}
         shown = {name: "" if counts[name].all() else text for name, text in shown.items()}
-        design = "; ".join(f"{name} ({len(masks)} folds{shown[name]})" for name, masks in designs.items())
-        kept = fits[:-1] if len(fits) > 1 else fits
-        lefts = [select_counted(fold.left_out(data, designs, fit), counts) for fit in kept]
-        if len(fits) > 1:
-            lefts.append(select_counted(anew, counts))
+        design = "; ".join(f"{name} ({len(designs[name])} folds{text})" for name, text in shown.items())
+        if several:
             design += "; effects chosen again in each fold"
-            if fold.averaged is None:
-                again = _heldout(select_counted(fold.left_out(data, designs, fits[-1]), counts), data)
-                design += f", {again:.3g} {data.model.unit} with those found kept"
+        if len(lefts) > len(fits):
+            again = _heldout(lefts.pop(), data)
+            design += f", {again:.3g} {data.model.unit} with those found kept"
         if any(shown.values()):
             design += (
                 "; a dwell counts if every model predicts it: the base model's error depends on the others"
@@ -527,10 +522,7 @@ def leave_each_out(fits: Sequence[Fit]) -> tuple[list[list[HeldOut]], str]:
         )
     design = f"each of {len(data)} dwells in turn, effects kept: the others are too few to choose any from"
     designs = {design: singles}
-    every = {design: np.ones(len(data), dtype=bool)}
-    return [
-        select_counted(cross_validate(data, designs, _keep_effects(fit)), every) for fit in fits
-    ], design
+    return [list(cross_validate(data, designs, _keep_effects(fit)).values()) for fit in fits], design
 
 
 def guard_errors(selection: Selection, fits: Sequence[Fit], fold: Fold) -> list[float | None]:
@@ -544,13 +536,10 @@ def guard_errors(selection: Selection, fits: Sequence[Fit], fold: Fold) -> list[
     if leaves_too_few(selection.fit) or len(fits) == 1:
         return [None for _ in fits]
     data = selection.data
-    designs = folds(data)
-    counts = predicted_dwells(data, designs, selection.terms)
     # A formula that was found with all dwells was influenced by the held-out dwells, and so was an average.
     final = fits[-1] if fold.averaged is None else None
-    lefts = [fold.left_out(data, designs, fit) for fit in (*fits[:-1], final)]
-    counts = drop_unpredicted(counts, lefts[-1])
-    return [_heldout(select_counted(left, counts), data) for left in lefts]
+    models = [(fold, data, fit) for fit in (*fits[:-1], final)]
+    return [_heldout(left, data) for left in held_out_alike(models, selection.terms, [-1])[0]]
 
 
 def _heldout(parts: Sequence[HeldOut], data: Readings) -> float | None:

@@ -347,7 +347,8 @@ def _errors(free: TraceRun, asked: TraceRun) -> list[ErrorFigures]:
     data = free.selection.data
     searched = [(run, run.fits[-1] if run.shortened else None) for run in (free, asked)]
     models = [(run.fold, run.selection.data, fit) for run, fit in ((free, free.fits[0]), *searched)]
+    lefts, _ = held_out_alike(models, free.selection.terms, (1, 2))
     return [
         replace(figure, heldout_kept=None, **heldout_errors(data, left))
-        for figure, left in zip(figures, held_out_alike(models, free.selection.terms, (1, 2)), strict=True)
+        for figure, left in zip(figures, lefts, strict=True)
     ]

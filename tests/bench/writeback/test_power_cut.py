@@ -2,8 +2,8 @@
 
 Two ways: `test_after_each_frame…` runs the procedure once and asks at every one of its frames what a part
 that loses its power there would hold, and what the next start says of it and does with it. `test_a_cut…`
-really cuts, at every frame outside the dwells and at some within, where the host goes on against a dead
-line or against a part that has restarted.
+really cuts, before and after each frame that writes, at every third of the others outside the dwells and
+at some within, while the host goes on against a dead line or against a part that has restarted.
 """
 
 import shutil
@@ -136,8 +136,8 @@ def test_after_each_frame_a_part_without_power_is_old_or_new_and_the_next_start_
 
 
 def frames_to_cut(tmp_path, recorded):
-    """Frames of an undisturbed write after which to cut: all that are no dwell's, one in the middle of each
-    dwell's batches; of the frames before the first write, which only read, every seventh."""
+    """Frames of an undisturbed write after which to cut: around each that writes, every third of the others
+    that are no dwell's, one in the middle of some dwells; of those before the first write every seventh."""
     bus = new_bus(3)
     made = OffsetWriter(Adis16354(bus), shutil.copy(recorded, tmp_path / "count.session"), SAVE)
     bus.arm()
@@ -146,7 +146,8 @@ def frames_to_cut(tmp_path, recorded):
     def noted(frames):
         mine = range(bus.frames, bus.frames + len(frames))
         if len(frames) < DWELL_FRAMES:
-            cuts.extend(mine if wrote else mine[::7])
+            writing = [number for number, frame in zip(mine, frames, strict=True) if frame & 0x8000]
+            cuts.extend([*writing, *(number + 1 for number in writing), *mine[:: 3 if wrote else 7]])
         else:
             within.append(mine[len(mine) // 2])
             assert not (frames & 0x8000).any(), "a dwell only reads"

@@ -27,6 +27,7 @@ from adis_gonio.bench.writeback import (
 )
 from adis_gonio.calibrate import Calibration
 from adis_gonio.device.sensor import Adis16354
+from adis_gonio.handover.session_export import ExportSource
 from adis_gonio.record.write_journal import describe_writes, operations
 from bench.writeback.rig import OFFSETS, flash, new_bus, numbers, record
 from fakes.boards import Board
@@ -595,6 +596,30 @@ def test_coefficients_do_not_correct_again_what_the_chip_corrects(recorded, path
     back = fit(load_session(path))
     assert back.calibration()["bias_x"].value == then["bias_x"].value
     assert not any("offsets were written" in line for line in back.warnings)
+
+
+def test_an_export_after_an_unsaved_write_names_the_offsets_that_a_power_cycle_brings_back(path):
+    bus = new_bus()
+    for save, end in (
+        (False, "not saved to flash: a power cycle brings back XACCL_OFF 0 and YACCL_OFF 0"),
+        (True, "saved to flash"),
+    ):
+        wrote(bus, path, replace(SHORT, save=save))
+        for kind in ("json", "c-header"):
+            (remark,) = ExportSource(path).write(kind, path.with_suffix(f".{kind}"))
+            assert f"hold only while the part holds the offsets written; they are {end}" in remark
+    # A later write that is not saved: the flash has the numbers of the write before it.
+    session = load_session(path)
+    saved = session.facts["offset_writes"]
+    other = [
+        {**entry, "number": 9} | ({"new": dict.fromkeys(entry["new"], 7)} if "new" in entry else {})
+        for entry in saved
+        if entry["step"] != "saved"
+    ]
+    (text,) = describe_writes(operations([*saved, *other]), dict.fromkeys(OFFSETS, 0))
+    assert f"brings back XACCL_OFF {numbers(bus)[0]}" in text
+    writer(bus, path).undo()
+    assert not ExportSource(path).write("c-header", path.with_suffix(".h"))
 
 
 def test_after_an_interrupted_write_there_are_no_coefficients(path):

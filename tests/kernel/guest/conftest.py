@@ -5,13 +5,20 @@ from collections.abc import Iterator
 
 import pytest
 
-import adis_gonio.sim  # noqa: F401 - imported once, before the processes are forked
+# Imported once, before the processes are forked; the guest takes seconds for each. hidapi has a state.
+import serial.tools.list_ports  # noqa: F401
+import usb.util  # noqa: F401
+
+import adis_gonio.device.bus.cp2130
+import adis_gonio.device.bus.mcp2210
+import adis_gonio.device.bus.serial
+import adis_gonio.sim  # noqa: F401
 from kernel import device_process, open_urls
 from kernel.bench import Bench, Forked
 
 TEST_TIME_S = 300
 
-# Forked before any test imports a USB library: a library's state must not be shared by two processes.
+# Forked before any test opens a board: the state of a USB library must not be shared by two processes.
 _devices = Forked(device_process.serve)
 _users = Forked(open_urls.serve)
 

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from adis_gonio.faces.cli import app
-from kernel.bench import Bench, Forked, node, reload_rules, settle
+from kernel.bench import Bench, Forked, node, reload_rules, serials, settle
 
 BENCH_USER = 4242
 RULES = Path("/etc/udev/rules.d/70-adis-gonio.rules")
@@ -51,8 +51,18 @@ def no_rules(bench: Bench) -> Iterator[None]:
     reload_rules()
 
 
-def test_devices_lists_what_is_connected(bench: Bench) -> None:
-    plug_all(bench)
+@pytest.mark.usefixtures("no_rules")
+def test_boards_are_listed_and_refused_to_a_user_until_the_rules_are_installed(
+    bench: Bench, users: Forked
+) -> None:
+    urls = plug_all(bench)
+    ids = {
+        serial: tuple((path / name).read_text().strip() for name in ("idVendor", "idProduct"))
+        for serial, path in serials().items()
+        if serial in ("A1", "B2", "C3")
+    }
+    assert ids == {"A1": ("04d8", "00de"), "B2": ("10c4", "87a0"), "C3": ("2341", "0043")}
+    assert (serials()["A1"] / "product").read_text().strip() == "MCP2210 USB-to-SPI Master"
     devices = {
         row["url"]: row["description"] for row in json.loads(command("devices", "--json"))["devices"]
     }
@@ -60,12 +70,6 @@ def test_devices_lists_what_is_connected(bench: Bench) -> None:
     assert "CP2130" in devices["cp2130:B2"]
     assert "serial number C3" in devices[f"serial:{node('C3', 'tty')}"]
 
-
-@pytest.mark.usefixtures("no_rules")
-def test_without_the_rules_a_user_is_refused_and_told_the_rule_with_them_it_works(
-    bench: Bench, users: Forked
-) -> None:
-    urls = plug_all(bench)
     # Debian gives ttys to dialout without any rule of ours: this user is in no group.
     refused = open_as_user(users, urls, [])
     assert [row.get("error") for row in refused] == ["CannotOpenError"] * len(urls)

@@ -1,4 +1,4 @@
-"""Captures of a logic analyser (VCD, IEEE 1364) as the calls of a bus, one for each SPI frame.
+"""Captures of a logic analyser (VCD files, IEEE 1364) read as calls of a bus, one for each SPI frame.
 
 A frame begins when chip select falls and ends when it rises. The chip uses SPI mode 3: both data lines are
 sampled at each rising edge of the clock, MSB first. Signals are found by their usual names.
@@ -39,7 +39,7 @@ class LogicCapture:
     Attributes
     ----------
     damage : str
-        Reason why the last frame is incomplete, known after the iteration; otherwise empty.
+        Reason why the last frame is incomplete; empty if it is complete. Known after the iteration.
 
     Raises
     ------

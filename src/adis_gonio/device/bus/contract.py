@@ -186,9 +186,9 @@ class SpiBus(Closing):
             return self._checked(self._exchange(frames), frames.size)
 
     def _checked(self, replies: Words, count: int) -> Words:
-        """Return the replies of `_exchange` as uint16, after a check of their number and range.
+        """Return the replies of `_exchange` as (count,) uint16, after a check of their number and range.
 
-        Raises `ProtocolError` unless they are `count` 16-bit words.
+        Raises `ProtocolError` unless `replies` are `count` integers from 0 to 0xFFFF.
         """
         if isinstance(replies, np.ndarray) and replies.dtype == np.uint16 and replies.shape == (count,):
             return replies
@@ -276,7 +276,11 @@ class SpiBus(Closing):
 
     @abstractmethod
     def _exchange(self, frames: Words) -> Words:
-        """Send at least one valid frame and return the replies; called with the lock held, bus open."""
+        """Send n frames (n,) and return their n replies (n,).
+
+        The caller has checked that the frames are valid, n is at least 1 and the bus is open; it holds the
+        lock.
+        """
 
     @abstractmethod
     def _configure(self, timing: SpiTiming) -> SpiTiming:
@@ -287,18 +291,19 @@ class SpiBus(Closing):
         """Release the device; `close` calls this at most once."""
 
     def _start_stream(self, frames: Sequence[int], block_scans: int) -> FrameStream:
-        """Start a stream of valid read frames and return it; called with the lock held.
+        """Start a stream of the read frames `frames` and return it.
 
-        A block of the stream has about `block_scans` scans.
+        A block of the stream has about `block_scans` scans. The caller has checked the frames and holds the
+        lock.
         """
         raise NotImplementedError
 
     def _pull_reset(self) -> None:
-        """Pull the RST line low for a moment; called with the lock held."""
+        """Pull the chip's RST line low for about 1 ms; the caller holds the lock."""
         raise NotImplementedError
 
     def _count_edges(self) -> int:
-        """Return the number of data-ready edges since the last call; called with the lock held."""
+        """Return the number of data-ready edges since the last call; the caller holds the lock."""
         raise NotImplementedError
 
     def _require_open(self) -> None:
@@ -314,7 +319,7 @@ class SpiBus(Closing):
 class FrameStream(Closing):
     """A running stream: an iterator of `FrameBlock` that ends after `close`.
 
-    While it runs the bus belongs to it: `exchange` raises `UsageError` until `close`.
+    While the stream runs, `exchange` of its bus raises `UsageError`; `close` ends this.
     """
 
     @abstractmethod

@@ -75,17 +75,17 @@ Bits 2:0 of the byte are the clock code.
 EVENT_PIN = 4
 """GPIO.4, the only pin that can count edges."""
 COUNTER_MODES = (4, 5, 6, 7)
-"""Modes of the event counter that count; not confirmed by a document.
+"""Codes of the modes in which the event counter counts; not confirmed by a document.
 
-They count edges rising and falling, pulses negative and positive. The function of the pin is programmed at
-the factory or once by its owner (OTP), never by this package.
+In this order it counts rising edges, falling edges, negative pulses, positive pulses. The function of the
+pin is programmed into one-time memory (OTP), at the factory or by the buyer, and never by this package.
 """
 
 PIN_BITS = (3, 4, 5, 6, 7, 8, 10, 11, 12, 13, 14)
 """Bits of GPIO.0 to GPIO.10 in a word of pins; not confirmed by a document.
 
-The answer about chip selects has a word of channels, which count from bit 0, and a word of pins: the pins
-that are an active chip select.
+The reply to `GET_CHIP_SELECT` has two words. In the first, bit k is set if the chip select of channel k is
+enabled. In the second, the bits in this tuple are set for the pins that are a chip select.
 """
 
 
@@ -273,7 +273,7 @@ class Cp2130Bus(host.UsbBus):
         return parse_counter(self._in(ControlRequest.GET_EVENT_COUNTER, 3))
 
     def _count_edges(self) -> int:
-        """Return the number of data-ready edges since the last call or the last port reset."""
+        """Return the number of data-ready edges since the last call, or since a later port reset."""
         self._settle()
         _, count = self._counter()
         # The counter is never set back, so that a read that fails loses nothing.

@@ -70,7 +70,7 @@ WALL = Clock()
 
 
 class Pace:
-    """Computes when the next frame may start, if the host has to keep stall and period.
+    """Waits until the next frame may start, for a bridge whose host has to keep stall and period.
 
     The host knows the time at which it got the report of the end of a frame, which is later than the rise
     of chip select. Both limits count from this time, so that they are kept for any latency of the bridge.
@@ -179,13 +179,13 @@ class UsbOptions:
     Attributes
     ----------
     cs : int
-        Pin that is chip select.
+        Number of the pin that is chip select.
     reset_gpio : int or None
-        Pin that is wired to the chip's RST; None if none is.
+        Number of the pin that is wired to the chip's RST; None if RST is not wired.
     event_counter : bool
         True if data-ready is wired to the pin that counts.
     timeout_s : float
-        Longest time for one transfer; a chip needs less than 2 ms.
+        Longest time in s for one transfer; a chip needs less than 2 ms.
     """
 
     cs: int = 0
@@ -257,10 +257,10 @@ class UsbBus(HostBus):
 
     @abstractmethod
     def _note_failure(self, error: BaseException) -> bool:
-        """Note the recovery that is needed after a frame failed with `error`.
+        """Store which recovery is needed after a frame failed with `error`.
 
-        Return True if the recovery can be done at once, False if it has to wait until the bus is used
-        again.
+        Return True if the recovery can be done at once, False if it has to wait for the next use of the
+        bus.
         """
 
     @abstractmethod
@@ -278,7 +278,7 @@ def choose_board(url: BusUrl, what: str, fits: Sequence[T], boards: Sequence[T],
     fits, boards : sequence
         Boards that fit, and all connected boards.
     devices : callable
-        Converts boards to devices for a message.
+        Converts a sequence of boards to a list of `Device`, which messages show.
 
     Raises
     ------

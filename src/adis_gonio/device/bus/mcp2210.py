@@ -188,10 +188,7 @@ def data_of(answer: bytes, command: Command) -> bytes:
 
 
 def word_of(answer: bytes, command: Command) -> int:
-    """Return the content of an answer with one 16-bit word: a count of events, or one bit for each pin.
-
-    `command` is the command that is answered.
-    """
+    """Return the 16-bit word in an answer to `command`: a count of events, or one bit for each pin."""
     return int(_WORD.unpack_from(data_of(answer, command))[0])
 
 
@@ -383,6 +380,7 @@ class TimedWrites:
 
 
 _TRIES = 2
+"""Number of times that a transfer is sent if the device refuses it."""
 _MOST_LATE = 64
 """Largest number of answers to other commands that are discarded before an error is raised."""
 

@@ -238,7 +238,7 @@ class ObservedBus(ForwardingBus):
         return _stand_in(_describe(helper), call)
 
     def witness(self, name: str, observe: Callable[[], T]) -> T:
-        """Return `observe()` and note it under `name`, unless it is empty or false."""
+        """Return `observe()`, and note this value under `name` unless it is None, empty or false."""
         value = self.inner.witness(name, observe)
         if value:
             now = self.inner.now_s()
@@ -519,7 +519,8 @@ class ReplayBus(SpiBus):
     def now_s(self) -> float:
         """Return the recorded time in s if the next recorded call reads the clock.
 
-        Otherwise return the time at which the last replayed call had ended.
+        Otherwise return the time of the last clock read or the end of the last replayed call, whichever was
+        later in the recording.
         """
         self._now_s = self.witness("clock", lambda: self._now_s)
         return self._now_s

@@ -304,7 +304,7 @@ class SpidevBus(host.HostBus):
         return replies
 
     def _message(self, frames: Words) -> Words:
-        """Send frames by one ioctl, each with its own chip-select period; return the replies."""
+        """Send n frames (n,) by one ioctl, each with chip select low by itself; return the replies (n,)."""
         count = len(frames)
         sent = frames.astype(">u2")
         received = np.zeros(count, ">u2")

@@ -194,7 +194,7 @@ class Adis16354(Closing):
     # -- registers --------------------------------------------------------------------------------
 
     def read_words(self, names: Sequence[str | Register]) -> list[int]:
-        """Read registers as raw 16-bit words with their flags; k registers take k + 1 frames."""
+        """Read k registers as raw 16-bit words with their flags, in the given order (k + 1 SPI frames)."""
         frames = np.append(read_frames(registers(names)), np.uint16(IDLE))
         return [int(word) for word in self.bus.exchange_array(frames)[1:]]
 
@@ -204,7 +204,7 @@ class Adis16354(Closing):
         return row.number(self.read_words([row])[0])
 
     def read_all(self) -> dict[str, int]:
-        """Read all readable registers as integers, by name in order of address; this clears STATUS."""
+        """Read all readable registers; return the integers by register name. The read clears STATUS."""
         rows = [row for row in REGISTERS if row.readable]
         return {row.name: row.number(word) for row, word in zip(rows, self.read_words(rows), strict=True)}
 
@@ -277,7 +277,7 @@ class Adis16354(Closing):
         return found
 
     def read_checked(self, names: Sequence[str | Register]) -> list[int]:
-        """Read registers repeatedly until two successive readings agree; return their words.
+        """Read registers repeatedly until two successive readings agree; return one raw word for each.
 
         Each reading also reads SENS_AVG before and after the registers. SENS_AVG is never 0x0000 or 0xFFFF
         (its range code is 4, 2 or 1), so such replies come from a stuck line. Use this method for registers
@@ -542,7 +542,9 @@ class Adis16354(Closing):
         return self._flash_command("flash_update", FLASH_UPDATE_S, "the flash update")
 
     def autonull(self) -> Offsets:
-        """Let the chip cancel its present gyro outputs while it is at rest; return the new offsets.
+        """Let the chip set its gyro offsets so that the present gyro outputs become 0; return the offsets.
+
+        The sensor must be at rest.
 
         The autonull ends in a flash update, so `ChipError` is raised if the flash is worn (10 000 updates).
         The maker does not give its duration: the method waits until filter and flash update must have
@@ -553,7 +555,7 @@ class Adis16354(Closing):
         return self.offsets()
 
     def precision_autonull(self) -> Offsets:
-        """Let the chip measure and cancel its gyro biases for 30 s at rest; return the new offsets.
+        """Let the chip average its gyros for 30 s at rest and cancel their biases; return the new offsets.
 
         The precision autonull ends in a flash update. It raises `ChipError` if the flash is worn
         (10 000 updates). Only a reset of the chip stops the autonull.

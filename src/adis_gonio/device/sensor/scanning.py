@@ -247,7 +247,7 @@ By chance three registers would have to read -1 LSB together, with an error flag
 LEAST_PASSES = 4
 """Smallest number of passes in a batch, and number of passes kept for the next batch.
 
-An update and the silence after it take three passes.
+The words of an update, and the reads without new data that must follow them, take three passes.
 """
 
 
@@ -487,9 +487,10 @@ class PolledScans(ScanStream):
         )
 
     def _heed_counter(self) -> None:
-        """Compare the number of counted updates with the data-ready edges that the bus has counted.
+        """Compare the scans and missed updates so far with the data-ready edges that the bus has counted.
 
-        A difference is added to the missed updates of the next block.
+        If they differ by more than `COUNTER_SLACK`, the difference is added to the missed updates of the
+        next block.
         """
         if self._edges is None or self._last_s is None:
             return
@@ -576,9 +577,9 @@ class PolledScans(ScanStream):
         return self._counted(words[passes, columns], times[passes, columns][:, 0])
 
     def _counted(self, words: Words, time_s: Floats) -> ScanBlock:
-        """Make a block of the scans, with the number of missed updates computed from the gaps in time.
+        """Make a block of n scans; compute the missed updates from the times between the scans.
 
-        `words` is (n, k), `time_s` (n,).
+        `words` (n, k) are the words of the scans, `time_s` (n,) the times of the scans in s.
         """
         if not len(time_s):
             return self._block(words, time_s, 0)

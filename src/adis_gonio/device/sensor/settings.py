@@ -35,16 +35,17 @@ from adis_gonio.device.sensor.registers import (
 
 
 def filter_weights(m: int) -> Floats:
-    """Return the weights (2·2^M − 1,) of the chip's filter of size M, with sum 1.
+    """Return the weights (2·2^M − 1,) of the chip's filter of size M = `m`; their sum is 1.
 
-    The filter is two cascaded moving averages over 2^M samples (data sheet, confidence A).
+    The filter is two cascaded moving averages over 2^M samples (data sheet, confidence A). M above 6 acts
+    as 6.
     """
     box = np.full(1 << min(m, 6), 1.0 / (1 << min(m, 6)))
     return np.convolve(box, box)
 
 
 def white_noise_gain(m: int) -> float:
-    """Return the factor by which the chip's filter of size M reduces the rms of white noise.
+    """Return the rms of white noise behind the chip's filter of size M, divided by its rms before it.
 
     It is 1, 0.612, 0.415 … for sizes M = 0, 1, 2 … (data sheet, confidence A).
     """
@@ -52,7 +53,10 @@ def white_noise_gain(m: int) -> float:
 
 
 def filter_response(m: int, frequency: Floats) -> Floats:
-    """Return the power response |H|² of the chip's filter of size M at frequencies in cycles per sample."""
+    """Return the power response |H|² of the chip's filter of size `m`, in the shape of `frequency`.
+
+    `frequency` has frequencies in cycles per sample.
+    """
     taps = 1 << m
     with np.errstate(invalid="ignore", divide="ignore"):
         box = np.sin(np.pi * frequency * taps) / (taps * np.sin(np.pi * frequency))
@@ -384,10 +388,10 @@ def decode_numbers(table: Sequence[Register], words: Words) -> NDArray[np.int32]
 
 @lru_cache(maxsize=64)
 def _masks_and_signs(layout: tuple[tuple[int, bool], ...]) -> tuple[Words, Words]:
-    """Return data masks and sign bits for the words of as many scans as are decoded in one step.
+    """Return data masks and sign bits, each (s·k,), for the s scans of k words decoded in one step.
 
-    `layout` has number of bits and signedness of each column. (word & mask ^ sign) - sign masks the flags
-    off and extends the sign; sign is 0 for unsigned registers.
+    `layout` has for each of the k columns the number of bits, and True if the number is signed.
+    (word & mask ^ sign) - sign masks the flags off and extends the sign; sign is 0 for unsigned registers.
     """
     mask = np.array([(1 << bits) - 1 for bits, _ in layout], np.uint16)
     sign = np.array([1 << bits - 1 if signed else 0 for bits, signed in layout], np.uint16)
@@ -490,9 +494,9 @@ class ScanBlock:
         return replace(self, registers=tuple(names), words=self.words[:, columns])
 
     def first(self, count: int) -> ScanBlock:
-        """Return a copy of the first `count` scans, with the missed updates before them.
+        """Return a copy of the first `count` scans, in which `lost` counts the missed updates before them.
 
-        If the places of the missed updates are unknown, the copy keeps them all.
+        If `missed` is None, it is not known where updates were missed, and `lost` is unchanged.
         """
         missed = None if self.missed is None else self.missed[:count]
         return replace(
@@ -534,7 +538,7 @@ class ScanBlock:
 
 
 def join(blocks: Sequence[ScanBlock]) -> ScanBlock:
-    """Join successive blocks of the same registers; missed updates and omitted scans add up."""
+    """Join successive blocks of the same registers to one block; `lost` and `dropped` are summed."""
     first = blocks[0]
     missed = [block.missed for block in blocks if block.missed is not None]
     return replace(

@@ -14,7 +14,14 @@ import click
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import check_page, print_json, report_progress, report_written, write_page
+from adis_gonio.faces.cli.show import (
+    check_page,
+    print_json,
+    report_progress,
+    report_written,
+    say,
+    write_page,
+)
 from adis_gonio.handover.formats import BY_NAME, FORMATS, format_of
 
 if TYPE_CHECKING:
@@ -94,7 +101,7 @@ def export_command(
                     shutil.copyfileobj(file, sys.stdout.buffer)
                 sys.stdout.flush()
     for remark in remarks:
-        click.echo(f"{session}: {remark}", err=True)
+        say(f"{session}: {remark}")
     if output is not None and to_file:
         report_written(output, kind)
 

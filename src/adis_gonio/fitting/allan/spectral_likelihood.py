@@ -99,7 +99,7 @@ def ordinate_variances(autocovariance: Floats, n: int, k: Floats) -> Floats:
 
 
 def line(n: int, k: Floats) -> Floats:
-    """Return the DCT-II coefficients, at the indices k, of the straight line 0, 1, … n − 1.
+    """Return the DCT-II coefficients (len(k),) of the straight line 0, 1, … n − 1, at the indices `k`.
 
     Coefficients with an even index are zero.
     """
@@ -202,9 +202,9 @@ class AllanCurve(JsonRecord):
 
 
 def octaves(longest: int) -> list[int]:
-    """Return averaging times of the Allan variance, in samples: 1, 2, 4, … .
+    """Return the averaging times of the Allan variance in samples: 1, 2, 4, … .
 
-    At the largest, a record of `longest` samples has at least `LEAST_DIFFERENCES` differences of
+    At the largest time a record of `longest` samples has at least `LEAST_DIFFERENCES` differences of
     neighbouring means.
     """
     return [1 << j for j in range(longest.bit_length()) if 2 * (1 << j) + LEAST_DIFFERENCES <= longest]
@@ -447,7 +447,9 @@ _POINTS = 16
 
 @dataclass(frozen=True)
 class Ordinates:
-    """Spectrum of one or several records of an axis: DCT-II ordinates, joined in frequency bins.
+    """Spectrum of one or several records of an axis: its ordinates, joined in frequency bins.
+
+    The ordinates of a record are its DCT-II coefficients without the first, the mean.
 
     Attributes
     ----------
@@ -498,7 +500,7 @@ class Ordinates:
 def ordinates(
     record: Floats, filter_m: int, period_s: float, rounding: Floats, masked: NDArray[np.intp]
 ) -> Ordinates:
-    """Compute the spectrum (DCT-II ordinates) of a record after its linear slope was subtracted.
+    """Compute the spectrum (DCT-II coefficients) of a record after its linear slope was subtracted.
 
     Parameters
     ----------
@@ -533,7 +535,7 @@ def ordinates(
 
 
 def together(parts: list[Ordinates]) -> Ordinates:
-    """Combine the ordinates of several records of an axis into one object."""
+    """Combine the spectra of several records of an axis."""
     lines, at = [], 0
     for part in parts:
         lines += [(first + at, ordinate, slope) for first, ordinate, slope in part.lines]
@@ -693,10 +695,10 @@ class Likelihood:
         self._d = np.concatenate([d for _, _, d in data.lines])
 
     def expected(self, theta: Floats) -> Floats:
-        """Return the expected variance (k,) of the ordinates in each kind of bin.
+        """Return the expected variance (k,) of the ordinates in each of k kinds of frequency bins.
 
-        `theta` (4,) are the squared coefficients. Bins in which every model expects equal variances, as of
-        records of equal length, are one kind.
+        `theta` (4,) are the squared coefficients. Bins in which every model expects equal variances are one
+        kind, such as equal bins of records of equal length.
         """
         return np.asarray(np.maximum(self._shapes @ theta + self._rounding, self._least), np.float64)
 

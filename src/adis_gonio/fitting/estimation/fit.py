@@ -225,16 +225,17 @@ class Fit:
 
     @cached_property
     def link_rows(self) -> LinkRows | None:
-        """Equations of the links between poses at the fitted attitudes; None if there are no links."""
+        """Equations of the links (known rotations between poses) at the fitted attitudes; else None."""
         if self.data.links is None:
             return None
         return LinkRows.at(self.data.links, self.values.attitude, self.tangent, self.data.own_root)
 
     @cached_property
     def modes(self) -> Floats | None:
-        """Effect (rows, k) of each shared mode of unit variance on the whitened rows; None without modes.
+        """Effect (rows, k) on the whitened rows of k independent errors that several dwells share.
 
-        The modes of the readings' 1/f noise come first, then the modes of the links' gyros.
+        Each error has its standard deviation as size. The errors by 1/f noise of the readings come first,
+        then the errors by the gyros that measured the links. None without such errors.
         """
         slow, links = self.data.slow, self.link_rows
         found = [] if slow is None or not slow.shape[2] else [self._own(slow)]
@@ -259,14 +260,15 @@ class Fit:
         return _factors(self.modes)
 
     def white(self, columns: Floats) -> Floats:
-        """Convert columns of readings (n, axes, d) to rows (rows, d) with noise of unit covariance.
+        """Whiten d changes of the readings: scale and mix them so that the noise has unit covariance.
 
-        The rows of the dwells come first, then the rows of the links.
+        `columns` (n, axes, d) are the changes. The result (rows, d) has the rows of the dwells, then the
+        rows of the links.
         """
         return self._without_shared(self._own(columns))
 
     def _own(self, columns: Floats) -> Floats:
-        """Convert columns of readings (n, axes, d) to whitened rows, ignoring noise that dwells share."""
+        """Whiten d changes of the readings as `white` does, but ignore noise that several dwells share."""
         whitened = self.white_by_dwell(columns)
         flat: Floats = whitened.reshape(whitened.shape[0] * whitened.shape[1], columns.shape[2])
         links = self.link_rows
@@ -279,16 +281,16 @@ class Fit:
         return flat - rows @ (middle @ (rows.T @ flat))
 
     def white_by_dwell(self, columns: Floats) -> Floats:
-        """Convert columns of readings (n, axes, d) to whitened rows of each dwell, (n, rows, d).
+        """Whiten d changes of the readings in each dwell alone; `columns` (n, axes, d) are the changes.
 
-        Noise that several dwells share is ignored.
+        The result (n, rows, d) has a few rows for each dwell. Noise that several dwells share is ignored.
         """
         return np.asarray(self.whitener @ columns)
 
     def by_reading(self, slope: Floats) -> Floats:
-        """Return the derivative (d, n, axes) of d weighted sums of whitened rows by each reading.
+        """Return the derivative (d, n, axes) of d weighted sums of the whitened rows by each reading.
 
-        The weights are the columns of `slope` (rows, d).
+        The whitened rows are those of `white`. The weights are the columns of `slope` (rows, d).
         """
         slope = self._without_shared(slope)
         of_dwells = len(self.data) * self.whitener.shape[1]
@@ -299,7 +301,7 @@ class Fit:
         return found if links is None else found + links.by_reading(slope[of_dwells:])
 
     def by_rotation(self, slope: Floats) -> Floats:
-        """Return the derivative (m, 3, d) of d weighted sums of whitened rows by each link's rotation.
+        """Return the derivative (m, 3, d) of d weighted sums of the whitened rows by each link's rotation.
 
         The derivative is per rad of rotation error. The weights are the columns of `slope` (rows, d).
         """
@@ -329,9 +331,10 @@ class Fit:
     # -- columns -----------------------------------------------------------------------------------
 
     def as_readings(self, term: Term, columns: Floats) -> Floats:
-        """Convert columns of a term to columns of readings (n, axes, d).
+        """Return d changes of the readings (n, axes, d) by a term, from its own changes `columns`.
 
-        Columns of an error of the angle are multiplied by the tangent; other columns are unchanged.
+        Changes of the angle (n, d) in rad are multiplied by the derivative of the reading by the angle;
+        changes of the readings are returned as they are.
         """
         if not term.enters_angle:
             return columns
@@ -340,7 +343,7 @@ class Fit:
         return self.tangent * columns[:, None, :]
 
     def candidate(self, term: Term) -> Floats:
-        """Return the derivative (n, axes, d) of the readings by the amplitudes of a new term, at zero."""
+        """Return the derivative (n, axes, d) of the readings by the amplitudes of a new term, at 0."""
         return self.as_readings(term, term.columns(self.ideal, self.data.conditions))
 
     def candidates(self, terms: Sequence[Term]) -> tuple[Floats, NDArray[np.intp]]:
@@ -394,10 +397,11 @@ class Fit:
         return self.white(self.columns)
 
     def linear(self) -> tuple[Floats, list[Floats], Floats]:
-        """Return the linear problem for choosing terms, in whitened rows.
+        """Return the linear least-squares problem in which terms are chosen, whitened (`white`).
 
-        It consists of the base columns (rows, p), the columns of each term, and the target (rows,): the
-        residual plus the contributions of the terms.
+        The results are the derivatives (rows, p) by the base parameters, the derivatives (rows, d) by the d
+        amplitudes of each term, and the values (rows,) to explain: the residual plus the contributions of
+        the terms.
         """
         target = self.residual.ravel()
         blocks = []
@@ -416,7 +420,7 @@ class Fit:
 
     @cached_property
     def equations(self) -> int:
-        """Number of equations that the readings give; an unknown angle of a dwell uses up one of them."""
+        """Number of whitened residuals, minus one for each dwell with an unknown angle."""
         spare = (
             0 if self.data.free else int(np.isinf(self.data.fixture).sum()) * (self.data.model.freedom == 1)
         )
@@ -485,14 +489,18 @@ class Fit:
         return self.chi2 + float((self._away**2).sum())
 
     def _with_prior(self, rows: Floats) -> Floats:
-        """Append the equations of the priors to the given whitened rows, one row for each prior."""
+        """Append one row for each parameter with a prior to the whitened derivatives `rows` (rows, p + q).
+
+        Such a row is 1/σ of the prior in the column of the parameter, and 0 elsewhere.
+        """
         precision, _ = self._prior
         return np.concatenate([rows, np.diag(precision)[precision > 0]])
 
     def base_step(self, left: Floats) -> Floats:
-        """Return the least-squares changes (p, k) of the base parameters that explain k residuals.
+        """Return the least-squares changes (p, k) of the base parameters that explain k sets of residuals.
 
-        `left` (rows, k) are whitened residuals. The priors of the base parameters count as further rows.
+        `left` (rows, k) are whitened residuals, one set in each column. The priors of the base parameters
+        count as further rows.
         """
         count = len(self.values.base)
         held = self._prior[0][:count] > 0

@@ -77,9 +77,10 @@ class Links:
         )  # fmt: skip
 
     def rows(self, kept: NDArray[np.intp]) -> Links | None:
-        """Return the links between kept readings; None without such a link.
+        """Return the links between two kept readings, with new numbers of the readings; None without any.
 
-        `kept` are the rows of these readings. The result has the numbers of the rows among the kept ones.
+        `kept` are the rows of the kept readings. `before` and `after` of the result are positions in
+        `kept`.
         """
         # New number of each kept reading, −1 for the others.
         place = np.full(max(int(self.after.max()), int(kept.max(initial=0))) + 1, -1, dtype=np.intp)
@@ -102,15 +103,16 @@ class Links:
 
     @cached_property
     def own_covariance(self) -> Floats:
-        """Covariance (3 m, 3 m) of the own errors of all links, in rad²."""
+        """Covariance (3 m, 3 m) in rad² of all rotation errors, without errors that all links share."""
         return _block_tridiagonal(self.own_rad2, self.next_rad2[:-1] * self.joined[:, None, None])
 
 
 @dataclass(frozen=True)
 class LinkRows:
-    """Equations that links contribute to a fit, two for each link, linearised at given attitudes.
+    """Equations that links (known rotations between readings) add to a fit, two for each link.
 
-    The symbols are those of the equations in the module's docstring.
+    They are linearised at given attitudes. The symbols T, y, F and K are explained at the top of the
+    module.
 
     Attributes
     ----------
@@ -119,13 +121,14 @@ class LinkRows:
     estimator : (n, 2, axes) float
         T of each reading: change of the fitted attitude by an error of the reading, rad per mg.
     misclosure : (m, 2) float
-        y of each link minus the contribution of the mean of ε.
+        y of each link: direction of gravity after the turn, minus the direction before it after the
+        rotation of the link, in rad. The effect of the mean rotation error is subtracted.
     carried : (m, 2, 2) float
         F: derivative of the attitude after a link by the attitude before it.
     turned : (m, 2, 3) float
         K: derivative of y by the rotation error ε.
     whitener : (2 m, 2 m) float
-        Inverse Cholesky factor of the rows' covariance without modes.
+        Inverse Cholesky factor of the covariance of the equations, without errors that all links share.
     """
 
     links: Links
@@ -173,9 +176,10 @@ class LinkRows:
         return cls(links, estimator, misclosure, carried, turned, whitener)
 
     def white(self, columns: Floats) -> Floats:
-        """Convert columns of readings (n, axes, d) to rows (2 m, d) with unit covariance, two per link.
+        """Return the effect (2 m, d) of d changes of the readings on the equations, two for each link.
 
-        Modes that all links share are not part of this covariance.
+        `columns` (n, axes, d) are the changes. The result is scaled so that the errors of the equations
+        have unit covariance, without errors that all links share.
         """
         moved = self.estimator @ columns
         rows = moved[self.links.after] - self.carried @ moved[self.links.before]
@@ -183,7 +187,7 @@ class LinkRows:
 
     @property
     def residual(self) -> Floats:
-        """Whitened misclosure (2 m,) of the links.
+        """Misclosure (2 m,) of the links, scaled to unit covariance.
 
         The misclosure of a link is the direction of gravity after it, minus the direction before it after
         the rotation of the link.
@@ -192,12 +196,15 @@ class LinkRows:
 
     @property
     def modes(self) -> Floats:
-        """Whitened effect (2 m, q) on the rows of the q modes that act on all links."""
+        """Effect (2 m, q) on the scaled equations of q independent errors that all links share.
+
+        Each error has its standard deviation as size.
+        """
         rows = self.turned @ self.links.modes_rad
         return np.asarray(self.whitener @ rows.reshape(-1, rows.shape[2]))
 
     def by_reading(self, slope: Floats) -> Floats:
-        """Return the derivative (d, n, axes) by the readings of d weighted sums of the whitened rows.
+        """Return the derivative (d, n, axes) of d weighted sums of the scaled equations by each reading.
 
         The weights are the columns of `slope` (2 m, d).
         """
@@ -208,9 +215,9 @@ class LinkRows:
         return np.asarray(np.einsum("nkd,nka->dna", moved, self.estimator))
 
     def by_rotation(self, slope: Floats) -> Floats:
-        """Return the derivative (m, 3, d) by the rotation errors ε of d weighted sums of the whitened rows.
+        """Return the derivative (m, 3, d) of d weighted sums of the scaled equations by rotation errors.
 
-        The weights are the columns of `slope` (2 m, d).
+        There are m rotation errors ε, one for each link. The weights are the columns of `slope` (2 m, d).
         """
         rows = (self.whitener.T @ slope).reshape(len(self.links), 2, -1)
         return np.asarray(self.turned.transpose(0, 2, 1) @ rows)

@@ -518,7 +518,7 @@ def _checked_readings(session: Session) -> Readings:
 
 
 def reduced(session: Session) -> Readings:
-    """Reduce all dwells to readings without a check that their length is 1 g."""
+    """Reduce all dwells to readings; the length of a reading and the sense of rotation are not checked."""
     source = session.source or "session"
     axes = 2 if session.plane == "xy" else 3
     dwells, converter, notes = _usable(session, axes)
@@ -605,7 +605,7 @@ def reduced(session: Session) -> Readings:
 
 
 def _without_noise(session: Session, dwells: list[Dwell], axes: int) -> bool:
-    """Return True if an axis has equal samples within each dwell: the file seems to repeat averages.
+    """Return True if an axis has constant samples within every dwell: the file seems to repeat averages.
 
     `axes` is the number of examined axes.
     """
@@ -641,11 +641,13 @@ def _usable(session: Session, axes: int) -> tuple[list[Dwell], screening.Convert
 def _of_flicker(
     dwells: Sequence[Dwell], flicker: Floats, many: NDArray[np.intp], n: int
 ) -> tuple[Floats, Floats | None]:
-    """Split the 1/f noise of dwell means into own variances (m, axes) and shared modes (n, axes, k).
+    """Split the 1/f noise of dwell means into a part of each dwell alone and a part that dwells share.
 
-    `flicker` (axes,) is its Allan variance. The m `dwells` have several samples; `many` are their rows
-    among the n readings. Together both parts describe the deviation from the mean of a session twice as
-    long (`covariance_of_means`). The modes are None if the dwells share no noise.
+    The first result (m, axes) is the variance of each mean by the part of its dwell alone. The second (n,
+    axes, k) is the change of the readings by each of k independent shared errors of unit variance; None if
+    there are none. `flicker` (axes,) is the Allan variance of the noise. The m `dwells` have several
+    samples; `many` are their rows among the n readings. The noise is the deviation from the mean over a
+    time twice as long as the session (`covariance_of_means`).
     """
     begin, end = (np.zeros(len(dwells)),) * 2
     if _keeps_modes(len(dwells), flicker):
@@ -663,7 +665,7 @@ def _keeps_modes(dwells: int, flicker: Floats) -> bool:
 
 
 def flicker_parts(begin_s: Floats, end_s: Floats, flicker: Floats) -> tuple[Floats, Floats | None]:
-    """Split the 1/f noise of dwell means into variances of single means and modes that means share.
+    """Split the 1/f noise of dwell means into a part of each mean alone and a part that means share.
 
     Parameters
     ----------
@@ -677,7 +679,8 @@ def flicker_parts(begin_s: Floats, end_s: Floats, flicker: Floats) -> tuple[Floa
     (m, axes) float in mg²
         Variance of each mean alone.
     (m, axes, k) float in mg, or None
-        Contribution of each of k independent modes to the means; None if they share no noise.
+        Change of the means by each of k independent errors, which the means share, at one standard
+        deviation; None if they share no noise.
     """
     m, axes = len(begin_s), len(flicker)
     if not _keeps_modes(m, flicker):
@@ -779,7 +782,7 @@ def mg_per_unit(session: Session) -> float:
 
 
 def quantization_variance(rows: Sequence[Floats], mg: Floats, quantum: Floats) -> Floats:
-    """Return the variance (dwells, axes) in mg² that the converter's step adds to the mean of a dwell.
+    """Return the variance (dwells, axes) in mg² of each dwell's mean by rounding to the converter's steps.
 
     `rows` are the samples of each dwell, `mg` the factor (axes,) from samples to mg, `quantum` the step
     (axes,) in mg.
@@ -788,10 +791,10 @@ def quantization_variance(rows: Sequence[Floats], mg: Floats, quantum: Floats) -
 
 
 def quantized_means(variance_mg2: Floats, quantum_mg: Floats) -> Floats:
-    """Return the variance (dwells, axes) in mg² that steps (axes,) of the converter add to means.
+    """Return the variance (dwells, axes) in mg² of each dwell's mean by rounding to the converter's steps.
 
-    `quantum_mg` are the steps, `variance_mg2` (dwells, axes) is the variance of the samples, including
-    their rounding.
+    `quantum_mg` (axes,) are the steps; `variance_mg2` (dwells, axes) is the variance of the rounded
+    samples.
     """
     step = np.where(quantum_mg > 0, quantum_mg, 1.0)
     # Noise before the converter, in steps: subtract the variance of rounding.
@@ -869,14 +872,14 @@ PARTS = (ACCELEROMETER, GYRO)
 
 
 def known_part(part: str) -> str:
-    """Return the name of a sensor part, `accelerometer` or `gyro`; `UsageError` for other names."""
+    """Return `part` if it is `accelerometer` or `gyro`; raise `UsageError` for any other name."""
     if part not in PARTS:
         raise UsageError(f"a sensor has no part '{part}'; it has {', '.join(PARTS)}")
     return part
 
 
 def readings_of_part(session: Session, part: str) -> Readings:
-    """Reduce a session to readings of its accelerometers or gyros; `part` is the name of the one wanted."""
+    """Reduce a session to readings of its accelerometers or gyros; `part` is `accelerometer` or `gyro`."""
     if known_part(part) == ACCELEROMETER:
         return readings_of(session)
     from adis_gonio.fitting.gyros.gyro_readings import gyro_readings_of

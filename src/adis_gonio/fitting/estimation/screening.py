@@ -123,7 +123,7 @@ def dwells_at_limit(dwells: Sequence[Dwell], limits: Sequence[Limit], gravity: f
 
 
 def longest_runs(accel: Floats) -> Floats:
-    """Return the largest number of equal samples in a row on each axis, (axes,)."""
+    """Return the largest number (axes,) of successive equal samples on each axis of samples (n, axes)."""
     runs = []
     for axis in range(accel.shape[1]):
         change = np.flatnonzero(np.diff(accel[:, axis]))
@@ -242,7 +242,7 @@ def _limits(dwells: Sequence[Dwell], steps: Floats) -> tuple[Limit, ...]:
 
 
 def is_lively(dwells: Sequence[Floats], steps: Floats) -> NDArray[np.bool_]:
-    """Return True for each axis (axes,) with more noise than a step of the converter can hide.
+    """Return a mask (axes,) of the axes whose noise is at least `_LIVELY` steps of the converter.
 
     `dwells` are the samples (n, axes) of each dwell, `steps` (axes,) the steps of the converter.
     """

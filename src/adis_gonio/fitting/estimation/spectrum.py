@@ -124,11 +124,11 @@ class _Ordinates:
 
 @dataclass(frozen=True)
 class _Foot:
-    """Fitted shape of the noise density near frequency zero, relative to its mean over a band.
+    """Fitted shape of the noise density in a band from frequency zero, relative to its mean over the band.
 
     `band` is the end of the band in cycles per sample. `log_zero` is the natural logarithm of the density
     at frequency zero and `log_zero_variance` its variance. `coefficients` are those of the polynomial that
-    was fitted to the logarithm of the density, `total_weight` is the sum of the weights in this fit.
+    was fitted to the logarithm of the density, `total_weight` is the number of spectral values in this fit.
     `beside_flicker` is True if 1/f noise was fitted in addition.
     """
 
@@ -145,13 +145,16 @@ class _Foot:
 
     @property
     def corner(self) -> float:
-        """Frequency at which the density falls to 1/e of its value at zero, at most the end of the band."""
+        """Frequency in cycles per sample at which the density falls to 1/e of its value at frequency zero.
+
+        It is at most the end of the band.
+        """
         x = np.linspace(0.0, 1.0, 65)
         fallen = np.flatnonzero(self.log_shape(x) < -1)
         return self.band * (float(x[fallen[0]]) if fallen.size else 1.0)
 
     def log_shape(self, x: Floats) -> Floats:
-        """Return the logarithm of the ratio of the density at x = f/band to the density at zero."""
+        """Return ln (density at the frequency x · `band` / density at frequency zero) for each x (n,)."""
         return _basis(x, len(self.coefficients) - 1) @ self.coefficients - self.log_zero
 
 
@@ -235,11 +238,11 @@ def _periodograms(samples: Sequence[Floats], scale: Floats | float) -> list[_Ord
 
 
 def _bins(frequency: Floats) -> NDArray[np.intp]:
-    """Divide the ordinates of a spectrum into bins; return the index of the first ordinate of each bin.
+    """Divide the values of a spectrum into bins; return the index of the first value in each bin.
 
-    `frequency` is in cycles per sample, up to 0.5. Each octave has `_CELLS`/2 bins of equal width, so that
-    the bins of the next higher octave are twice as wide. An ordinate exactly between two octaves has a bin
-    of its own, and so have the first `_ALONE` ordinates.
+    `frequency` has the frequency of each value in cycles per sample, up to 0.5. Each octave has `_CELLS`/2
+    bins of equal width, so that the bins of the next higher octave are twice as wide. A value exactly
+    between two octaves has a bin of its own, and so have the first `_ALONE` values.
     """
     # frexp splits 2f into octave (band) and mantissa (cell within the band).
     mantissa, octave = np.frexp(2 * frequency)
@@ -255,10 +258,11 @@ def _basis(x: Floats, order: int) -> Floats:
 
 
 def _whittle(design: Floats, weight: Floats, mean: Floats) -> tuple[Floats, Floats, float]:
-    """Fit the logarithm of a density as a linear combination of the columns of `design`.
+    """Fit the logarithm of a noise density to a spectrum, as a linear combination of given functions.
 
-    `mean` are mean ordinates with their `weight`. Return the coefficients, their covariance and −2 log
-    likelihood (Whittle), by Fisher scoring.
+    Return the coefficients (p,), their covariance (p, p) and −2 log likelihood (Whittle), by Fisher
+    scoring. `mean` (n,) are the mean spectral values in n bins, `weight` (n,) the number of values in each
+    bin, and `design` (n, p) the p functions at the bins.
     """
     inverse = np.asarray(np.linalg.pinv(design.T @ (weight[:, None] * design)), dtype=np.float64)
     beta = np.zeros(design.shape[1])
@@ -277,12 +281,12 @@ def _whittle(design: Floats, weight: Floats, mean: Floats) -> tuple[Floats, Floa
 def _whittle_with_flicker(
     design: Floats, inverse_x: Floats, weight: Floats, mean: Floats
 ) -> tuple[Floats, Floats, float]:
-    """Fit the density exp(polynomial) + h/x, with 1/f noise h/x.
+    """Fit a noise density exp(polynomial) + h/x to a spectrum, in which h/x is 1/f noise at frequency x.
 
-    Return the coefficients of the polynomial, their covariance and −2 log likelihood (Whittle). The
-    polynomial combines the columns of `design`; `mean` are mean ordinates with their `weight`. h is fitted
-    but not returned; its uncertainty is included in the covariance. `inverse_x` is the mean of 1/x for each
-    ordinate.
+    Return the coefficients of the polynomial, their covariance and −2 log likelihood (Whittle). h is fitted
+    but not returned; its uncertainty is included in the covariance. `mean` (n,) are the mean spectral
+    values in n bins, `weight` (n,) the number of values in each bin, `inverse_x` (n,) the mean of 1/x in
+    each bin. The columns of `design` are the terms of the polynomial at the bins.
     """
     terms = design.shape[1]
     beta = np.zeros(terms + 1)
@@ -313,7 +317,10 @@ def _whittle_with_flicker(
 
 
 def _rises_like_flicker(groups: list[_Ordinates]) -> bool:
-    """Return True if 1/f noise explains the lowest ordinates better than filtered noise does."""
+    """Return True if 1/f noise alone explains the lowest spectral values better than filtered noise.
+
+    `groups` has the spectra of the dwells, one entry for each length of a dwell.
+    """
     lowest = _lowest(groups)
     if lowest is None:
         return False
@@ -325,9 +332,10 @@ def _rises_like_flicker(groups: list[_Ordinates]) -> bool:
 
 
 def _flicker_at_foot(groups: list[_Ordinates]) -> bool:
-    """Return True if white noise plus 1/f noise fits the lowest ordinates better than filtered noise does.
+    """Return True if white plus 1/f noise explains the lowest spectral values better than filtered noise.
 
-    Over a wide band the decrease of a long filter resembles h/f plus a polynomial; here the filter is flat.
+    `groups` has the spectra of the dwells. Only the lowest values are used, because there a filter is flat;
+    over a wide band the decrease of a long filter resembles h/f plus a polynomial.
     """
     lowest = _lowest(groups)
     if lowest is None:
@@ -338,20 +346,20 @@ def _flicker_at_foot(groups: list[_Ordinates]) -> bool:
 
 
 def _by_filter(k: Floats, total: Floats, mean: Floats) -> float:
-    """Return −2 log likelihood of the lowest ordinates under a density that is flat near zero.
+    """Return −2 log likelihood of the lowest spectral values for filtered noise.
 
-    Filtered noise has such a density. `k` are the numbers of the ordinates, `total` their weights and
-    `mean` their pooled values.
+    Its density is flat near frequency zero. `k` (`_SLOPE`,) are the numbers of the values, counted from
+    frequency zero, `total` the numbers of values that were averaged, and `mean` these averages (`_lowest`).
     """
     x2 = (k / _SLOPE) ** 2
     return _whittle(np.stack([np.ones(_SLOPE), x2, x2**2], axis=1), total, mean)[2]
 
 
 def _lowest(groups: list[_Ordinates]) -> tuple[Floats, Floats, Floats] | None:
-    """Return numbers, weights and means, each (`_SLOPE`,), of the lowest ordinates, pooled over dwells.
+    """Average the `_SLOPE` lowest spectral values over all dwells and axes; None without a long dwell.
 
-    The means are relative to the mean of each dwell's lowest ordinates. None if no dwell has enough
-    ordinates.
+    Return the numbers of these values, counted from frequency zero, how many were averaged for each, and
+    the averages. Values are relative to the mean of the lowest values of their dwell and axis.
     """
     groups = [group for group in groups if len(group.weight) > _SLOPE]
     if not groups:
@@ -367,9 +375,10 @@ def _lowest(groups: list[_Ordinates]) -> tuple[Floats, Floats, Floats] | None:
 
 
 def _choose_foot(groups: list[_Ordinates]) -> _Foot:
-    """Fit the density near zero in bands of decreasing width, and return the most certain fit.
+    """Fit the noise density near frequency zero in bands of decreasing width; return the most certain fit.
 
-    This is the fit with the smallest variance of the density at zero.
+    This is the fit with the smallest variance of the density at frequency zero. `groups` has the spectra of
+    the dwells.
     """
     best: _Foot | None = None
     flicker = _flicker_at_foot(groups)
@@ -396,11 +405,11 @@ def _choose_foot(groups: list[_Ordinates]) -> _Foot:
 
 
 def _polynomial_foot(band: float, x: Floats, weight: Floats, mean: Floats) -> _Foot | None:
-    """Fit the log density in a band by a polynomial of the lowest sufficient order.
+    """Fit the log noise density in a band by a polynomial of the lowest sufficient order; None without one.
 
-    `mean` are mean ordinates at the frequencies `x` (relative to the end of the `band`), with their
-    `weight`. An order is sufficient if one or two further terms do not improve the fit clearly; None if no
-    order is.
+    An order is sufficient if one or two further terms do not improve the fit clearly. `mean` (n,) are mean
+    spectral values at the frequencies `x` (n,), which are relative to the end of the `band`, and `weight`
+    (n,) are the numbers of values in these means.
     """
     fits: list[tuple[Floats, Floats, float]] = []
     for order in range(min(3, len(x))):
@@ -426,11 +435,11 @@ def _foot(
 def _foot_beside_flicker(
     band: float, x: Floats, weight: Floats, mean: Floats, inverse_x: Floats
 ) -> _Foot | None:
-    """Fit the density in a band by the exponential of a polynomial plus 1/f noise.
+    """Fit the noise density in a band by the exponential of a polynomial plus 1/f noise.
 
-    `mean` are mean ordinates at the frequencies `x` (relative to the end of the `band`), with their
-    `weight`; `inverse_x` is the mean of 1/x. None if one or two further terms of the polynomial explain the
-    density as well as 1/f noise.
+    `mean` (n,) are mean spectral values at the frequencies `x` (n,), which are relative to the end of the
+    `band`; `weight` (n,) are the numbers of values in these means, and `inverse_x` the means of 1/x. None
+    if one or two further terms of the polynomial explain the density as well as 1/f noise.
     """
     for order in range(min(3, len(x) - 2)):
         one, two = (_whittle(_basis(x, order + k), weight, mean)[2] for k in (1, 2))
@@ -450,11 +459,11 @@ def _foot_beside_flicker(
 
 
 def _cells(groups: list[_Ordinates], band: float) -> tuple[Floats, Floats, Floats, Floats] | None:
-    """Return the mean ordinates of all dwells in cells of frequency below `band`.
+    """Average the spectra of all dwells in cells of equal width from frequency zero to `band`.
 
     The results are arrays (c,) with one value for each cell that is not empty: the mean of x = f/band, the
-    number of ordinates, their mean relative to each dwell's mean, and the mean of 1/x. None if no cell has
-    an ordinate.
+    number of spectral values, their mean relative to each dwell's mean, and the mean of 1/x. None if all
+    cells are empty.
     """
     total, moment, first = np.zeros(_CELLS), np.zeros(_CELLS), np.zeros(_CELLS)
     inverse = np.zeros(_CELLS)
@@ -489,7 +498,8 @@ def _cells(groups: list[_Ordinates], band: float) -> tuple[Floats, Floats, Float
 def _homogeneous(level: Floats, weight: Floats) -> bool:
     """Return True if all dwells may have the same noise density, by Bartlett's test for each axis at 0.1 %.
 
-    `level` (d, axes, axes) are the densities of the dwells, `weight` (d,) the numbers of their ordinates.
+    `level` (d, axes, axes) are the densities of the dwells, `weight` (d,) the numbers of spectral values
+    from which each was computed.
     """
     use = weight > 0
     if use.sum() < 2:
@@ -509,7 +519,7 @@ def _homogeneous(level: Floats, weight: Floats) -> bool:
 
 
 def _without_chance_correlation(level: Floats, dof: Floats) -> Floats:
-    """Return densities in which correlations between axes are zero if chance explains them.
+    """Return noise densities in which correlations between axes are zero if chance explains them.
 
     Chance explains correlations below three standard errors. `level` (d, axes, axes) are the densities of
     the dwells, `dof` (d,) their degrees of freedom.
@@ -524,9 +534,10 @@ def _without_chance_correlation(level: Floats, dof: Floats) -> Floats:
 
 
 def _all_flicker(groups: list[_Ordinates]) -> Floats:
-    """Return the Allan variance (axes,) of 1/f noise if all power in the lowest ordinates were 1/f noise.
+    """Return the Allan variance (axes,) of 1/f noise if it were all of the noise at the lowest frequencies.
 
-    The sensor's 1/f noise is equal in all dwells, so louder dwells have a smaller weight.
+    The sensor's 1/f noise is equal in all dwells, so dwells with more noise have a smaller weight. `groups`
+    has the spectra of the dwells.
     """
     axes = groups[0].cross.shape[-1]
     moment, total = np.zeros(axes), np.zeros(axes)
@@ -554,11 +565,11 @@ def _reciprocal(level: Floats) -> Floats:
 def _flicker(
     groups: list[_Ordinates], density: Floats, foot: _Foot, dof: float, n: Floats
 ) -> tuple[Floats, Floats]:
-    """Return the Allan variance (axes,) of 1/f noise by the lowest ordinates, and its 95 % upper limit.
+    """Return the Allan variance (axes,) of 1/f noise at the lowest frequencies, and its 95 % limit (axes,).
 
-    Both are in the squared unit of the samples. The 1/f noise is the excess of these ordinates over the
-    `density` (d, axes, axes) at zero times its fitted shape, `foot`. `dof` are the degrees of freedom of
-    the density, `n` (d,) the numbers of samples.
+    Both are in the squared unit of the samples. The 1/f noise is the excess of the lowest spectral values
+    over the fitted noise: the `density` (d, axes, axes) of each dwell at frequency zero times the fitted
+    shape `foot`. `dof` are the degrees of freedom of the density, `n` (d,) the numbers of samples.
     """
     from scipy.special import fdtri
 
@@ -595,9 +606,9 @@ than about 16 dwells, are treated as independent noise of each dwell."""
 
 
 def covariance_of_means(begin_s: Floats, end_s: Floats) -> Floats:
-    """Return the covariance (n, n) of dwell means under 1/f noise with an Allan variance of 1.
+    """Return the covariance (n, n) of the means of n dwells under 1/f noise with an Allan variance of 1.
 
-    The means are relative to the mean of a session twice as long.
+    Each mean is relative to the mean over a time twice as long as the session.
 
     Parameters
     ----------
@@ -631,10 +642,9 @@ _SHORTEST_S = 1e-9
 
 
 def _in_order(begin_s: Floats, end_s: Floats) -> tuple[Floats, Floats]:
-    """Return begin and end of the dwells of a session, corrected if the given times are impossible.
+    """Return begin and end (n,) of dwells in s, corrected if the given times are impossible.
 
-    `begin_s` and `end_s` are the given times. Dwells without length or with overlaps are taken as
-    consecutive.
+    If a dwell has no length or two dwells overlap, the dwells are taken as consecutive.
     """
     length = end_s - begin_s
     # Shorter dwells are not plausible, and their squares would underflow.
@@ -657,10 +667,10 @@ def spans(times_s: Sequence[Floats]) -> tuple[Floats, Floats]:
 
 
 def scatter_of_means(dwells: int) -> float:
-    """Return the expected variance of dwell means about their average under 1/f noise.
+    """Return the expected variance of the means of `dwells` dwells about their average under 1/f noise.
 
-    The 1/f noise has an Allan variance of 1; the dwells follow each other without pauses and are equally
-    long.
+    The 1/f noise has an Allan variance of 1. The dwells are equally long and follow one another without
+    pauses.
     """
     return 1.0 if dwells < 2 else dwells * math.log(dwells) / (2 * (dwells - 1) * math.log(2))
 

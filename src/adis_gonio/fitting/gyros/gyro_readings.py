@@ -363,9 +363,9 @@ def _intervals_of_dwells(session: Session, rests: GyroDwells) -> list[Interval]:
 def _interval_of_turn(
     session: Session, turn: Turn, rests: GyroDwells, triad: turn_integration.Triad, consecutive: int
 ) -> Interval | str:
-    """Return mean rates during a turn as a row of the table, or the reason why the turn gives none.
+    """Return the mean rates over a turn with its true rotation, or the reason as text why there is none.
 
-    `consecutive` is the number of directly successive whole turns of which the turn is one.
+    `consecutive` is the length of the series of declared turns to which the turn belongs (`_consecutive`).
     """
     measured = measured_turn(session, turn, rests)
     if isinstance(measured, str):
@@ -405,7 +405,7 @@ def _interval_of_turn(
 def _by_gravity(
     integral: turn_integration.Integral, triad: turn_integration.Triad, positions: tuple[int, int]
 ) -> turn_integration.Reference | str:
-    """Return the true rotation in a turn between two dwells by gravity at both, or why it is unknown.
+    """Return the true rotation in a turn by gravity before and after it, or the reason why it is unknown.
 
     `positions` are the numbers of the dwells before and after.
     """
@@ -423,7 +423,7 @@ def _by_gravity(
 
 
 def gyro_readings_of(session: Session) -> Readings:
-    """Return gyro readings of all intervals, also of `check` intervals; computed once per session.
+    """Return the gyro readings of all dwells and turns, with `check` dwells; computed once per session.
 
     Raises
     ------
@@ -439,7 +439,7 @@ def _gyro_readings(session: Session) -> Readings:
 
 
 def gyro_readings_by(session: Session, accelerometers: Calibration) -> Readings:
-    """Return gyro readings of all intervals, with true rotations by given accelerometers.
+    """Return the gyro readings of all dwells and turns, with true rotations by calibrated accelerometers.
 
     `accelerometers` is the calibration of the accelerometers of the same sensor.
 
@@ -464,7 +464,7 @@ def gyro_readings_by(session: Session, accelerometers: Calibration) -> Readings:
 def readings_of_intervals(
     intervals: RateIntervals, sensor: str = "generic", gravity_mg: float = 1000.0
 ) -> Readings:
-    """Convert intervals of rates to readings, the input of `fit` and `trace`.
+    """Convert mean rates over dwells and turns to `Readings`, the input of a fit and a trace.
 
     `sensor` is the name of the variant, `gravity_mg` local gravity. The covariance of a reading is the sum
     of the covariance of the mean rate, the covariance of the true rotation, and the part of the 1/f noise
@@ -532,7 +532,7 @@ def _conditions(intervals: RateIntervals, force: Floats | None) -> Conditions:
 
 
 def _changing_force(force_g: Floats) -> tuple[Floats | None, list[str]]:
-    """Return the force (n, 3) with components that do not change replaced by 0, and a remark on them.
+    """Return forces (n, 3) in which components that do not change are 0, and remarks on these components.
 
     The force is None if no component changes or the accelerometers are in counts.
     """

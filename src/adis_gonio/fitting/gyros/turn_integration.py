@@ -72,6 +72,7 @@ from adis_gonio.base.arrays import (
     wrap_degrees,
 )
 from adis_gonio.base.errors import AdisGonioError, UsageError
+from adis_gonio.calibrate.calibration import independent_changes
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.readings import Readings, mg_per_unit, readings_of
 from adis_gonio.fitting.estimation.spectrum import noise_of_means
@@ -165,7 +166,10 @@ class Aliasing:
 
 
 def _second_differences(time_s: Floats, rate_dps: Floats, lag: int, period_s: float) -> Floats:
-    """Return f(t + h) − 2 f(t) + f(t − h), (k, 3), for h of `lag` samples without a lost scan."""
+    """Return second differences (k, 3) of rates: f(t + h) − 2 f(t) + f(t − h) with h of `lag` samples.
+
+    Places at which a scan was lost are left out. `period_s` is the usual time between samples.
+    """
     ahead = rate_dps[2 * lag :] - 2 * rate_dps[lag:-lag] + rate_dps[: -2 * lag]
     return np.asarray(ahead[time_s[2 * lag :] - time_s[: -2 * lag] < (2 * lag + 0.5) * period_s])
 
@@ -359,7 +363,7 @@ def integrate(path: Path, sampling: Sampling) -> Integral | str:
 
 
 def has_gap(path: Path) -> bool:
-    """Return True if samples are missing for longer than a straight line may bridge."""
+    """Return True if a gap between samples is longer than a straight line may bridge (`LONGEST_GAP_S`)."""
     return float(np.diff(path.time_s).max()) > LONGEST_GAP_S
 
 
@@ -375,7 +379,7 @@ def _shows_another_attitude(path: Path, here_g: Floats, dwell: int) -> bool:
 
 
 def moving(path: Path, sampling: Sampling) -> NDArray[np.bool_]:
-    """Return True for each sample (n,) if the mean rate around it is too large for a sensor at rest."""
+    """Return a mask (n,) of the samples around which the mean rate is too large for a sensor at rest."""
     rate = path.rate_dps - path.zero_dps.mean(axis=0)
     # Means of windows that shrink at both ends, by differences of the cumulative sum.
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(rate, axis=0)])
@@ -389,9 +393,9 @@ def moving(path: Path, sampling: Sampling) -> NDArray[np.bool_]:
 
 
 def _is_rest(path: Path, sampling: Sampling, low: int, high: int, zero_dps: Floats) -> bool:
-    """Return True if the rates between two rows show only a zero rate and noise.
+    """Return True if the sensor is at rest between two samples: its rates show only a zero rate and noise.
 
-    `low` and `high` are the rows, `zero_dps` is the zero rate of the adjacent dwell.
+    `low` and `high` are the indices of the samples, `zero_dps` (3,) is the zero rate in the adjacent dwell.
     """
     time, rate = path.time_s[low : high + 1], path.rate_dps[low : high + 1] - zero_dps
     length = float(time[-1] - time[0])
@@ -484,15 +488,6 @@ def period_of(times_s: list[Floats]) -> float:
     return float(np.median(np.concatenate(steps))) if steps else math.nan
 
 
-def gyro_directions(misalignment_deg: Floats) -> Floats:
-    """Return unit vectors (3, 3) along the sensitive axes of the gyros, one row for each gyro.
-
-    `misalignment_deg` (3, 3) has the angle of each gyro (row) towards each other axis (column).
-    """
-    sines = np.sin(np.radians(misalignment_deg)) * (1 - np.eye(3))
-    return np.asarray(sines + np.diag(np.sqrt(1 - (sines**2).sum(axis=1))))
-
-
 @dataclass(frozen=True)
 class Attitude:
     """Rotation of the sensor over a turn, with its derivatives by the gyro parameters.
@@ -566,7 +561,10 @@ def attitude(
 
 
 def rates_at_end(time_s: Floats, rate_dps: Floats) -> Floats:
-    """Return the rates (n, 3) of a turn with components along the axes at its end, by perfect gyros."""
+    """Convert the rates (n, 3) of a turn to components along the directions of the axes at its end.
+
+    The rotation until the end is computed as if the gyros were perfect.
+    """
     mean = np.radians(rate_dps[1:] + rate_dps[:-1]) / 2
     return np.asarray((_to_end(mean * np.diff(time_s)[:, None]) @ rate_dps[:, :, None])[:, :, 0])
 
@@ -850,9 +848,7 @@ class Axes:
             block = np.asarray(matrix)[np.ix_(rows, rows)] * np.outer(_NATURAL[new], _NATURAL[new])
             covariance[np.ix_(new, new)] = block
             known |= {NAMES[k] for k in new}
-        # One column per independent error: eigenvectors times standard uncertainties.
-        variance, vectors = np.linalg.eigh(covariance)
-        return cls(values, vectors * np.sqrt(np.maximum(variance, 0.0)), frozenset(known))
+        return cls(values, independent_changes(covariance).T, frozenset(known))
 
     def direction(self, force_g: Floats) -> Floats:
         """Return the direction of gravity (…, 3) in the accelerometers' frame, from readings (…, 3) in g.

@@ -138,8 +138,8 @@ class KnownFaults:
 class Whitened:
     """Rows of the linear model, scaled to unit covariance under one assumption on the ordinary errors.
 
-    The assumption is one point of the grid over which probabilities are averaged. The sizes of the known
-    faults are free.
+    Ordinary errors are the errors that a session without a fault has. The assumption is one point of the
+    grid over which probabilities are averaged. The sizes of the known faults are free.
 
     Attributes
     ----------
@@ -184,19 +184,19 @@ class Whitened:
                 yield cls(rows, scatter, design, own, *roots)
 
     def weight(self, z: Floats) -> Floats:
-        """Return the log of prior times likelihood (k,) of this grid point, for k columns of residuals.
+        """Return ln (prior · likelihood) (k,) of this point of the grid, for k sets of residuals.
 
-        `z` (m, k) are whitened residuals.
+        `z` (m, k) are the residuals of each set, whitened at this point.
         """
         scale = -np.log(np.diag(self.root)).sum() - 0.5 * len(self.root) * math.log(2 * math.pi)
         return np.asarray(scale + self.scatter.log_prior - 0.5 * (z * z).sum(axis=0))
 
     def white(self, values: Floats) -> Floats:
-        """Whiten columns (m, …): scale and mix the rows so that their covariance is the identity."""
+        """Whiten changes (m, …) of the rows: mix the rows so that their covariance is the identity."""
         return np.asarray(self.inverse @ values)
 
     def white_residual(self, values: Floats) -> Floats:
-        """Subtract the prediction at the prior mean from columns (m, k), and whiten the difference."""
+        """Subtract the prediction at the prior mean from k sets of residuals (m, k); whiten the result."""
         return self.white(values - (self.rows.design @ self.rows.prior_mean)[:, None])
 
 
@@ -205,7 +205,7 @@ _TOGETHER = 10**6
 
 
 def _noise(rows: Rows, grid: Sequence[ScatterPoint]) -> Floats:
-    """Return the covariance (g, m, m) of the rows from noise and ordinary errors, at each grid point."""
+    """Return the covariance (g, m, m) of the rows from noise and ordinary errors at g grid points."""
     n = len(rows)
     every = [(s.position_rad, s.reading, s.turns_rad, s.drifts) for s in grid]
     position, reading, turns, drifts = np.array(every).T[:, :, None]
@@ -293,10 +293,11 @@ def weigh(
 def _weighed(
     rows: Rows, grid: Sequence[ScatterPoint], patterns: Sequence[Pattern], known: KnownFaults
 ) -> tuple[Floats, list[tuple[int, Name]]]:
-    """Return the log of prior times likelihood (1 + names, grid) of each further fault under each name.
+    """Return ln (prior · likelihood) (1 + k, g) of each further fault under each of its names.
 
-    Row 0 is for no further fault. The second result are the pairs of fault index and name that rows 1, 2, …
-    belong to.
+    The columns are the g points of the grid.
+    Row 0 is for no further fault. The second result are the k pairs of fault index and name that rows 1, 2,
+    … belong to.
     """
     m = len(rows.by_error)
     shifted = [rows.observed(known.error_rad + p.error_rad, p.zero_rad) for p in patterns]

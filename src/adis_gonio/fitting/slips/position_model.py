@@ -117,7 +117,7 @@ class Halts:
 
 
 def halts_of(path: Path, sampling: Sampling) -> Halts:
-    """Return the rests between the first and the last movement of a recorded turn about z."""
+    """Return the rests of the sensor between its first and last movement in a recorded turn about z."""
     rate = path.rate_dps[:, 2] - path.zero_dps[:, 2].mean()
     turned = cumulative_integral(rate, path.time_s)
     width = min(sampling.window, len(rate))
@@ -304,7 +304,7 @@ class Rows:
 
 
 def common_zero(angle_rad: Floats) -> float:
-    """Return the median of angles (n,) on the circle: the one with the least sum of distances.
+    """Return the median of angles (n,) on the circle: the angle with the least sum of distances to all.
 
     0 without angles.
     """
@@ -437,9 +437,10 @@ def rows_at(angles: Angles, calibration: Floats) -> Rows:
 
 
 def _turns(angles: Angles) -> tuple[NDArray[np.intp], Floats, Floats, Floats]:
-    """Return the turns with a complete gyro record: end dwell, angle, its u, and integral of the force.
+    """Return the turns with a complete gyro record: end dwells (g,), angles (g,), their u (g,), and forces.
 
-    The end dwell is the index of the dwell in which a turn ends.
+    An end dwell is the index of the dwell in which a turn ends. Angles and u are in rad, the forces (g, 2)
+    are integrals over the turn in g·s (`Increments`).
     """
     if angles.turns is None:
         return np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0), np.zeros((0, 2))
@@ -480,10 +481,7 @@ def _effect_columns(angles: Angles, near: _Local) -> tuple[Floats, Floats, Float
 
 
 def _by_gravity(conditions: Conditions, near: _Local, angles: Angles) -> Conditions:
-    """Return the conditions with the declared angles replaced by the angles from gravity.
-
-    A declared angle may be wrong.
-    """
+    """Return the conditions with the declared angles, which may be wrong, replaced by those of gravity."""
     zero = common_zero(wrap_radians(near.psi_rad + angles.declared_rad))
     angle = zero - near.psi_rad
     before = np.concatenate([angle[:1], angle[:-1]])
@@ -705,10 +703,11 @@ def _gyro(rows: Rows, zero: float) -> Iterator[Pattern]:
 
 
 def _any_size(estimate: Floats, u: Floats) -> Floats:
-    """Return the log evidence of a slip of unknown size, from its estimated size and u in rad.
+    """Return the log likelihood (g,) of a slip of unknown size, averaged over a prior of its size.
 
-    `estimate` and `u` (g,) are for g assumptions on the scatter of positions and readings. Each order of
-    magnitude of the slip is equally probable, up to half a turn.
+    `estimate` and `u` (g,) are the estimated size and its standard uncertainty in rad, under each of g
+    assumptions on the scatter of positions and readings. Each order of magnitude of the size is equally
+    probable, up to half a turn.
     """
     # Density 1/size up to half a turn, constant below the least slip.
     size = np.maximum(np.maximum(np.abs(wrap_radians(estimate)), u), LEAST_SLIP_RAD)
@@ -717,19 +716,16 @@ def _any_size(estimate: Floats, u: Floats) -> Floats:
 
 
 def _slip_after_rests(halts: Halts, estimate: Floats, u: Floats) -> Floats:
-    """Return the log evidence of a slip of unknown size, given the rests of the sensor in the turn.
-
-    `estimate` and `u` are its estimated size and standard uncertainty in rad.
-    """
+    """Return the log likelihood (g,) of a slip as `_any_size` does, given also the rests in the turn."""
     return _any_size(estimate, u) + halts.log_odds(wrap_radians(estimate), u)
 
 
 def _typing_error(listed_rad: Floats, declared_deg: float, estimate: Floats, u: Floats) -> Floats:
-    """Return the log evidence of a wrongly typed angle, from the estimated error and its u in rad.
+    """Return the log likelihood (g,) of a wrongly typed angle, averaged over the possible intended angles.
 
-    `estimate` and `u` (g,) are for g assumptions on the scatter of positions and readings. Three kinds of
-    intended angle compete: `declared_deg` plus one of the errors `listed_rad`; a whole number of degrees;
-    any angle.
+    `estimate` and `u` (g,) are the estimated error and its standard uncertainty in rad, under each of g
+    assumptions on the scatter of positions and readings. Three kinds of intended angle compete:
+    `declared_deg` plus one of the errors `listed_rad`; a whole number of degrees; any angle.
     """
     spread = u * math.sqrt(2 * math.pi)
     # Mean over the list of Gaussians around each possible entry.

@@ -537,10 +537,10 @@ class _Account:
         return None
 
     def _stated(self, e: float, row: int, variance: float) -> Angle:
-        """Convert an error `e` in rad to an `Angle` in degrees with its standard uncertainty.
+        """Convert an error `e` of a position in rad to an `Angle` in degrees with its standard uncertainty.
 
-        The u combines `variance` (rad²) with the uncertainty of the calibration at row `row` of the linear
-        model.
+        The u combines `variance` (rad²) with the uncertainty that the calibration gives the row with index
+        `row` of the linear model.
         """
         columns = self.rows.design[row]
         p = len(columns)
@@ -586,7 +586,7 @@ def _degrees(angle_rad: float) -> float:
 
 
 def _weighted_mean(found: Sequence[Angle | None]) -> Angle:
-    """Return the weighted mean of angles in degrees with its u; None entries are ignored.
+    """Return the mean of angles in degrees, weighted by their u, with its u; entries of None are ignored.
 
     All angles are first unwrapped to within half a turn of the first.
     """
@@ -686,10 +686,10 @@ def _increments(session: Session, readings: Readings) -> Increments | None:
 
 
 def _noted(session: Session) -> dict[tuple[int, int], tuple[float, float]]:
-    """Return the turns about z that the program measured while the session ran, with u, in degrees.
+    """Return the turns about z that the program measured while the session ran: angle and u in degrees.
 
     They serve for turns whose samples were not recorded. The keys are the indices of the dwells before and
-    after. The u includes the g-sensitivity.
+    after a turn. The u includes the effect of the g-sensitivity.
     """
     dwells = session.facts.get("dwells") or []
     number = {entry["attempt"]: k for k, entry in enumerate(dwells)}
@@ -701,10 +701,10 @@ def _noted(session: Session) -> dict[tuple[int, int], tuple[float, float]]:
 
 
 def _turned(path: turn_integration.Path, rests: GyroDwells) -> tuple[float, float, float, float] | None:
-    """Return the turn about z and its u in degrees, and the excess of the force's integral.
+    """Return the angle of a turn about z with its u in degrees, and the integrals of the force on X and Y.
 
-    The excess is the integral of the readings of X and Y minus their mean at rest, in g·s. `rests` has the
-    noise of the gyros. None if the record of the turn has a gap.
+    The integrals are over the readings of X and Y minus their mean at rest, in g·s. `rests` has the noise
+    of the gyros. None if the record of the turn has a gap.
     """
     sampling = rests.sampling
     found = turn_integration.integrate(path, sampling)

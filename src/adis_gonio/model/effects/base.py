@@ -283,7 +283,7 @@ class Conditions:
 
     @cached_property
     def _late(self) -> dict[tuple[str, int | None, float], tuple[Floats, Floats]]:
-        """Results of `late` by its arguments, since a search repeats the same few time constants."""
+        """Results of `late`, two arrays (n,), by its arguments: a search repeats a few time constants."""
         return {}
 
     def late(self, history: str, axis: int | None, tau_s: float) -> tuple[Floats, Floats]:
@@ -431,11 +431,10 @@ class Effect(ABC):
     def samples_mg(
         self, values: Floats, samples_mg: Floats, conditions: Conditions, rng: np.random.Generator
     ) -> Floats:
-        """Return the samples (n, axes) in mg as the effect changes them.
+        """Return samples (n, axes) in mg with the effect, from `samples_mg` (n, axes) without it.
 
-        They are unchanged unless the effect acts on samples (`enters` is SAMPLES).
-
-        `rng` is the source of random numbers.
+        They are unchanged unless the effect acts on samples (`enters` is SAMPLES). `values` (p,) are the
+        parameters; `rng` is the source of random numbers.
         """
         return samples_mg
 
@@ -466,10 +465,10 @@ class Effect(ABC):
     def defaults(
         self, given: Mapping[str, float] | None = None, others: Literal["typical", "zero"] = "typical"
     ) -> Floats:
-        """Return the values of all parameters in order; a value that is not given is typical.
+        """Return the values (p,) of all parameters in order; a value that is not given is typical.
 
         `given` has values by name of the parameter. With others="zero", an amplitude that is not given is
-        zero, and only a shape parameter (such as a time constant) is typical.
+        zero, and only a shape parameter (such as a time constant) that is not given is typical.
 
         Raises
         ------
@@ -520,7 +519,7 @@ class AxisEffect(Effect):
     axes: tuple[str, ...] = ("x", "y")
 
     coefficients: ClassVar[tuple[Parameter, ...]] = ()
-    """Parameters that each axis has, without the axis; `letters` are appended to their names."""
+    """Parameters that each axis has; their names lack the axis, since `letters` are appended to them."""
     common: ClassVar[tuple[Parameter, ...]] = ()
     """Parameters common to all axes, such as a time constant."""
 
@@ -529,7 +528,10 @@ class AxisEffect(Effect):
         return self.coefficients
 
     def letters(self) -> tuple[str, ...]:
-        """Return the letters of the axis or axes of each group of coefficients, in their order."""
+        """Return the letters, such as `x`, to append to the coefficients' names, one text for each group.
+
+        A group has all active coefficients. The parameters are group after group in this order.
+        """
         return self.axes
 
     @property
@@ -608,7 +610,7 @@ class CourseEffect(AxisEffect):
 
     The term of axis i is value_i · course(shape), with one amplitude value_i for each axis and one shape
     parameter (such as a time constant) for all axes. A course is a function of time or of another
-    condition, with a value for each of n dwells.
+    condition, with a value for each of n rows (samples or dwells).
     """
 
     def course(self, shape: float, conditions: Conditions) -> tuple[Floats, Floats]:
@@ -616,7 +618,7 @@ class CourseEffect(AxisEffect):
         raise NotImplementedError
 
     def courses(self, shape: float, ideal: Floats, conditions: Conditions) -> list[tuple[Floats, Floats]]:
-        """Return for each axis its function of time (n,), and the derivative (n,) by `shape`."""
+        """Return for each of `axes` its function of time (n,), and the derivative (n,) by `shape`."""
         return [self.course(shape, conditions)] * len(self.axes)
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:

@@ -57,9 +57,9 @@ def alike(cycles: int, others: int, angle_rad: Floats) -> bool:
 
 
 def of_one_phase(cycles: NDArray[np.int_], angle_rad: Floats) -> NDArray[np.bool_]:
-    """Return for each number of cycles per turn (m,) if its phase is equal at all angles.
+    """Return for each number c of cycles per turn (m,) True if cθ is equal at all angles θ, up to 2π.
 
-    `angle_rad` (n,) are the angles θ. The phase of c cycles is cθ, without whole turns.
+    `cycles` (m,) are the numbers, `angle_rad` (n,) are the angles θ.
     """
     length = np.abs(np.exp(1j * cycles[:, None] * angle_rad).mean(axis=1))
     return np.asarray(length > 1 - _SAME_PHASE)

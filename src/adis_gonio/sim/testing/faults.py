@@ -67,7 +67,7 @@ class Faults:
         self.hung_until_s = -math.inf
 
     def happens(self, kind: str) -> bool:
-        """Draw if a fault of this kind happens now; return True and count it in `seen` if so."""
+        """Draw at random if a fault of this kind happens now; if so, count it in `seen` and return True."""
         rate = getattr(self, kind)
         if rate and self.dice.random() < rate:
             self.seen[kind] += 1
@@ -117,7 +117,7 @@ class FaultyStream:
         self._last_s = -math.inf
 
     def put(self, data: bytes, now_s: float) -> None:
-        """Send bytes into the line at a time in s; faults may lose, double, change or delay them."""
+        """Send bytes into the line at the time `now_s`; faults may lose, double, change or delay them."""
         faults = self.faults
         for byte in data:
             if faults.happens("drop"):
@@ -135,7 +135,7 @@ class FaultyStream:
         return self._queue[0][0] if self._queue else None
 
     def take(self, now_s: float, size: int) -> bytes:
-        """Remove and return up to `size` bytes that have arrived by a time in s."""
+        """Remove up to `size` bytes that have arrived by the time `now_s` from the line; return them."""
         taken = bytearray()
         while self._queue and len(taken) < size and self._queue[0][0] <= now_s:
             taken.append(self._queue.popleft()[1])

@@ -321,9 +321,9 @@ class ClockMap:
     Parameters
     ----------
     now_us : int
-        Time of the firmware's clock in µs, from a reply.
+        Time of the firmware's clock in µs, as a reply of the firmware states it.
     arrival_s : float
-        Time at which that reply arrived.
+        Time in s on the bus's clock at which that reply arrived.
     """
 
     def __init__(self, now_us: int, arrival_s: float) -> None:
@@ -408,7 +408,7 @@ _PACKETS_MISSED = 4
 The count of data-ready edges gives the number of due packets.
 """
 _AROUND = wire.HEADER_SIZE + wire.CRC_SIZE + 2
-"""Number of bytes on the line in addition to the body of a packet: header, CRC, COBS, delimiter."""
+"""Number of bytes that a packet has on the line in addition to its body: header, CRC, COBS, delimiter."""
 
 
 @dataclass(eq=False)
@@ -422,7 +422,7 @@ class SerialStream(FrameStream):
     id : int
         Id of the request that started the stream; packets of other streams are discarded.
     width : int
-        Number of frames in the list that each scan runs.
+        Number of frames in a scan.
     packet_scans : int
         Number of scans in a full packet.
     block_scans : int
