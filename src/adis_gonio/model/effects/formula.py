@@ -39,11 +39,10 @@ COVARIATES_OF_FORMULAS: dict[str, tuple[str, str, float]] = {
     "t": ("time", "time_s", 1 / 60),
     "T": ("temperature", "temperature_c", 1.0),
     "V": ("supply", "supply_v", 1.0),
-    "f": ("line_frequency", "line_hz", 1.0),
     "approach": ("approach", "approach", 1.0),
 }
 """Covariates by their names in formulas: word of `COVARIATES`, field of `Conditions`, factor to the unit of
-the formula (degrees, minutes, °C, V, Hz). gx, gy and gz are the components of g."""
+the formula (degrees, minutes, °C, V). gx, gy and gz are the components of g."""
 
 
 def _covariate(name: str) -> Column:
