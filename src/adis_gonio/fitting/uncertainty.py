@@ -37,6 +37,7 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import typical_terms
 from adis_gonio.fitting.noise_estimation import NoiseAssumptions
+from adis_gonio.model.effects import Enters
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 Kind = Literal["A", "B"]
@@ -149,14 +150,14 @@ class Source:
             moved = moved + reading @ self.further_mg
         return np.asarray(moved)
 
-    def by_place(self, gradient: Floats, reading: Floats) -> Floats:
+    def by_place(self, gradient: Floats, reading: Floats | None = None) -> Floats:
         """Return the variance (m,) that the source contributes to each of m quantities, such as m angles.
 
         `gradient` (m, p) and `reading` (m, axes) are the derivatives of the quantities by the parameters
-        and by a further reading.
+        and by a further reading (None: the parameters alone).
         """
         variance = np.asarray((self._moved(gradient, reading) ** 2).sum(axis=1))
-        if self.reading_mg2 is None:
+        if reading is None or self.reading_mg2 is None:
             return variance
         return np.asarray(variance + np.einsum("ma,ab,mb->m", reading, self.reading_mg2, reading))
 
@@ -186,11 +187,11 @@ class Sources:
         """
         return [part for source in self._counted for part in source.parts(gradient, reading)]
 
-    def by_place(self, gradient: Floats, reading: Floats) -> Floats:
+    def by_place(self, gradient: Floats, reading: Floats | None = None) -> Floats:
         """Return the total variance (m,) of each of m quantities, such as m angles.
 
         `gradient` (m, p) and `reading` (m, axes) are the derivatives of the quantities by the parameters
-        and by a further reading, to which the calibration is applied.
+        and by a further reading, to which the calibration is applied (None: the parameters alone).
         """
         return np.asarray(sum(source.by_place(gradient, reading) for source in self._counted))
 
@@ -715,14 +716,54 @@ def missing_effects(fit: Fit) -> Floats:
     return np.asarray(columns @ (vectors * np.sqrt(np.maximum(values, 0.0))))
 
 
-def _columns(fit: Fit) -> Iterator[Floats]:
+def missing_curvature(fit: Fit, inflation: float = 1.0) -> Floats:
+    """Return the covariance (p, p) of a fit's parameters by one effect of the reading that its model lacks.
+
+    An effect too weak to be found still moves the parameters: a cubic of 0.5 mg/g³ moves a gain by 0.04 %,
+    and several sessions know the gain better than that. The alternatives to the fitted model add one
+    amplitude of the catalogue's effects of the reading. Even prior odds, divided evenly among the
+    amplitudes, state that one is missing. The prior of an amplitude is normal about zero, with the typical
+    size as its standard deviation. The parameters remain the values of the fitted model, so that each
+    alternative counts with the second moment of its amplitude. Effects of time and temperature are left
+    out, since the parameters describe the conditions of the session.
+
+    Parameters
+    ----------
+    inflation : float
+        Factor on the variance of the noise.
+    """
+    columns = np.concatenate([*_columns(fit, ("reading",)), np.zeros((*fit.data.mean.shape, 0))], axis=2)
+    white = fit.white(columns)
+    # Change of the parameters by an amplitude of typical size, and the part that they do not describe.
+    moved = np.linalg.lstsq(fit.jacobian, white, rcond=1e-9)[0]
+    remaining = white - fit.jacobian @ moved
+    shown = np.linalg.norm(remaining, axis=0) > _DESCRIBED * np.linalg.norm(white, axis=0)
+    moved, remaining = moved[:, shown], remaining[:, shown]
+    if not shown.any():
+        return moved @ moved.T
+    information = (remaining**2).sum(axis=0) / inflation
+    score = remaining.T @ fit.residual.ravel() / inflation
+    variance = 1 / (1 + information)
+    # Bayes factor of each model with one more amplitude, against the fitted model.
+    odds = np.exp(np.minimum(0.5 * score**2 * variance, 500.0)) * np.sqrt(variance) / len(score)
+    moment = odds / (1 + odds.sum()) * (variance + (variance * score) ** 2)
+    return np.asarray((moved * moment) @ moved.T)
+
+
+def _columns(fit: Fit, covariates: tuple[str, ...] | None = None) -> Iterator[Floats]:
     """Yield the changes (n, axes, d) of the readings by each effect of the catalogue at its typical size.
 
-    An effect has d amplitudes. Effects that cannot act on this session are omitted.
+    An effect has d amplitudes. Effects that cannot act on this session are omitted. With `covariates`, only
+    effects of the sensor that depend on exactly these, and that the base model lacks, are included.
     """
     data = fit.data
     # A choice is a discrete number (a dwell, a degree): the scatter of the readings covers these.
     for term in typical_terms(data.model.part, data.axes, data.conditions, ("dwell", "cycles", "degree")):
+        kind = type(term.effect)
+        if covariates is not None and (
+            kind.covariates != covariates or kind.in_base or kind.enters is not Enters.READING
+        ):
+            continue
         yield fit.candidate(term) * np.array([term.effect.parameters[k].typical for k in term.amplitudes])
 
 

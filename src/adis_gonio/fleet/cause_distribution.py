@@ -20,7 +20,6 @@ from adis_gonio.fleet.population_likelihood import (
     RELATIVE_SPREAD,
     SHARES,
     Block,
-    Group,
     log_factor,
     mixed,
 )
@@ -46,17 +45,14 @@ def share_of(
     """
     # Only sessions of the group that could show the cause.
     inside = part.group.inside & population.units.seen(part.candidate.index)
-    blocks = population.blocks_given(others, part.candidate.index, part.amplitudes.relative)
+    given = population.given_others(others, part).inside(inside)
     log_posterior = []
     centred = bool((part.amplitudes.mean == 0).all())
+    means = (np.ones(1) if centred else _FACTORS)[:, None] * part.amplitudes.mean
     for spread in part.amplitudes.spread * _FACTORS:
-        for factor in (1.0,) if centred else _FACTORS:
-            factors = [
-                (weight[inside], log_factor(block, factor * part.amplitudes.mean, spread)[inside])
-                for weight, block in blocks
-            ]
-            log_posterior.append([_at(factors, share) for share in _SHARES])
-    by_share = log_sum_exp(np.array(log_posterior), axis=0)
+        factors = given.log_factors(means, spread)
+        log_posterior += [mixed(factors, share, MOST_OF_KNOWN).sum(axis=0) for share in _SHARES]
+    by_share = log_sum_exp(np.reshape(log_posterior, (len(_FACTORS), len(_SHARES), -1)), axis=(0, 2))
     # Normalise the posterior on the uneven grid of shares, and read off its quantiles.
     density = np.exp(by_share - by_share.max())
     weight = density * np.gradient(_SHARES)
@@ -64,11 +60,6 @@ def share_of(
     cumulative = np.cumsum(weight)
     low, high = (float(np.interp(level, cumulative, _SHARES)) for level in _LEVELS)
     return float(weight @ _SHARES), low, high
-
-
-def _at(factors: Sequence[tuple[Floats, Floats]], share: float) -> float:
-    rows = [weight + mixed(factor, share, MOST_OF_KNOWN) for weight, factor in factors]
-    return float(log_sum_exp(np.stack(rows), axis=0).sum())
 
 
 def means_of(
@@ -127,16 +118,10 @@ def _uncertainty(population: Population, others: Sequence[ChosenCause], part: Ch
     at = parameters_of(start)
     if len(at) == 2:
         return None
-    inside = part.group.inside
-    blocks = population.blocks_given(others, part.candidate.index, part.amplitudes.relative)
+    given = population.given_others(others, part).inside(part.group.inside)
 
     def value(parameters: Floats) -> float:
-        group: Group = group_at(parameters, start)
-        factors = [
-            (weight[inside], log_factor(block, group.mean, group.spread)[inside])
-            for weight, block in blocks
-        ]
-        return _at(factors, group.share)
+        return float(given.gain(group_at(parameters, start), MOST_OF_KNOWN).sum())
 
     # Parameters: logit of the share, log of the spread, mean.
     hessian = _curvature(value, at)
