@@ -9,7 +9,7 @@ from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.record.loading import load_session
 from adis_gonio.tracing.within.moving_lines import moving_lines
 from adis_gonio.tracing.within.samples import Samples, samples_of
-from adis_gonio.tracing.within.second_pass import search_within
+from adis_gonio.tracing.within.second_pass import look_within
 from recordings import recording
 from tracing.dwell_samples import Added, draw
 
@@ -34,13 +34,13 @@ def warming(start_hz: float, change_hz: float, tau_s: float, amplitude_mg: float
 
 
 def of_kind(samples: Samples, kind: str):
-    return [finding for finding in search_within(samples) if finding.kind == kind]
+    return [finding for finding in look_within(samples)[0] if finding.kind == kind]
 
 
 def test_a_line_that_moves_is_one_finding_with_its_first_and_last_frequency():
     added, frequency = warming(11.0, 3.0, 90.0, 4.0)
     samples = draw(np.random.default_rng(1), added=added)
-    (finding,) = search_within(samples)
+    (finding,) = look_within(samples)[0]
     middles = [float(time.mean()) for time in samples.time_s]
     for name, at in (("frequency_first", middles[0]), ("frequency_last", middles[-1])):
         value = finding.parameters[name]
@@ -79,7 +79,7 @@ def test_a_line_of_constant_frequency_is_not_called_moving():
         return np.stack([wave, wave], axis=1)
 
     samples = draw(np.random.default_rng(4), added=added)
-    (finding,) = search_within(samples)
+    (finding,) = look_within(samples)[0]
     assert finding.parameters["frequency"].value == pytest.approx(13.3, abs=0.01)
 
 
