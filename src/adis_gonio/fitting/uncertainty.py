@@ -150,14 +150,14 @@ class Source:
             moved = moved + reading @ self.further_mg
         return np.asarray(moved)
 
-    def by_place(self, gradient: Floats, reading: Floats) -> Floats:
+    def by_place(self, gradient: Floats, reading: Floats | None = None) -> Floats:
         """Return the variance (m,) that the source contributes to each of m quantities, such as m angles.
 
         `gradient` (m, p) and `reading` (m, axes) are the derivatives of the quantities by the parameters
-        and by a further reading.
+        and by a further reading (None: the parameters alone).
         """
         variance = np.asarray((self._moved(gradient, reading) ** 2).sum(axis=1))
-        if self.reading_mg2 is None:
+        if reading is None or self.reading_mg2 is None:
             return variance
         return np.asarray(variance + np.einsum("ma,ab,mb->m", reading, self.reading_mg2, reading))
 
@@ -187,11 +187,11 @@ class Sources:
         """
         return [part for source in self._counted for part in source.parts(gradient, reading)]
 
-    def by_place(self, gradient: Floats, reading: Floats) -> Floats:
+    def by_place(self, gradient: Floats, reading: Floats | None = None) -> Floats:
         """Return the total variance (m,) of each of m quantities, such as m angles.
 
         `gradient` (m, p) and `reading` (m, axes) are the derivatives of the quantities by the parameters
-        and by a further reading, to which the calibration is applied.
+        and by a further reading, to which the calibration is applied (None: the parameters alone).
         """
         return np.asarray(sum(source.by_place(gradient, reading) for source in self._counted))
 

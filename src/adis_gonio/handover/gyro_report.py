@@ -181,7 +181,7 @@ _SLOW = ("flicker", "walk")
 
 
 def allan_page(result: AllanResult) -> str:
-    """Return the noise at rest as one HTML page that loads nothing; every text is escaped."""
+    """Return the noise at rest as one HTML page that needs no other file; every text is escaped."""
     name = result.title or result.source or "session"
     whole = section_of(result)
     return render(

@@ -311,9 +311,10 @@ class Columns:
 
     @classmethod
     def fitting(cls, names: Sequence[str], units: Sequence[str], width: int | None) -> Columns:
-        """Choose the layout of the table for a width in characters (None: unlimited).
+        """Choose the layout of a table of registers `names` for a width in characters (None: unlimited).
 
-        A narrow screen first loses the standard deviations, then the last values.
+        `units` has the unit of each register, empty without one. A narrow screen first loses the standard
+        deviations, then the last values.
         """
         short = [name.removesuffix("_OUT") for name in names]
         units = [unit or "1" for unit in units]

@@ -217,9 +217,9 @@ def template_command(
 
 
 def _list_option(name: str, rows: Callable[[], list[tuple[str, str]]], help: str) -> option.Option[Any]:
-    """Return an option that prints a list and ends the program instead of running the command.
+    """Return the option `name`, which prints a list and ends the program without running the command.
 
-    `rows` returns the name and the description of each entry.
+    `rows` returns the name and the description of each entry; `help` is the help text of the option.
     """
 
     def print_list(context: click.Context, option: click.Parameter, wanted: bool) -> None:
@@ -370,8 +370,9 @@ def _sized_effects(
 ) -> tuple[str, ...]:  # fmt: skip
     """Return each effect with the values of its parameters as text, and print the values.
 
-    An effect without values has its typical size, or twice the size that a session with this plan shows if
-    the typical size is smaller.
+    `plan`, `measuring` and `variant` describe the simulated session, `settings` its world as texts
+    `name=value`, and `effects` are the effects as texts. An effect without values has its typical size, or
+    twice the size that a session with this plan shows if the typical size is smaller.
     """
     from adis_gonio.model.effects import parse_effect
     from adis_gonio.plan.prediction import Bench, expected_readings, predict_sight

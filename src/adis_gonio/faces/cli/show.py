@@ -48,7 +48,10 @@ def console(*, stderr: bool = False, most: int = 0) -> Console:
 
 
 def print_indented(screen: Console, text: str, indent: int = 2, style: str = "") -> None:
-    """Print a text, wrapped to the screen, with all of its lines indented by `indent` columns."""
+    """Print a text, wrapped to the screen, with all of its lines indented by `indent` columns.
+
+    `style` is a style of rich, such as `bold yellow`.
+    """
     from rich.padding import Padding
     from rich.text import Text
 
@@ -147,7 +150,7 @@ def write_page(output: Path, text: str) -> None:
 
 
 def report_written(path: Path | str, content: str = "") -> None:
-    """Report on standard error that a file was written, with its content or else its size."""
+    """Report on standard error that a file was written, with `content` or, if this is empty, its size."""
     click.echo(f"written: {path}, {content or f'{Path(path).stat().st_size // 1024 + 1} kB'}", err=True)
 
 
@@ -158,7 +161,7 @@ def print_json(document: Any) -> None:
 
 
 def report_times_s() -> Iterator[float]:
-    """Yield the times, in s since the begin of a computation, at which its progress is logged.
+    """Yield the times at which the progress of a computation is logged, in s since its beginning.
 
     The intervals between them grow.
     """
@@ -190,7 +193,7 @@ class Work:
         self._show()
 
     def share(self, done: float) -> None:
-        """Set the finished share of the present stage, 0 to 1."""
+        """Set the finished share of the present stage to `done`, 0 to 1."""
         self._share = min(max(done, 0.0), 1.0)
         self._show()
 

@@ -355,7 +355,7 @@ def notes_of(
     for line in axis.lines:
         yield (
             f"a sinusoid of {format_number(line.frequency_hz, 4)} Hz, amplitude"
-            f" {format_number(line.amplitude)}, taken off:"
+            f" {format_number(line.amplitude)}, subtracted:"
             f" {'a sway, as of a building' if line.frequency_hz < SWAY_HZ else 'a vibration'}, or its alias"
         )
     flicker, walk = axis["flicker"], axis["walk"]
