@@ -363,14 +363,14 @@ class LiveBlocks:
 
     def __next__(self) -> Block:
         """Return the next block; if the link breaks and does not return in time, raise its error."""
-        try:
-            return next(self._blocks)
-        except (BusError, ChipError) as error:
-            if not self._patience_s:
-                raise
-            self._broken(error)
-            self._again(error)
-        return next(self)
+        while True:
+            try:
+                return next(self._blocks)
+            except (BusError, ChipError) as error:
+                if not self._patience_s:
+                    raise
+                self._broken(error)
+                self._again(error)
 
     def _again(self, error: Exception) -> None:
         self.close()

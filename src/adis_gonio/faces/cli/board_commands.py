@@ -122,12 +122,11 @@ def _judge(recordings: tuple[Path, ...], variant: str, *, as_json: bool) -> int:
 
 
 def _write_report(found: Bringup, page: Path, document: Path) -> None:
-    from adis_gonio.base.output import replacing, write_utf8
+    from adis_gonio.base.output import write_text
     from adis_gonio.bench.bringup.bringup_page import build_page
 
     for path, text in ((document, json_text(found.as_dict())), (page, build_page(found))):
-        with replacing(path) as temporary:
-            write_utf8(temporary, text)
+        write_text(path, text)
         report_written(path)
 
 

@@ -206,13 +206,14 @@ def template_command(
 
     Fill in times and readings in an editor or a spreadsheet; `adis-gonio fit` reads the saved file.
     """
+    from adis_gonio.base.output import write_text
     from adis_gonio.plan import find_plan
-    from adis_gonio.record.samples_writer import template_text, write_template
+    from adis_gonio.record.samples_writer import template_text
 
     if ends_in(output, ".gz"):
         raise UsageError(f"{output}: a template is filled in by hand: name it .csv")
     chosen = find_plan(plan_name, positions, check)
-    write_template(output, template_text(chosen, **keys))
+    write_text(output, template_text(chosen, **keys))
     report_written(output, f"{counted(len(chosen), 'position')} to fill in")
 
 

@@ -142,10 +142,9 @@ def check_page(output: Path | None) -> None:
 
 def write_page(output: Path, text: str) -> None:
     """Write an HTML page and report it on standard error."""
-    from adis_gonio.base.output import replacing, write_utf8
+    from adis_gonio.base.output import write_text
 
-    with replacing(output) as temporary:
-        write_utf8(temporary, text)
+    write_text(output, text)
     report_written(output)
 
 
