@@ -40,7 +40,7 @@ from turned_parts import FILTER_M, words
 RECORDED_S = 60.0
 DWELLS = 24
 PERIOD_S = 1 / 819.2
-NAMES = ("delta_k", "delta_phi", "bias_x", "bias_y")
+NAMES = ("delta_k", "delta_phi", "bias_x", "bias_y", "alpha")
 TARGET = 1.2
 BAND = (0.94, 0.96)
 

@@ -29,7 +29,7 @@ from scipy import linalg, optimize
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from adis_gonio.tracing.within.second_pass import counts_as_found, search_within
+from adis_gonio.tracing.within.second_pass import counts_as_found, look_within
 from tracing.dwell_samples import bartlett, draw
 from tracing.stated import EFFECTS, SORTS, finder
 
@@ -94,7 +94,7 @@ def session(kind: str, seed: int, index: int) -> tuple[float, list[tuple[str, bo
         added=added,
     )
     return gain, [
-        (finding.effect or finding.kind, counts_as_found(finding)) for finding in search_within(samples)
+        (finding.effect or finding.kind, counts_as_found(finding)) for finding in look_within(samples)[0]
     ]
 
 

@@ -55,7 +55,7 @@ def without(session, *gaps):
 
 def test_every_parameter_is_where_it_should_be(result, turned):
     _, world, truth = turned
-    for name in ("delta_k", "delta_phi", "bias_x", "bias_y", "scale_x", "scale_y"):
+    for name in ("alpha", "delta_k", "delta_phi", "bias_x", "bias_y", "scale_x", "scale_y"):
         assert abs(result[name].value - truth[name]) < 4 * result[name].u, name
     given = world.settings
     for name in ("lever_x", "lever_y"):
@@ -64,6 +64,20 @@ def test_every_parameter_is_where_it_should_be(result, turned):
         math.radians(math.hypot(given.gyro_misalignment_zx_deg, given.gyro_misalignment_zy_deg))
     )
     assert abs(result["gyro_scale_z"].value - given.gyro_scale_z * lean) < 4 * result["gyro_scale_z"].u
+
+
+def test_the_true_start_angle_is_the_angle_of_the_first_rest_which_the_fit_reports():
+    """The stage is 0.5° off its zero, and an earlier turn ended elsewhere."""
+    world = World(WorldSettings(alpha_deg=7.0, fixture_sigma_deg=0.5, hand_turn_deg=400.0), seed=SEED)
+    assert world.truth()["alpha"] == 7.0
+    begin = world.stage.turn_freely(5.0) + 5.0
+    world.stage.turn_freely(begin)
+    rest = world.sample(begin - 4.0 + script.PERIOD_S * np.arange(2000)).accel_mg.mean(axis=0)
+    truth = world.truth(np.array([begin]))
+    x, y = ((rest[k] - truth[f"bias_{axis}"]) / truth[f"scale_{axis}"] for k, axis in enumerate("xy"))
+    psi = math.degrees(math.atan2(y - x * math.sin(math.radians(truth["delta_phi"])), x))
+    assert truth["alpha"] == pytest.approx(psi, abs=0.1)
+    assert abs(truth["alpha"] - 7.0) > 30
 
 
 def test_a_recording_without_noise_is_explained_to_its_rounding():

@@ -9,7 +9,12 @@ import pytest
 from adis_gonio import fit, load_session
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.answer import Answer
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.fitting.methods import fit_ml
+from adis_gonio.fitting.uncertainty import missing_curvature
+from adis_gonio.model.effects import effect
+from tracing.joint_fleets import draw_part, draw_session
 from tracing.recorded import record
 
 HIDDEN = (
@@ -118,3 +123,28 @@ def test_one_dwell_of_few_samples_does_not_take_the_degrees_of_freedom_of_all(la
     for one in again.parameters:
         assert one.k == pytest.approx(result[one.name].k, rel=0.1)
         assert one.k < 2.5
+
+
+def test_the_covariance_by_a_missing_curvature_is_the_average_over_models_with_one_amplitude_more():
+    """Against quadrature over the amplitude of each model."""
+    rng = np.random.default_rng(41)
+    data = draw_session(rng, draw_part(rng), [(effect("cubic", ("y",)), [0.6])])
+    bias = NamedTerm.offset("xy")
+    begun = Fit.begin(data).with_terms((bias,), (np.zeros(2),)).refit()
+    jacobian, residual = begun.jacobian, begun.residual.ravel()
+    grid = np.linspace(-8, 8, 4001)  # amplitude in typical sizes
+    prior = np.exp(-0.5 * grid**2)
+    factors, parts = [], []
+    for name in ("cross_axis", "quadratic", "cubic", "asymmetry", "cross_quadratic"):
+        made = effect(name, ("x", "y"))
+        columns = begun.white(begun.candidate(NamedTerm(name, (), 0.0, made)))
+        for column, parameter in zip(columns.T, made.parameters, strict=True):
+            moved = np.linalg.lstsq(jacobian, column * parameter.typical, rcond=None)[0]
+            left = column * parameter.typical - jacobian @ moved
+            likely = np.exp(-0.5 * ((residual[:, None] - left[:, None] * grid) ** 2).sum(axis=0))
+            likely *= prior / np.exp(-0.5 * residual @ residual)
+            factors.append(likely.sum() / prior.sum())
+            parts.append(np.outer(moved, moved) * (likely @ grid**2) / likely.sum())
+    weights = np.array(factors) / len(factors)
+    expected = np.einsum("k,kpq->pq", weights / (1 + weights.sum()), parts)
+    np.testing.assert_allclose(missing_curvature(begun), expected, rtol=1e-6, atol=1e-18)

@@ -1,5 +1,6 @@
 """Dates by hand, and what is said where there are too few sessions."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from adis_gonio.base.conformity import Tolerance
 from adis_gonio.base.errors import UsageError
-from adis_gonio.fleet.calibration_due import Rules, curve_of, due_of, slopes_deg
+from adis_gonio.fleet.calibration_due import PARAMETERS, Rules, curve_of, drifted_curve, due_of, slopes_deg
 from adis_gonio.fleet.sensor_history import history_of, own_u
 from fleet.made_up import made_up
 
@@ -80,6 +81,37 @@ def test_a_control_chart_by_hand():
         chart = due_of(of(*sessions), LIMIT).rules[1]
         assert abs((np.datetime64(chart.date) - np.datetime64(date)).astype(int)) <= 1
     assert "Δφ (+4.00000\u00a0±" in chart.why  # ·10⁻² °/a
+
+
+@pytest.mark.parametrize("sessions", [3, 4, 6, 10])
+@pytest.mark.parametrize("between", [0.0, 1.0])
+def test_the_predicted_error_covers_what_the_calibration_in_use_does(sessions, between):
+    """At the last session and 1 and 3 years later; `between` is the excess scatter in stated u."""
+    rng = np.random.default_rng(1000 * sessions + int(between))
+    days = [f"{2010 + n}-01-01" for n in range(sessions)]
+    u, held, trials = 0.01, 0, 60
+    for _ in range(trials):
+        rate = {"delta_phi": 0.02, "delta_k": 2e-4, "bias_x": 0.3, "bias_y": -0.2}  # in a year
+        unit = {"delta_phi": u, "delta_k": 1e-3 * u, "bias_x": u, "bias_y": u}
+        off = {name: unit[name] * math.hypot(1, between) * rng.normal(size=sessions) for name in unit}
+        history = of(
+            *(
+                made_up(day, u=u, **{name: rate[name] * n + float(off[name][n]) for name in unit})
+                for n, day in enumerate(days)
+            )
+        )
+        drifts = {name: history.tracks[name].drift for name in unit}
+        for years in (0, 1, 3):
+            curve = drifted_curve(history, drifts, 365.25 * years)
+            true = slopes_deg() @ np.array([rate[n] * years - off[n][-1] for n in PARAMETERS])
+            # The bound that 5 % exceed is above the true error if more than 5 % exceed the true error.
+            held += curve.exceeds(float(np.abs(true).max())) > 0.05
+    assert held >= 0.95 * 3 * trials - 2 * math.sqrt(3 * trials * 0.05)
+
+
+def test_three_sessions_that_agree_need_a_tolerance_of_a_few_times_their_u():
+    chart = due_of(of(*(made_up(f"{2015 + n}-01-01", u=0.02) for n in range(3))), LIMIT).rules[1]
+    assert np.datetime64(chart.date) > np.datetime64("2017-01-01")
 
 
 def test_uncertainty_brings_the_date_forward():

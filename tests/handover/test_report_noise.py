@@ -74,7 +74,9 @@ def test_short_rests_without_slow_noise_and_sensors_without_gyros_say_nothing():
 def test_a_long_rest_without_slow_noise_says_how_little_there_can_be():
     quiet = Case({"white": 0.05}, 1 << 12, 2)
     section = noise_section(rests(1, 40, noisy=quiet))
-    assert all(any("not present: at most" in point for point in part.points) for part in section.parts)
+    assert all(
+        any("not separately detected: at most" in point for point in part.points) for part in section.parts
+    )
 
 
 def test_short_rests_that_show_slow_noise_are_shown():

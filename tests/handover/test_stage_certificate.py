@@ -17,6 +17,7 @@ from adis_gonio.record.samples_writer import write_samples_csv
 from handover.calibrations import PLANE, calibration
 
 ANGLE = np.arange(0.0, 360.0, 15.0)
+EXPANDED = [0.01] * len(ANGLE)
 
 
 def shapes(angle_deg):
@@ -118,7 +119,10 @@ def test_a_file_without_an_error_curve_is_refused_in_one_line(tmp_path, text, to
 @pytest.mark.parametrize(
     ("uncertainty", "told"),
     [("", "its uncertainty"), (of_u([0.01] * 3, "2"), "its uncertainty"),
-     (of_covariance(-COVARIANCE), "is not one"), (of_covariance(COVARIANCE[:5]), "its uncertainty")],
+     (of_covariance(-COVARIANCE), "negative variance"), (of_covariance(COVARIANCE[:5]), "its uncertainty"),
+     (of_covariance(COVARIANCE).replace("<si:value>", "<si:value>a", 1), "covariance has to be numbers"),
+     (of_u(EXPANDED, "2 2"), "its uncertainty"), (of_u(EXPANDED, "0"), "its uncertainty"),
+     (of_u([*EXPANDED[1:], float("inf")], "2"), "its uncertainty")],
 )  # fmt: skip
 def test_a_curve_without_its_uncertainty_is_refused(tmp_path, uncertainty, told):
     with pytest.raises(DataError, match=told):

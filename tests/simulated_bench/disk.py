@@ -295,6 +295,7 @@ class Disk:
                 real(path, *rest, **options)
                 if target is not None:
                     self._renamed.append((own.name, target.name, before))
+                    self._synced.pop(target.name, None)
                     if content is not None:
                         self._synced[target.name] = content
 
@@ -339,7 +340,12 @@ class Disk:
             own = self._own(path)
             if own is None:
                 return real(path, data)
-            return self.operate("write file", lambda: real(path, data), own, writes=True)
+
+            def act() -> int:
+                self._synced.pop(own.name, None)
+                return real(path, data)
+
+            return self.operate("write file", act, own, writes=True)
 
         return hooked
 

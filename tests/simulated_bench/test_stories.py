@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+import os
 import struct
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from unittest import mock
@@ -13,9 +15,10 @@ from unittest import mock
 import numpy as np
 import pytest
 
+from adis_gonio.base import output
 from adis_gonio.faces.serve.iio_device import Sampler
 from simulated_bench.bench import LineFault
-from simulated_bench.disk import Disk, DiskFault
+from simulated_bench.disk import Disk, DiskFault, Killed
 from simulated_bench.stories import Play, Step, Story, draw, play, shrink, tell
 
 SEEDS = [*range(1000, 1005)]
@@ -200,3 +203,44 @@ def test_a_torn_commit_is_rolled_back_by_sqlite_itself(tmp_path):
         connection.close()
         assert path.read_bytes() == old
     assert mixed > 10
+
+
+def cut_after_renaming(folder: Path, draw: int, operation: int) -> bytes:
+    """Content of a report that replaces an old one, if the power fails right after its renaming.
+
+    `operation` is the number of the renaming among the operations of the disk.
+    """
+    folder.mkdir()
+    report = folder / "report.json"
+    report.write_bytes(b"old")
+    disk = Disk(folder, np.random.default_rng(draw), lambda _: None)
+    disk.begin(DiskFault("cut", operation, "after"))
+    with suppress(Killed), disk.hooked(), output.replacing(report) as temporary:
+        temporary.write_bytes(b"new" * 100)
+    disk.end()
+    assert disk.acted == "replace report.json"
+    return report.read_bytes()
+
+
+def test_a_power_cut_leaves_the_old_report_or_the_new_one_if_it_was_flushed(tmp_path):
+    contents = {cut_after_renaming(tmp_path / str(draw_), draw_, 4) for draw_ in range(20)}
+    assert contents == {b"old", b"new" * 100}
+    with mock.patch.object(output, "_flushed"):
+        contents = {cut_after_renaming(tmp_path / f"not {draw_}", draw_, 3) for draw_ in range(20)}
+    assert len(contents - {b"old", b"new" * 100}) > 3
+
+
+def test_a_power_cut_after_a_command_tears_only_what_was_not_flushed(tmp_path):
+    disk = Disk(tmp_path, np.random.default_rng(1), lambda _: None)
+    lost = 0
+    for _ in range(20):
+        disk.begin(None)
+        with disk.hooked():
+            (tmp_path / "kept").write_bytes(b"kept")
+            with (tmp_path / "kept").open("rb+") as file:
+                os.fsync(file.fileno())
+            (tmp_path / "lost").write_bytes(b"lost")
+        disk.lose_power()
+        assert (tmp_path / "kept").read_bytes() == b"kept"
+        lost += (tmp_path / "lost").read_bytes() != b"lost"
+    assert lost > 5

@@ -12,7 +12,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.tracing.within.courses import grid
 from adis_gonio.tracing.within.samples import Samples
-from adis_gonio.tracing.within.second_pass import look_within, search_within
+from adis_gonio.tracing.within.second_pass import look_within
 from adis_gonio.tracing.within.tones import density_of
 from tracing.dwell_samples import Added, draw
 
@@ -69,7 +69,7 @@ def finder(name: str, sort: str) -> Callable[[float, int], bool]:
         samples = draw(
             np.random.default_rng([seed, 4]), added=lambda k, time, _: hidden(k, time, own), **options
         )
-        return any(finding.kind == name for finding in search_within(samples))
+        return any(finding.kind == name for finding in look_within(samples)[0])
 
     return found
 

@@ -148,6 +148,25 @@ def test_sessions_without_an_effect_show_none() -> None:
     assert result.adequate
 
 
+def test_gains_cover_the_error_by_a_cubic_too_weak_to_be_found(monkeypatch) -> None:
+    """Six sessions know the gain of y to 0.004 %, and the cubic moves it by seven times that."""
+    rng = np.random.default_rng(23)
+    part = draw_part(rng)
+    readings = [draw_session(rng, part, [(effect("cubic", ("y",)), [0.35])]) for _ in range(6)]
+
+    def off() -> float:
+        result = trace_stacked(readings, origins(6))
+        assert names(result) == {"bias"}
+        return abs(result.base["scale_y"].value - part[0][1]) / result.base["scale_y"].U
+
+    assert off() < 1
+    monkeypatch.setattr(
+        "adis_gonio.tracing.findings.missing_curvature",
+        lambda fit, _: np.zeros((len(fit.values.parameters),) * 2),
+    )
+    assert off() > 2
+
+
 def test_an_error_that_many_parts_show_on_one_stage_is_the_stages() -> None:
     """Alone, two cycles of the stage are a curvature of the part."""
     table = [(effect("stage_ellipticity"), [0.012, -0.008])]

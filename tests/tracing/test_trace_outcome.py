@@ -36,7 +36,6 @@ from adis_gonio.tracing.findings import (
     scatter_finding,
     unnamed_of,
     unnamed_with_share,
-    with_shares,
 )
 from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.scatter import Scatter
@@ -44,6 +43,7 @@ from adis_gonio.tracing.trace import (
     correct_slips,
     likelier_functions,
     restrict_candidates,
+    shown_findings,
     with_positions,
 )
 from adis_gonio.tracing.trace_figures import Panel, view_residual, view_uncertainty, views_of
@@ -738,7 +738,8 @@ class TestExcess:
 
     def test_findings_have_the_share_of_their_step(self) -> None:
         found = [Finding(name, (), {}, 0.0, 0.5, 1.0) for name in ("bias", "cubic")]
-        assert [one.explains for one in with_shares(found, {"bias": 0.75})] == [0.75, 0.0]
+        data: Any = SimpleNamespace(unit=SimpleNamespace(known=True))
+        assert [one.explains for one in shown_findings(found, data, None, {"bias": 0.75})] == [0.75, 0.0]
 
 
 class TestNotes:

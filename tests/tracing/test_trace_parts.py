@@ -602,25 +602,32 @@ class TestSelection:
         assert told == replace(verdict, best=(taken,))
         assert vars(fit)["model"] == (taken,)
 
-    def test_whether_a_bias_is_apart_is_asked_of_a_refit_where_nothing_was_chosen_yet(
+    def test_whether_a_bias_is_large_is_asked_of_a_refit_where_nothing_was_chosen_yet(
         self, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        data = biased()
-        (bias,) = labelled(data, "bias[xy]")
-        base = Fit.begin(data).refit()
-        with_one = base.with_terms([bias], [np.zeros(2)]).refit()
-        problem: Any = SimpleNamespace()
-        for alone, about, refitted, apart in (
-            (None, base, with_one, with_one),
-            (None, base, None, None),
-            (None, with_one, with_one, None),
-            (3, with_one, None, ("a fit of", [3], with_one)),
+        base: Any = SimpleNamespace(chi2=1010.0, dof=10, terms=())
+        with_one: Any = SimpleNamespace(terms=("bias",))
+        for left, about, refitted, large in (
+            (30.0, with_one, None, 3),  # 20 of an excess of 1000 remain
+            (50.0, base, 30.0, 3),
+            (50.0, base, 50.0, None),
+            (50.0, with_one, 30.0, None),
         ):
-            monkeypatch.setattr(choice, "_mostly_bias", lambda problem, alone=alone: alone)
-            monkeypatch.setattr(choice, "_mostly_bias_refitted", lambda *_, refitted=refitted: refitted)
-            monkeypatch.setattr(choice, "fit_model", lambda _, model, about: ("a fit of", model, about))
-            told = choice._separate_bias(problem, base, about)
-            assert (None if told is None else told()) == apart
+            problem: Any = SimpleNamespace(
+                widest_bias=3,
+                chi2=1010.0,
+                dof=10,
+                width=np.full(4, 2),
+                target=np.zeros(12),
+                off=lambda model, target, left=left: np.sqrt([left * (model == [3])]),
+            )
+            trial = SimpleNamespace(chi2=refitted, dof=10)
+            monkeypatch.setattr(choice, "fit_model", lambda *_, trial=trial: trial)
+            assert choice._large_bias(problem, base, about) == large
+            problem.dof = 2  # no reading remains to check a bias of two axes
+            assert choice._large_bias(problem, base, about) == (3 if left < 40 else None)
+            problem.widest_bias = None
+            assert choice._large_bias(problem, base, about) is None
 
 
 class TestNestedModels:

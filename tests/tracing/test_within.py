@@ -13,8 +13,8 @@ from adis_gonio.tracing.within.samples import Samples, WithinFinding, scatter
 from adis_gonio.tracing.within.second_pass import (
     correlation_reach,
     counts_as_found,
+    look_within,
     probability,
-    search_within,
 )
 from adis_gonio.tracing.within.tones import density_of
 from tracing.dwell_samples import bartlett, draw
@@ -23,11 +23,11 @@ SEEDS = 12
 
 
 def kinds(samples: Samples) -> list[str]:
-    return [finding.kind for finding in search_within(samples)]
+    return [finding.kind for finding in look_within(samples)[0]]
 
 
 def only(samples: Samples, kind: str) -> WithinFinding | None:
-    return next((finding for finding in search_within(samples) if finding.kind == kind), None)
+    return next((finding for finding in look_within(samples)[0] if finding.kind == kind), None)
 
 
 def covered(finding: WithinFinding, name: str, truth: float) -> bool:
@@ -77,7 +77,7 @@ def test_tone_is_found_with_frequency_and_amplitude():
             return np.column_stack([wave, 0.5 * wave])
 
         found = [
-            f for f in search_within(draw(np.random.default_rng(seed), added=line)) if f.kind == "tone"
+            f for f in look_within(draw(np.random.default_rng(seed), added=line))[0] if f.kind == "tone"
         ]
         assert len(found) == 1
         assert found[0].axes == ("x", "y")
@@ -150,7 +150,7 @@ def test_settling_is_found_with_amplitude_and_time_constant(flicker_mg2):
             return np.column_stack([3.0 * fall, 0 * fall])
 
         samples = draw(np.random.default_rng(seed), added=course, flicker_mg2=flicker_mg2)
-        found = search_within(samples)
+        found = look_within(samples)[0]
         assert [f.kind for f in found] == ["settling"]
         assert found[0].axes == ("x",)
         assert found[0].effect == "settling"
@@ -181,7 +181,7 @@ def test_common_drift_is_a_slope_and_not_settling():
         def slope(k, time, rng):
             return np.column_stack([0.2 * time, 0 * time])
 
-        found = search_within(draw(np.random.default_rng(seed), added=slope))
+        found = look_within(draw(np.random.default_rng(seed), added=slope))[0]
         assert [f.kind for f in found] == ["drift"]
         assert found[0].effect is None
         held += covered(found[0], "drift_x", 0.2)
@@ -196,7 +196,7 @@ def test_step_in_one_dwell_is_found_where_and_when_it_was():
             return np.column_stack([0 * time, (k == 7) * 4.0 * (time >= time[0] + 3.0)])
 
         samples = draw(np.random.default_rng(seed), added=jump)
-        found = search_within(samples)
+        found = look_within(samples)[0]
         assert [f.kind for f in found] == ["step"]
         (place,) = found[0].places
         assert (place.position, place.axis) == (7, "y")
@@ -219,7 +219,7 @@ def test_noise_that_joins_is_found_with_its_size_and_moment():
             own = np.convolve(white[:, 0], bartlett(2), "valid") * (time >= start)
             return np.column_stack([own, 0 * own])
 
-        found = list(search_within(draw(np.random.default_rng(seed), added=joining)))
+        found = list(look_within(draw(np.random.default_rng(seed), added=joining))[0])
         assert [f.kind for f in found] == ["noise_change"]
         assert found[0].effect == "noise_change"
         assert found[0].axes == ("x",)
@@ -266,7 +266,7 @@ def test_spikes_are_counted_and_taken_out():
         rows[333, 1] = -25.0 * (k == 17)
         return rows
 
-    found = search_within(draw(np.random.default_rng(1), added=knocks, filter_m=0))
+    found = look_within(draw(np.random.default_rng(1), added=knocks, filter_m=0))[0]
     assert [f.kind for f in found] == ["spikes"]
     assert [(p.position, p.axis) for p in found[0].places] == [(2, "x"), (17, "y")]
     assert found[0].parameters["largest"].value == pytest.approx(30.0, abs=15.0)

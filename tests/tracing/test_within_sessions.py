@@ -18,7 +18,7 @@ from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.handover.calibration_report import build_page
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing.within.samples import WithinFinding, samples_of
-from adis_gonio.tracing.within.second_pass import search_within
+from adis_gonio.tracing.within.second_pass import look_within
 from tracing.dwell_samples import bartlett
 from tracing.recorded import record
 
@@ -46,7 +46,7 @@ def within(source: Path | Session) -> tuple[WithinFinding, ...]:
     session = source if isinstance(source, Session) else load_session(source)
     samples = samples_of(session, readings_of(session))
     assert samples is not None
-    return search_within(samples)
+    return look_within(samples)[0]
 
 
 def held(finding: WithinFinding, name: str, truth: float, factor: float = 3.0) -> bool:

@@ -86,7 +86,7 @@ class Operator:
         return [self._remarks.get_nowait() for _ in range(self._remarks.qsize())]
 
     def answer(self, answer: Reply | str) -> None:
-        """Answer the open question by the name of a reply, such as one of `GuardRaised.answers`.
+        """Answer the open question by a reply or its name, such as one of `GuardRaised.answers`.
 
         Raises
         ------
@@ -152,7 +152,7 @@ class Operator:
         self.going_on.set()
 
     def note(self, text: str) -> None:
-        """Record a remark in the session, with the time and the present position."""
+        """Record the remark `text` in the session, with the time and the present position."""
         if text.strip():
             self._remarks.put({"text": text.strip(), "utc": utc_now()})
 

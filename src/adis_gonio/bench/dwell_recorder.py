@@ -212,12 +212,14 @@ class Recording:
         self._stop = self._first_sample(self._begin_s + self.dwell_s - 0.5 * self.period_s)
 
     def _first_sample(self, at_s: float) -> int | None:
-        """Return the index of the first sample at or after a time in s; None if it is not read yet."""
+        """Return the index of the first sample at or after the time `at_s`; None if it is not read yet."""
         index = int(np.searchsorted(self._times, at_s))
         return index if index < self._count else None
 
     def _pieces(self) -> list[tuple[Phase, Block]]:
-        """Return the blocks with their phases, split at the begin and the end of the dwell.
+        """Return the blocks, split at the begin and the end of the dwell, each part with its phase.
+
+        The phases are `before`, `dwell` and `after`.
 
         All scans lost in a block that is split count as lost in the dwell.
         """
@@ -514,7 +516,10 @@ class DwellRecorder(Recorder):
         return bool(self._doubts)
 
     def _ask(self, guard: Guard, place: int) -> Generator[Event, None, bool]:
-        """Ask the operator the question of a guard; return True if the dwell is kept or continues."""
+        """Ask the operator the question of a guard; return True if the dwell is kept or continues.
+
+        `place` is the index in the plan of the position that the guard questions.
+        """
         ledger = self._ledger
         self._stops[place] += 1
         shown = shorten_repeated(guard, self._stops[place] if ledger.done else 1, self._said)

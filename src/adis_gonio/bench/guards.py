@@ -210,8 +210,8 @@ def judge_level(accel_mg: Floats, gravity_mg: float, bias_mg: float) -> Guard | 
 def judge_start(accel_mg: Floats, asked_deg: float, sense: int) -> Guard | None:
     """Check that the sensor is placed as drawn at the first position; return None if it is.
 
-    Any start angle is allowed; a reading (3,) more than 90° from `asked_deg` gives a question. `sense` is
-    −1 in a reversed session.
+    Any start angle is allowed; a question is returned if the angle of the reading `accel_mg` (3,) is more
+    than 90° from `asked_deg`. `sense` is −1 in a reversed session.
     """
     x, y = float(accel_mg[0]), float(accel_mg[1])
     angle = -sense * math.degrees(math.atan2(y, x))
@@ -262,7 +262,7 @@ def judge_pose(
 
 
 def angle_between_deg(a: Sequence[float] | Floats, b: Sequence[float] | Floats) -> float:
-    """Return the angle between two directions in degrees, 0 to 180."""
+    """Return the angle between the directions `a` and `b` (3,) in degrees, 0 to 180."""
     a, b = np.asarray(a, float), np.asarray(b, float)
     cosine = float(a @ b / (np.linalg.norm(a) * np.linalg.norm(b)))
     return math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
@@ -339,9 +339,10 @@ def judge_dwell(scans: Block, problems: Sequence[Problem]) -> list[Guard]:
 
 
 def greatest_step(time_s: Floats, values: Floats) -> float:
-    """Return the largest change of a value within a second, estimated from short means.
+    """Return the largest change of `values` (n,) within a second, estimated from short means.
 
-    The means are over half a second, or over quarters of a shorter dwell.
+    `time_s` (n,) are the times of the values. The means are over half a second, or over quarters of a dwell
+    of less than two seconds.
     """
     width_s = min(STEP_WINDOW_S / 2, float(time_s[-1] - time_s[0]) / 4)
     if width_s <= 0:
@@ -625,7 +626,10 @@ class Judge:
         self._rebuild()
 
     def settled(self, position: Position, accel_mg: Floats) -> Guard | None:
-        """Check the position in which the sensor rests, by its reading; return None if it is plausible."""
+        """Check by the reading `accel_mg` (3,) at rest that the sensor is at a position.
+
+        Returns the question to the operator, or None if the position is plausible.
+        """
         if not self._planar or position.angle_deg is None:
             return self._pose(position, accel_mg)
         level = judge_level(accel_mg, self._spread.gravity_mg, self._spread.bias_mg)
@@ -707,21 +711,27 @@ class Judge:
         self._rebuild()
 
     def angle_deg(self, accel_mg: Floats) -> float | None:
-        """Return the stage angle of a reading by gravity, within ±180°; None if attitudes are free."""
+        """Return the stage angle that the reading `accel_mg` (3,) shows, within ±180°.
+
+        The result is None if attitudes are free.
+        """
         return self._expected.angle_deg(accel_mg) if self._planar else None
 
     def tolerance_deg(self, accel_mg: Floats, angle_deg: float) -> float | None:
-        """Return the largest deviation from a stage angle that no guard doubts; None before a dwell.
+        """Return the largest deviation in degrees from the stage angle `angle_deg` that no guard doubts.
 
-        `accel_mg` is the present reading. The deviation becomes smaller when dwells have shown the sensor's
-        gains, biases and misalignment.
+        `accel_mg` (3,) is the present reading. The deviation becomes smaller when dwells have shown the
+        sensor's gains, biases and misalignment. The result is None before the first dwell.
         """
         if not self._planar or not self._expected.begun:
             return None
         return self._expected.off(accel_mg, angle_deg).limit_deg
 
     def _positions(self, position: Position, accel_mg: Floats) -> list[PartPosition]:
-        """List the positions of the sensor in all dwells, and its present position last."""
+        """List the positions of the sensor in all dwells, and its present position last.
+
+        `position` and `accel_mg` (3,) are the requested position and the present reading.
+        """
         positions: list[PartPosition] = []
         before: _JudgedDwell | None = None
         for taken in self._taken:

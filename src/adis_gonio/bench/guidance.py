@@ -58,14 +58,26 @@ def whole_turns_to_do(turned_deg: float, fastest_dps: float) -> str:
 
     `turned_deg` is the turn, counter-clockwise positive, and `fastest_dps` the largest rate.
     """
-    turns = round(abs(turned_deg) / 360)
-    times = "once" if turns == 1 else f"{turns} times"
-    way = "counter-clockwise" if turned_deg > 0 else "clockwise"
     return (
-        f"leave the part at the mark; 1 s after Enter turn it {times} {way}, seen from above, flat on the"
-        f" table and back to the mark, at {fastest_dps:.0f} °/s at most ({360 / fastest_dps:.0f} s a turn;"
-        " stops to change your grip do no harm), and let it rest: get ready"
+        f"leave the part at the mark; 1 s after Enter turn it {turns_text(turned_deg)}, seen from above,"
+        f" flat on the table and back to the mark, at {fastest_dps:.0f} °/s at most"
+        f" ({360 / fastest_dps:.0f} s a turn; stops to change your grip do no harm), and let it rest:"
+        " get ready"
     )
+
+
+def turns_text(turned_deg: float) -> str:
+    """Return number and sense of whole turns as text, such as `5 times clockwise`.
+
+    `turned_deg` is the turn, counter-clockwise positive.
+    """
+    turns = round(abs(turned_deg) / 360)
+    return f"{'once' if turns == 1 else f'{turns} times'} {turn_sense(turned_deg)}"
+
+
+def turn_sense(angle_deg: float) -> str:
+    """Return the sense of a turn seen from above: `counter-clockwise` (`angle_deg` > 0) or `clockwise`."""
+    return "counter-clockwise" if angle_deg > 0 else "clockwise"
 
 
 def face(position: Position | None) -> str:
@@ -127,8 +139,7 @@ def _turn(position: Position, before: Position | None, *, reverse: bool) -> str:
         if before.approach != position.approach:
             return f"turn the part past it and back to {position}"
         return f"leave the part at {position}"
-    way = "counter-clockwise" if (by > 0) is not reverse else "clockwise"
-    return f"turn the part {signed(by)}° ({way}) to {position}"
+    return f"turn the part {signed(by)}° ({turn_sense(-by if reverse else by)}) to {position}"
 
 
 def _hold(position: Position, *, table: bool) -> str:

@@ -22,6 +22,7 @@ from adis_gonio.bench.dialogue import Reply
 from adis_gonio.bench.dwell_recorder import DwellRecorder
 from adis_gonio.bench.events import DwellInterrupted, Event, GuardKind, Problem
 from adis_gonio.bench.guards import Guard, angle_between_deg
+from adis_gonio.bench.guidance import turn_sense
 from adis_gonio.bench.recorder import FollowedTurn
 from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.device.sensor.driver import DEFAULT_SCAN
@@ -315,16 +316,11 @@ def judge_whole_turn(turn: GyroTurn, found: Integral | str) -> Guard | None:
         return Guard("wrong_angle", message, values, spoils=True)
     if turned * wanted_deg < 0:
         message = (
-            f"turned {signed(turned, 0)}°, {way(turned)}; {way(wanted_deg)} was requested:"
+            f"turned {signed(turned, 0)}°, {turn_sense(turned)}; {turn_sense(wanted_deg)} was requested:"
             " this is allowed if the next turn goes the other way"
         )
         return Guard("reversed", message, values, ("retake", "reverse", "keep", "skip"), "reverse")
     return None
-
-
-def way(angle_deg: float) -> str:
-    """Return the sense of a turn seen from above: `counter-clockwise` or `clockwise`."""
-    return "counter-clockwise" if angle_deg > 0 else "clockwise"
 
 
 def _the_other_way(plan: Plan, place: int) -> Plan:

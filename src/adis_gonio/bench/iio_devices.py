@@ -25,6 +25,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import (
@@ -165,11 +166,23 @@ def choose_channels(channels: Sequence[IioChannel], where: str) -> tuple[IioChan
     return tuple(chosen.values())
 
 
-class BufferLayout:
-    """Positions of the samples of enabled channels in a scan.
+def aligned_dtype(samples: Mapping[str, DTypeLike]) -> np.dtype[np.void]:
+    """Return the type of a scan with these samples in order, in the layout of the kernel and libiio.
 
-    Samples are ordered by the index of their channel. Each begins at a multiple of its size, and the size
-    of a scan is a multiple of its largest sample.
+    Each sample begins at a multiple of its size, and the size of a scan is a multiple of its largest
+    sample. `samples` has the type of each sample by the name of its channel.
+    """
+    formats = [np.dtype(one) for one in samples.values()]
+    offsets, end = [], 0
+    for one in formats:
+        offsets.append(end + -end % one.itemsize)
+        end = offsets[-1] + one.itemsize
+    size = end + -end % max(one.itemsize for one in formats)
+    return np.dtype({"names": list(samples), "formats": formats, "offsets": offsets, "itemsize": size})
+
+
+class BufferLayout:
+    """Positions of the samples of enabled channels in a scan, ordered by the index of their channel.
 
     Attributes
     ----------
@@ -181,26 +194,13 @@ class BufferLayout:
 
     def __init__(self, channels: Sequence[IioChannel]) -> None:
         self.channels = tuple(sorted(channels, key=lambda channel: channel.index))
-        at, largest = 0, 1
-        offsets: list[int] = []
-        formats: list[np.dtype[np.unsignedinteger]] = []
+        samples: dict[str, DTypeLike] = {}
         for channel in self.channels:
             if channel.format is None or channel.index < 0:
                 raise UsageError(f"{channel.id} cannot be buffered")
-            size = channel.format.dtype.itemsize
-            at += -at % size
-            offsets.append(at)
-            formats.append(channel.format.dtype)
-            at, largest = at + size, max(largest, size)
-        self.size = at + -at % largest
-        self._dtype = np.dtype(
-            {
-                "names": [channel.id for channel in self.channels],
-                "formats": formats,
-                "offsets": offsets,
-                "itemsize": self.size,
-            }
-        )
+            samples[channel.id] = channel.format.dtype
+        self._dtype = aligned_dtype(samples)
+        self.size = self._dtype.itemsize
 
     def numbers(self, data: bytes) -> dict[str, np.ndarray]:
         """Decode the bytes of n whole scans: numbers (n,) int64 by the channel's name."""
@@ -212,17 +212,16 @@ class BufferLayout:
         }
 
 
-def parse_number(attributes: Mapping[str, str], name: str, default: float, where: str) -> float:
-    """Return the number in the text of an attribute, or the default if there is no such attribute.
+def parse_number(text: str | None, name: str, default: float, where: str) -> float:
+    """Return the number in the text of an attribute, or `default` if `text` is None.
 
-    `where` names the device in error messages.
+    `name` and `where` name the attribute and the device in error messages.
 
     Raises
     ------
     CannotOpenError
         The text is no finite number.
     """
-    text = attributes.get(name)
     if text is None:
         return default
     try:
@@ -234,18 +233,19 @@ def parse_number(attributes: Mapping[str, str], name: str, default: float, where
     return number
 
 
-def channel_of(name: str, texts: Mapping[str, str], where: str) -> IioChannel:
+def channel_of(name: str, texts: Mapping[str, str | None], where: str) -> IioChannel:
     """Make a channel from the texts of its attributes `scale`, `offset`, `index` and `format`.
 
-    Missing attributes have defaults. `name` is the channel's name, `where` names the device in error
-    messages.
+    An attribute that is missing or None has a default. `name` is the channel's name, `where` names the
+    device in error messages.
     """
-    scale = parse_number(texts, "scale", 1.0, where)
-    offset = parse_number(texts, "offset", 0.0, where)
-    index = int(parse_number(texts, "index", -1, where))
-    if index < 0 or "format" not in texts:
+    scale = parse_number(texts.get("scale"), "scale", 1.0, where)
+    offset = parse_number(texts.get("offset"), "offset", 0.0, where)
+    index = int(parse_number(texts.get("index"), "index", -1, where))
+    form = texts.get("format")
+    if index < 0 or form is None:
         return IioChannel(name, scale=scale, offset=offset)
-    return IioChannel(name, index, SampleFormat.parse(texts["format"]), scale, offset)
+    return IioChannel(name, index, SampleFormat.parse(form), scale, offset)
 
 
 TIMESTAMP = "timestamp"
@@ -309,10 +309,8 @@ class LocalDevice:
             files |= {path.name for path in scans.iterdir()}
         names = sorted({found["id"] for file in files if (found := _FILE.fullmatch(file))})
         channels = tuple(self._channel(name) for name in names)
-        rate: dict[str, str] = {}
-        for file in ("sampling_frequency", "in_accel_sampling_frequency", "in_accel_x_sampling_frequency"):
-            if not rate and (text := self._text(file)) is not None:
-                rate["sampling_frequency"] = text
+        rates = (self._text(f"{kind}sampling_frequency") for kind in ("", "in_accel_", "in_accel_x_"))
+        rate = next((text for text in rates if text is not None), None)
         hz = parse_number(rate, "sampling_frequency", 0.0, self.where)
         return DeviceFacts(self._folder.name, _name_of(self._folder), channels, hz or None)
 
@@ -325,14 +323,14 @@ class LocalDevice:
             "index": self._text(f"scan_elements/in_{name}_index"),
             "format": self._text(f"scan_elements/in_{name}_type"),
         }
-        return channel_of(name, {key: text for key, text in texts.items() if text is not None}, self.where)
+        return channel_of(name, texts, self.where)
 
     def read_raw(self, channel: str) -> float:
         """Read the present raw number of a channel."""
         text = self._text(f"in_{channel}_raw")
         if text is None:
             raise ProtocolError(f"{self.where}: in_{channel}_raw cannot be read")
-        return parse_number({"raw": text}, "raw", 0.0, self.where)
+        return parse_number(text, "raw", 0.0, self.where)
 
     # -- the buffer -------------------------------------------------------------------------------
 
@@ -401,7 +399,7 @@ class LocalDevice:
             self._found.append((path, before))
 
     def _text(self, name: str) -> str | None:
-        """Read the text of an attribute; None if it is missing or cannot be read."""
+        """Read the text of the attribute in the file `name`; None if it is missing or cannot be read."""
         try:
             return (self._folder / name).read_text()
         except OSError:
@@ -515,7 +513,7 @@ class NetworkDevice:
 
     def facts(self) -> DeviceFacts:
         """Read the name, the channels and the rate of the device."""
-        rate = self._attributes_named(self._element, "", ("sampling_frequency",))
+        rate = self._attributes_named(self._element, "", ("sampling_frequency",)).get("sampling_frequency")
         channels = []
         for element in self._element.findall("channel"):
             if element.get("type") != "input":
@@ -524,7 +522,7 @@ class NetworkDevice:
                 element, f"INPUT {element.get('id')} ", ("scale", "offset", "sampling_frequency")
             )
             if element.get("id", "").startswith("accel"):
-                rate = rate or {k: v for k, v in attributes.items() if k == "sampling_frequency"}
+                rate = rate or attributes.get("sampling_frequency")
             channels.append(self._channel(element, attributes))
         hz = parse_number(rate, "sampling_frequency", 0.0, self.where)
         name = self._element.get("name") or self._id
@@ -563,8 +561,7 @@ class NetworkDevice:
 
     def read_raw(self, channel: str) -> float:
         """Read the present raw number of a channel."""
-        text = self._read(f"INPUT {self._id_of(channel)} raw")
-        return parse_number({"raw": text}, "raw", 0.0, self.where)
+        return parse_number(self._read(f"INPUT {self._id_of(channel)} raw"), "raw", 0.0, self.where)
 
     def _id_of(self, channel: str) -> str:
         """Return the id by which the server knows a channel, such as `voltage0` for `voltage0_supply`."""
@@ -640,7 +637,7 @@ class NetworkDevice:
         return self._exactly(length + 1)[:-1]
 
     def _number(self, line: str, timeout_s: float | None = None) -> int:
-        """Send a request and return the number that the server answers.
+        """Send the request `line` and return the number that the server answers.
 
         The whole answer, with the bytes after this number, must come within `timeout_s` (None: the time
         limit of the device).

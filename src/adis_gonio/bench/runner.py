@@ -231,11 +231,6 @@ class SessionRunner(Operator):
         return self._recorder_type.one_recording
 
     @property
-    def on_screen(self) -> bool:
-        """True if the bench screen can show this session; otherwise plain prompts are used."""
-        return not self.one_recording
-
-    @property
     def fastest_dps(self) -> float:
         """Largest mean rate of a turn in °/s that suits the gyros' range; known after configuration."""
         return SHARE_OF_RANGE * float(self._bench.configuration.as_dict().get("gyro_range_dps") or 300.0)

@@ -50,7 +50,7 @@ class SimulatedWorld(Protocol):
     """The simulated surroundings of a sensor; a simulated bus brings one as its attribute `world`."""
 
     def truth(self, time_s: Floats | None = None) -> dict[str, float]:
-        """Return the true parameters of the simulated sensor, averaged over the times if any are given."""
+        """Return the true parameters of the simulated sensor, averaged over `time_s` (n,) if given."""
 
 
 @runtime_checkable
@@ -286,7 +286,10 @@ class SessionBench:
                 )
 
     def changes(self, before: dict[str, int], after: dict[str, int]) -> dict[str, tuple[int, int]]:
-        """Return the control registers that differ between two register dumps, with both numbers."""
+        """Return the control registers whose numbers `before` and `after` differ, with both numbers.
+
+        Both arguments have the numbers of all registers by name.
+        """
         names = self.source.identity(after, {})
         return {name: (before[name], after[name]) for name in names if before[name] != after[name]}
 
@@ -330,8 +333,8 @@ class SessionBench:
     def _carry_out(self, move: Move, *, watched: bool = True) -> bool:
         """Move the stage and return True; return False if there is no stage that can do it.
 
-        If turns are recorded, a stage that moves while scans are read only begins the move, unless
-        `watched` is False.
+        If turns are recorded and `watched` is True, a stage that can move while scans are read only begins
+        the move.
         """
         stage = self.stage
         scanned = stage if watched and self.settings.turns and isinstance(stage, WatchedStage) else None

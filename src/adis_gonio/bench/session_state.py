@@ -81,7 +81,10 @@ class Ledger:
         return problem
 
     def scanning(self, now: dict[str, Any]) -> None:
-        """Write the method by which scans are read (`how`, `caveat`) to the archive if it has changed."""
+        """Write the method by which scans are read to the archive if it has changed.
+
+        `now` has this method as texts `how` and `caveat`.
+        """
         if now != self._scanning:
             self._scanning = now
             self.note("scanning", now)
@@ -274,7 +277,7 @@ class LiveView:
         return target_deg + wrap_degrees(angle - target_deg), tolerance
 
     def _smoothed_mg(self, accel_mg: Floats) -> Floats:
-        """Return a reading (3,) in mg with the direction in the plane replaced by the smoothed angle."""
+        """Return the reading `accel_mg` (3,) with its angle in the plane replaced by the smoothed angle."""
         smoothed = None if self.smoother is None else self.smoother.reading(self._seen_s)
         if smoothed is None:
             return accel_mg
@@ -376,7 +379,7 @@ class Knowledge:
         )
 
     def _new_judge(self, noise_mg: float) -> Judge | None:
-        """Return a judge of positions that knows the dwells so far; None if any angle is allowed.
+        """Return a judge of positions that knows the dwells so far; None if positions are not judged.
 
         `noise_mg` is the largest noise of an axis.
         """

@@ -25,7 +25,7 @@ from adis_gonio.base.conformity import ErrorCurve
 from adis_gonio.base.errors import DataError, FitError, UsageError
 from adis_gonio.base.jsonable import HIDDEN, OPTIONAL, JsonRecord, json_object, json_text
 from adis_gonio.base.numbers import counted, join_words
-from adis_gonio.base.output import check_output, replacing, write_utf8
+from adis_gonio.base.output import check_output, write_text
 from adis_gonio.base.tables import ParameterTable
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.model.effects import AXES, Conditions, Effect, catalogue, effect
@@ -179,13 +179,12 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
         OutputError
             The file cannot be written.
         """
-        with replacing(check_output(path, force=force)) as temporary:
-            write_utf8(temporary, json_text(self.as_dict()))
+        write_text(check_output(path, force=force), json_text(self.as_dict()))
 
     def _entries(self, where: Provenance | GyroCalibration) -> dict[str, Any]:
-        """Return the entries of the JSON document that accelerometer and gyro calibrations share.
+        """Return the entries that the JSON documents of accelerometer and gyro calibrations have in common.
 
-        `where` has the conditions of the session and the offset registers.
+        `where` has the conditions of the session and the contents of the offset registers.
         """
         covariance = {"names": self.names, "matrix": self.covariance}
         return {
@@ -211,10 +210,11 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
         default: float | None = None,
         dies: int = 1,
     ) -> Floats | None:
-        """Return a condition for each of n readings, (n, dies), by `checked_condition`.
+        """Return a condition, such as the temperature, for each of n readings, (n, dies); None if unknown.
 
-        Without a given value it is the mean of the session if the calibration depends on this condition and
-        the session recorded it (`covered`), else `default`.
+        `name` is the condition and `given` its values (`checked_condition`). If `given` is None, the result
+        is the mean of the session if the calibration depends on this condition and the session recorded it
+        (`covered`), else `default`.
         """
         if covered is not None and name in self.needs:
             default = covered.mean
@@ -237,14 +237,15 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
         value = function(self.values)
         if self.covariance is None:
             return value, np.full(value.shape, np.nan)
-        rises = central_differences(function, self.values, STEP, _directions(self.covariance), difference)
+        changes = independent_changes(self.covariance)
+        rises = central_differences(function, self.values, STEP, changes, difference)
         return value, np.asarray((rises**2).sum(axis=-1))
 
 
-def _directions(covariance: Floats) -> Floats:
-    """Return independent changes (k, p) of the parameters, each by one standard uncertainty.
+def independent_changes(covariance: Floats) -> Floats:
+    """Return p independent changes of p parameters, each by one standard uncertainty, as rows (p, p).
 
-    They are the principal axes of the covariance.
+    The transpose times the result is the covariance (p, p), which may be singular.
     """
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     unit = np.where(scale > 0, scale, 1.0)
@@ -646,7 +647,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
             lambda values: angle(values, readings, conditions),
             self.values,
             STEP,
-            _directions(self.covariance),
+            independent_changes(self.covariance),
             _turn_between,
         )
         dof = min((one.dof for one in self.parameters if one.dof is not None), default=math.inf)
@@ -823,11 +824,11 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         return AngleReading(angle_deg[at], u_deg[at], assumed_c)
 
     def _left_to_temperature(self, readings: Floats, temperature_c: ArrayLike | None) -> Iterator[Floats]:
-        """Yield the change (n, axes) of readings by each temperature effect outside the calibration.
+        """Yield the change (n, axes) of readings by each temperature effect that is not corrected.
 
         It is the change from the mean temperature of the session to the temperature of the reading, if the
-        coefficient has its typical size. Nothing is yielded if the temperature of the readings is None or
-        the temperature of the session is unknown.
+        effect has its typical size. Nothing is yielded if the temperature of the readings is None or the
+        temperature of the session is unknown.
         """
         session = self.provenance.temperature_c
         now = checked_condition("temperature_c", temperature_c, len(readings), None)
@@ -863,12 +864,10 @@ def _turn_between(up_rad: Floats, down_rad: Floats) -> Floats:
 
 
 def _solved(free: Floats, terms: Sequence[tuple[Effect, Floats]], conditions: Conditions) -> Floats:
-    """Return the ideal readings (n, axes), in mg, that together with the effects give the readings `free`.
+    """Remove effects from readings minus bias, `free` (n, axes) in mg: return the ideal readings (n, axes).
 
-    `free` (n, axes) are readings minus bias, in mg; `terms` are the effects with the values of their
-    parameters. The solution a of a + Σ effects(a) = `free` is found by iteration.
-
-    A row is NaN if the iteration does not converge.
+    `terms` are the effects with the values of their parameters. The effects depend on the ideal readings a,
+    so a + Σ effects(a) = `free` is solved by iteration. A row is NaN if the iteration does not converge.
     """
     ideal = free
     for _ in range(_PASSES):

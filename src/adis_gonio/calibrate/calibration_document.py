@@ -186,7 +186,7 @@ def _read_gyro(document: Mapping[str, Any]) -> GyroCalibration:
 
 
 def _read_body(document: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the attributes that accelerometer and gyro calibrations have in common from a document."""
+    """Read the attributes that calibrations of accelerometers and of gyros have in common, by name."""
     covariance, offsets, reference = document["covariance"], document["offsets_lsb"], document["reference"]
     return {
         "method": document["method"],

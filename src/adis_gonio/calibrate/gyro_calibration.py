@@ -73,7 +73,7 @@ class Rates:
     u_dps: Floats
 
 
-_Values = Mapping[str, Floats]
+ByKind = Mapping[str, Floats]
 """Parameters by kind, as a vector (3,) by gyro or a matrix (3, 3) with a row for each gyro."""
 
 
@@ -154,7 +154,7 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
             kind = KIND_OF.get(one.name)
             if kind is None or one.unit != _KINDS[kind][1]:
                 raise FitError(f"{one.name} in {one.unit} is no parameter of a gyro")
-        misalignment = self._values(self.values)["gyro_misalignment"]
+        misalignment = self.by_kind(self.values)["gyro_misalignment"]
         if (np.abs(misalignment) >= 45).any() or abs(np.linalg.det(self.sensitivity)) < LEAST_DETERMINANT:
             raise FitError(
                 "gains and directions are impossible for three gyros: one hardly responds to a turn"
@@ -169,7 +169,7 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
     @property
     def bias_dps(self) -> Floats:
         """Readings (3,) of the gyros at rest in °/s (zero rates), without force, at 25 °C and 5 V."""
-        return self._values(self.values)["gyro_bias"]
+        return self.by_kind(self.values)["gyro_bias"]
 
     @property
     def sensitivity(self) -> Floats:
@@ -177,12 +177,12 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
 
         Perfect gyros have the identity.
         """
-        return _sensitivity(self._values(self.values))
+        return sensitivity_of(self.by_kind(self.values))
 
     @property
     def g_sensitivity_dps_per_g(self) -> Floats:
         """g-sensitivity (3, 3) in °/s/g: one row for each gyro, one column for each axis of force."""
-        return self._values(self.values)["g_sensitivity"]
+        return self.by_kind(self.values)["g_sensitivity"]
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -254,7 +254,7 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         """
         rate, single = _rows("rate_dps", rate_dps)
         conditions = self._conditions(len(rate), force_g, temperature_c, supply_v)
-        corrected = _corrected(self._values(self.values), rate, *conditions)
+        corrected = _corrected(self.by_kind(self.values), rate, *conditions)
         return corrected[0] if single else corrected
 
     def rates(
@@ -294,19 +294,20 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         rate_dps: ArrayLike,
         felt: tuple[ArrayLike | None, ArrayLike | None, ArrayLike | None],
     ) -> Rates:
-        """Evaluate a function of the parameters, rates and conditions, and propagate the uncertainty to it.
+        """Evaluate a function of the parameters at given rates and conditions, with its uncertainty.
 
-        `felt` are the force in g, the temperature and the supply voltage, each or None.
+        `function` takes the parameters by kind, rates (n, 3) and the results of `_conditions`, and returns
+        (n, 3). `felt` are the force in g, the temperature and the supply voltage; each may be None.
         """
         rate, single = _rows("rate_dps", rate_dps)
         conditions = self._conditions(len(rate), *felt)
-        value, u = self._with_u(lambda values: function(self._values(values), rate, *conditions))
+        value, u = self._with_u(lambda values: function(self.by_kind(values), rate, *conditions))
         return Rates(value[0], u[0]) if single else Rates(value, u)
 
     def force_part(self, force_g: ArrayLike) -> tuple[Floats, Floats]:
         """Return the zero rate (3,) in °/s that a force (3,) in g causes in each gyro, and its u (3,)."""
         force = _spread("force_g", force_g, 1)
-        value, u = self._with_u(lambda values: _by_force(self._values(values), force))
+        value, u = self._with_u(lambda values: _by_force(self.by_kind(values), force))
         return value[0], u[0]
 
     def with_offsets(self, offsets_lsb: Sequence[int]) -> GyroCalibration:
@@ -341,7 +342,8 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
 
     # -- computation ------------------------------------------------------------------------------
 
-    def _values(self, values: Floats) -> _Values:
+    def by_kind(self, values: Floats) -> ByKind:
+        """Arrange values (p,) of the parameters by kind; a perfect gyro's value replaces a missing one."""
         held = dict(zip(self.names, values.tolist(), strict=True))
         made = {}
         for kind, (ends, _) in _KINDS.items():
@@ -403,32 +405,43 @@ def _taken(
     return taken
 
 
-def _sensitivity(v: _Values) -> Floats:
-    sines = np.sin(np.radians(v["gyro_misalignment"]))
+def gyro_directions(misalignment_deg: Floats) -> Floats:
+    """Return unit vectors (3, 3) along the sensitive axes of the gyros, one row for each gyro.
+
+    `misalignment_deg` (3, 3) has the angle of each gyro (row) towards each other axis (column).
+    """
+    sines = np.sin(np.radians(misalignment_deg)) * (1 - np.eye(3))
     # Component along the own axis, so that each direction is a unit vector.
-    own = np.sqrt(np.maximum(1 - (sines**2).sum(axis=1), 0.0))
-    return np.asarray(v["gyro_scale"][:, None] * (sines + np.diag(own)))
+    return np.asarray(sines + np.diag(np.sqrt(np.maximum(1 - (sines**2).sum(axis=1), 0.0))))
 
 
-def _corrected(v: _Values, rate: Floats, force: Floats, warm: Floats, volts: Floats) -> Floats:
+def sensitivity_of(v: ByKind) -> Floats:
+    """Return the matrix (3, 3) of scale factor times direction, one row for each gyro.
+
+    `v` are the parameters by kind (`GyroCalibration.by_kind`).
+    """
+    return np.asarray(v["gyro_scale"][:, None] * gyro_directions(v["gyro_misalignment"]))
+
+
+def _corrected(v: ByKind, rate: Floats, force: Floats, warm: Floats, volts: Floats) -> Floats:
     # Solve the equation of the module docstring for the true rate.
     free = (rate - _zero(v, force, warm, volts)) / _warm_gain(v, warm)
-    return np.asarray(free @ np.linalg.inv(_sensitivity(v)).T)
+    return np.asarray(free @ np.linalg.inv(sensitivity_of(v)).T)
 
 
-def _read(v: _Values, rate: Floats, force: Floats, warm: Floats, volts: Floats) -> Floats:
-    return np.asarray(_warm_gain(v, warm) * (rate @ _sensitivity(v).T) + _zero(v, force, warm, volts))
+def _read(v: ByKind, rate: Floats, force: Floats, warm: Floats, volts: Floats) -> Floats:
+    return np.asarray(_warm_gain(v, warm) * (rate @ sensitivity_of(v).T) + _zero(v, force, warm, volts))
 
 
-def _warm_gain(v: _Values, warm: Floats) -> Floats:
+def _warm_gain(v: ByKind, warm: Floats) -> Floats:
     return np.asarray(1 + 1e-6 * v["gyro_scale_temperature"] * warm)
 
 
-def _by_force(v: _Values, force: Floats) -> Floats:
+def _by_force(v: ByKind, force: Floats) -> Floats:
     return np.asarray(force @ v["g_sensitivity"].T + force**2 @ v["g2_sensitivity"].T)
 
 
-def _zero(v: _Values, force: Floats, warm: Floats, volts: Floats) -> Floats:
+def _zero(v: ByKind, force: Floats, warm: Floats, volts: Floats) -> Floats:
     """Return the zero rates (n, 3) in °/s at n forces in g, temperatures and voltages.
 
     `v` are the values of the parameters by kind. `warm` are temperatures minus 25 °C, and `volts` are

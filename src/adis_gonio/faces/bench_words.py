@@ -1,4 +1,4 @@
-"""The words of a bench session for the screen and the plain prompts: keys, answers, lines about events.
+"""Keys, answers and lines of text about events, for a bench session on the screen or by plain prompts.
 
 Both front ends take every key, question and line from here, so that an operator meets one wording.
 """

@@ -65,9 +65,9 @@ class Hands:
 
 @contextmanager
 def free_hands(url: str) -> Iterator[tuple[str, Hands | None]]:
-    """Open the board of a URL with `hands=free`; yield the URL of its port and the hands that move it.
+    """Context with a simulated board if `url` has `hands=free`: the URL of its port, and the hands.
 
-    Any other URL is yielded unchanged, with None instead of hands.
+    The hands move the part on the board. Any other URL is yielded unchanged, with None instead of hands.
 
     Raises
     ------

@@ -344,21 +344,21 @@ def method_tables(results: Sequence[FitResult], width: int) -> Iterator[tuple[li
 
     Each table has one column per method, and as many methods as `width` (in characters) allows.
     """
-    names = list(dict.fromkeys(e.name for result in results for e in result.parameters))
     units = {e.name: e.unit for result in results for e in result.parameters}
     columns = max(1, (width - 26) // _METHOD_WIDTH)
     for start in range(0, len(results), columns):
         part = results[start : start + columns]
         rows = [
-            [NAMES.get(name, name), format_unit(units[name]), *(_cell(result, name) for result in part)]
-            for name in names
+            [NAMES.get(name, name), format_unit(unit), *(format_parameter(result, name) for result in part)]
+            for name, unit in units.items()
         ]
         rows.append(["residual, rms", "mg", *(f"{r.residual_rms_mg:.3f}" if r.dof else DASH for r in part)])
         rows.append(["χ² / dof", "", *(f"{r.chi2:.1f} / {r.dof}" if r.dof else "none left" for r in part)])
         yield ["", "unit", *(f"{result.method}, ± U" for result in part)], rows
 
 
-def _cell(result: FitResult, name: str) -> str:
+def format_parameter(result: FitResult, name: str) -> str:
+    """Format a parameter of a result as value ± U (95 %) without unit; empty if the result lacks it."""
     return format_uncertain(result[name].value, result[name].U) if name in result else ""
 
 

@@ -81,10 +81,6 @@ class Determination:
         """Fisher information (p, p) of all parameters in natural units."""
         return information(self.fit)
 
-    def on(self, data: Readings) -> Determination:
-        """Return a copy with these parameters on readings `data` that differ only in their noise."""
-        return replace(self, fit=replace(self.fit, data=data))
-
     def determined_by(self, fit: Fit) -> bool:
         """Return True if the readings of `fit` determine as many parameters as the readings of this object.
 

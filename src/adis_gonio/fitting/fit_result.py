@@ -230,7 +230,7 @@ class FitResult(ParameterTable):
 
     @cached_property
     def _around(self) -> ShownAngle | None:
-        """Derivatives of the calibrated angle at angles around the turn; None if no angle is determined."""
+        """Derivatives of the calibrated angle at angles around the turn; None if it is not determined."""
         assert self.origin is not None
         shown, found = ShownAngle.around(self.origin.fit), self.origin.determination
         sure = found is None or all(is_determined(slope, found.null) for slope in shown.gradient)
@@ -438,7 +438,7 @@ def variances(outputs: Sequence[Output], natural: Floats) -> Floats:
 
 
 def estimates(outputs: Sequence[Output], sources: Sources | None) -> tuple[Estimate, ...]:
-    """Return the estimates of the reported quantities, with u from `sources`; u is None without sources."""
+    """Return the reported quantities as estimates, with u from `sources` (None: without u)."""
     found = []
     for output in outputs:
         u, dof = (None, math.inf) if sources is None else sources.uncertainty(output.gradient[None])

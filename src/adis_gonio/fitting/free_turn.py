@@ -33,7 +33,7 @@ say what to do if the turn does not meet them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -43,12 +43,13 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats, cumulative_integral, wrap_degrees
 from adis_gonio.base.errors import DataError, FitError, SingularError
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.uncertainty import Value, effective_dof, factor_over
+from adis_gonio.base.uncertainty import Value, factor_over
+from adis_gonio.calibrate.calibration import independent_changes
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.readings import mg_per_unit
-from adis_gonio.fitting.fit_result import Estimate, FitResult, Output
+from adis_gonio.fitting.fit_result import FitResult, Output, estimates
 from adis_gonio.fitting.method_comparison import MethodComparison, Recommendation, Score
-from adis_gonio.fitting.uncertainty import BudgetRow, gradient_of_base
+from adis_gonio.fitting.uncertainty import BudgetRow, Kind, Source, Sources, budget_of, gradient_of_base
 from adis_gonio.model.measurement import SENSOR_SPREAD
 from adis_gonio.model.records import MG_PER_MPS2, STANDARD_GRAVITY_MPS2, Session, Sweeps
 from adis_gonio.record.provenance import provenance_of
@@ -599,7 +600,7 @@ def require_recording(series: TurnRecording) -> None:
             " 60 s is good"
         )
     steps = np.diff(series.time_s)
-    lost_s = float(steps[steps > 5 * series.period_s].sum())
+    lost_s = float(steps[steps > GAP_PERIODS * series.period_s].sum())
     if lost_s > MOST_LOST * series.length_s:
         raise FitError(
             f"the recording was interrupted: {lost_s:.1f} of {series.length_s:.1f} s have no samples;"
@@ -637,7 +638,7 @@ def require_axis(series: TurnRecording, windows: Windows) -> None:
 
 
 def sweeps_of(psi_rad: Floats) -> Sweeps:
-    """Return the number of full turns and the range of angles of a recording.
+    """Return the numbers of full turns and degrees that a recording covers.
 
     `psi_rad` (m,) is the unwrapped angle ψ at each window. A turn back counts as a turn.
     """
@@ -731,8 +732,13 @@ UNSEEN = (
 )
 """Statements on quantities that no free turn determines."""
 
-SOURCES = ("noise of the accelerometers", "noise of the gyro", "drift of the biases", "stated before")
-"""Names of the causes of the uncertainty, in the order of `Solution.parts`."""
+CAUSES: tuple[tuple[str, Kind], ...] = (
+    ("noise of the accelerometers", "A"),
+    ("noise of the gyro", "A"),
+    ("drift of the biases", "A"),
+    ("stated before", "B"),
+)
+"""Names and types (GUM) of the causes of the uncertainty, in the order of `Solution.parts`."""
 
 
 class FreeTurnResult(FitResult):
@@ -740,13 +746,13 @@ class FreeTurnResult(FitResult):
 
     Attributes
     ----------
-    shares : tuple of ((p, p) float, float)
-        Contribution of each cause to the covariance of the parameters, and its degrees of freedom.
+    sources : Sources
+        Sources of the uncertainty of the parameters, in the order and units of `parameters`.
     turned_deg, length_s : float
         Total rotation, forward and back, and duration of the recording.
     """
 
-    shares: tuple[tuple[Floats, float], ...] = ()
+    sources: Sources = field(default=Sources(()), compare=False)
     turned_deg: float = 0.0
     length_s: float = 0.0
 
@@ -760,10 +766,7 @@ class FreeTurnResult(FitResult):
 
     @cached_property
     def _shown(self) -> Floats:
-        """Derivative (m, p) of the calibrated angle by the p parameters, in degrees.
-
-        The m angles are spread over a full turn.
-        """
+        """Derivative (m, p) in degrees of the calibrated angle by each parameter, at m angles of a turn."""
         at = {one.name: k for k, one in enumerate(self.parameters)}
         k_x, k_y = self["scale_x"].value, self["scale_y"].value
         base = np.array([0.0, k_x, k_y, math.radians(self["delta_phi"].value)])
@@ -781,10 +784,8 @@ class FreeTurnResult(FitResult):
 
         It comes from the parameters of the calibration and excludes the noise of a single reading.
         """
-        each = self._variances(self._shown)
-        variances = np.sum([part for part, _ in each], axis=0)
-        dof = effective_dof([(float(part.mean()), dof) for part, dof in each])
-        return Value(math.nan, math.sqrt(float(variances.mean())), "deg", dof, factor_over(variances, dof))
+        u, dof = self.sources.uncertainty(self._shown)
+        return Value(math.nan, u, "deg", dof, factor_over(self.sources.by_place(self._shown), dof))
 
     @property
     def angle(self) -> Value:
@@ -794,29 +795,13 @@ class FreeTurnResult(FitResult):
         """
         return self.shown_angle
 
-    def _variances(self, gradient: Floats) -> list[tuple[Floats, float]]:
-        """Return the variance (m,) of m quantities by each cause, with its degrees of freedom.
-
-        `gradient` (m, p) is the derivative of the quantities by the parameters.
-        """
-        return [(np.einsum("mp,pq,mq->m", gradient, share, gradient), dof) for share, dof in self.shares]
-
     @cached_property
     def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
         """Uncertainty budget of `delta_k`, `delta_phi` and `angle`: one row for each cause, by result."""
         names = [one.name for one in self.parameters]
         gradients = {name: np.eye(len(names))[[names.index(name)]] for name in ("delta_k", "delta_phi")}
         gradients["angle"] = self._shown
-        return {name: self._rows(gradient) for name, gradient in gradients.items()}
-
-    def _rows(self, gradient: Floats) -> tuple[BudgetRow, ...]:
-        parts = [(float(part.mean()), dof) for part, dof in self._variances(gradient)]
-        total = sum(part for part, _ in parts)
-        return tuple(
-            BudgetRow(name, "B" if name == SOURCES[3] else "A", "normal", None, "1", None,
-                      math.sqrt(max(part, 0.0)), dof, part / total)
-            for name, (part, dof) in zip(SOURCES, parts, strict=True)
-        )  # fmt: skip
+        return {name: budget_of(self.sources, gradient) for name, gradient in gradients.items()}
 
 
 def fit_free_turn(session: Session) -> FreeTurnResult:
@@ -860,14 +845,13 @@ def _fitted(session: Session) -> FreeTurnResult:
     outputs = _outputs(solution, windows)
     gradient = np.array([one.gradient for one in outputs])
     covariance = gradient @ solution.covariance @ gradient.T
-    shares = tuple((gradient @ share @ gradient.T, dof) for share, dof in solution.parts)
-    parameters = tuple(
-        Estimate(
-            one.value, math.sqrt(float(covariance[k, k])), one.unit,
-            effective_dof([(float(share[k, k]), dof) for share, dof in shares]), name=one.name,
-        )
-        for k, one in enumerate(outputs)
-    )  # fmt: skip
+    each = []
+    for k, ((name, kind), (share, dof)) in enumerate(zip(CAUSES, solution.parts, strict=True)):
+        moves = independent_changes(gradient @ share @ gradient.T).T
+        each.append(Source(name, kind, "normal", None, "1", moves, dof=dof, estimate=k))
+    sources = Sources(tuple(each))
+    own = [replace(one, gradient=row) for one, row in zip(outputs, np.eye(len(outputs)), strict=True)]
+    parameters = estimates(own, sources)
     u_phi = next(one.u or 0.0 for one in parameters if one.name == "delta_phi")
     wanted = int(session.facts.get("plan", {}).get("turns", 0))
     notes += remarks(series, windows, solution.psi_rad, u_phi, wanted)
@@ -885,7 +869,7 @@ def _fitted(session: Session) -> FreeTurnResult:
         provenance=provenance_of(session),
         overrides=session.facts.get("overrides", {}),
         session_notes=session.notes,
-        shares=shares,
+        sources=sources,
         turned_deg=sweeps_of(solution.psi_rad).travelled_deg,
         length_s=series.length_s,
     )

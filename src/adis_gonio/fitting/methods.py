@@ -603,8 +603,8 @@ def _by_default(readings: Readings) -> FitResult:
 def applicable_methods(session: Session) -> tuple[str, ...]:
     """Return the methods that the positions of a session allow.
 
-    A fit may still find a parameter undetermined. If the readings are unusable, the result is `ml`; its
-    error states the reason.
+    A fit may still find a parameter undetermined. If the readings are unusable, the result is `ml`; a fit
+    then raises an error with the reason.
     """
     if session.free_turn:
         return (FREE_TURN,)

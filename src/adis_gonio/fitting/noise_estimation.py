@@ -244,7 +244,7 @@ def _unknown_readings(
         return replace(noise, known=False, notes=tuple(notes))
     notes.append(
         f"reading_u_mg is not stated: all readings were given {scale:.3g} mg, estimated from the residual "
-        f"({dof} degrees of freedom); chi2 says nothing about the model then"
+        f"({dof} degrees of freedom); chi2 is therefore no test of the model"
     )
     return replace(noise, scale=scale, scale_dof=float(dof), notes=tuple(notes))
 

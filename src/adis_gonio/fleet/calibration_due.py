@@ -6,7 +6,10 @@ shortened if it fails. All numbers are choices of this program; the first interv
 user's, with defaults.
 
 *Control chart*: the drift of the parameters, with its uncertainty, is extrapolated from the last
-calibration to the last day on which the error conforms to the tolerance.
+calibration to the last day on which the error conforms to the tolerance. The scatter of n sessions about
+the line has n − 2 degrees of freedom, and the stated u add two: with the uniform shrinkage prior (Daniels,
+Can. J. Stat. 27, 1999, 567) for u²/(u² + τ²), the posterior of u² + τ² is an inverse χ² with n degrees of
+freedom, cut off below u². τ is the standard deviation between sessions in excess of u.
 
 Error of an angle ψ that an earlier calibration gives, to first order in the differences δ = later − earlier
 of the parameters, with g the local gravity:
@@ -30,7 +33,7 @@ from adis_gonio.base.conformity import ErrorCurve, Tolerance, Verdict
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import INLINE, JsonRecord, key
 from adis_gonio.base.numbers import NAMES, counted, format_uncertain
-from adis_gonio.fleet.control_charts import LEAST, YEAR_DAYS
+from adis_gonio.fleet.control_charts import LEAST, YEAR_DAYS, Drift
 from adis_gonio.fleet.sensor_history import History, date_of, own_u
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
@@ -275,6 +278,23 @@ def _staircase(history: History, limits: Rules, stairs: tuple[Stair, ...]) -> Ru
     return Rule("staircase", date, f"{off}: {response} {interval:.0f} d", assumes)
 
 
+def drifted_curve(history: History, drifts: Mapping[str, Drift], days: float) -> ErrorCurve:
+    """Return the error of the angle some days after the last session of a history.
+
+    `drifts` are the straight lines of the parameters by name, from the tracks of the history.
+    """
+    change, u = {}, {}
+    for name, drift in drifts.items():
+        track, u_slope = history.tracks[name], (drift.slope.u or 0.0) / YEAR_DAYS
+        own = float(np.hypot(track.u[-1], drift.between))
+        change[name] = drift.slope.value / YEAR_DAYS * days
+        # The error of the last session is part of the error of the slope too: covariance of both.
+        since = float(track.day[-1]) - drift.reference_day
+        u[name] = math.sqrt(own**2 + u_slope**2 * (days**2 + 2 * days * since))
+    gravity = history.sessions[-1].gravity_mps2 or STANDARD_GRAVITY_MPS2
+    return curve_of(change, u, gravity, 2 + min(drift.slope.dof for drift in drifts.values()))
+
+
 def _control_chart(history: History, limits: Rules) -> Rule:
     method = "control chart"
     drifts = {n: t.drift for n, t in history.tracks.items() if n in PARAMETERS and t.drift is not None}
@@ -282,20 +302,10 @@ def _control_chart(history: History, limits: Rules) -> Rule:
         there = counted(len(history.sessions), "session")
         why = f"a drift needs {LEAST} sessions at different times that determine it, here: {there}"
         return Rule(method, None, why, "")
-    slope = {name: drift.slope.value / YEAR_DAYS for name, drift in drifts.items()}
-    u_slope = {name: (drift.slope.u or 0.0) / YEAR_DAYS for name, drift in drifts.items()}
-    own = {
-        name: float(np.hypot(history.tracks[name].u[-1], drift.between)) for name, drift in drifts.items()
-    }
-    gravity = history.sessions[-1].gravity_mps2 or STANDARD_GRAVITY_MPS2
-    dof = min(drift.slope.dof for drift in drifts.values())
     limit = f"{limits.tolerance.limit_deg:g}°"
 
-    # Error of an angle after some days of drift.
     def reached(days: int) -> ErrorCurve:
-        change = {name: one * days for name, one in slope.items()}
-        u = {name: float(np.hypot(own[name], u_slope[name] * days)) for name in slope}
-        return curve_of(change, u, gravity, dof)
+        return drifted_curve(history, drifts, days)
 
     def passes(days: int) -> bool:
         return limits.tolerance.verdict(reached(days))[0] == "pass"

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats, log_sum_exp
+from adis_gonio.base.arrays import Floats, central_differences, log_sum_exp
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.fleet.population_likelihood import (
@@ -20,7 +20,6 @@ from adis_gonio.fleet.population_likelihood import (
     RELATIVE_SPREAD,
     SHARES,
     Block,
-    Group,
     log_factor,
     mixed,
 )
@@ -35,6 +34,9 @@ _FACTORS = np.geomspace(0.4, 2.5, 9)
 The posterior of the share of affected sessions is averaged over this grid.
 """
 
+_STEP = 0.05
+"""Step of the derivatives by the parameters of a distribution (`parameters_of`)."""
+
 
 def share_of(
     population: Population, others: Sequence[ChosenCause], part: ChosenCause
@@ -46,17 +48,14 @@ def share_of(
     """
     # Only sessions of the group that could show the cause.
     inside = part.group.inside & population.units.seen(part.candidate.index)
-    blocks = population.blocks_given(others, part.candidate.index, part.amplitudes.relative)
+    given = population.given_others(others, part).inside(inside)
     log_posterior = []
     centred = bool((part.amplitudes.mean == 0).all())
+    means = (np.ones(1) if centred else _FACTORS)[:, None] * part.amplitudes.mean
     for spread in part.amplitudes.spread * _FACTORS:
-        for factor in (1.0,) if centred else _FACTORS:
-            factors = [
-                (weight[inside], log_factor(block, factor * part.amplitudes.mean, spread)[inside])
-                for weight, block in blocks
-            ]
-            log_posterior.append([_at(factors, share) for share in _SHARES])
-    by_share = log_sum_exp(np.array(log_posterior), axis=0)
+        factors = given.log_factors(means, spread)
+        log_posterior += [mixed(factors, share, MOST_OF_KNOWN).sum(axis=0) for share in _SHARES]
+    by_share = log_sum_exp(np.reshape(log_posterior, (len(_FACTORS), len(_SHARES), -1)), axis=(0, 2))
     # Normalise the posterior on the uneven grid of shares, and read off its quantiles.
     density = np.exp(by_share - by_share.max())
     weight = density * np.gradient(_SHARES)
@@ -64,11 +63,6 @@ def share_of(
     cumulative = np.cumsum(weight)
     low, high = (float(np.interp(level, cumulative, _SHARES)) for level in _LEVELS)
     return float(weight @ _SHARES), low, high
-
-
-def _at(factors: Sequence[tuple[Floats, Floats]], share: float) -> float:
-    rows = [weight + mixed(factor, share, MOST_OF_KNOWN) for weight, factor in factors]
-    return float(log_sum_exp(np.stack(rows), axis=0).sum())
 
 
 def means_of(
@@ -127,19 +121,15 @@ def _uncertainty(population: Population, others: Sequence[ChosenCause], part: Ch
     at = parameters_of(start)
     if len(at) == 2:
         return None
-    inside = part.group.inside
-    blocks = population.blocks_given(others, part.candidate.index, part.amplitudes.relative)
+    given = population.given_others(others, part).inside(part.group.inside)
 
-    def value(parameters: Floats) -> float:
-        group: Group = group_at(parameters, start)
-        factors = [
-            (weight[inside], log_factor(block, group.mean, group.spread)[inside])
-            for weight, block in blocks
-        ]
-        return _at(factors, group.share)
+    def slope(parameters: Floats) -> Floats:
+        return central_differences(
+            lambda own: given.gain(group_at(own, start), MOST_OF_KNOWN).sum(), parameters, _STEP
+        )
 
     # Parameters: logit of the share, log of the spread, mean.
-    hessian = _curvature(value, at)
+    hessian = -central_differences(slope, at, _STEP)
     # A share at its bound or a spread near zero has no curvature: it stays fixed.
     free = np.diagonal(hessian) > 1e-2
     free[2:] = True
@@ -149,23 +139,6 @@ def _uncertainty(population: Population, others: Sequence[ChosenCause], part: Ch
         return None
     variance = np.diagonal(covariance)[int(free[:2].sum()) :]
     return np.sqrt(variance) if (variance > 0).all() else None
-
-
-def _curvature(value, at: Floats, step: float = 0.05) -> Floats:  # type: ignore[no-untyped-def]
-    """Return minus the second derivatives (p, p) of a function at a point (p,).
-
-    `value` is the function, `at` the point. The derivatives are central differences over the distance
-    `step`.
-    """
-    count = len(at)
-    moves = step * np.eye(count)
-    out = np.zeros((count, count))
-    for i in range(count):
-        for j in range(i, count):
-            # f(+,+) − f(+,−) − f(−,+) + f(−,−) over 4 h²
-            corners = [a * b * value(at + a * moves[i] + b * moves[j]) for a in (1, -1) for b in (1, -1)]
-            out[i, j] = out[j, i] = -sum(corners) / (4 * step**2)
-    return out
 
 
 ASKED = (0.1, 0.3, 1.0)

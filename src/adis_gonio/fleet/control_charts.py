@@ -147,8 +147,9 @@ def _split(value: Floats, weight: Floats, last: int) -> int:
 def between_neighbours(value: Floats, u: Floats) -> float:
     """Estimate the standard deviation between sessions in excess of their standard uncertainties.
 
-    `value` and `u` are (n,) in order of time. The estimate is made from the differences of neighbouring
-    sessions (moving range), so that a single step in the series hardly changes it.
+    `value` (n,) and `u` (n,) are the values and their standard uncertainties in order of time. The estimate
+    is made from the differences of successive sessions (moving range), so that a single step in the series
+    hardly changes it. It is 0 with fewer than three sessions.
     """
     if len(value) < 3:
         return 0.0

@@ -9,6 +9,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import NAMES, counted, format_percent, label_quantity
 from adis_gonio.fleet import fleet_summary, sensor_history
+from adis_gonio.fleet.control_charts import YEAR_DAYS
 from adis_gonio.fleet.fleet_summary import GROUPS, Outlying, QuantitySummary, Summary
 from adis_gonio.fleet.sensor_history import History, Track
 from adis_gonio.fleet.session_record import Repeated
@@ -203,7 +204,7 @@ def _files(title: str, head: str, rows: Sequence[tuple[str, str]], *, folded: bo
 
 
 def history_page(history: History) -> str:
-    """Render the history of a sensor as one HTML page that loads nothing; every text is escaped."""
+    """Render the history of a sensor as one HTML page that needs no other file; every text is escaped."""
     head, rows = sensor_history.value_rows(history)
     sections = [
         Section(
@@ -245,7 +246,7 @@ def _section(track: Track, history: History) -> Section:
 
 
 def _dates(track: Track) -> dict[float, str]:
-    """Return labels of a time axis by time in days: dates of at most four sessions of the track.
+    """Return the labels of a time axis: dates by time in days, of at most four sessions of the track.
 
     The dates are far enough apart to be read.
     """
@@ -261,7 +262,7 @@ def _over_time(track: Track) -> Figure:
     series = [Series(x, track.value, "session, with U", error=track.expanded, role="after")]
     if track.drift is not None:
         day = np.linspace(track.day.min(), track.day.max(), 50)
-        line = track.drift.level.value + track.drift.slope.value / 365.25 * (
+        line = track.drift.level.value + track.drift.slope.value / YEAR_DAYS * (
             day - track.drift.reference_day
         )
         series.append(Series(day, line, "drift", role="before", style="line"))

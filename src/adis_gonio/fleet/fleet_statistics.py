@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri, stdtr
-from scipy.stats import hypergeom, rankdata
+from scipy.stats import chi2, hypergeom, rankdata
 
 from adis_gonio.base.arrays import MAD_TO_SD, Floats, robust_sd
 from adis_gonio.base.jsonable import JsonRecord, key
@@ -35,11 +35,12 @@ _LEAST_SHARE = 1e-6
 
 
 def unshared_u(u: Floats, curves: Iterable[str], influence: Iterable[Sequence[float]]) -> Floats:
-    """Return standard uncertainties (n,) of values, without the part that all sessions share.
+    """Return the standard uncertainties (n,) of the values of n sessions without the part that all share.
 
-    They apply to differences between the sessions. `u` (n,) has the full standard uncertainties. A part is
+    They apply to differences between the sessions. `u` (n,) are the full standard uncertainties. A part is
     shared if all sessions have the certificate of one stage: `curves` (n,) are digests of the certificates,
-    `influence` (n, k) the change of each value by each independent error of the certificate.
+    `influence` (n, k) the change of each value by one standard uncertainty of each of the k independent
+    errors of the certificate. Otherwise `u` is returned unchanged.
     """
     if len(set(curves)) > 1 or not all(map(len, influence)):
         return u
@@ -124,8 +125,6 @@ def beyond(values: Floats, u: Floats, dof: Floats) -> Beyond | None:
     has Student's distribution. It is converted to the normal deviate of equal probability, so that Q is χ²
     even if u has few degrees of freedom. Returns None for fewer than three values with a u.
     """
-    from scipy.stats import chi2
-
     good = np.isfinite(values) & np.isfinite(u) & (u > 0)
     x, s, nu = values[good], u[good], dof[good]
     n = len(x)
@@ -151,8 +150,6 @@ def as_normal(t: Floats, dof: Floats) -> Floats:
 
     A value and its deviate have equal probability.
     """
-    from scipy.special import ndtri, stdtr
-
     few = np.isfinite(dof) & (dof < 1e6)
     out = np.array(t, dtype=float)
     # The lower tail keeps the digits of small probabilities.
@@ -167,8 +164,6 @@ def tau_of(q_at: Callable[[float], float], goal: float, values: Floats) -> float
     `q_at(τ)` computes Q of the `values` (n,). Their range is the first guess of τ. The result is 0 if Q is
     at most `goal` at τ = 0 (Paule and Mandel).
     """
-    from scipy.optimize import brentq
-
     if q_at(0.0) <= goal:
         return 0.0
     high = float(np.ptp(values))
@@ -204,8 +199,6 @@ def repeats(values: Floats, u: Floats, dof: Floats, unit: NDArray[np.int64]) -> 
     and degrees of freedom, and the number of the sensor; a negative number is an unknown sensor. Returns
     None if no sensor has two sessions.
     """
-    from scipy.stats import chi2
-
     good = np.isfinite(values) & np.isfinite(u) & (u > 0) & (unit >= 0)
     x, s, nu = values[good], u[good], dof[good]
     _, index, count = np.unique(unit[good], return_inverse=True, return_counts=True)
@@ -383,15 +376,15 @@ def by_share(kind: str, effect: str, found: Flags, group: Codes, unit: Codes) ->
 
 
 def _own(unit: Codes) -> Codes:
-    """Replace negative (unknown) sensor numbers by new numbers, so that each such session counts alone."""
+    """Replace negative (unknown) sensor numbers by different ones: each such session is one sensor."""
     return np.where(unit >= 0, unit, -1 - np.arange(len(unit)))
 
 
 def _by_unit(values: Floats, group: Codes, unit: Codes) -> tuple[Floats, Codes]:
-    """Return the median of the values of each sensor in each group, and the group of each median.
+    """Return the median of the values of each sensor in each group (m,), and the group of each median (m,).
 
-    Many sessions of a sensor therefore count as one value. `values`, `group` and `unit` are (n,), one entry
-    for each session.
+    Many sessions of a sensor therefore count as one value. `values`, `group` and `unit` are (n,): the value
+    of each session, and the numbers of its group and its sensor.
     """
     if not len(values):
         return values, group

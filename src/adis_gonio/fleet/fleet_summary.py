@@ -106,7 +106,7 @@ class Frequency(JsonRecord):
 
     @property
     def wilson_95(self) -> tuple[float, float]:
-        """Both ends of the 95 % interval of the share of sessions with the effect, by Wilson."""
+        """Both ends of the 95 % interval of the share of sessions with the effect, by Wilson's method."""
         return wilson(self.found, self.traced)
 
 
@@ -243,12 +243,12 @@ def _quantities(table: Table) -> list[str]:
 
 
 def _u_in_groups(table: Table, name: str, group: Codes | None = None) -> Floats:
-    """Return the standard uncertainties (n,) of the values of a quantity; NaN if a session states none.
+    """Return the standard uncertainties (n,) of a quantity for comparisons of sessions within a group.
 
-    They are for comparisons of sessions within a group. If all sessions of a group have the certificate of
-    one stage, its errors are left out, since they change all values of the group together. `group` (n,) is
-    the group of each session, a negative number for a group of one session; None makes all sessions one
-    group.
+    If all sessions of a group have the certificate of one stage, its errors are left out, since they change
+    all values of the group together. `name` is the quantity. `group` (n,) is the group of each session, a
+    negative number for a group of one session; None makes all sessions one group. The result is NaN for a
+    session that states no uncertainty.
     """
     if name == _RMS:
         return np.full(len(table[name]), np.nan)

@@ -31,7 +31,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, log_sum_exp
 from adis_gonio.fleet.session_evidence import Column, SessionEvidence
 
 MOST = float(np.log(1000.0))
@@ -188,40 +188,67 @@ def _ways(width: int) -> list[Floats]:
     return ways
 
 
-def gains(block: Block, grid: Grid, most: float = MOST) -> Floats:
-    """Return the log likelihood ratio (n, h) of each session at each distribution of the grid.
-
-    It is ln(1 − w + w B) with the share w of affected sessions and the Bayes factor B of the session,
-    affected against unaffected. ln B is limited to `most`. `block` has score and information of the
-    sessions on the amplitudes.
-    """
-    h = len(grid.share) // len(SHARES)
-    factors = np.empty((len(block.score), h))
-    for spread in np.unique(grid.spread[:h]):  # all means of one spread in one call
-        rows = np.flatnonzero(grid.spread[:h] == spread)
-        factors[:, rows] = log_factors(block, grid.mean[rows], float(spread))
-    cut = np.minimum(factors, most)
-    excess = np.expm1(cut)
-    return np.concatenate([_mixed(cut, share, excess) for share in SHARES], axis=1)
-
-
 def mixed(log_factor: Floats, share: float, most: float = MOST) -> Floats:
     """Return the log likelihood ratio ln(1 − w + w B) of sessions that are affected with probability w.
 
     `log_factor` is ln B, with the Bayes factor B of a session, affected against unaffected; it is limited
     to `most`. `share` is w.
     """
-    return _mixed(np.minimum(log_factor, most), share)
+    cut = np.minimum(log_factor, most)
+    return cut if share >= 1 else np.asarray(np.log1p(share * np.expm1(cut)))
 
 
-def _mixed(cut: Floats, share: float, excess: Floats | None = None) -> Floats:
-    """Return the log likelihood ratio ln(1 − w + w B) for log Bayes factors that are limited already.
+@dataclass(frozen=True)
+class Given:
+    """Evidence of n sessions on the amplitudes of one cause, averaged over the amplitudes of other causes.
 
-    `cut` is ln B and `share` is w; `excess` is B − 1, None if it is not computed yet.
+    Attributes
+    ----------
+    weights : (c, n) float
+        Log probability of each of c combinations of present and absent other causes, in each session.
+    blocks : tuple of Block
+        Score and information on the amplitudes for each combination.
     """
-    if share >= 1:
-        return cut
-    return np.asarray(np.log1p(share * (np.expm1(cut) if excess is None else excess)))
+
+    weights: Floats
+    blocks: tuple[Block, ...]
+
+    def inside(self, rows: NDArray[np.bool_]) -> Given:
+        """Return the evidence of the sessions in the mask `rows` (n,)."""
+        blocks = tuple(Block(one.score[rows], one.information[rows]) for one in self.blocks)
+        return Given(self.weights[:, rows], blocks)
+
+    def log_factors(self, means: Floats, spread: float) -> Floats:
+        """Return log Bayes factors (n, h) of the sessions, affected against unaffected.
+
+        `means` (h, d) are mean amplitudes of affected sessions, `spread` is their standard deviation.
+        """
+        pairs = zip(self.weights, self.blocks, strict=True)
+        return log_sum_exp(
+            np.stack([own[:, None] + log_factors(one, means, spread) for own, one in pairs]), axis=0
+        )
+
+    def log_factor(self, group: Group) -> Floats:
+        """Return the log Bayes factor (n,) of each session for one distribution of the amplitudes."""
+        return self.log_factors(group.mean[None], group.spread)[:, 0]
+
+    def gain(self, group: Group, most: float = MOST) -> Floats:
+        """Return the log likelihood ratio (n,) of each session, with the cause against without it.
+
+        The log Bayes factor of a session is limited to `most`.
+        """
+        return mixed(self.log_factor(group), group.share, most)
+
+    def gains(self, grid: Grid, most: float = MOST) -> Floats:
+        """Return the log likelihood ratio (n, h) of each session at each distribution of a grid."""
+        h = len(grid.share) // len(SHARES)
+        factors = np.empty((self.weights.shape[1], h))
+        for spread in np.unique(grid.spread[:h]):  # all means of one spread in one call
+            rows = np.flatnonzero(grid.spread[:h] == spread)
+            factors[:, rows] = self.log_factors(grid.mean[rows], float(spread))
+        cut = np.minimum(factors, most)
+        excess = np.expm1(cut)
+        return np.concatenate([cut if w >= 1 else np.log1p(w * excess) for w in SHARES], axis=1)
 
 
 _FOREIGN = 1e-3

@@ -22,12 +22,11 @@ from adis_gonio.fleet.population_likelihood import (
     MOST,
     MOST_OF_KNOWN,
     Block,
+    Given,
     Group,
     Units,
-    gains,
     grid_of,
     log_factor,
-    mixed,
 )
 from adis_gonio.fleet.session_evidence import Column
 from adis_gonio.model.effects import catalogue
@@ -203,16 +202,14 @@ class Scores:
     log_evidence : (k, g) float
         Log evidence for the model with the candidate in the group, against the present model, averaged over
         the grid of distributions.
-    trained, foreseen : (k, g, folds) float
-        Log evidence without the sessions of a fold, and the log score of these sessions, predicted from the
-        others.
+    trained : (k, g, folds) float
+        Log evidence without the sessions of a fold.
     best : (k, g) int
         Index of the most probable distribution of the grid.
     """
 
     log_evidence: Floats
     trained: Floats
-    foreseen: Floats
     best: NDArray[np.intp]
 
 
@@ -256,20 +253,14 @@ class Population:
         folds = self.fold[None, :] == np.arange(FOLDS)[:, None]
         self._sums = (inside[:, None, :] & folds[None, :, :]).reshape(-1, len(units)).astype(float)
 
-    def blocks_given(
-        self, parts: Sequence[ChosenCause], index: Sequence[int], relative: bool = False
-    ) -> list[tuple[Floats, Block]]:
-        """Return score and information of some columns, with the amplitudes of other causes averaged out.
+    def given(self, parts: Sequence[ChosenCause], index: Sequence[int], *, relative: bool = False) -> Given:
+        """Return the evidence on some columns, with the amplitudes of other causes averaged out.
 
-        The causes `parts` may each be present or absent in a session. The list has an entry for each
-        combination: its log probability (n,) in each session, and the score and information of the columns
-        `index` for this combination. `relative` is true for amplitudes in each session's standard
-        uncertainty.
+        The causes `parts` may each be present or absent in a session. `index` are the columns, `relative`
+        is true for amplitudes in each session's standard uncertainty.
         """
         own = self.units.joint(index, relative)
-        if not parts:
-            return [(np.zeros(len(self.units)), own)]
-        out = []
+        weights, blocks = [], []
         # Every combination of present and absent parts, with its probability in each unit.
         for present in itertools.product((False, True), repeat=len(parts)):
             log_prior = np.zeros(len(self.units))
@@ -280,9 +271,15 @@ class Population:
                     inside, np.log(share if there else 1 - share), -np.inf if there else 0.0
                 )
             chosen = [part for part, there in zip(parts, present, strict=True) if there]
-            out.append(self._block_given(chosen, index, own, log_prior, relative))
-        norm = log_sum_exp(np.stack([weight for weight, _ in out]), axis=0)
-        return [(weight - norm, block) for weight, block in out]
+            weight, block = self._block_given(chosen, index, own, log_prior, relative)
+            weights.append(weight)
+            blocks.append(block)
+        every = np.stack(weights)
+        return Given(every - log_sum_exp(every, axis=0), tuple(blocks))
+
+    def given_others(self, parts: Sequence[ChosenCause], part: ChosenCause) -> Given:
+        """Return the evidence on the amplitudes of the cause `part`, averaged over the causes `parts`."""
+        return self.given(parts, part.candidate.index, relative=part.amplitudes.relative)
 
     def _block_given(
         self,
@@ -325,13 +322,11 @@ class Population:
         `parts` are the causes that are already in the model. There is one column for each distribution of
         the candidate's grid. The log Bayes factor of a session is limited to `most`.
         """
-        grid = grid_of(len(candidate.index))
-        out = []
-        for relative in (False, True):
-            blocks = self.blocks_given(parts, candidate.index, relative)
-            rows = [weight[:, None] + gains(block, grid, most) for weight, block in blocks]
-            out.append(rows[0] if len(rows) == 1 else log_sum_exp(np.stack(rows), axis=0))
-        return np.concatenate(out, axis=1)
+        grid, index = grid_of(len(candidate.index)), candidate.index
+        kinds = (False, True)
+        return np.concatenate(
+            [self.given(parts, index, relative=relative).gains(grid, most) for relative in kinds], axis=1
+        )
 
     def scores(self, parts: Sequence[ChosenCause], only: Sequence[Candidate] | None = None) -> Scores:
         """Return the evidence for adding each candidate, in every group, to the present model.
@@ -341,7 +336,7 @@ class Population:
         candidates = self.candidates if only is None else only
         shape = (len(candidates), len(self.groups))
         evidence, best = np.zeros(shape), np.zeros(shape, dtype=np.intp)
-        trained, foreseen = np.zeros((*shape, FOLDS)), np.zeros((*shape, FOLDS))
+        trained = np.zeros((*shape, FOLDS))
         for k, candidate in enumerate(candidates):
             prior = grid_of(len(candidate.index)).log_priors
             # Sum of the gains by group and fold, then over all folds, and over all folds but one.
@@ -350,8 +345,7 @@ class Population:
             evidence[k] = log_sum_exp(whole + prior, axis=1)
             best[k] = (whole + prior).argmax(axis=1)
             trained[k] = log_sum_exp(whole[:, None] - by_fold + prior, axis=2)
-            foreseen[k] = evidence[k][:, None] - trained[k]
-        return Scores(evidence, trained, foreseen, best)
+        return Scores(evidence, trained, best)
 
     def step(self, parts: Sequence[ChosenCause]) -> SelectionStep:
         """Find the most probable cause to add to the model with the causes `parts`."""
@@ -395,18 +389,10 @@ class Population:
 
         likely = self.by_unit(parts, part.candidate, MOST_OF_KNOWN)[part.group.inside].sum(axis=0)
         start = grid_of(len(part.candidate.index)).group(int(likely.argmax()))
-        blocks = [
-            (weight[part.group.inside], Block(b.score[part.group.inside], b.information[part.group.inside]))
-            for weight, b in self.blocks_given(parts, part.candidate.index, start.relative)
-        ]
+        given = self.given_others(parts, replace(part, amplitudes=start)).inside(part.group.inside)
 
         def at(amplitudes: Group) -> float:
-            rows = [
-                w
-                + mixed(log_factor(b, amplitudes.mean, amplitudes.spread), amplitudes.share, MOST_OF_KNOWN)
-                for w, b in blocks
-            ]
-            return float(log_sum_exp(np.stack(rows), axis=0).sum())
+            return float(given.gain(amplitudes, MOST_OF_KNOWN).sum())
 
         # Refine from the best distribution of the grid.
         found = minimize(  # type: ignore[call-overload]
@@ -423,15 +409,8 @@ class Population:
 
         `parts` are the other causes, with the distributions of their amplitudes.
         """
-        amplitudes = part.amplitudes
-        share = min(amplitudes.share, 1 - 1e-9)
-        # Odds of presence and absence, summed over the combinations of the other parts.
-        with_, without = [], []
-        for weight, block in self.blocks_given(parts, part.candidate.index, part.amplitudes.relative):
-            factor = log_factor(block, amplitudes.mean, amplitudes.spread)
-            with_.append(weight + np.log(share) + factor)
-            without.append(weight + np.log1p(-share))
-        odds = log_sum_exp(np.stack(with_), axis=0) - log_sum_exp(np.stack(without), axis=0)
+        share = min(part.amplitudes.share, 1 - 1e-9)
+        odds = np.log(share) - np.log1p(-share) + self.given_others(parts, part).log_factor(part.amplitudes)
         return np.where(part.group.inside, 1 / (1 + np.exp(-np.clip(odds, -500, 500))), 0.0)
 
     def without_foremost(self, parts: Sequence[ChosenCause], part: ChosenCause, count: int) -> float:
@@ -440,12 +419,7 @@ class Population:
         `parts` are the other causes. The `count` sessions that favour the cause most are omitted from the
         sum.
         """
-        amplitudes = part.amplitudes
-        rows = [
-            w + mixed(log_factor(b, amplitudes.mean, amplitudes.spread), amplitudes.share)
-            for w, b in self.blocks_given(parts, part.candidate.index, part.amplitudes.relative)
-        ]
-        own = np.sort(log_sum_exp(np.stack(rows), axis=0)[part.group.inside])
+        own = np.sort(self.given_others(parts, part).gain(part.amplitudes)[part.group.inside])
         return float(own[: max(len(own) - count, 0)].sum())
 
 
@@ -480,6 +454,8 @@ def _heldout(scores: Scores, prior: Floats) -> float:
     """
     gain = 0.0
     for fold in range(FOLDS):
-        chosen = int((scores.trained[:, :, fold] + prior).argmax())
-        gain += float(scores.foreseen[:, :, fold].ravel()[chosen])
+        trained = scores.trained[:, :, fold]
+        chosen = int((trained + prior).argmax())
+        # The log score of the sessions of the fold, predicted from the others.
+        gain += float((scores.log_evidence - trained).ravel()[chosen])
     return gain

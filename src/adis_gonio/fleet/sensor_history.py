@@ -221,9 +221,9 @@ def _track(name: str, records: Sequence[SessionRecord]) -> Track:
 
 
 def own_u(records: Sequence[SessionRecord], name: str) -> Floats:
-    """Return the standard uncertainties (n,) of a value without the influence of a shared stage.
+    """Return the standard uncertainties (n,) of a quantity without the errors of a stage that all share.
 
-    `name` is the quantity; `unshared_u` removes the influence.
+    `name` is the quantity. The result applies to differences between the sessions (`unshared_u`).
     """
     return unshared_u(
         np.array([record.values[name].u or 0.0 for record in records]),
@@ -237,11 +237,6 @@ def _stated(value: Value | None) -> bool:
 
 
 _ROWS = 9
-
-
-def format_expanded(value: Value) -> str:
-    """Format a value with its expanded uncertainty U (95 %), `value ± U`, without the unit."""
-    return format_uncertain(value.value, value.U)
 
 
 def drift_sentences(track: Track) -> list[str]:
@@ -358,5 +353,7 @@ def value_rows(history: History) -> tuple[list[str], Sequence[list[str]]]:
     rows = []
     for n, record in enumerate(history.sessions):
         stated = [t.values[t.sessions.index(n)] if n in t.sessions else None for t in tracks]
-        rows.append([_date(record), *(DASH if v is None else format_expanded(v) for v in stated)])
+        rows.append(
+            [_date(record), *(DASH if v is None else format_uncertain(v.value, v.U) for v in stated)]
+        )
     return ["date", *(track.label for track in tracks)], rows

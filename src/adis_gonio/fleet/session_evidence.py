@@ -19,7 +19,7 @@ since dwell 7 of one session is not dwell 7 of another.
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -29,7 +29,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
-from adis_gonio.fitting.estimation.terms import Basis, NamedTerm, NamelessTerm, Term
+from adis_gonio.fitting.estimation.terms import ROUNDING, NamedTerm, join_columns
 from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, catalogue
 from adis_gonio.model.measurement import PlanarTurn
 from adis_gonio.model.records import Session
@@ -100,14 +100,21 @@ class Column:
         return cls(cause.removeprefix("~"), not cause.startswith("~"), variant, axes, parameter, unit)
 
 
-def columns_of(data: Readings) -> tuple[list[tuple[Term, list[Column]]], dict[str, str]]:
-    """List the model terms that may act in a session, each with its columns.
+def columns_of(fit: Fit) -> tuple[list[Column], Floats, dict[str, str]]:
+    """List the amplitudes of all effects that may act in a session, with their columns.
 
-    `data` are the readings of the session. Returned with the list is the reason for each effect that has no
-    columns.
+    Returns
+    -------
+    columns : list of Column
+        The m amplitudes.
+    change : (n, axes, m) float
+        Change of the readings of the fit's session by each amplitude.
+    missing : dict of str to str
+        Reason for each effect that has no columns.
     """
-    missing: dict[str, str] = {}
-    out: list[tuple[Term, list[Column]]] = []
+    data, missing = fit.data, {}
+    columns: list[Column] = []
+    blocks: list[tuple[int | slice, Floats]] = []
     for name, kind in catalogue("accelerometer").items():
         reason = _why_not(kind, data)
         if reason:
@@ -115,17 +122,21 @@ def columns_of(data: Readings) -> tuple[list[tuple[Term, list[Column]]], dict[st
             continue
         for variant, one, shapes in _variants(kind, data):
             term = NamedTerm("", kind.covariates, 0.0, one, shapes)
-            parameters = [one.parameters[k] for k in term.amplitudes]
-            chosen = list(range(len(parameters)))
-            if "degree" in kind.choices():
-                chosen = chosen[-1:]  # the lower powers have their own columns
-            evidence = [
-                Column(name, True, variant, "".join(one.axes), parameters[k].name, parameters[k].unit)
-                for k in chosen
+            # The lower powers of a polynomial have their own columns.
+            first = len(term.amplitudes) - 1 if "degree" in kind.choices() else 0
+            blocks.append((slice(None), fit.candidate(term)[:, :, first:]))
+            axes, parameters = "".join(one.axes), [one.parameters[k] for k in term.amplitudes[first:]]
+            columns += [Column(name, True, variant, axes, q.name, q.unit) for q in parameters]
+    ideal_g = data.model.stimulus(fit.ideal, data.conditions)
+    for cause, variant, rows in _functions(data.conditions, ideal_g if data.planar else None):
+        for axis, letter in enumerate(AXES[: data.axes]):
+            gain = variant == "gain"
+            blocks.append((axis, rows * ideal_g[:, axis, None] if gain else rows))
+            count, unit = rows.shape[1], "mg/g" if gain else "mg"
+            columns += [
+                Column(cause, False, variant, letter, f"{j}_{letter}", unit) for j in range(1, count + 1)
             ]
-            out.append((_Part(term, chosen) if len(chosen) < len(parameters) else term, evidence))
-    out += list(_nameless(data))
-    return out, missing
+    return columns, join_columns(blocks, data.mean.shape), missing
 
 
 def _why_not(kind: type[Effect], data: Readings) -> str:
@@ -166,78 +177,34 @@ def _variants(
                 yield variant, effect, tuple((k, p.typical) for k, p in shaped)
 
 
-class _Part(NamedTerm):
-    """A model term of a named effect that uses only some of the effect's amplitudes."""
+def _functions(conditions: Conditions, ideal_g: Floats | None) -> Iterator[tuple[str, str, Floats]]:
+    """Yield each unnamed function: the quantity that it depends on, its variant, and its values (n, q).
 
-    def __init__(self, term: NamedTerm, chosen: list[int]) -> None:
-        super().__init__(term.label, term.covariates, term.cost, term.effect, term.shapes)
-        object.__setattr__(self, "_chosen", chosen)
-
-    def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """Return the basis functions of the chosen amplitudes, along the last axis of the result.
-
-        `ideal` are the readings of ideal axes, `conditions` the covariates of the effect.
-        """
-        chosen: list[int] = self._chosen  # type: ignore[attr-defined]
-        return super().columns(ideal, conditions)[..., chosen]
-
-
-def _nameless(data: Readings) -> Iterator[tuple[Term, list[Column]]]:
-    """Yield the model terms of unnamed functions with their columns, one term per function and axis."""
-    conditions = data.conditions
-    for cause, gain, basis in _functions(conditions, data.planar):
-        probe = (
-            basis.common(conditions) if basis.common is not None else basis.by_axis(data.mean / 1000.0, 0)  # type: ignore[misc]
-        )
-        count = probe.shape[1]
-        for k, letter in enumerate(AXES[: data.axes]):
-            term = NamelessTerm("", (cause,), 0.0, "gain" if gain else "bias", (k,), basis)
-            unit = "mg/g" if gain else "mg"
-            head, *number = basis.form.split()
-            variant = " ".join(["gain"] * gain + number) or head
-            yield (
-                term,
-                [Column(cause, False, variant, letter, f"{j + 1}_{letter}", unit) for j in range(count)],
-            )
-
-
-def _functions(conditions: Conditions, planar: bool) -> Iterator[tuple[str, bool, Basis]]:
-    def over(*rows: Floats) -> Basis:
-        kept = np.stack(rows, axis=1)
-        return Basis("course", (), common=lambda _: kept)
-
+    The variant is `course` for a change of the bias, `gain` for a change of the gain, or the number of a
+    harmonic. `ideal_g` (n, axes) are the readings of an ideal sensor in one plane; None in space.
+    """
     time = conditions.time_s
     x = (time - time.min()) / max(float(np.ptp(time)), 1e-9)
-    yield "time", False, over(*(np.cos(k * np.pi * x) for k in range(1, COURSES + 1)))
-    yield "time", True, over(*(np.cos(k * np.pi * x) for k in (1, 2)))
+    waves = np.cos(np.pi * x[:, None] * np.arange(1, COURSES + 1))
+    yield "time", "course", waves
+    yield "time", "gain", waves[:, :2]
     for name, rows, scale in (
         ("temperature", conditions.temperature_c, 10.0),
         ("supply", conditions.supply_v, 0.1),
     ):
         if rows is not None and np.ptp(rows) > 0:
-            centred = (rows - rows.mean()) / scale
             # A linear dependence is an effect of the catalogue.
-            yield name, False, over(centred**2)
-            yield name, True, over(centred**2)
+            square = ((rows - rows.mean()) / scale)[:, None] ** 2
+            yield name, "course", square
+            yield name, "gain", square
     previous = conditions.previous_angle_rad
     if previous is not None and np.isfinite(previous).all():
-        yield "previous angle", False, over(np.cos(previous), np.sin(previous))
-    if planar:
+        pair = np.stack([np.cos(previous), np.sin(previous)], axis=1)
+        yield "previous angle", "course", np.where(np.abs(pair).max(axis=0) > ROUNDING, pair, 0.0)
+    if ideal_g is not None:
+        psi = np.arctan2(ideal_g[:, 1], ideal_g[:, 0])  # direction of gravity in the plane of X and Y
         for n in HARMONICS:
-            yield "angle", False, Basis(f"harmonic {n}", (), by_axis=_harmonic(n))
-
-
-def _harmonic(n: int) -> Callable[[Floats, int], Floats]:
-    """Make the function that returns cos nψ and sin nψ, (rows, 2), for readings of an ideal sensor in g.
-
-    ψ is the direction of gravity in the plane of X and Y of the sensor.
-    """
-
-    def waves(ideal_g: Floats, _: int) -> Floats:
-        psi = n * np.arctan2(ideal_g[:, 1], ideal_g[:, 0])
-        return np.stack([np.cos(psi), np.sin(psi)], axis=1)
-
-    return waves
+            yield "angle", f"{n}", np.stack([np.cos(n * psi), np.sin(n * psi)], axis=1)
 
 
 FORMAT = "adis-gonio population evidence 1"
@@ -378,61 +345,40 @@ def evidence_of(session: Session, result: TraceResult | None = None) -> SessionE
     DataError, FitError
         The session has no readings to fit, or the fit fails.
     """
-    fit = _begun(readings_of(session).training) if result is None or not result.fits else result.fits[-1]
-    origin = provenance_of(session)
-    return _of_fit(
-        fit,
-        digest=origin.sha256,
-        source=origin.source,
-        serial=origin.serial,
-        operator=origin.operator,
-        stage=origin.stage,
-        sensor=origin.sensor,
-    )
-
-
-def _begun(data: Readings) -> Fit:
-    """Fit the base model and a bias of each axis to the readings of a session."""
-    bias = _bias(data)
-    return Fit.begin(data).with_terms((bias,), (np.zeros(data.axes),)).refit()
-
-
-def _bias(data: Readings) -> NamedTerm:
-    return NamedTerm.offset(AXES[: data.axes])
-
-
-def _of_fit(fit: Fit, **origin: Any) -> SessionEvidence:
-    data = fit.data
-    terms, missing = columns_of(data)
+    data = result.fits[-1].data if result and result.fits else readings_of(session).training
+    bias = NamedTerm.offset(AXES[: data.axes])
+    if result and result.fits:
+        fit = result.fits[-1]
+    else:
+        fit = Fit.begin(data).with_terms((bias,), (np.zeros(data.axes),)).refit()
     # Bias and single dwells are projected out, as is the base model.
     single = [
         term for term in fit.terms if isinstance(term, NamedTerm) and "dwell" in term.effect.choices()
     ]
-    base, target = reduced(fit, [_bias(data), *single])
+    base, target = reduced(fit, [bias, *single])
     # χ² of the fitted model: a large effect that a trace has found is no scatter.
     rest = fit.residual.ravel()
     rest = rest - base @ (base.T @ rest)
 
-    raw, _ = fit.candidates([term for term, _ in terms])
-    keys = [column.key for _, evidence in terms for column in evidence]
-    columns, length = project_off_base(base, fit.white(raw), np.ones(raw.shape[2], dtype=np.intp))
+    made, change, missing = columns_of(fit)
+    columns, length = project_off_base(base, fit.white(change), np.ones(len(made), dtype=np.intp))
     # Columns that lie in the projected space are not determined.
     seen = np.asarray(columns.any(axis=0))
     unit = columns[:, seen]
-    for name in {key.split("|")[0] for key in keys} - {
-        key.split("|")[0] for key, there in zip(keys, seen, strict=True) if there
-    }:
-        if not name.startswith("~"):
-            missing[name] = "lies in the base model and bias"
+    keys = tuple(column.key for column, there in zip(made, seen, strict=True) if there)
+    shown = {key.split("|")[0] for key in keys}
+    hidden = {column.cause for column in made if column.named} - shown
+    origin = provenance_of(session)
     return SessionEvidence(
-        keys=tuple(key for key, there in zip(keys, seen, strict=True) if there),
+        keys=keys,
         z=unit.T @ target,
         length=length[seen],
         directions=_reduced(unit),
         scatter=_scatter(fit, rest, base),
         noise_known=data.noise_known,
-        missing=missing,
-        **origin,
+        missing=missing | dict.fromkeys(hidden, "lies in the base model and bias"),
+        digest=origin.sha256,
+        **{name: getattr(origin, name) for name in _TEXTS[1:]},
     )
 
 

@@ -198,17 +198,17 @@ class SessionRecord(JsonRecord):
 
 
 class Repeated(JsonRecord):
-    """A file that does not count, because the file `same_as` has the same data."""
+    """A file that is left out of the fleet, because the file `same_as` has the same data."""
 
     path: str
     same_as: str
 
 
 def once(records: Iterable[SessionRecord]) -> tuple[list[SessionRecord], list[Repeated]]:
-    """Remove records with equal data.
+    """Keep one record of several with equal data, such as those of an archive and the CSV exported from it.
 
-    Returns the remaining records, sorted by path, and the files of the removed records. For an archive and
-    the CSV exported from it, the record of the file that states more facts remains.
+    Return the remaining records, sorted by path, and the files of the removed records. The record of the
+    file that states more facts remains.
     """
     kept, repeated, names = [], [], dict[str, str]()
     for record in sorted(records, key=_unstated):

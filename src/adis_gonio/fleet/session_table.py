@@ -79,10 +79,10 @@ _USED = (*_FACTS_USED, *(f"{name}{part}" for name in QUANTITIES for part in ("",
 
 
 def table_of(rows: Sequence[Row] | Any) -> Table:
-    """Convert rows, or a pyarrow table such as `read_parquet` gives, to arrays by column.
+    """Convert rows, or a pyarrow table such as `read_parquet` returns, to one array for each column.
 
-    In place of the column `effects`, `effect_row` (m,) and `effect_name` (m,) have the row number and the
-    name of each effect found. Rows are sorted by path.
+    Rows are sorted by path. In place of the column `effects` the result has `effect_row` (m,) and
+    `effect_name` (m,): the number of the row and the name of each of m effects found.
     """
     if isinstance(rows, Sequence):
         columns = {name: [row.get(name) for row in rows] for name in _USED}
@@ -165,7 +165,7 @@ def read_parquet(path: str | Path) -> Any:
     NotInstalledError
         pyarrow is not installed.
     DataError
-        The file does not exist, or is no table of a fleet.
+        The file does not exist, or is not a table of a fleet.
     """
     pa = require_pyarrow()
     try:

@@ -231,9 +231,9 @@ class Store:
         self._write(todo)
 
     def mark_gone(self, places: Sequence[str | Path], paths: Iterable[Path]) -> None:
-        """Mark files below the given places that no longer exist; their records remain in the store.
+        """Mark the files in the given folders that no longer exist; their records remain in the store.
 
-        `paths` are the files that exist.
+        `places` are folders or files, `paths` the files in them that exist.
         """
         there = {str(path) for path in paths}
         roots = [Path(place).resolve() for place in places]
@@ -247,10 +247,10 @@ class Store:
     # -- reading -----------------------------------------------------------------------------------
 
     def found(self, job: Job, options: Options) -> SessionRecord | None:
-        """Return the stored record of a job, with the present path of the file.
+        """Return the stored record of a job, with the path of the job; None if the job has to be computed.
 
-        Return None if the job has to be computed: there is no record, a requested trace is missing in it,
-        or the store is strict and the record was made with other options or another version.
+        It has to be computed if there is no record, if a requested trace is missing in the record, or if
+        the store is strict and the record was made with other options or another version.
         """
         row = self._connection.execute(
             "SELECT options, record FROM records WHERE sha256 = ?", (job.digest,)

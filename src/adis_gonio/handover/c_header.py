@@ -249,7 +249,7 @@ class _Fixed:
         return self._clamped(f"(int64_t){value} * {ONE}L / ({ONE}L + {gain})")
 
     def row(self, k: int) -> str:
-        """Return the C expression for row k of the matrix times the corrected readings."""
+        """Return the C expression for component k of the result: row k of the matrix times the readings."""
         pairs = zip(AXES, map(Scaled.of, self.polynomial.matrix[k].tolist()), strict=False)
         return " + ".join(self._times(letter, entry) for letter, entry in pairs if entry.number)
 

@@ -32,7 +32,7 @@ from adis_gonio.base.numbers import (
 from adis_gonio.base.uncertainty import NORMAL_95, Value
 from adis_gonio.device.sensor.settings import compensations
 from adis_gonio.fitting import FitResult
-from adis_gonio.fitting.answer import Answer, format_dof, format_share
+from adis_gonio.fitting.answer import Answer, format_dof, format_parameter, format_share
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.slips import PositionFinding
 from adis_gonio.fitting.slips.session_positions import Angle
@@ -194,8 +194,8 @@ def _key(values: Mapping[str, Value]) -> list[KeyFigure]:
 def _large(name: str, value: Value) -> KeyFigure:
     """Make a key figure (a result in large numerals) of a value with its expanded uncertainty U.
 
-    `name` is the name of the quantity. If this is the error of the angle, U is the uncertainty of a
-    displayed angle and not of the error, and is shown in the small print.
+    `name` is the name of the quantity. If it is `angle`, the error of the angle, U belongs to a displayed
+    angle and not to the error; it is then shown in the small print.
     """
     if value.k is None:
         return KeyFigure(NAMES[name], with_unit(format_number(value.value, 4), value.unit), UNKNOWN)
@@ -296,14 +296,12 @@ def fitted_section(fits: Sequence[FitResult], failures: Mapping[str, str]) -> Se
 
 
 def _by_method(fits: Sequence[FitResult]) -> Table:
-    names = list(dict.fromkeys(e.name for fit in fits for e in fit.parameters))
-    names.sort(key=lambda name: _ORDER.index(name) if name in _ORDER else len(_ORDER))
-    rows = []
-    for name in names:
-        entries = [next((e for e in fit.parameters if e.name == name), None) for fit in fits]
-        unit = next(e.unit for e in entries if e is not None)
-        cells = ["" if e is None else format_uncertain(e.value, e.U) for e in entries]
-        rows.append([NAMES.get(name, name), format_unit(unit), *cells])
+    units = {e.name: e.unit for fit in fits for e in fit.parameters}
+    names = sorted(units, key=lambda name: _ORDER.index(name) if name in _ORDER else len(_ORDER))
+    rows = [
+        [NAMES.get(name, name), format_unit(units[name]), *(format_parameter(fit, name) for fit in fits)]
+        for name in names
+    ]
     rows.append(
         ["residual, rms", "mg", *(format_number(fit.residual_rms_mg) if fit.dof else DASH for fit in fits)]
     )
@@ -797,7 +795,7 @@ def build_page(
     Returns
     -------
     str
-        One page that loads nothing; all texts are escaped.
+        One page that needs no other file; all texts are escaped.
     """
     software = f"adis-gonio {__version__}"
     result = traced if isinstance(traced, TraceResult) else None

@@ -160,33 +160,42 @@ def _stage_curve(path: Path, angles: ET.Element, errors: ET.Element) -> StageCur
     angle_deg, error_deg = _degrees(path, angles), _degrees(path, errors)
     m = len(angle_deg)
     columns = [
-        [float(value.text or "nan") for value in column.iter(f"{{{SI}}}value")]
+        _floats(path, "covariance", [value.text or "nan" for value in column.iter(f"{{{SI}}}value")])
         for column in errors.iter(f"{{{SI}}}column")
     ]
     factor = _unit_factor(path, errors)
+    matrix: Floats = np.zeros(0)
     if columns:
-        matrix = factor**2 * np.array(columns) if {len(c) for c in columns} == {m} else np.zeros(0)
+        if {len(c) for c in columns} == {m}:
+            matrix = factor**2 * np.array(columns)
     else:
         u = _numbers(path, errors, "uncertaintyXMLList", "valueExpandedMUXMLList", "valueStandardMUXMLList")
         k = _numbers(path, errors, "coverageFactorXMLList") or [1.0]
-        matrix = np.diag((factor * np.array(u) / np.array(k)) ** 2) if len(u) == m else np.zeros(0)
-    if matrix.shape != (m, m) or len(error_deg) != m or m < 2:
+        if len(u) == m and len(k) in (1, m) and all(k):
+            matrix = np.diag((factor * np.array(u) / np.array(k)) ** 2)
+    if matrix.shape != (m, m) or not np.isfinite(matrix).all() or len(error_deg) != m or m < 2:
         raise DataError(
             f"{path}: the error curve needs two or more angles, each with an error and its uncertainty"
         )
     angle_deg, order = np.unique(angle_deg % 360, return_index=True)
     error_deg, matrix = error_deg[order], matrix[np.ix_(order, order)]
     if not np.allclose(matrix, matrix.T) or np.linalg.eigvalsh(matrix).min() < -1e-9 * np.trace(matrix):
-        raise DataError(f"{path}: the covariance matrix of the errors is not one")
+        raise DataError(
+            f"{path}: the covariance matrix of the errors is not symmetric, or gives a negative variance"
+        )
     return StageCurve(path.name, angle_deg, error_deg, (matrix + matrix.T) / 2)
 
 
 def _numbers(path: Path, parent: ET.Element, *names: str) -> list[float]:
     found = next((one.text or "" for name in names for one in parent.iter(f"{{{SI}}}{name}")), "")
+    return _floats(path, names[0], found.split())
+
+
+def _floats(path: Path, name: str, words: Sequence[str]) -> list[float]:
     try:
-        return [float(word) for word in found.split()]
+        return [float(word) for word in words]
     except ValueError:
-        raise DataError(f"{path}: {names[0]} has to be numbers, not '{found[:40]}'") from None
+        raise DataError(f"{path}: {name} has to be numbers, not '{' '.join(words)[:40]}'") from None
 
 
 def _unit_factor(path: Path, listed: ET.Element) -> float:
@@ -252,7 +261,7 @@ def _administrative(parent: ET.Element, calibration: Calibration, issued: date |
     ):
         _add(core, name, text)
     sensors = "Accelerometers" if calibration.gyro is None else "Accelerometers and gyros"
-    item = _named(_add(parent, "items"), "item", f"{sensors} of an {where.sensor} in a goniometer")
+    item = _named(_add(parent, "items"), "item", f"{sensors} of sensor {where.sensor} in a goniometer")
     if where.sensor in VARIANTS:
         _named(item, "manufacturer", "Analog Devices")
     _add(item, "model", where.sensor)
@@ -347,7 +356,7 @@ def _condition(parent: ET.Element, name: str, value: float, unit: str) -> None:
 
 
 def _label(name: str) -> str:
-    """Return the description of a parameter for the certificate, with its name in brackets."""
+    """Return the description of a parameter in the certificate, with the parameter's name in brackets."""
     stem, _, axes = name.rpartition("_") if name in KIND_OF else name.partition("_")
     words = _NAMES.get(name) or (f"{_NAMES[stem]} {axes.upper()}" if stem in _NAMES else "Coefficient")
     return f"{words} ({name})"

@@ -513,9 +513,10 @@ def _allan(session: Session, data: Readings) -> tuple[Floats, Floats]:
 
 
 def twin_section(session: Session, traced: TraceResult, *, seed: int = 0) -> Section | None:
-    """Return the report section that compares a session with its digital twin; None without a model.
+    """Return the report section that compares a session with its digital twin, a simulated session.
 
-    `seed` is the seed of the simulated noise. A trace of a single pose has no model.
+    None if the trace has no model, such as the trace of a single pose. `seed` is the seed of the simulated
+    noise.
 
     Raises
     ------

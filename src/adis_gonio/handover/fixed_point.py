@@ -94,9 +94,9 @@ class Monomial:
 
 @dataclass(frozen=True)
 class Input:
-    """Conversion of an auxiliary reading, such as the temperature, to a factor: (number − zero) · step.
+    """Conversion of a further reading, such as the temperature, to a factor of the polynomial.
 
-    The number is the reading in 1/256 LSB. The factor is clipped to ± `limit`.
+    The factor is (number − `zero`) · `step`, limited to ± `limit`. The number is the reading in 1/256 LSB.
     """
 
     zero: int
@@ -241,7 +241,7 @@ def _monomials(calibration: Calibration, term: EffectTerm) -> list[Monomial]:
 
 
 def _products(factors: Iterable[str]) -> Iterator[tuple[str, ...]]:
-    """Yield the names of the factors of all products of one to three factors."""
+    """Yield all products of one to three of these factors, each as the names of its factors."""
     for count in (1, 2, 3):
         yield from itertools.combinations_with_replacement(factors, count)
 
@@ -249,9 +249,14 @@ def _products(factors: Iterable[str]) -> Iterator[tuple[str, ...]]:
 def _passes(monomials: tuple[Monomial, ...]) -> int:
     """Return the number of passes after which the iteration a ← free − Σ(a) has settled.
 
-    `free` is the reading without bias, Σ the sum of all terms, and a the ideal reading that is sought. Each
-    pass multiplies the error of a by at most the largest slope of Σ within the range of readings. The
-    number is at most `MOST_PASSES`.
+    It is at most `MOST_PASSES`, and 0 if no monomial depends on a reading. `free` is the reading without
+    bias, Σ the sum of all monomials, and a the ideal reading that is sought. Each pass multiplies the error
+    of a by at most the largest slope of Σ within the range of readings.
+
+    Raises
+    ------
+    FitError
+        The effects are too large for the iteration.
     """
     largest, slope = np.zeros(3), np.zeros(3)
     for one in monomials:
@@ -343,6 +348,8 @@ _FORMS: dict[str, tuple[float, tuple[str, ...]]] = {
 
 def rate_polynomial_of(calibration: Calibration, gyro: GyroCalibration) -> Polynomial:
     """Convert the calibration of the gyros to a polynomial that a firmware can compute.
+
+    `calibration` is that of the accelerometers, from which the step of the force in the polynomial follows.
 
     Raises
     ------

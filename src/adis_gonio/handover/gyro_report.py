@@ -181,7 +181,7 @@ _SLOW = ("flicker", "walk")
 
 
 def allan_page(result: AllanResult) -> str:
-    """Return the noise at rest as one HTML page that loads nothing; every text is escaped."""
+    """Return the noise at rest as one HTML page that needs no other file; every text is escaped."""
     name = result.title or result.source or "session"
     whole = section_of(result)
     return render(
@@ -246,8 +246,8 @@ def _reading() -> tuple[str, ...]:
         "The coefficients follow IEEE Std 952-1997, Annex C; the bias instability is the floor of the"
         " Allan deviation, 0.664 times the standard's B. They are fitted to the samples by restricted"
         " maximum likelihood, not to the points of the plot.",
-        "A noise that is not present has an upper limit (95 %), and the size that these records would have"
-        " shown in nine of ten cases.",
+        "A noise that was not separately detected has an upper limit (95 %), and the size that these"
+        " records would have shown in nine of ten cases.",
     )
 
 

@@ -288,9 +288,9 @@ def results_of(part: Part, traced: bool = False) -> Results:
 
 
 def all_results(parts: Sequence[tuple[Part, bool]], jobs: int = 1) -> list[Results]:
-    """Return the results of many simulated sensors in order, each given with a flag for the trace.
+    """Return the results of many simulated sensors in their order, computed by `jobs` processes.
 
-    `jobs` is the number of processes.
+    `parts` has each sensor with True if its session is also traced.
     """
     if jobs <= 1:
         return [results_of(*one) for one in with_progress(parts)]
@@ -508,7 +508,7 @@ def reproduce(seed: int = 0, sessions: int = SESSIONS, jobs: int | None = None) 
 
 
 def build_page(done: Study) -> str:
-    """Return the study as one HTML page that loads nothing."""
+    """Return the study as one HTML page that needs no other file."""
     return render(
         "The seed paper reproduced",
         "two positions against nine",

@@ -59,6 +59,9 @@ class LiveAngle:
     smoothed : Smoothed or None
         Angle at a fixed time (the lag) before the newest sample, computed from gyros and gravity together;
         None without gyros, and until a lag has passed.
+    notes : tuple of str
+        `calibration` if the reading at rest contradicts the calibration; the difference is then part of
+        every u.
     """
 
     time_s: float
@@ -70,12 +73,17 @@ class LiveAngle:
     temperature_c: float | None
     lost: int
     smoothed: Smoothed | None = None
+    notes: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Return the reading as one flat JSON object; the entries of `smoothed` are null if it is None."""
         document = asdict(self)
-        smoothed = document.pop("smoothed") or dict.fromkeys(Smoothed.__dataclass_fields__)
-        return document | smoothed | {"notes": list(smoothed["notes"] or ())}
+        notes = document.pop("notes")
+        smoothed = document.pop("smoothed") or {
+            **dict.fromkeys(Smoothed.__dataclass_fields__),
+            "notes": notes,
+        }
+        return document | smoothed | {"notes": list(smoothed["notes"])}
 
 
 def raw_angle_deg(accel_mg: Floats) -> Floats:
@@ -174,18 +182,18 @@ class AngleMeter:
         if spread_mg is not None and len(self._kept) >= self._window:
             # Only the upper limit is tested: a stuck axis is reported by `bringup`.
             still = bool((spread_mg <= self._limits.upper).all())
+        end_s = float(blocks[-1].time_s[-1])
+        self._last_s = end_s - first_s
+        smoothed, off_deg = None, 0.0
+        if self._smoother is not None:
+            if still:
+                self._smoother.take_rest(mean, temperature_c)
+            off_deg, smoothed = self._smoother.off_deg, self._smoother.reading(end_s)
         raw_deg, u_deg = self._raw(mean, u_mg)
         corrected_deg = None
         if self._calibration is not None:
             corrected_deg, u_deg = corrected_angle(self._calibration, mean, temperature_c, u_mg)
-            u_deg = None if u_mg is None else u_deg
-        end_s = float(blocks[-1].time_s[-1])
-        self._last_s = end_s - first_s
-        smoothed = None
-        if self._smoother is not None:
-            if still:
-                self._smoother.take_rest(mean, temperature_c)
-            smoothed = self._smoother.reading(end_s)
+            u_deg = None if u_mg is None or u_deg is None else math.hypot(u_deg, off_deg)
         return LiveAngle(
             self._last_s,
             raw_deg,
@@ -196,6 +204,7 @@ class AngleMeter:
             temperature_c,
             self._lost,
             smoothed,
+            ("calibration",) if off_deg else (),
         )
 
     def _raw(self, mean_mg: Floats, u_mg: Floats | None) -> tuple[float, float | None]:
@@ -249,7 +258,7 @@ def calibration_for(calibration: Calibration, source: LiveSource) -> Calibration
     if where.counts:
         raise UsageError("the calibration takes readings in counts of unknown scale; a sensor gives mg")
     if where.sensor != source.part:
-        raise UsageError(f"the calibration is of an {where.sensor}, this is an {source.part}")
+        raise UsageError(f"the calibration is of sensor {where.sensor}, this is sensor {source.part}")
     return calibration.for_registers(source.offsets_lsb, source.gyro_offsets_lsb)
 
 
@@ -354,14 +363,14 @@ class LiveBlocks:
 
     def __next__(self) -> Block:
         """Return the next block; if the link breaks and does not return in time, raise its error."""
-        try:
-            return next(self._blocks)
-        except (BusError, ChipError) as error:
-            if not self._patience_s:
-                raise
-            self._broken(error)
-            self._again(error)
-        return next(self)
+        while True:
+            try:
+                return next(self._blocks)
+            except (BusError, ChipError) as error:
+                if not self._patience_s:
+                    raise
+                self._broken(error)
+                self._again(error)
 
     def _again(self, error: Exception) -> None:
         self.close()

@@ -125,8 +125,11 @@ class SmoothedMeter:
             corrected=None if calibration is None else self._corrected,
             bend=BEND if calibration is None else _bend_of(calibration),
         )
-        self._off = 0.0
-        """Relative error of gravity's length at the last rest if it contradicts the calibration, else 0."""
+        self.off_deg = 0.0
+        """Relative error of gravity's length at the last rest, as an angle in degrees.
+
+        It is 0 if it does not contradict the calibration.
+        """
 
     def feed(self, block: Block) -> None:
         """Add a block of samples; a block without gyro readings is ignored."""
@@ -162,12 +165,12 @@ class SmoothedMeter:
         _, u_deg = corrected_angle(calibration, mean_mg, temperature_c)
         across = abs(z) * Z_ERROR if planar else 0.0
         allowed = math.hypot(math.radians(u_deg or 0.0), 3 * self._drift_rad, LENGTH_FLOOR, across)
-        self._off = off if off > LENGTH_K * allowed else 0.0
+        self.off_deg = math.degrees(off) if off > LENGTH_K * allowed else 0.0
 
     def reading(self, end_s: float) -> Smoothed | None:
         """Return the smoothed angle at one lag before `end_s`, the time of the last sample.
 
-        None until a lag has passed.
+        Return None until a lag has passed.
         """
         angle, calibration = self._smoother.angle(), self._calibration
         if angle is None:
@@ -177,8 +180,8 @@ class SmoothedMeter:
             if "alpha" in calibration:
                 shown_deg = wrap_degrees(shown_deg + calibration["alpha"].value)
             _, by_calibration = corrected_angle(calibration, angle.accel_mg, angle.temperature_c)
-            u_deg = math.hypot(u_deg, by_calibration or 0.0, math.degrees(self._off))
-            notes = (*notes, "calibration") if self._off else notes
+            u_deg = math.hypot(u_deg, by_calibration or 0.0, self.off_deg)
+            notes = (*notes, "calibration") if self.off_deg else notes
         return Smoothed(
             shown_deg, u_deg, end_s - angle.time_s, angle.rate_dps, angle.zero_dps, angle.zero_u_dps, notes
         )

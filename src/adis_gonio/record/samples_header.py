@@ -431,7 +431,7 @@ def _find_header(path: Path, wanted: Mapping[str, str]) -> tuple[int, str, list[
 
 
 def _first_lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield the lines of a file with their numbers, as many as a head may have."""
+    """Yield the lines of a file with their numbers; raise `DataError` after as many as a head may have."""
     characters = 0
     for chunk in read_chunks(path):
         for number, line in enumerate(chunk.lines, chunk.first):

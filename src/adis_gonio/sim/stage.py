@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, wrap_radians
 from adis_gonio.base.errors import UsageError
 from adis_gonio.sim.hand import Course, HandMove, HandTurn
 from adis_gonio.sim.settings import WorldSettings
@@ -168,6 +168,14 @@ class Stage:
         A fit does not know this error.
         """
         return float(np.degrees(self._legs[-1].to_error_rad))
+
+    @property
+    def free_start_deg(self) -> float | None:
+        """Angle of the sensor at rest before the last free turn, in degrees; None without a free turn."""
+        for leg in reversed(self._legs):
+            if leg.hand is not None:
+                return float(np.degrees(wrap_radians(self._alpha - leg.from_rad + leg.from_error_rad)))
+        return None
 
     @property
     def still_at_s(self) -> float:

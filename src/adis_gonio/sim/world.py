@@ -179,7 +179,8 @@ class World:
 
         | name | unit | value |
         |---|---|---|
-        | `delta_k`, `delta_phi`, `alpha` | 1, degree, degree | base parameters of the plane |
+        | `delta_k`, `delta_phi` | 1, degree | base parameters of the plane |
+        | `alpha` | degree | angle at the stage's zero, or at rest before a free turn, as in the fit |
         | `scale_x…` | 1 | gain; 1 is perfect |
         | `skew_xy…` | degree | 90° minus the angle between the axes |
         | `bias_x…`, `bias_temperature_x…` | mg, mg/°C | bias and its temperature coefficient |
@@ -209,6 +210,7 @@ class World:
             and walk.
         """
         result = dict(self._hidden)
+        result["alpha"] = value_or(self.stage.free_start_deg, result["alpha"])
         warm, wander = 0.0, np.zeros(6)
         if time_s is not None:
             warm = float(np.mean(self.temperature_c(time_s))) - REFERENCE_C

@@ -90,7 +90,11 @@ def where(measurement: NextDwell) -> str:
 
 
 def _grouped(measurements: Sequence[NextDwell]) -> list[list[NextDwell]]:
-    """Group proposed dwells by purpose: to separate two hypotheses, or to show effects not yet visible."""
+    """Group proposed dwells by the question that they answer.
+
+    A group separates one pair of hypotheses, shows effects that are not yet visible, or consists of all
+    dwells that separate hypotheses only faintly.
+    """
     groups: dict[object, list[NextDwell]] = {}
     for m in measurements:
         key: object = (m.one, m.other)
@@ -120,7 +124,7 @@ def _sentence(group: Sequence[NextDwell]) -> str:
 
 
 def _faint(group: Sequence[NextDwell]) -> str:
-    """Return the advice to repeat some positions, for hypotheses that no single dwell separates."""
+    """Return the advice to repeat the positions of `group`, if no single dwell separates the hypotheses."""
     where = _listed(list(dict.fromkeys(place(m) for m in group)))
     # Effects that only one of the two compared models contains.
     names = join_words(list(dict.fromkeys(name for m in group for name in sorted({*m.one} ^ {*m.other}))))

@@ -87,13 +87,16 @@ class AveragedTerm(NamelessTerm):
         return max(self.members, key=lambda member: member[0])[1].form
 
     def added(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Return the weighted mean of the members' contributions to the readings or to the angle."""
+        """Return the weighted mean of the members' contributions to readings (n, axes) or angle (n,).
+
+        `ideal` (n, axes) are the readings of an ideal sensor. `values` is not used.
+        """
         parts = [weight * term.added(own, ideal, conditions) for weight, term, own in self.members]
         total: Floats = np.sum(parts, axis=0)
         return total
 
     def columns(self, ideal: Floats, conditions: Conditions) -> Floats:
-        """Return an array without columns, since the averaged function has no parameters to fit."""
+        """Return an array (n, axes, 0) or, for the angle, (n, 0): there are no parameters to fit."""
         n, axes = ideal.shape
         return np.zeros((n, 0) if self.enters_angle else (n, axes, 0))
 
@@ -212,7 +215,7 @@ def average(selection: Selection, candidates: Sequence[Process] | None = None) -
 
 
 def _average(selection: Selection, candidates: Sequence[Process] | None) -> Averaged | None:
-    """Return the average under the noise of a selection; None if no unnamed function is needed.
+    """Return the average with the noise of a selection (`inflation`); None if no function is needed.
 
     `candidates` are the Gaussian processes to try; None tries all.
     """

@@ -272,10 +272,10 @@ def _count_votes(selection: Selection, cause: str) -> tuple[dict[str, float], fl
 
 
 def owners_of(selection: Selection, cause: str, owner: Callable[[Term], str]) -> dict[str, float]:
-    """Return the probability of each owner of a cause, such as the stage or the part, if it is present.
+    """Return the probabilities that a cause, if present, belongs to the stage, each part or each session.
 
-    `cause` is its name in the chosen model; `owner` returns the owner of a term. A probable model counts
-    for the owner of the term that it has for the cause.
+    `cause` is its name in the chosen model. `owner` returns for a term one of these possibilities. Each
+    probable model counts, with its probability, for the possibility of its term for the cause.
     """
     place, terms = _Place.of(selection, cause), selection.problem.terms
     weight: dict[str, float] = defaultdict(float)

@@ -39,6 +39,7 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Unit
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
 from adis_gonio.fitting.fit_result import outputs_of
+from adis_gonio.fitting.uncertainty import missing_curvature
 from adis_gonio.model.effects import AXES, Conditions, catalogue, effect
 from adis_gonio.model.effects.stage_terms import StagePeriodic, alike
 from adis_gonio.tracing.averaging import Averaged, AveragedFit, AveragedTerm, middle_s
@@ -67,7 +68,7 @@ def dof_of(selection: Selection) -> float:
 def finding_of(
     selection: Selection, name: str, averaged: Averaged | None = None, judged: Selection | None = None
 ) -> Finding:
-    """Return the finding for a named effect of the chosen model: its parameters, test and probability.
+    """Return the finding for the effect `name` of the chosen model: its parameters, test and probability.
 
     Parameters
     ----------
@@ -116,7 +117,7 @@ def finding_of(
         axes=tuple(axes),
         parameters=parameters,
         p_value=_p_value(selection, members),
-        explains=0.0,  # set by `with_shares` when the steps are known
+        explains=0.0,  # known when the steps are (`trace.shown_findings`)
         probability=probability_of(judged or selection, name, averaged),
         equivalents=tuple(dict.fromkeys(same))[:5],
         cause=cause,
@@ -202,7 +203,8 @@ def rivals_of(selection: Selection) -> tuple[Rival, ...]:
 def base_of(selection: Selection) -> dict[str, Value]:
     """Return the base parameters of the final fit by name, in the units of results; in the plane also ΔK.
 
-    Their uncertainty covers the values in other probable models.
+    Their uncertainty covers the values in other probable models and, for several sessions, the error by an
+    effect of the reading that is too weak to be found (`missing_curvature`).
     """
     fit = selection.fit
     data = fit.data
@@ -212,6 +214,8 @@ def base_of(selection: Selection) -> dict[str, Value]:
     base = np.where(held, data.model.nominal, fit.values.base)
     p = len(base)
     covariance = fit.covariance[:p, :p] * selection.inflation
+    if data.model.origins:
+        covariance = covariance + missing_curvature(fit, selection.inflation)[:p, :p]
     dof = dof_of(selection)
     mixture = base_mixture(selection)
     # The function that `fit` uses, so that each name has one unit in both results.
@@ -227,7 +231,7 @@ def base_of(selection: Selection) -> dict[str, Value]:
         for output in outputs_of(here, np.concatenate([base[own], np.zeros(data.axes)])):
             if output.name.startswith("bias"):
                 continue
-            # ΔK belongs to the owner of the gains.
+            # ΔK is named after the part or session whose gains it compares.
             name = owner.get(output.name) or output.name + owner["scale_x"].removeprefix("scale_x")
             slope = np.zeros(p)
             slope[own] = output.gradient[: len(names)]
@@ -348,14 +352,6 @@ def shares(steps: Sequence[str], excess: Sequence[float]) -> dict[str, float]:
     return found
 
 
-def with_shares(found: Sequence[Finding], of_step: dict[str, float]) -> tuple[Finding, ...]:
-    """Return the findings with `explains` set to the effect's share of the base model's excess χ².
-
-    `of_step` are these shares by effect.
-    """
-    return tuple(replace(finding, explains=of_step.get(finding.effect, 0.0)) for finding in found)
-
-
 def unnamed_with_share(unnamed: Unnamed | None, of_step: dict[str, float]) -> Unnamed | None:
     """Return the unnamed part (None if there is none) with its share of the base model's excess χ².
 
@@ -436,9 +432,10 @@ def base_mixture(selection: Selection) -> Mixture:
 def effect_mixture(selection: Selection, name: str) -> tuple[list[str], Mixture]:
     """Return the names of an effect's amplitudes, and their values in all probable models with the effect.
 
-    Models with other shapes or dwells are excluded: shapes are fitted, and the covariance contains their
-    spread. If the chosen model has a bias, models without a bias are excluded too. Every sensor has a
-    bias, and without it two curvatures can compensate each other with unrealistic amplitudes.
+    `name` is the effect. Models with other shapes or dwells are excluded: shapes are fitted, and the
+    covariance contains their spread. If the chosen model has a bias, models without a bias are excluded
+    too. Every sensor has a bias, and without it two curvatures can compensate each other with unrealistic
+    amplitudes.
     """
     problem, verdict = selection.problem, selection.verdict
     needed = _names(problem, verdict.best) & {"bias"}
@@ -458,10 +455,10 @@ def _names(problem: LinearProblem, model: Sequence[int]) -> frozenset[str]:
 
 
 def _kind(terms: Sequence[Term], model: Sequence[int], name: str) -> tuple[object, ...]:
-    """Return the shape parameters and choices (dwell, degree) of an effect in a model, for comparisons.
+    """Return the shape parameters and choices (dwell, degree) of the effect `name` in a model.
 
-    It is empty if the model lacks the effect. `terms` are all candidate terms, `model` the numbers of the
-    model's terms.
+    Two models have the effect in one form if their results are equal. The result is empty if the model
+    lacks the effect. `terms` are all candidate terms, `model` the numbers of the model's terms.
     """
     mine = [terms[k] for k in model if terms[k].name == name]
     return tuple(
@@ -592,9 +589,9 @@ def detectable(
 
     @cache
     def basis_without(name: str | None) -> Floats:
-        """Return an orthonormal basis of the model's columns without the terms of the effect `name`.
+        """Return an orthonormal basis (rows, k) of the model's columns without the effect `name`.
 
-        None leaves no term out.
+        None leaves no effect out.
         """
         return span(problem, [m for m in model if name is None or problem.terms[m].name != name])[0]
 

@@ -158,7 +158,7 @@ def _left_out(
     """Return the residuals of each fit on the held-out dwells; empty lists if no dwell can be held out.
 
     The terms of a fit are kept, and their values are fitted again without the held-out dwells. `chosen` is
-    the index of the chosen model.
+    the index of the chosen model in `fits`; the other arguments are as in `bought_by_terms`.
     """
     if checking is not None:
         return [[residuals_on(fit, checking)] for fit in fits]
@@ -170,7 +170,7 @@ def _left_out(
 def next_term(bought: Sequence[Bought], unit: str) -> str:
     """Return a sentence on the benefit of one more term than the chosen model has.
 
-    `unit` is the unit of the held-out errors.
+    `bought` has the best model of each number of terms, and `unit` is the unit of their held-out errors.
     """
     here = next(k for k, one in enumerate(bought) if one.chosen)
     terms = counted(len(bought[here].terms), "term")

@@ -42,7 +42,7 @@ EVERYWHERE: tuple[Where, ...] = ("bias", "gain", "misalignment", "angle")
 
 
 def line_shape(u: Floats) -> Floats:
-    """Return u itself: the shape of a straight line."""
+    """Return `u` (n,) unchanged: the shape of a straight line."""
     return u
 
 
@@ -72,8 +72,8 @@ def growth_shape(rate: float) -> Shape:
 def approach_shape(time_constant: float, sign: float) -> Shape:
     """Return an exponential function of time that decays from the start (sign −1) or rises to the end (1).
 
-    The time u is −1 at the start of the session and 1 at its end; the unit of the time constant is the
-    length of the session.
+    The time u is −1 at the start of the session and 1 at its end; the unit of `time_constant` is the length
+    of the session.
     """
     return lambda u: np.exp((sign * (u + 1) / 2 - (sign > 0)) / time_constant)
 
@@ -84,7 +84,10 @@ def bump_shape(place: float, width: float) -> Shape:
 
 
 def ring_bump(centre_rad: float, width_rad: float) -> Shape:
-    """Return a periodic bell curve of an angle in rad (von Mises distribution)."""
+    """Return a periodic bell curve (von Mises distribution) of an angle in rad.
+
+    `centre_rad` is its maximum, with the value 1. Near it, `width_rad` is the standard deviation.
+    """
     return lambda t: np.exp((np.cos(t - centre_rad) - 1) / width_rad**2)
 
 
@@ -106,7 +109,10 @@ def harmonics(orders: Sequence[int]) -> Shape:
 
 @dataclass(frozen=True)
 class _Made:
-    """An unnamed function as a candidate: its family, basis functions, and places in the model."""
+    """An unnamed function as a candidate: its basis functions, and its possible places in the model.
+
+    `family` is the covariate, or the group of covariates, whose functions share one part of the prior.
+    """
 
     family: str
     basis: Basis

@@ -98,6 +98,15 @@ class LinearProblem:
         """χ² of the base model's residual."""
         return float(self.target @ self.target)
 
+    @property
+    def widest_bias(self) -> int | None:
+        """Number of the bias term that acts on the most axes; None if no candidate is a bias.
+
+        A bias with a stated prior of its size does not count.
+        """
+        biases = [k for k, term in enumerate(self.terms) if term.constant and term.prior_sd is None]
+        return max(biases, key=lambda k: int(self.width[k]), default=None)
+
     def block(self, term: int) -> Floats:
         """Return the columns (rows, width) of one term, given by its number."""
         own = term - len(self.first)
@@ -118,7 +127,10 @@ class LinearProblem:
         return self.split.prior_of(own) if self.split is not None and own >= 0 else self.prior[term]
 
     def basis_of(self, model: Sequence[int], *, with_prior: bool = True) -> ModelBasis:
-        """Return orthonormal columns of a model of several sessions (`SessionBlocks.basis`)."""
+        """Return orthonormal columns of a model of several sessions; `model` has the numbers of its terms.
+
+        `with_prior` includes the prior rows of the amplitudes (see `SessionBlocks.basis`).
+        """
         assert self.split is not None
         shared = [k for k in model if k < len(self.first)]
         columns, gram = self.columns_and_gram(shared)
@@ -127,9 +139,9 @@ class LinearProblem:
         return self.split.basis(own, columns, gram, with_prior=with_prior)
 
     def off(self, model: Sequence[int], values: Floats) -> Floats:
-        """Return the part of values (rows,) outside a model with free amplitudes.
+        """Return the part (rows,) of values (rows,) that a model with free amplitudes cannot reproduce.
 
-        The values have no part in the base model, such as the target.
+        The values must have no part in the base model; the target has none.
         """
         if self.split is None:
             basis = span(self, model)[0]
@@ -139,7 +151,7 @@ class LinearProblem:
 
     @cached_property
     def dense(self) -> LinearProblem:
-        """The problem with the columns of every term in `columns`, for sums over pairs of columns."""
+        """Problem with the columns of all terms in `columns`, so that `split` is None."""
         if self.split is None:
             return self
         every = range(len(self.terms))
@@ -539,8 +551,8 @@ def _blocks(
 ) -> tuple[NDArray[np.intp], SessionBlocks, list[Floats]]:
     """Return the columns of terms in each session, sorted by their width, and the prior of the amplitudes.
 
-    The first result are the numbers of the terms in this order. `place` and `bases` are as in
-    `SessionBlocks.of`.
+    The first result (M,) are the indices in `terms` in this order. `place` and `bases` are as in
+    `SessionBlocks.of`, which returns the other two results.
     """
     raw, width = fit.candidates(terms)
     spread = amplitude_spreads(fit.data.model, terms, width)
@@ -589,13 +601,13 @@ def span(problem: LinearProblem, model: Sequence[int]) -> tuple[Floats, Floats]:
 
 
 def _full_combinations(gram: Floats) -> Floats:
-    """Return a matrix (p, k) that turns p columns with this Gram matrix into k orthonormal columns."""
+    """Return a matrix (p, k) that turns p columns with Gram matrix `gram` into k orthonormal columns."""
     half = orthonormal_combinations(gram)
     return half[:, half.any(axis=0)]
 
 
 def amplitudes(problem: LinearProblem, model: Sequence[int]) -> list[Floats]:
-    """Return the most probable amplitudes of each term of a model, by least squares with the prior."""
+    """Return the most probable amplitudes (d,) of each term of a model, by least squares with the prior."""
     if not len(model):
         return []
     if len(model) == 1 and model[0] < len(problem.first):

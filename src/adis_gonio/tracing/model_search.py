@@ -166,8 +166,7 @@ class Climb:
         self.paired: set[Model] = set()
         columns = int(self.names.problem.width.sum())
         self.paired_names = not problem.joint or (explored > 1 and columns <= limits.paired)
-        biases = [k for k, term in enumerate(terms) if term.constant and term.prior_sd is None]
-        self.bias = max(biases, key=lambda k: int(problem.width[k]), default=None)
+        self.bias = problem.widest_bias
         self.nameless = frozenset(np.flatnonzero(~self.named).tolist())
         # The best of all models and of those with names only, by their names and covariates.
         kinds = {key: i for i, key in enumerate(dict.fromkeys((t.name, t.covariates) for t in terms))}
@@ -236,8 +235,8 @@ class Climb:
     def score_pairs(self, model: Model, *, start: bool = False) -> None:
         """Score all models that extend a model by two named terms.
 
-        Pairs that score at most `limits.window` nats below the best model are stored; at the start of a
-        search (`start`), at most this below the best pair.
+        A pair is stored if it scores at most `limits.window` nats below the best model. If `start` is True,
+        it is compared with the best pair instead.
         """
         found, problem, joining = self.found, self.found.problem, self.names
         if (
@@ -378,7 +377,7 @@ def weigh(found: Search) -> ModelPosterior:
 def presence_probabilities(terms: Sequence[Term], weights: Mapping[Model, float]) -> dict[str, float]:
     """Return the probability that each name is present: the weight of the models that contain it.
 
-    `weights` are the posterior probabilities of the models.
+    `terms` are all candidate terms; `weights` are the posterior probabilities of the models.
     """
     names: dict[str, float] = defaultdict(float)
     for model, weight in weights.items():

@@ -161,10 +161,10 @@ def _options(kind: type[Effect], data: Readings) -> list[dict[str, int]]:
 
 
 def cycles_shown(angle_rad: Floats, most: int | None = None) -> list[int]:
-    """Return the numbers of cycles per turn, at least three, that these angles distinguish from each other.
+    """Return the numbers of cycles per turn, at least three, that the angles distinguish from each other.
 
-    The numbers go up to `most`, by default the limit of the trace. The angles also distinguish each of them
-    from a constant and from one or two cycles.
+    `angle_rad` (n,) are the angles of the dwells. The numbers go up to `most`, by default the limit of the
+    trace. The angles also distinguish each of them from a constant and from one or two cycles.
     """
     most = limits.most_cycles if most is None else most
     one = of_one_phase(np.arange(2 * most + 1), angle_rad)

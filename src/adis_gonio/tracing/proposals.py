@@ -236,9 +236,9 @@ def _rivals(selection: Selection) -> list[Hypothesis]:
 def _explanations(selection: Selection, terms: Sequence[Term]) -> tuple[float, list[Hypothesis]]:
     """Return a noise factor, and hypotheses that add one effect each to a model that is not adequate.
 
-    The factor on the noise variance is 1 or, if larger, the smallest χ² per degree of freedom of any
-    hypothesis. If several names are undecided, only these are compared. "No further effect" is not a
-    hypothesis, because the model is not adequate.
+    `terms` are all candidate terms. The factor on the noise variance is 1 or, if larger, the smallest χ²
+    per degree of freedom of any hypothesis. If several names are undecided, only these are compared. "No
+    further effect" is not a hypothesis, because the model is not adequate.
     """
     extended = _extended(selection, terms, 1.0, set())
     freedom = max(selection.fit.dof - 1, 1)
@@ -261,8 +261,9 @@ def _extended(
 ) -> list[Hypothesis]:
     """Return the chosen model and its extensions by one more effect, as hypotheses with weights.
 
-    Effects in `known` are omitted. A weight is the prior probability of the effect times the evidence of
-    the session, with the noise variance multiplied by `inflation`.
+    The effects come from the candidates `terms`, without those in `known`. A weight is the prior
+    probability of the effect times the evidence of the session, with the noise variance multiplied by
+    `inflation`.
     """
     base, evidence = fitted_hypothesis(selection.fit, 1.0, inflation)
     pairs = [(base, evidence)]
@@ -281,7 +282,7 @@ def _extended(
 def widest_terms(terms: Sequence[Term]) -> dict[str, NamedTerm]:
     """Return one candidate term for each effect: on all its axes, with a shape in the middle of its grid.
 
-    Effects of single dwells are omitted.
+    It is chosen among the candidates `terms`. Effects of single dwells are omitted.
     """
     variants: dict[str, list[NamedTerm]] = {}
     for term in terms:
@@ -597,9 +598,9 @@ def _predict(
     options: list[ImaginedDwell],
     before: list[ImaginedDwell],
 ) -> PredictedDwells:
-    """Predict the whitened readings of each optional dwell, measured after the dwells `before`.
+    """Predict by each hypothesis the whitened readings of the dwells `options`, if each follows `before`.
 
-    `inflation` is the factor on the noise variance.
+    `before` are the dwells measured first; `inflation` is the factor on the noise variance.
     """
     pieces = [
         _predict_rows(_imagined(data, list(group), before, warmth), inflation, hypotheses)

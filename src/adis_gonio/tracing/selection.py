@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import spent
 from adis_gonio.base.jsonable import ComputedOnce
 from adis_gonio.fitting.estimation.fit import Fit, adequacy
@@ -66,15 +67,8 @@ class Selection(ComputedOnce):
         They are the `limits.fold_active` terms that raised the score of any model most, the terms of the
         chosen model, and the best term of each effect on each combination of axes.
         """
-        candidates = self.problem.terms
-        ranked = [candidates[k] for k in np.argsort(-self.found.promise)]
-        active = {term.label for term in ranked[: limits.fold_active]}
+        active = promising_labels(self.problem.terms, self.found.promise, limits.fold_active)
         active |= {term.label for term in self.terms}
-        seen = set()
-        for term in ranked:
-            if isinstance(term, NamedTerm) and (term.effect.name, term.effect.axes) not in seen:
-                seen.add((term.effect.name, term.effect.axes))
-                active.add(term.label)
         return [term for term in terms if term.label in active]
 
     def without_functions(self, refuted: Sequence[Term]) -> Selection:
@@ -94,7 +88,10 @@ class Selection(ComputedOnce):
         return replace(self, found=found, verdict=verdict).with_model(verdict.best)
 
     def with_model(self, chosen: Sequence[int]) -> Selection:
-        """Return a copy of the selection that chooses and refits the model with these term numbers."""
+        """Return a copy of the selection with another model; `chosen` has the numbers of its terms.
+
+        The model is fitted again.
+        """
         model = tuple(chosen)
         return replace(
             self.with_fit(fit_model(self.problem, model, self.base)),
@@ -107,6 +104,27 @@ class Selection(ComputedOnce):
         adequate = adequacy(fit.chi2, fit.dof, fit.data.noise_dof) >= limits.adequate if known else True
         inflation = 1.0 if known and adequate else self.inflation
         return replace(self, fit=fit, adequate=adequate, inflation=inflation)
+
+
+def promising_labels(
+    terms: Sequence[Term], promise: Floats, count: int, *, by_sharing: bool = False
+) -> set[str]:
+    """Return the labels of the `count` terms of the largest promise, and of the best term of each effect.
+
+    The best term is of each effect on each combination of axes and, if `by_sharing`, for each grouping of
+    sessions; then every bias is kept. `promise` (M,) has a number for each of the `terms`.
+    """
+    ranked = [terms[k] for k in np.argsort(-promise)]
+    labels = {term.label for term in ranked[:count]}
+    seen: set[tuple[object, ...]] = set()
+    for term in ranked:
+        if isinstance(term, NamedTerm):
+            kind = type(term.effect) if by_sharing else term.effect.name
+            key = kind, term.effect.axes, term.label if by_sharing and term.constant else ""
+            if key not in seen:
+                seen.add(key)
+                labels.add(term.label)
+    return labels
 
 
 def fit_model(problem: LinearProblem, chosen: Sequence[int], about: Fit) -> Fit:
@@ -147,15 +165,15 @@ def select(
     before: tuple[str, ...] | None = None
     for _ in range(rounds):
         problem = linearise(about, terms)
-        apart = _separate_bias(problem, base, about)
-        if apart is not None:
+        bias = _large_bias(problem, base, about)
+        if bias is not None:
             # A constant far larger than the rest of the residual must not become part of a function's form.
             terms = [t for t in terms if not (isinstance(t, NamelessTerm) and t.basis.with_constant)]
             if not about.terms and max_terms:
                 # The square of a large bias, b²/2G, may be many times the noise. Candidates are therefore
                 # judged about a fit with the bias; otherwise they would be chosen to explain the
                 # linearisation error.
-                about = apart()
+                about = fit_model(problem, [bias], about)
             problem = linearise(about, terms)
         found, inflation = _search_with_noise(data, problem, max_terms, explored, inflation)
         problem = found.problem
@@ -182,9 +200,9 @@ def select(
 def _start_with_slips(base: Fit, terms: Sequence[Term]) -> Fit:
     """Return a fit of the base model with approximate slips of the part and a bias, to linearise about it.
 
-    `base` is returned unchanged if no candidate is a slip of known size. A slip that is too large for the
-    linearised model would look like an outlier on both axes. If the model is linearised about the
-    approximate slip and bias instead, the linearisation is accurate.
+    `base` is returned unchanged if no candidate in `terms` is a slip of known size. A slip that is too
+    large for the linearised model would look like an outlier on both axes. If the model is linearised about
+    the approximate slip and bias instead, the linearisation is accurate.
     """
     orders = base.data.conditions.order
     here = set() if orders is None else set(np.round(orders).tolist())
@@ -222,8 +240,8 @@ def _search_with_noise(
     """Return a search and its noise factor; if no model is adequate, search again with a larger noise.
 
     The unexplained part is then treated as noise of unknown origin (Birge's ratio), so that a name must be
-    significant against it. `inflation` is the first noise factor; `explored` is the number of the best
-    models for which all neighbours are scored.
+    significant against it. `inflation` is the first noise factor. `max_terms` and `explored` are as in
+    `search`.
     """
     found = search(problem, max_terms, inflation, explored)
     for _ in range(4):
@@ -244,49 +262,24 @@ def _search_with_noise(
     return found, inflation
 
 
-def _separate_bias(problem: LinearProblem, base: Fit, about: Fit) -> Callable[[], Fit] | None:
-    """Return a function that fits a bias alone; None unless a bias explains nearly all of the excess χ².
+def _large_bias(problem: LinearProblem, base: Fit, about: Fit) -> int | None:
+    """Return the term number of the bias if it alone explains nearly all of the excess χ², else None.
 
     Nearly all is the share `limits.mostly_bias`. The excess is the χ² of the base model beyond its degrees
     of freedom. `base` is the fit of the base model; `about` is the fit at which `problem` is linearised.
     """
-    constants = _mostly_bias(problem)
-    if constants is not None:
-        return lambda: fit_model(problem, [constants], about)
-    refitted = None if about.terms else _mostly_bias_refitted(problem, base)
-    return None if refitted is None else lambda: refitted
-
-
-def _mostly_bias(problem: LinearProblem) -> int | None:
-    """Return the term number of the bias if it alone explains nearly all of the excess χ², else None.
-
-    Nearly all is the share `limits.mostly_bias`. The excess is the χ² of the base model beyond its degrees
-    of freedom.
-    """
-    widest = _widest_bias(problem)
+    widest = problem.widest_bias
     if widest is None:
         return None
-    left = float((problem.off([widest], problem.target) ** 2).sum()) - problem.dof
-    excess = problem.chi2 - problem.dof
-    return widest if excess > 0 and left < (1 - limits.mostly_bias) * excess else None
 
+    def mostly(excess: float, left: float) -> bool:
+        return excess > 0 and left < (1 - limits.mostly_bias) * excess
 
-def _mostly_bias_refitted(problem: LinearProblem, base: Fit) -> Fit | None:
-    """Return a fit with a bias if the bias explains nearly all of the excess χ²; else None.
-
-    Unlike `_mostly_bias` this also works for a bias that is too large for the linear problem.
-    """
-    widest = _widest_bias(problem)
-    if widest is None or problem.dof <= int(problem.width[widest]):
+    left = float((problem.off([widest], problem.target) ** 2).sum())
+    if mostly(problem.chi2 - problem.dof, left - problem.dof):
+        return widest
+    if about.terms or problem.dof <= int(problem.width[widest]):
         return None
+    # A bias that is too large for the linear problem shows in a refit only.
     trial = fit_model(problem, [widest], base)
-    excess = base.chi2 - base.dof
-    if excess <= 0 or trial.chi2 - trial.dof >= (1 - limits.mostly_bias) * excess:
-        return None
-    return trial
-
-
-def _widest_bias(problem: LinearProblem) -> int | None:
-    """Return the term number of the bias that acts on the most axes; None if no candidate is a bias."""
-    constants = [k for k, term in enumerate(problem.terms) if term.constant and term.prior_sd is None]
-    return max(constants, key=lambda k: problem.width[k]) if constants else None
+    return widest if mostly(base.chi2 - base.dof, trial.chi2 - trial.dof) else None

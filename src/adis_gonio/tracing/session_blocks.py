@@ -387,9 +387,7 @@ def orthonormalising(gram: Floats) -> Floats:
     whole = np.all(np.diagonal(root, axis1=-2, axis2=-1) ** 2 > _RANK, axis=-1)
     half = np.empty_like(gram)
     half[whole] = np.linalg.inv(root[whole]).swapaxes(-1, -2)
-    values, vectors = np.linalg.eigh(gram[~whole])
-    seen = values > _RANK
-    half[~whole] = np.where(seen, 1 / np.sqrt(np.where(seen, values, 1.0)), 0.0)[..., None, :] * vectors
+    half[~whole] = orthonormal_combinations(gram[~whole], _RANK)
     return half
 
 

@@ -96,9 +96,9 @@ def evidence(
     candidates: Sequence[Process],
     inflation: float = 1.0,
 ) -> Floats:
-    """Return the log evidence of each process plus the log of its prior probability, in nats.
+    """Return for each of m processes its log evidence plus the log of its prior probability, (m,) in nats.
 
-    There is one value for each candidate: a process that may be an unnamed function.
+    `candidates` are the processes, each a possible unnamed function.
 
     Parameters
     ----------
@@ -179,9 +179,9 @@ def _component(axis: int) -> Get:
 
 
 def _inducing(low: float, high: float, length: float) -> Callable[[Floats], Floats]:
-    """Return basis functions for the kernel exp(−½ Δ²/ℓ²) on an interval, by Nyström's method.
+    """Return a function of values (n,) that gives basis functions (n, k) for the kernel exp(−½ Δ²/ℓ²).
 
-    ℓ is `length`; the method uses points 0.6 ℓ apart from `low` to `high`.
+    ℓ is `length`. Nyström's method uses k points, at most 0.6 ℓ apart, from `low` to `high`.
     """
     points = np.linspace(low, high, max(int(np.ceil((high - low) / (0.6 * length))) + 1, 4))
 
@@ -194,7 +194,7 @@ def _inducing(low: float, high: float, length: float) -> Callable[[Floats], Floa
 
 
 def _line(get: Get, seen: Floats, length: float) -> Get:
-    """Return basis functions for a constant, a line and the kernel exp(−½ Δ²/ℓ²) of a covariate.
+    """Return basis functions (n, k) for a constant, a line and the kernel exp(−½ Δ²/ℓ²) of a covariate.
 
     `get` returns the covariate, `seen` are its values in the fitted dwells, ℓ is `length` in units of their
     range. The covariate is clipped shortly beyond this range.
@@ -220,7 +220,7 @@ def _product(one: Get, two: Get) -> Get:
 
 
 def _ring(get: Get, width: float) -> Get:
-    """Return basis functions for the periodic kernel exp(−2 sin²(Δ/2)/w²) of an angle.
+    """Return basis functions (n, k) for the periodic kernel exp(−2 sin²(Δ/2)/w²) of an angle.
 
     Its Fourier coefficients are modified Bessel functions I_k(1/w²). `get` returns the angle in rad, w is
     `width`.
@@ -237,9 +237,9 @@ def _ring(get: Get, width: float) -> Get:
 
 
 def _of_reading(length: float) -> Callable[[Floats, int], Floats]:
-    """Return basis functions for the kernel 1 + exp(−½ Δ²/ℓ²) of each axis's own reading in g.
+    """Return basis functions (n, k) for the kernel 1 + exp(−½ Δ²/ℓ²) of each axis's own reading in g.
 
-    The reading has a range of 2 g, which is the unit of `length`.
+    ℓ is `length` times the range of the reading, 2 g.
     """
     curve = _inducing(-1.1, 1.1, 2 * length)
 

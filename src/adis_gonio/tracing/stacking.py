@@ -16,10 +16,11 @@ from adis_gonio.model.measurement import JointMeasurement, SessionOrigin
 
 
 def stack(each: Sequence[Readings], origins: Sequence[SessionOrigin]) -> Readings:
-    """Join the readings of sessions; base parameters are shared by the sessions of one part.
+    """Join the readings `each` of several sessions; the sessions of one part share base parameters.
 
-    The rows keep the number of their session (`Conditions.session`). Noise that dwells share is
-    independent between sessions. A covariate that a session did not record is dropped.
+    `origins` has part, stage and label of each session. The rows keep the number of their session
+    (`Conditions.session`). Noise that dwells share is independent between sessions. A covariate that a
+    session did not record is dropped.
 
     Raises
     ------
@@ -91,9 +92,8 @@ def _modes(each: Sequence[Readings], origins: Sequence[SessionOrigin]) -> Floats
     """Join the modes (n, axes, k) of the noise that the dwells of each session share; None without modes.
 
     A mode is an independent error that acts on several readings. The modes of the sessions come first, then
-    the modes of the certificates of their stages.
-
-    Sessions on one stage share the modes of its certificate, if they have equally many.
+    the modes of the certificates of their stages. Sessions on one stage (see `origins`) share the modes of
+    its certificate if they have equally many.
     """
     n, axes = sum(len(one) for one in each), each[0].axes
     blocks: dict[tuple[str, int | str, int], Floats] = {}

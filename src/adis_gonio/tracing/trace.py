@@ -51,7 +51,6 @@ from adis_gonio.tracing.findings import (
     shares,
     unnamed_of,
     unnamed_with_share,
-    with_shares,
     zeros_of,
 )
 from adis_gonio.tracing.further_terms import best_by_terms
@@ -126,7 +125,7 @@ def trace(
     Raises
     ------
     DataError
-        No readings can be made from the dwells (see `adis_gonio.fitting.estimation.readings_of`).
+        No readings can be made from the dwells (see `adis_gonio.fitting.estimation.readings.readings_of`).
     FitError
         Fewer readings than base parameters.
     UsageError
@@ -514,7 +513,8 @@ def shown_findings(
 
     `of_step` are these shares by effect. Scatter, if any, is the last finding, with the remaining share.
     """
-    seen = with_shares([in_units_of_file(finding, data.unit) for finding in findings], of_step)
+    stated = (in_units_of_file(finding, data.unit) for finding in findings)
+    seen = tuple(replace(finding, explains=of_step.get(finding.effect, 0.0)) for finding in stated)
     if scatter is None:
         return seen
     return (*seen, scatter_finding(scatter, max(1.0 - sum(of_step.values()), 0.0)))
@@ -525,7 +525,8 @@ def search_model(
 ) -> tuple[Selection, Scatter | None]:
     """Choose a model of the readings, with dwell-to-dwell scatter if this explains them better.
 
-    `training` are the readings without check dwells, `terms` all candidate terms.
+    `training` are the readings without check dwells, `terms` all candidate terms, and `max_effects` is the
+    largest number of terms of a model.
     """
     current().tell("the search for effects")
     first = select(training, terms, max_effects)
@@ -538,7 +539,10 @@ def search_model(
 
 
 def reported_errors(figures: Sequence[ErrorFigures]) -> tuple[float, float] | None:
-    """Return the held-out errors of the base model and of the final model; None if not measured."""
+    """Return the held-out errors of the base model and of the final model; None if not measured.
+
+    `figures` are the errors of the nested models, the base model first.
+    """
     first, last = figures[0].heldout_rms, figures[-1].heldout_rms
     return None if first is None or last is None else (first, last)
 
@@ -644,7 +648,7 @@ def _out_of_reach(data: Readings, found: PositionFinding) -> bool:
 def restrict_candidates(
     terms: Sequence[NamedTerm], data: Readings, positions: Diagnosis
 ) -> list[NamedTerm]:
-    """Return the candidates without effects of single dwells that the diagnosed positions exclude.
+    """Return the candidates `terms` without effects of single dwells that the diagnosed positions exclude.
 
     The candidates of large slips get the size of the slip as the start value of the fit.
 

@@ -208,7 +208,8 @@ def _lag(data: Readings, after: Fit) -> Floats:
 def _panel(checking: Readings | None, covariate: str, quantity: str, before: Fit, after: Fit) -> Panel:
     """Return one panel; its abscissa is NaN if the covariate was not recorded.
 
-    `checking` are the readings of check dwells, None without any.
+    `covariate` and `quantity` are named as in `Panel`. `checking` are the readings of check dwells, None
+    without any.
     """
     data = after.data
 

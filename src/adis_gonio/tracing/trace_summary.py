@@ -42,7 +42,7 @@ _SURE = (
 
 @dataclass(frozen=True)
 class SightWords:
-    """Effects that were not found, grouped by whether the session could have shown them.
+    """Effects that were not found, in groups: shown at typical size, only if larger, or not at all.
 
     Attributes
     ----------
@@ -177,7 +177,7 @@ def compared(what_if: WhatIf) -> tuple[list[str], list[list[str]]]:
 
 
 def odds(log_odds: float) -> str:
-    """Format the ratio of two probabilities from its logarithm, such as `1 : 25`."""
+    """Format the ratio of two probabilities, such as `1 : 25`; `log_odds` is its natural logarithm."""
     tenfold = abs(log_odds) / math.log(10)
     size = format_number(10**tenfold, 2) if tenfold < 4 else power_of_ten(round(tenfold))
     return f"1 : {size}" if log_odds < 0 else f"{size} : 1"
@@ -380,7 +380,10 @@ def unnamed(result: TraceResult) -> str:
 
 
 def owners(result: JointResult) -> list[str]:
-    """Describe for each cause the probable owners of its amplitudes, such as the stage or the part."""
+    """Describe for each cause whether its amplitudes belong to the stage, to each part or to each session.
+
+    Each possibility has its probability; those below 1 % are omitted.
+    """
     return [
         f"{cause}: {', '.join(f'{_OWNERS[one]} {format_percent(p)}' for one, p in by.items() if p >= 0.01)}"
         for cause, by in result.owners.items()
@@ -492,7 +495,7 @@ def _reason(reason: str) -> str:
 
 
 def _parameter(name: str, entry: Detectable) -> Parameter | None:
-    """Return the parameter of an effect to which a detectable amplitude refers; None if unknown."""
+    """Return the parameter of effect `name` to which the amplitude in `entry` refers; None if unknown."""
     kind = catalogue().get(name)
     if kind is None or not entry.parameter:
         return None

@@ -22,7 +22,7 @@ from adis_gonio.tracing.selection import Selection
 from adis_gonio.tracing.session_blocks import orthonormal
 
 LENGTH, WIDTH = 0.3, 0.65
-"""Lengths of which the correlation of the process decays, for a covariate and for the direction of gravity.
+"""Distances over which the correlation of the process decays: in a covariate, in the direction of gravity.
 The first is in units of the covariate's range, the second is a distance between unit vectors."""
 SIZES = np.geomspace(0.5, 500.0, 31)
 """Standard deviations of the process that are tried, in standard uncertainties of a reading."""

@@ -52,7 +52,7 @@ class HeldOut:
     predicted: NDArray[np.bool_]
 
     def rows(self, index: NDArray[np.bool_]) -> HeldOut:
-        """Return the residuals of the selected dwells."""
+        """Return the residuals of the dwells for which the mask `index` (n,) is True."""
         turned = None if self.angle_rad is None else self.angle_rad[index]
         if turned is not None and np.isnan(turned).any():
             turned = None
@@ -172,8 +172,7 @@ def determined(
 ) -> NDArray[np.bool_]:
     """Return a mask (n,) of the dwells that the dwells of the other folds can predict.
 
-    `masks` (n,) are the dwells of each fold. The prediction is by the base model, a bias of each axis, and
-    the terms `beside`.
+    The prediction is by the base model, a bias of each axis, and further terms.
 
     With the whitened columns X_b of the held-out rows and X₋b of the other rows, the prediction of the
     held-out rows has covariance 1 + X_b (X₋bᵀ X₋b)⁻¹ X_bᵀ in units of the noise. A dwell counts up to a
@@ -182,8 +181,10 @@ def determined(
 
     Parameters
     ----------
+    masks : sequence of (n,) bool
+        The dwells of each fold.
     beside : sequence of Term
-        Further terms of the model that the other folds have to determine too.
+        Further terms of the model, which the other folds have to determine too.
     """
     begun = Fit.begin(data)
     # A bias on each axis, in units of the full reading.
@@ -447,8 +448,8 @@ def without_folds(
 ) -> tuple[list[ErrorFigures], str]:
     """Return the errors of nested models without folds: held-out errors are from check dwells only.
 
-    The second result describes the held-out dwells. `measured` are the fitted readings with the measured
-    noise; `checking` are the check dwells, None without any.
+    The second result describes the held-out dwells. `fits` are the nested models; `measured` are the fitted
+    readings with the measured noise; `checking` are the check dwells, None without any.
     """
     lefts: list[list[HeldOut]] = [[] for _ in fits]
     design = "no dwell"
@@ -474,7 +475,7 @@ def figures_of_fit(fit: Fit, measured: Readings, left: Sequence[HeldOut]) -> Err
 
 
 def heldout_errors(data: Readings, left: Sequence[HeldOut]) -> dict[str, Any]:
-    """Return the figures of `ErrorFigures` that follow from the residuals on held-out dwells."""
+    """Return the fields of `ErrorFigures` that follow from `left`, the residuals on held-out dwells."""
     turned = [part.angle_rad for part in left if part.angle_rad is not None]
     errors: dict[str, Any] = {"heldout_rms": _heldout(left, data), "angle_rms_deg": rms_deg(turned)}
     if left and not data.model.freedom:  # with freedom the axes share an unknown attitude
@@ -506,7 +507,7 @@ def leaves_too_few(fit: Fit) -> bool:
 
 
 def leave_each_out(fits: Sequence[Fit]) -> tuple[list[list[HeldOut]], str]:
-    """Return the residuals of nested models with each dwell held out alone, and a description of this.
+    """Return the residuals of the nested models `fits` with each dwell held out alone, and a description.
 
     The lists are empty if the other dwells do not determine the final model.
 
@@ -531,7 +532,8 @@ def guard_errors(selection: Selection, fits: Sequence[Fit], fold: Fold) -> list[
     In each fold the effects are kept and only their values are fitted.
 
     An error is None if no dwell can be held out. `check` dwells are excluded, since they must not
-    influence the choice. `fold` has the settings for a choice without each fold.
+    influence the choice. `fits` are the nested models; `fold` has the settings for a choice without each
+    fold.
     """
     if leaves_too_few(selection.fit) or len(fits) == 1:
         return [None for _ in fits]
@@ -543,7 +545,7 @@ def guard_errors(selection: Selection, fits: Sequence[Fit], fold: Fold) -> list[
 
 
 def _heldout(parts: Sequence[HeldOut], data: Readings) -> float | None:
-    """Return the root mean square of held-out residuals; None if there are no residuals."""
+    """Return the root mean square of the residuals in `parts`; None if `parts` is empty."""
     return rms(np.concatenate([part.residual for part in parts]), data.by_axis) if parts else None
 
 

@@ -147,7 +147,10 @@ class AskedModel:
 
     @classmethod
     def of(cls, include: str | Sequence[str], exclude: str | Sequence[str], only: bool) -> AskedModel:
-        """Make a request; raise `UsageError` if an excluded name is unknown or in every model."""
+        """Make a request; raise `UsageError` if an excluded name is unknown or in every model.
+
+        The arguments are the attributes of the class; a single term or name may be given as one text.
+        """
         terms, names = ((one,) if isinstance(one, str) else tuple(one) for one in (include, exclude))
         if only and names:
             raise UsageError("--only leaves out everything that --with does not name: omit --without")
@@ -161,6 +164,8 @@ class AskedModel:
 
     def candidates(self, data: Readings, terms: Sequence[Term], max_effects: int) -> tuple[list[Term], int]:
         """Apply the request to `terms`; return the resulting candidates and the largest number of terms.
+
+        `max_effects` is the largest number of terms besides the included ones.
 
         Raises
         ------
@@ -199,7 +204,7 @@ def forced_terms(data: Readings, texts: Sequence[str]) -> list[NamedTerm]:
 
 
 def _formula(data: Readings, about: Fit, text: str) -> NamedTerm:
-    """Return the term of a formula; `UsageError` if the session cannot give its column."""
+    """Return the term of the formula `text`; `UsageError` if the session cannot give its column."""
     made = formula_effect(text, data.model.unit)
     if made.name in catalogue():
         raise UsageError(f"formula '{text}': {made.name} is an effect of the catalogue; take another name")
@@ -239,7 +244,10 @@ def _flaw(about: Fit, made: FormulaEffect, column: Floats) -> str:
 def _variants(
     data: Readings, text: str, named: Sequence[NamedTerm], missing: dict[str, str]
 ) -> list[NamedTerm]:
-    """Return the candidates of the catalogue that a text such as `bias_temperature:xy,degree=2` allows."""
+    """Return the candidates of the catalogue that a text such as `bias_temperature:xy,degree=2` allows.
+
+    `named` are all named candidates; `missing` has the reason for each effect without a candidate.
+    """
     name, _, listed = (part.strip() for part in text.partition(":"))
     kind = type(effect(name))
     if name in missing:
@@ -276,7 +284,10 @@ def _likeliest(
     chosen: Sequence[NamedTerm],
     named: Sequence[NamedTerm],
 ) -> NamedTerm:
-    """Return the variant with the highest evidence in addition to the terms chosen before and a bias."""
+    """Return the variant with the highest evidence in addition to the terms `chosen` before and a bias.
+
+    `variants` are the forms that the request `text` allows; `named` are all named candidates.
+    """
     biases = sorted((term for term in named if term.constant), key=lambda term: len(term.effect.axes))
     problem = linearise(about, [*chosen, *variants, *biases[-1:]])
     number = {term.label: k for k, term in enumerate(problem.terms)}

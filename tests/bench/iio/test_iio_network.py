@@ -126,6 +126,9 @@ class Operator:
     def __init__(self, server, angles):
         self._server, self._angles = server, angles
 
+    def isatty(self):
+        return False
+
     def readline(self):
         if not self._angles:
             return "n\n"

@@ -24,7 +24,7 @@ def bus(monkeypatch):
 
 def answering(monkeypatch, text):
     monkeypatch.setattr("sys.stdin", io.StringIO(text))
-    monkeypatch.setattr("adis_gonio.faces.cli.board_commands.at_a_terminal", lambda: True)
+    monkeypatch.setattr("adis_gonio.faces.cli.board_commands.on_terminal", lambda: True)
 
 
 def test_yes_writes_saves_and_says_what_the_sensor_holds(bus, path, capsys):

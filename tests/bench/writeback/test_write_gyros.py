@@ -421,7 +421,7 @@ def test_the_command_shows_the_plan_in_dps_writes_and_undoes(bus, path, capsys):
 
 def test_the_command_says_what_an_autonull_costs_before_it_asks(bus, path, capsys, monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO("\n"))
-    monkeypatch.setattr("adis_gonio.faces.cli.board_commands.at_a_terminal", lambda: True)
+    monkeypatch.setattr("adis_gonio.faces.cli.board_commands.on_terminal", lambda: True)
     assert main(["write", str(path), URL, *QUICK, "--autonull", "quick"]) == 0
     err = capsys.readouterr().err
     assert err.index("ENDURANCE goes up by one") < err.index("Let the chip null")

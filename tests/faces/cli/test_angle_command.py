@@ -1,5 +1,6 @@
 """`adis-gonio angle`: one line on a terminal, lines elsewhere, NDJSON for programs."""
 
+import contextlib
 import itertools
 import json
 import os
@@ -153,6 +154,28 @@ def test_a_session_corrects_what_is_shown(tmp_path, capsys):
     assert all(abs(reading["corrected_deg"]) < 0.5 for reading in readings), "the stage stands at 0°"
     assert all(abs(reading["angle_deg"]) > 1.0 for reading in readings)
     assert all(0 < reading["u_deg"] < 0.5 for reading in readings)
+
+
+@pytest.mark.parametrize("alone", [[], ["--no-gyro"]])
+def test_a_calibration_of_another_part_is_reported_before_any_angle(alone, tmp_path, capfd):
+    path = tmp_path / "a.session"
+    other = "sim:?seed=10&bias_x_mg=-40&bias_y_mg=50"
+    assert (
+        main(["calibrate", URL, "--plan", "four-position", "--dwell", "1", "--auto", "-o", str(path)]) == 0
+    )
+    capfd.readouterr()
+    fitting, alien = [
+        main(["angle", url, "--cal", str(path), "--seconds", "1", *alone]) for url in (URL, other)
+    ]
+    assert (fitting, alien) == (0, 1)
+    out, err = capfd.readouterr()
+    assert err.count("contradicts gravity at rest") == 1
+    assert out.count("\n") == 20  # ten a second, the first ones included
+    assert out.count("does not fit") >= 5
+    late = tmp_path / "both"
+    with late.open("w") as both, contextlib.redirect_stdout(both), contextlib.redirect_stderr(both):
+        main(["angle", other, "--cal", str(path), "--seconds", "1", *alone])
+    assert "contradicts" in late.read_text().splitlines()[1]
 
 
 def test_a_calibration_that_is_not_there_is_one_line(capsys):

@@ -396,7 +396,9 @@ def terminal(monkeypatch):
         end: SimpleNamespace(isatty=lambda: True, encoding="UTF-8", fileno=lambda: 0)
         for end in ("stdin", "stderr")
     }
-    monkeypatch.setattr(choosing, "sys", SimpleNamespace(**ends))
+    system = SimpleNamespace(**ends)
+    for module in ("line_prompts", "terminal"):
+        monkeypatch.setattr(f"adis_gonio.faces.cli.{module}.sys", system)
     monkeypatch.setenv("TERM", "xterm-256color")
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("LINES", "24")

@@ -41,7 +41,7 @@ def test_the_table_fits_80_columns_and_names_value_u_and_limits(recording, capsy
     assert re.search(r"bias instability +0\.0\d+ ", out)
     assert "°/√h" in out
     assert "°/h" in out
-    assert "rate random walk / °/s/√s\n    not present: at most 0.0" in out
+    assert "rate random walk / °/s/√s\n    not separately detected: at most 0.0" in out
 
 
 def test_accelerometers_have_their_own_names(recording, capsys):

@@ -158,7 +158,7 @@ class _Run:
 
     @contextmanager
     def _until_stopped(self) -> Iterator[None]:
-        """Context that ends quietly at a Ctrl-C of the operator; the bring-up is then marked as stopped."""
+        """Context that Ctrl-C ends without an exception; the bring-up is then marked as stopped."""
         try:
             yield
         except KeyboardInterrupt:

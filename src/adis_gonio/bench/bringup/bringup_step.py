@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.jsonable import JsonRecord, key
-from adis_gonio.device.bus import Capability, SpiBus, SpiTiming, Words
+from adis_gonio.device.bus import SpiBus, SpiTiming, Words
 from adis_gonio.device.bus.recording import Call, ObservedBus
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.registers import BY_NAME, EA, IDLE, VARIANTS, Register, register, registers
@@ -71,8 +71,8 @@ _INITIAL = f"{_FIGURES.initial_bias_mg:g} mg and {100 * _FIGURES.scale_error_typ
 
 _TABLE = f"""
 accel_lsb | LSB of the accelerometers: 0.4672 or 0.467 mg? | {_LSB}
-    the two are 0.04 % apart; the gain error of a part (0.1 % and more) hides that whatever is done,
-    and one pose also has the bias in it (10 mg are 1 %)
+    the two are 0.04 % apart, less than the gain error of a part (0.1 % or more), which no measurement
+    separates; in one pose the bias (10 mg are 1 %) adds to it
 accel_offset_lsb | LSB of XACCL_OFF, YACCL_OFF, ZACCL_OFF in LSB of the output? | 1 | DS; LSB from code | C
 offset_after_filter | Do the offsets act before or after the filter? | {_LATER} | later parts | C
 accel_noise | Noise of the accelerometers, unfiltered, rms? | {_FIGURES.noise_mg} mg | estimate | D
@@ -100,7 +100,7 @@ flash_count | Does ENDURANCE count a flash update by one? | yes | DS | A
 autonull_duration | Duration of the autonull? | not given | – | ?
     an autonull overwrites the gyros' offsets in flash, which cannot be undone without more writes
 reset_recovery | Recovery from a reset? | not given; taken as a start-up, 0.15 s | DS | B
-    to find its end something must be asked too early, and traffic during a reset can leave a part
+    to find its end, registers must be read too early, and traffic during a reset can leave a part
     without answers
 illegal_settings | What do illegal SENS_AVG and SMPL_PRD = 0 do? | not given | – | ?
     nothing illegal is ever written
@@ -233,21 +233,28 @@ class StepResult(JsonRecord, frozen=False):
         u: float | None = None,
         expected: float | None = None,
     ) -> Measured:
-        """Add a measured figure to the result, and return it.
+        """Add a measured figure with this name and value to the result, and return it.
 
-        `u` is the standard uncertainty (None for a count or a setting), `expected` the value by the table
-        (None if there is none). Numpy numbers are converted to Python numbers.
+        `unit` is "1" for a number without unit. `u` is the standard uncertainty (None for a count or a
+        setting), `expected` the value by the table (None if there is none). Numpy numbers are converted to
+        Python numbers.
         """
         figure = Measured(name, _plain(value), unit, _plain(u), _plain(expected))
         self.figures.append(figure)
         return figure
 
     def answer(self, question: str, outcome: Outcome, text: str, *figures: Measured) -> None:
-        """Record the answer to the open question of this name, with the figures on which it is based."""
+        """Record the answer to the open question named `question`.
+
+        `text` is the answer in one sentence, `figures` are the figures on which it is based.
+        """
         self.answers[question] = Answer(outcome, text, figures)
 
     def check(self, question: str, holds: object, text: str, *figures: Measured) -> None:
-        """Record the answer to a question: it confirms the table if `holds`, else contradicts it."""
+        """Record an answer that confirms the table if `holds` is true, and contradicts the table otherwise.
+
+        The other arguments are as in `answer`.
+        """
         self.answer(question, Outcome.CONFIRMS if holds else Outcome.CONTRADICTS, text, *figures)
 
     def ok(self, text: str) -> StepResult:
@@ -263,7 +270,7 @@ class StepResult(JsonRecord, frozen=False):
         return self._end(Verdict.DIFFERS, text)
 
     def not_measured(self, why: str) -> StepResult:
-        """End a step that could not measure, with the reason. Returns the result."""
+        """End a step that could not measure; `why` is the reason. Returns the result."""
         return self._end(Verdict.NOT_MEASURED, f"not measured: {why}")
 
     def _end(self, verdict: Verdict, text: str) -> StepResult:
@@ -364,9 +371,9 @@ class Bringup:
 
 
 class BringupBus(ObservedBus):
-    """A bus that forwards to another bus, limits the SPI clock to `ceiling_hz` and keeps its calls.
+    """A bus that forwards to another bus, limits the SPI clock, and records each call.
 
-    A new limit acts from the next `configure` on.
+    A new value of `ceiling_hz` acts from the next `configure` on.
 
     Attributes
     ----------
@@ -466,7 +473,7 @@ BOARD_CLOCK_U = 5e-3 / np.sqrt(3)
 LONGEST_S = 40.0
 """Largest time in s for scans with slow bridges and slow sample rates."""
 FEWEST = 16
-"""Number of scans that is read even if it takes longer than `LONGEST_S`."""
+"""Smallest number of scans of a recording; they are read even if this takes longer than `LONGEST_S`."""
 
 
 class SideEffect(StrEnum):
@@ -506,9 +513,9 @@ class BringupStep(ABC):
     def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Run the step, fill the result `found` and return it; `bench` has the sensor and earlier findings.
 
-        A step that ends without a text in `found` leaves the judgement to the rows of the register table
-        that answer its questions; the rows are compared with the calls of the step. Raises `AdisGonioError`
-        if the sensor or the bridge fails.
+        If the step leaves `found.text` empty, its verdict follows from the rows of the register table that
+        answer its questions (`chip_rows`). These rows are judged by the frames that the step has exchanged
+        with the sensor. Raises `AdisGonioError` if the sensor or the bridge fails.
         """
 
 
@@ -548,10 +555,6 @@ class BringupBench:
     supply_ok: bool = True
     constants: dict[str, int] = field(default_factory=dict)
 
-    def has(self, capability: Capability) -> bool:
-        """True if the bridge offers this capability, such as streams."""
-        return capability in self.bus.capabilities
-
     def refresh(self) -> None:
         """Set the SPI clock to the fastest that the sensor's present mode and the bus's limit allow."""
         self.sensor._follow()
@@ -559,7 +562,7 @@ class BringupBench:
     # -- reading --------------------------------------------------------------------------------------
 
     def repeated(self, name: str | Register, count: int) -> tuple[Words, float]:
-        """Read one register in consecutive frames; return the replies (count,) and a frame's time in s.
+        """Read register `name` in consecutive frames; return the words (count,) and a frame's time in s.
 
         Returns fewer than `count` words if the bridge cannot run that many frames without a pause.
         """
@@ -575,7 +578,7 @@ class BringupBench:
         return replies[1:], self.bus.timing.frame_s if timed else took_s
 
     def scans(self, count: int, names: Sequence[str]) -> tuple[ScanBlock, bool]:
-        """Read at most `count` scans of named registers; return them, and True if they have no gap.
+        """Read at most `count` scans of the registers `names`; return them, and True if they have no gap.
 
         Reading ends after `LONGEST_S`. The bridge streams if data-ready may be enabled and works, else it
         polls. If there are gaps, the longest run without a gap is returned if it has at least half of
@@ -609,7 +612,7 @@ class BringupBench:
         return PolledScans(self.bus, layout, max(4, min(block_scans, round(0.5 / now.sample_period_s))))
 
     def means(self, count: int, names: Sequence[str]) -> Floats:
-        """Return the means of named output registers over `count` scans, in LSB, one for each register."""
+        """Return the means (k,) in LSB of the k output registers `names` over `count` scans."""
         block, _ = self.scans(count, names)
         return np.asarray(block.numbers().mean(axis=0), np.float64)
 

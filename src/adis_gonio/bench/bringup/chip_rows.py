@@ -111,9 +111,9 @@ class ChipRow:
     logarithmic: bool = False
 
     def judge(self, observed: Sequence[Observation], recordings: int = 1) -> RowFinding:
-        """Compute the probabilities of the alternatives after observations.
+        """Compute the probabilities of the alternatives after the observations `observed`.
 
-        `recordings` is the number of recordings from which the observations come.
+        `recordings` is the number of recordings from which they come.
         """
         names = (*self.alternatives, ELSE)
         prior = PRIOR[self.question.confidence]
@@ -204,9 +204,10 @@ class RowFinding(JsonRecord):
 
 
 def _of_labels(names: Sequence[str], labels: Counter[str]) -> Floats:
-    """Return the log-likelihood of each alternative for the counts of labels.
+    """Return the log-likelihood (k,) of the observed labels under each of k alternatives.
 
-    `names` are the alternatives, "something else" last. The module's text describes the model.
+    `labels` counts each label; `names` are the alternatives, "something else" last. The docstring of the
+    module describes the model.
     """
     keys = [*names[:-1], *sorted({*labels} - {*names[:-1]}), ELSE]
     keys = list(dict.fromkeys(keys))
@@ -222,10 +223,10 @@ def _of_labels(names: Sequence[str], labels: Counter[str]) -> Floats:
 
 
 def _of_figures(names: Sequence[str], figures: Sequence[RowFigure], wide: tuple[float, float]) -> Floats:
-    """Return the log-likelihood of each alternative for figures.
+    """Return the log-likelihood (k,) of the observed figures under each of k alternatives.
 
     `names` are the alternatives, "something else" last; `wide` is the range of a figure in that case. The
-    module's text describes the model.
+    docstring of the module describes the model.
     """
     flat = 1 / (wide[1] - wide[0])
     density = np.array([[_density(figure, name) for name in names[:-1]] for figure in figures])
@@ -353,7 +354,7 @@ def _waits(command: str) -> Observer:
 
 
 def _status_clears(chip: RecordedChip, _: Variant) -> Iterator[str]:
-    yield from ("kept" if word else "cleared" for _, word in chip.statuses)
+    yield from ("kept" if kept else "cleared" for kept in chip.kept_alarms)
     yield from ("cleared by any read" for label in chip.error_flags if label == "lost")
 
 
@@ -391,7 +392,7 @@ def _new_data(chip: RecordedChip, _: Variant) -> Iterator[str]:
 
 
 def _rises(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return the indices of flags that are True after a False flag."""
+    """Return the indices (k,) of the flags that are True and follow a False flag."""
     return np.flatnonzero(flags[1:] & ~flags[:-1]) + 1
 
 
@@ -617,11 +618,11 @@ def _noise(columns: slice) -> Observer:
     return observe
 
 
-def _self_test(columns: slice, part_of: Callable[[bool, bool, bool], str]) -> Observer:
+def _self_test(columns: slice, alike: str) -> Observer:
     """Return a function that labels the responses of three axes to both signs of the manual self-test.
 
-    The function takes a recorded chip and its variant. `columns` chooses the axes. `part_of` returns the
-    label for three flags: the axis responds to +, it responds to −, and the two responses are opposite.
+    The function takes a recorded chip and its variant. `columns` chooses the axes. `alike` is the label of
+    an axis with responses of one sign to both signs.
     """
 
     def observe(chip: RecordedChip, part: Variant) -> Iterator[str]:
@@ -633,19 +634,12 @@ def _self_test(columns: slice, part_of: Callable[[bool, bool, bool], str]) -> Ob
             up, down = (latest[key].mean[columns] - latest[0].mean[columns] for key in (1, 2))
             limit = 8 * max(_mean_u(part, rest, columns) for rest in latest.values())
             for plus, minus in zip(up.tolist(), down.tolist(), strict=True):
-                yield part_of(abs(plus) > limit, abs(minus) > limit, plus * minus < 0)
+                if abs(plus) > limit and abs(minus) > limit:
+                    yield "to both" if plus * minus < 0 else alike
+                else:
+                    yield "to the positive" if abs(plus) > limit else ELSE
 
     return observe
-
-
-def _of_gyro(plus: bool, minus: bool, opposite: bool) -> str:
-    if plus and minus:
-        return "to both" if opposite else "the same way"
-    return "to the positive" if plus else ELSE
-
-
-def _of_accel(plus: bool, minus: bool, _: bool) -> str:
-    return "to both" if plus and minus else "to the positive" if plus else ELSE
 
 
 def _never(chip: RecordedChip, _: Variant) -> Iterator[str]:
@@ -778,8 +772,9 @@ ROWS: tuple[ChipRow, ...] = (
            wide=(-3.0, 3.0), unit="times the table", logarithmic=True),
     _entry("gyro_noise", _noise(_GYROS), "as the table",
            wide=(-3.0, 3.0), unit="times the table", logarithmic=True),
-    _entry("self_test_gyro", _self_test(_GYROS, _of_gyro), "to both", "the same way", "to the positive"),
-    _entry("self_test_accel", _self_test(_ACCELS, _of_accel), "to the positive", "to both"),
+    _entry("self_test_gyro", _self_test(_GYROS, "the same way"),
+           "to both", "the same way", "to the positive"),
+    _entry("self_test_accel", _self_test(_ACCELS, "to both"), "to the positive", "to both"),
     _entry("data_ready_edge", _edge, "the first", "the second"),
     _entry("stall | Effect of too short a pause between frames? | later parts | C", _never, "silence"),
     _entry("idle_ones | Is a frame of ones a write to COMMAND? | code | C", _never, "a write"),
@@ -792,9 +787,9 @@ BY_QUESTION = {row.question.name: row for row in ROWS}
 
 
 def judge_recordings(paths: Iterable[str | Path], part: Variant) -> tuple[RowFinding, ...]:
-    """Judge all rows of the register table by recordings or captures of one sensor variant.
+    """Judge all rows of the register table by files of recordings or captures of one sensor variant.
 
-    The files are judged together; each counts as a separate power-on of a chip.
+    The files at `paths` are judged together; each counts as a separate power-on of a chip.
 
     Raises
     ------

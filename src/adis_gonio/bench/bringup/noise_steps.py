@@ -241,9 +241,10 @@ def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, e
 
 
 def _answer_noise(found: StepResult, names: Sequence[str], off: Sequence[bool]) -> None:
-    """Answer the questions on noise by the first six figures of the step, one figure for each axis.
+    """Answer the questions on the noise by the first six figures of `found`, one figure for each axis.
 
-    `off` is True for each axis with other noise than the variant's.
+    `names` are the output registers of the axes. `off` has for each axis True if its noise differs from the
+    variant's.
     """
     for question, first, unit in (("accel_noise", 0, "mg"), ("gyro_noise", 3, "°/s")):
         axes = slice(first, first + 3)

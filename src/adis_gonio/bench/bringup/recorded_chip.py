@@ -46,7 +46,7 @@ _OVER_RANGE = BY_NAME["STATUS"].field("over_range").mask
 _NEAR_LIMIT = 100
 """Distance from the limit of the range, in LSB of an offset, within which noise sets the over-range bit."""
 _LINE = 30.0
-"""Power of a bin of a spectrum over the medians on both sides from which it is a line."""
+"""Ratio of the power in a bin of a spectrum to the medians on both sides above which the bin is a line."""
 _ALARMS = _ALARM | BY_NAME["STATUS"].field("alarm2").mask
 _MOVING = ("SLP_CNT", "GPIO_CTRL")
 """Registers that also change without a write."""
@@ -134,14 +134,18 @@ class RegisterSpan:
         )
 
     def first(self, name: str) -> tuple[float, int] | None:
-        """Return time in s and number of the first word of an output register; None if it was not read."""
+        """Return time (s) and number of the first word of the output register `name`.
+
+        The result is None if the register was not read.
+        """
         runs = self.outputs.get(name)
         return (float(runs[0][0][0]), BY_NAME[name].number(int(runs[0][1][0]))) if runs else None
 
     def settled(self, name: str) -> tuple[Floats, Floats]:
-        """Return times (n,) in s and numbers (n,) of the updates of an output register after settling.
+        """Return times (n,) in s and numbers (n,) of the updates of output register `name` after settling.
 
-        Both are empty if the register was not read or the settings are not known.
+        A number is the decoded content of a word. Both are empty if the register was not read or the
+        settings are not known.
         """
         runs = self.outputs.get(name)
         if not runs or self.m is None or math.isnan(self.period_s):
@@ -269,9 +273,9 @@ class RecordedChip:
         By command: times in s after the command at which the chip was seen ready (True) or not.
     counts : list of (command, int)
         Change of ENDURANCE by each command that saves to flash.
-    statuses : list of (bool, int)
-        False, and the alarm bit in the second word of STATUS after the condition of an alarm has ended, if
-        the first word had this bit.
+    kept_alarms : list of bool
+        For each alarm whose condition has ended and whose bit the first word of STATUS had: True if the
+        second word has the bit too.
     error_flags : list of str
         Labels of the flag EA (error or alarm) in the output words during an alarm. `set`: all words from
         the first flag on have it. `missing`: no word has it, although STATUS has the bit of the alarm.
@@ -294,7 +298,7 @@ class RecordedChip:
         self.after_writes: list[tuple[int, int, int, int]] = []
         self.waits: dict[str, list[tuple[float, bool]]] = {}
         self.counts: list[tuple[str, int]] = []
-        self.statuses: list[tuple[bool, int]] = []
+        self.kept_alarms: list[bool] = []
         self.error_flags: list[str] = []
         self.ended: list[tuple[str, bool]] = []
         self.nulls: list[tuple[int, str]] = []
@@ -500,7 +504,7 @@ class RecordedChip:
             if self._cleared or self._proved:
                 self.ended.append(("alarm", self._cleared))
         elif alone and self._cleared:
-            self.statuses.append((False, word & _ALARM))
+            self.kept_alarms.append(bool(word & _ALARM))
             self._cleared = False
         self._ending = False
         self._flagged = False

@@ -117,7 +117,7 @@ def _by_clock(bench: BringupBench, expected_s: float, updates: int) -> Period | 
 
 
 def nearest_code(period_s: float) -> int:
-    """Return the value of SMPL_PRD with the nominal period that is nearest to a period, by ratio."""
+    """Return the value of SMPL_PRD with the nominal period nearest to `period_s` on a logarithmic scale."""
     return min(_CODES, key=lambda n: abs(math.log(period_s / sample_period_s(n))))
 
 
@@ -234,7 +234,8 @@ class DataReady(BringupStep):
 
     def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Test both polarities if the bridge starts scans at edges; only count edges if it cannot."""
-        streams, counts = bench.has(Capability.STREAM), bench.has(Capability.EVENT_COUNTER)
+        capabilities = bench.bus.capabilities
+        streams, counts = (one in capabilities for one in (Capability.STREAM, Capability.EVENT_COUNTER))
         if not (streams or counts):
             return found.not_measured(
                 "this bridge has no data-ready input (neither streams nor an event counter)"
@@ -312,7 +313,7 @@ class DataReady(BringupStep):
         return f"{rate:.0f} edges a second where {1 / period_s:.1f} updates are configured: {rest}"
 
     def _scan(self, bench: BringupBench, period_s: float) -> _Edges:
-        """Record scans of one register, started at data-ready edges, each nearly as long as the period.
+        """Record scans of one register, started at data-ready edges, each nearly as long as `period_s`.
 
         A bridge may be too slow for long scans, so edges count as missed only if short scans miss them too.
         """
@@ -343,7 +344,7 @@ class DataReady(BringupStep):
             try:
                 blocks = [next(stream) for _ in range(4)]
             except BusTimeoutError as error:
-                if bench.has(Capability.EVENT_COUNTER):  # the counter has seen edges
+                if Capability.EVENT_COUNTER in bench.bus.capabilities:  # the counter has seen edges
                     raise
                 raise _NoEdgeError from error
         words = np.concatenate([block.words for block in blocks])
@@ -403,7 +404,7 @@ def _positions(words: Words) -> NDArray[np.int64]:
 
 
 def _jitter(time_s: Floats, period_s: float) -> tuple[float, float]:
-    """Return the rms deviation in µs of times from even steps, and the rate of the times in Hz.
+    """Return the rms deviation in µs of the times `time_s` (n,) from even steps, and their rate in Hz.
 
     `period_s` is the expected step.
     """

@@ -185,7 +185,7 @@ def _means(scans: ScanBlock, now: Configuration) -> Rest:
 
 
 def _mean(values: Floats, lsb: float, now: Configuration) -> tuple[Floats, Floats, Floats]:
-    """Return the means (3,) of samples (n, 3), the standard uncertainties of the means, and the noise (3,).
+    """Return means (3,) of the samples `values` (n, 3), the u of the means (3,), and the noise (3,).
 
     The noise is the standard deviation of a single sample. `lsb` is the step of the samples, `now` the
     sensor's configuration.
@@ -264,7 +264,7 @@ class Agreement(JsonRecord):
 
 
 class _FittedSensor:
-    """The sensor by the fit of a session: predicts readings, with the uncertainty of fit and dwell.
+    """Predicts readings of the sensor from the fit of a session, with the uncertainty of fit and dwell.
 
     Parameters
     ----------
@@ -348,9 +348,9 @@ class _FittedSensor:
         return Agreement(what, ("|g|",), value, np.array([gravity]), u)
 
     def bias_found(self, angle_rad: float) -> tuple[Floats, Floats]:
-        """Return the biases (2,) in mg of X and Y by the dwell alone, and their standard uncertainties.
+        """Return the biases (2,) of X and Y in mg by the dwell alone, and their standard uncertainties.
 
-        Gains and angles are those of the session's fit.
+        `angle_rad` is the declared angle of the dwell. Gains and misalignment come from the fit.
         """
 
         def left(values: Floats, mean: Floats) -> Floats:

@@ -148,7 +148,7 @@ class WritePlan(JsonRecord):
 
 
 def recorded_offsets(session: Session, names: Sequence[str] = ACCEL_OFF) -> dict[str, int]:
-    """Return the numbers that three offset registers had during the recording of a session.
+    """Return the numbers that the offset registers `names` had during the recording of a session.
 
     Raises
     ------
@@ -238,8 +238,8 @@ def _plan(
     """Return the plan that cancels biases.
 
     `found` has each bias and its standard uncertainty (None if unknown), by the name of the register.
-    `recorded` and `held` have the numbers in the registers during the recording and now; `doubts` are
-    reasons to doubt the fit.
+    `recorded` and `held` have the numbers in the registers during the recording and now; `method` is the
+    method of the fit, and `doubts` are reasons to doubt it.
     """
     axes = []
     for name, (bias, u) in found.items():

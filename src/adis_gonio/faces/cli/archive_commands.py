@@ -32,9 +32,9 @@ def _indexed(
 ) -> Iterator[tuple[Store, Fleet]]:
     """Context with the open index of sessions, to which all sessions in the folders were added.
 
-    It yields the index and the records of the sessions in the folders.
-    `places` are the folders (none: the current one); `index_path` is None for the usual place of the index;
-    `trace` is True if new sessions are also traced.
+    It yields the index and the records of the sessions in the folders. `places` are the folders (none: the
+    current one); `index_path` is None for the usual place of the index; `trace` is True if new sessions are
+    also traced.
     """
     from adis_gonio.fleet.fleet_run import scan
     from adis_gonio.fleet.store import Store
@@ -47,10 +47,10 @@ def _indexed(
 
 
 def _records_of(store: Store, serial: str) -> list[SessionRecord]:
-    """Return the records of the sessions of a sensor, sorted by time.
+    """Return the records of the sessions of the sensor `serial`, sorted by time.
 
-    It also reports files with the same samples, and sensors with a similar serial number. Raises
-    `UsageError` with similar serial numbers if the sensor has no session.
+    Files with equal samples, and sensors with a similar serial number, are reported on standard error.
+    Raises `UsageError`, which names similar serial numbers, if the sensor has no session.
     """
     from adis_gonio.fleet.sensor_history import alike, known_serial
 

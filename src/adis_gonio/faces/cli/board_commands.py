@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +12,7 @@ from adis_gonio.base.jsonable import json_text
 from adis_gonio.base.numbers import signed, use_minus
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import console, print_json, print_table, report_written, say
+from adis_gonio.faces.cli.terminal import on_terminal
 
 if TYPE_CHECKING:
     from adis_gonio.bench.bringup import Bringup, StepResult
@@ -62,10 +62,10 @@ def bringup_command(
     With --from, and without a URL, files of record: or VCD captures are compared with the rows of the
     register table instead: bringup --from run.rec --from capture.vcd. All files must be of one part.
     """
-    if recordings and not (url or output or allow_writes):
+    if recordings and not (url or output or allow_writes or flash or yes or leave_registers):
         return _judge(recordings, variant, as_json=as_json)
     if recordings or url is None:
-        raise UsageError("give the URL of a board, or --from FILE without URL, --output and --allow-writes")
+        raise UsageError("give the URL of a board, or --from FILE with at most --variant and --json")
     _check_permission(allow_writes, flash or yes, yes, leave_registers)
     files = () if output is None else _report_files(output)
     from adis_gonio.bench.bringup import Permission, bring_up
@@ -102,7 +102,7 @@ def _check_permission(writes: bool, more: bool, yes: bool, leave_registers: bool
         raise UsageError(f"--{'yes' if yes else 'flash'} goes with --allow-writes")
     if writes and leave_registers:
         raise UsageError("--leave-registers writes nothing, so it excludes --allow-writes")
-    if writes and not (yes or at_a_terminal()):
+    if writes and not (yes or on_terminal()):
         raise UsageError(
             "--allow-writes asks before each step, and standard input is no terminal: add --yes"
         )
@@ -122,12 +122,11 @@ def _judge(recordings: tuple[Path, ...], variant: str, *, as_json: bool) -> int:
 
 
 def _write_report(found: Bringup, page: Path, document: Path) -> None:
-    from adis_gonio.base.output import replacing, write_utf8
+    from adis_gonio.base.output import write_text
     from adis_gonio.bench.bringup.bringup_page import build_page
 
     for path, text in ((document, json_text(found.as_dict())), (page, build_page(found))):
-        with replacing(path) as temporary:
-            write_utf8(temporary, text)
+        write_text(path, text)
         report_written(path)
 
 
@@ -187,7 +186,7 @@ def write_command(
     null = options["autonull"]
     if null and (not options["gyros"] or undo or status or options["save"]):
         raise UsageError("--autonull goes with --gyros, and without --undo, --status and --save (it saves)")
-    if not (yes or status or dry_run or at_a_terminal()):
+    if not (yes or status or dry_run or on_terminal()):
         raise UsageError(
             "write asks before it writes, and standard input is no terminal: add --yes or --dry-run"
         )
@@ -274,20 +273,12 @@ def _ask_to_write(writer: OffsetWriter, plan: WritePlan) -> str:
     return "write" if _confirm(f"Write{flash}?") else "leave"
 
 
-def at_a_terminal() -> bool:
-    """Return True if standard input is a terminal, so that an operator can answer questions."""
-    return sys.stdin.isatty()
-
-
 def _confirm(question: str) -> bool:
     return _prompt(f"{question} [y, Enter changes nothing]") in ("y", "yes")
 
 
 def _prompt(question: str) -> str:
-    try:
-        return str(click.prompt(question, default="", show_default=False, err=True)).strip().lower()
-    except click.Abort:
-        raise KeyboardInterrupt from None
+    return str(click.prompt(question, default="", show_default=False, err=True)).strip().lower()
 
 
 def _print_plan(plan: WritePlan) -> None:

@@ -186,10 +186,10 @@ def _run(
 ) -> tuple[bool, bool]:
     """Run the session on the screen or by plain prompts.
 
-    Return True if the session is complete, and True if it was on the screen.
+    Returns True if the session is complete, and True if it was on the screen.
 
-    `options` are further options of the command. `resume` is True for the session of an earlier run;
-    `advisor` is None without a trace.
+    `output` is the session file. `resume` is True for the session of an earlier run; `advisor` is None
+    without a trace. `options` are further options of the command.
     """
     from adis_gonio.faces.cli.line_prompts import PlainBench, choose_face
     from adis_gonio.faces.free_hands import FREE_RATE_HZ, free_hands
@@ -206,7 +206,7 @@ def _run(
                 options["rate_hz"] = FREE_RATE_HZ
         runner = _runner(sensor, output, resume=resume, advisor=advisor, **options)
         prompts = PlainBench(runner, auto=options["auto"], hands=hands)
-        plain = plain or options["auto"] or not runner.on_screen
+        plain = plain or options["auto"] or runner.one_recording  # the screen shows positions
         face = choose_face(runner, prompts, plain=plain, resume_by=resume_by, hands=hands)
         complete = False
         try:
@@ -330,13 +330,13 @@ def _runner(
 ) -> SessionRunner:
     """Make the runner of a new or resumed session from the options of the command.
 
-    `plan_name` is None for the default plan; `advisor` is None without a trace; `options` are the further
-    options.
+    `output` is the session file. `plan_name` is None for the default plan; `advisor` is None without a
+    trace. The other arguments are options of the command, None if not given.
     """
     from adis_gonio.bench.gyro_turns import ALL_THERMOMETERS
     from adis_gonio.bench.runner import SessionRunner
     from adis_gonio.device.sensor.driver import DEFAULT_SCAN
-    from adis_gonio.faces.cli.line_prompts import on_terminal
+    from adis_gonio.faces.cli.terminal import on_terminal
     from adis_gonio.record.archive import ArchiveView
     from adis_gonio.record.plans import GYRO_TURNS
     from adis_gonio.record.session_reader import FREE_TURN
@@ -401,8 +401,9 @@ def _gravity_and_fixture(
 ) -> tuple[float, float | StageCurve | None]:
     """Return local gravity in m/s², and the uncertainty of a stage angle.
 
-    The uncertainty is in degrees, or the stage's certificate, or None if it is not given. A simulated bench
-    states both values if they are not given, as the operator of a real bench knows them.
+    The uncertainty is in degrees, or the stage's certificate, or None if it is not given. The arguments are
+    the options of the command, None if not given. A simulated bench states both values if they are not
+    given, as the operator of a real bench knows them.
     """
     from adis_gonio.model.records import normal_gravity_mps2
 
@@ -438,7 +439,7 @@ def _choose_plan(
 ) -> tuple[Plan, float | None]:
     """Return the plan that the options name, and the longest recording in s of a free turn.
 
-    The length is None for other plans.
+    The length is None for other plans. The arguments are options of the command, None if not given.
     """
     from adis_gonio.bench import gyro_turns, recorder
     from adis_gonio.plan import find_plan

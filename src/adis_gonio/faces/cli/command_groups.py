@@ -37,7 +37,7 @@ class LazyGroup(click.Group):
         return list(self._homes)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import the module of a command and return the command."""
+        """Import the module of the command `cmd_name` and return the command; None if there is none."""
         if cmd_name not in self._homes:
             return None
         module = importlib.import_module(f"{__package__}.{self._homes[cmd_name].module}")
@@ -47,7 +47,10 @@ class LazyGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find a command by its name; the error for an unknown name suggests the most similar one."""
+        """Find a command by its name, the first of `args`.
+
+        The error for an unknown name suggests the most similar command.
+        """
         if args and args[0] not in self._homes and not args[0].startswith("-"):
             hint = suggest(args[0], self._homes, "see adis-gonio --help")
             raise click.UsageError(f"no command is called '{args[0]}'; {hint}")

@@ -25,6 +25,7 @@ from adis_gonio.bench import events
 from adis_gonio.bench.guidance import drawing, to_do, turn_to_do
 from adis_gonio.faces import bench_words as words
 from adis_gonio.faces.cli.show import console, print_indented
+from adis_gonio.faces.cli.terminal import on_terminal
 from adis_gonio.faces.cli.trace_commands import loop_lines
 from adis_gonio.faces.tui.bench_state import LEAST_SIZE
 from adis_gonio.record.plans import GYRO_TURNS
@@ -36,12 +37,6 @@ if TYPE_CHECKING:
 
 Actions = dict[str, Callable[[], None]]
 """Action of each key; the Enter key is an empty text."""
-
-
-def on_terminal() -> bool:
-    """Return True if standard input is a terminal, at which an operator types."""
-    asks = getattr(sys.stdin, "isatty", None)
-    return asks is not None and asks()
 
 
 class Lines:
@@ -278,11 +273,12 @@ class PlainBench:
         elif line == words.DRAW.letter:
             self._draw()
         elif self._hands is not None and line == words.BUMP.letter:
-            self._hands.bump()
+            self._say(f"  {self._hands.bump()}")
         elif self._hands is not None and key == words.MOVE.letter:
             self._say(f"  {self._hands.move(self._rest_of(rest, '  degrees'))}")
         else:
-            known = ", ".join(key for key in question.keys if key)
+            notes = (words.NOTE.letter,) if question.takes_notes else ()
+            known = ", ".join((*filter(None, question.keys), *notes))
             self._say(f"  '{line}' is no answer: press Enter, or one of {known} (? lists them)")
 
     def _rest_of(self, text: str, asked: str) -> str:
@@ -356,7 +352,7 @@ def _progress_of(
 ) -> tuple[str, str, float | None, float | None]:
     """Return the content of the progress line: activity, note, elapsed time in s and total length in s.
 
-    The elapsed time and the length are None while the runner waits until the part is still.
+    The elapsed time and the length are None outside a dwell, a wait or a turn.
     """
     if isinstance(event, events.Watching):
         note = f"spread {max(event.spread_mg):.2f} mg"

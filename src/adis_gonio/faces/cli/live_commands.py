@@ -41,7 +41,11 @@ NOTES = {
     "calibration": "the calibration does not fit",
     "gyro_calibration": "the gyros' calibration does not fit",
 }
-"""Text for each note that the smoothed angle may carry, by the name of the note."""
+"""Text for each note that an angle may carry, by the name of the note."""
+MISFIT = (
+    "this calibration contradicts gravity at rest: it is of another part, or the part has changed; U"
+    " includes the difference"
+)
 
 
 @option.command(
@@ -307,9 +311,10 @@ class Columns:
 
     @classmethod
     def fitting(cls, names: Sequence[str], units: Sequence[str], width: int | None) -> Columns:
-        """Choose the layout of the table for a width in characters (None: unlimited).
+        """Choose the layout of a table of registers `names` for a width in characters (None: unlimited).
 
-        A narrow screen first loses the standard deviations, then the last values.
+        `units` has the unit of each register, empty without one. A narrow screen first loses the standard
+        deviations, then the last values.
         """
         short = [name.removesuffix("_OUT") for name in names]
         units = [unit or "1" for unit in units]
@@ -384,7 +389,8 @@ def angle_command(
     gravity: it comes with a lag and without the noise from shaking (not without gyros, or with --no-gyro).
     The second value uses gravity alone. Without --cal, the angle is 0 if X reads +1 g, and its uncertainty
     u covers only noise and motion. With --cal, the angles are corrected to the scale of the calibrated
-    stage, u covers noise and calibration, and the raw angle follows.
+    stage, u covers noise and calibration, and the raw angle follows. If the length of gravity at rest
+    contradicts the calibration (another part?), a message comes first and the exit status is 1.
 
     The sensor's settings are unchanged; data-ready is enabled only during the stream.
     """
@@ -411,19 +417,41 @@ def angle_command(
         last_s = math.inf if seconds is None else seconds - source.measuring.sample_period_s
         line = _AngleLine(as_json=as_json)
         try:
-            ended = _show_angles(live_angles(blocks, calibration, lag_s=lag_s), line, last_s)
+            ended = _show_angles(
+                live_angles(blocks, calibration, lag_s=lag_s), line, last_s, calibration_path
+            )
         finally:
             line.end()
+    if line.contradicted:
+        return 1
     return 0 if ended or seconds is None else INTERRUPTED
 
 
-def _show_angles(angles: Iterator[LiveAngle], line: _AngleLine, last_s: float) -> bool:
-    """Show angles until the time `last_s` is reached or the samples end; return False after Ctrl-C."""
+def _show_angles(
+    angles: Iterator[LiveAngle], line: _AngleLine, last_s: float, calibration: Path | None
+) -> bool:
+    """Show angles until the time `last_s` is reached or the samples end; return False after Ctrl-C.
+
+    The first angles wait until it is known if the sensor rests, so that a message that the file
+    `calibration` does not fit comes before them.
+    """
+    waiting: list[LiveAngle] = []
     with Interrupt() as interrupt:
         for reading in interrupt.steps(angles):
-            line.show(reading)
-            if reading.time_s >= last_s:
+            waiting.append(reading)
+            ended = reading.time_s >= last_s
+            if calibration is not None and reading.still is None and not ended:
+                continue
+            if "calibration" in reading.notes and not line.contradicted:
+                line.contradicted = True
+                say(f"{calibration}: {MISFIT}")
+            for one in waiting:
+                line.show(one)
+            waiting.clear()
+            if ended:
                 return True
+        for one in waiting:
+            line.show(one)
         return not interrupt.asked
 
 
@@ -434,6 +462,8 @@ class _AngleLine:
         self._as_json = as_json
         self._in_place = not as_json and sys.stdout.isatty()
         self._began_s: float | None = None
+        self.contradicted = False
+        """True if a reading contradicted the calibration."""
 
     def show(self, reading: LiveAngle) -> None:
         if self._as_json:
@@ -466,8 +496,10 @@ def format_angle(reading: LiveAngle, width: int | None = None) -> str:
         main, u_deg = smoothed.smoothed_deg, smoothed.smoothed_u_deg
     u = "" if u_deg is None else f" ± {NORMAL_95 * u_deg:.3f}"
     parts = [f"{signed(main, 3):>9}{u}°"]
+    notes = reading.notes if smoothed is None else smoothed.notes
+    if notes:
+        parts.append(", ".join(NOTES[note] for note in notes))
     if smoothed is not None:
-        parts += [", ".join(NOTES[note] for note in smoothed.notes)] if smoothed.notes else []
         parts.append(f"gravity {signed(by_gravity, 3):>9}°")
     if reading.corrected_deg is not None:
         parts.append(f"raw {signed(reading.angle_deg, 3):>9}°")

@@ -161,7 +161,7 @@ def _number(text: str) -> float | None:
 
 
 def file(*names: str, help: str, **more: Any) -> Option[Any]:
-    """Return an option that names a file; `more` goes to `click.option`."""
+    """Return an option that names a file, with its help text; `more` goes to `click.option`."""
     return click.option(*names, type=FILE, help=help, **{"metavar": "FILE", **more})
 
 
@@ -186,7 +186,8 @@ def output(
 ) -> Option[Any]:
     """Return a decorator with the options `-o` for the file to write, and `--force` to replace it.
 
-    A file that exists is refused before the command begins. The command gets the file only.
+    `help` is the help text of `-o`; `more` goes to `click.option`. A file that exists is refused before the
+    command begins. The command gets the file only.
 
     Parameters
     ----------
@@ -221,7 +222,7 @@ def output(
 
 
 def flag(*names: str, help: str) -> Option[Any]:
-    """Return an option that takes no value."""
+    """Return an option that takes no value, with its help text."""
     return click.option(*names, is_flag=True, help=help)
 
 
@@ -241,7 +242,8 @@ def fixture(
 ) -> Option[Any]:
     """Return the option `--fixture` for the standard uncertainty of a stage angle in degrees.
 
-    `name` is the argument of the command; empty `help` takes the usual help text.
+    `name` is the argument of the command; `metavar` stands for the value in the help; empty `help` takes
+    the usual help text.
     """
     help = help or "Standard uncertainty of a stage angle in degrees."
     return click.option("--fixture", name, metavar=metavar, help=help, **{"type": parse_fixture, **more})

@@ -16,7 +16,7 @@ import numpy as np
 
 from adis_gonio.base.errors import DataError, FitError, UsageError
 from adis_gonio.base.jsonable import json_object
-from adis_gonio.base.numbers import counted, use_minus, with_unit
+from adis_gonio.base.numbers import counted, join_words, use_minus, with_unit
 from adis_gonio.base.output import ends_in, replacing
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import print_json, report_progress, report_written, say
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from adis_gonio.plan.prediction import Bench, Prediction
     from adis_gonio.record.plans import Plan
     from adis_gonio.record.source import Settings
+    from adis_gonio.sim import World
 
 
 @option.command(
@@ -206,20 +207,21 @@ def template_command(
 
     Fill in times and readings in an editor or a spreadsheet; `adis-gonio fit` reads the saved file.
     """
+    from adis_gonio.base.output import write_text
     from adis_gonio.plan import find_plan
-    from adis_gonio.record.samples_writer import template_text, write_template
+    from adis_gonio.record.samples_writer import template_text
 
     if ends_in(output, ".gz"):
         raise UsageError(f"{output}: a template is filled in by hand: name it .csv")
     chosen = find_plan(plan_name, positions, check)
-    write_template(output, template_text(chosen, **keys))
+    write_text(output, template_text(chosen, **keys))
     report_written(output, f"{counted(len(chosen), 'position')} to fill in")
 
 
 def _list_option(name: str, rows: Callable[[], list[tuple[str, str]]], help: str) -> option.Option[Any]:
-    """Return an option that prints a list and ends the program instead of running the command.
+    """Return the option `name`, which prints a list and ends the program without running the command.
 
-    `rows` returns the name and the description of each entry.
+    `rows` returns the name and the description of each entry; `help` is the help text of the option.
     """
 
     def print_list(context: click.Context, option: click.Parameter, wanted: bool) -> None:
@@ -340,6 +342,7 @@ def simulate_command(*, output: Path, date: datetime | None, **options: Any) -> 
     ):
         archive = Path(folder) / "simulated.session" if as_csv else output
         world = sensor.bus.world  # type: ignore[attr-defined]  # the simulator's bus has one
+        _report_own_values(world)
         runner = SessionRunner.begin(
             sensor,
             archive,
@@ -364,14 +367,29 @@ def simulate_command(*, output: Path, date: datetime | None, **options: Any) -> 
     report_written(output, counted(done, "dwell"))
 
 
+def _report_own_values(world: World) -> None:
+    """Print which hidden parameters of the part add to the simulated effects."""
+    truth = world.truth()
+    for effect, values in world.effects:
+        added = [one.name for one, value in zip(effect.parameters, values, strict=True) if value]
+        names = {*added, *(f"{effect.name}_{name.rpartition('_')[2]}" for name in added)}
+        own = sorted(name for name in names if truth.get(name))
+        if own:
+            say(
+                f"effect {effect.name} is added to the part's own {join_words(own)}; --set gives these a"
+                " known value, such as 0 (--list-settings)"
+            )
+
+
 def _sized_effects(
     plan: Plan, measuring: Settings, *, effects: tuple[str, ...], settings: tuple[str, ...], variant: str,
     **_: Any,
 ) -> tuple[str, ...]:  # fmt: skip
     """Return each effect with the values of its parameters as text, and print the values.
 
-    An effect without values has its typical size, or twice the size that a session with this plan shows if
-    the typical size is smaller.
+    `plan`, `measuring` and `variant` describe the simulated session, `settings` its world as texts
+    `name=value`, and `effects` are the effects as texts. An effect without values has its typical size, or
+    twice the size that a session with this plan shows if the typical size is smaller.
     """
     from adis_gonio.model.effects import parse_effect
     from adis_gonio.plan.prediction import Bench, expected_readings, predict_sight

@@ -48,7 +48,10 @@ def console(*, stderr: bool = False, most: int = 0) -> Console:
 
 
 def print_indented(screen: Console, text: str, indent: int = 2, style: str = "") -> None:
-    """Print a text, wrapped to the screen, with all of its lines indented by `indent` columns."""
+    """Print a text, wrapped to the screen, with all of its lines indented by `indent` columns.
+
+    `style` is a style of rich, such as `bold yellow`.
+    """
     from rich.padding import Padding
     from rich.text import Text
 
@@ -94,7 +97,7 @@ def print_table(
         Cells of each row.
     texts : container of int
         Indices of the columns of text, aligned left, which may be folded; the others hold numbers, aligned
-        right.
+        right. A word, such as a name of a file, is broken only if it is wider than half of the screen.
     bold : container of str
         First cells of those rows that are printed in bold.
     indent : int
@@ -106,10 +109,13 @@ def print_table(
 
     shown = [k for k in range(len(head)) if any(row[k] not in ("", "–") for row in rows)]
     least: dict[int, int] = {}
+    room = screen.width - indent
     for k in shown:
         widest = max(cell_len(line) for row in (head, *rows) for line in row[k].split("\n"))
-        least[k] = 2 + (min(widest, LEAST_TEXT) if k in texts else widest)
-    room = screen.width - indent
+        if k in texts:
+            word = max((cell_len(word) for row in (head, *rows) for word in row[k].split()), default=0)
+            widest = min(widest, max(LEAST_TEXT, min(word, room // 2)))
+        least[k] = 2 + widest
     parts: list[list[int]] = [[]]
     for k in shown:
         if len(parts[-1]) > 1 and sum(least[j] for j in (*parts[-1], k)) > room:
@@ -139,15 +145,14 @@ def check_page(output: Path | None) -> None:
 
 def write_page(output: Path, text: str) -> None:
     """Write an HTML page and report it on standard error."""
-    from adis_gonio.base.output import replacing, write_utf8
+    from adis_gonio.base.output import write_text
 
-    with replacing(output) as temporary:
-        write_utf8(temporary, text)
+    write_text(output, text)
     report_written(output)
 
 
 def report_written(path: Path | str, content: str = "") -> None:
-    """Report on standard error that a file was written, with its content or else its size."""
+    """Report on standard error that a file was written, with `content` or, if this is empty, its size."""
     click.echo(f"written: {path}, {content or f'{Path(path).stat().st_size // 1024 + 1} kB'}", err=True)
 
 
@@ -158,7 +163,7 @@ def print_json(document: Any) -> None:
 
 
 def report_times_s() -> Iterator[float]:
-    """Yield the times, in s since the begin of a computation, at which its progress is logged.
+    """Yield the times at which the progress of a computation is logged, in s since its beginning.
 
     The intervals between them grow.
     """
@@ -190,7 +195,7 @@ class Work:
         self._show()
 
     def share(self, done: float) -> None:
-        """Set the finished share of the present stage, 0 to 1."""
+        """Set the finished share of the present stage to `done`, 0 to 1."""
         self._share = min(max(done, 0.0), 1.0)
         self._show()
 

@@ -45,6 +45,11 @@ def ascii_form(letter: str) -> str:
     return plain or ("" if unicodedata.combining(letter) else "?")
 
 
+def on_terminal() -> bool:
+    """Return True if standard input is a terminal, so that an operator can answer questions."""
+    return sys.stdin is not None and sys.stdin.isatty()
+
+
 LONGEST_MESSAGE = 600
 """Largest number of characters of a message.
 

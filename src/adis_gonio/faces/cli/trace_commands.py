@@ -1,7 +1,4 @@
-"""The commands `trace` and `report`: the effects behind the residual of a session.
-
-The terminal or a page shows them.
-"""
+"""The commands `trace` and `report`: the effects behind the residual of a session, as text or a page."""
 
 from __future__ import annotations
 
@@ -195,7 +192,7 @@ def _print_errors(screen: Console, result: TraceResult) -> None:
 
 
 def _print_models(screen: Console, cells: tuple[list[str], list[list[str]]]) -> None:
-    """Print a table of models from its column names and rows; the last row is emphasized."""
+    """Print a table of models, with the last row in bold; `cells` are its column names and its rows."""
     (first, *names), rows = cells
     head = [name if name.endswith("dof") else name.replace(" / ", "\n") for name in names]
     head = [first, *(name.replace("error of the angle", "angle") for name in head)]

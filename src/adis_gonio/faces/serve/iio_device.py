@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.errors import AdisGonioError, SilentChipError, UsageError
+from adis_gonio.bench.iio_devices import aligned_dtype
 from adis_gonio.device.sensor import Adis16354, ScanBlock, registers as register_table
 from adis_gonio.device.sensor.settings import Configuration, low_pass_3db_hz, sample_period_s, scales
 from adis_gonio.faces.serve.iiod_protocol import Errno, Refused
@@ -158,7 +159,7 @@ class Sampler:
         return row.number(words[1])
 
     def _require_sound(self, words: Sequence[int]) -> None:
-        """Raise `SilentChipError` if the first or the last word is not the known content of SENS_AVG."""
+        """Raise `SilentChipError` if the first or last of `words` is not the known content of SENS_AVG."""
         known = self.state.sens_avg
         for word in (words[0], words[-1]):
             if word != known:
@@ -234,7 +235,10 @@ class Sampler:
                 return
 
     def _publish(self, block: ScanBlock, since_1970_ns: int) -> None:
-        """Publish the scans of a block if its two checks of SENS_AVG agree; count the others."""
+        """Publish the scans of a block in which both words of SENS_AVG are right; count the others as lost.
+
+        `since_1970_ns` is the time in ns since 1970 at which the clock of the bus was 0.
+        """
         if not len(block):
             return
         sound = (block.words[:, [0, -1]] == self.state.sens_avg).all(axis=1)
@@ -294,7 +298,7 @@ class ScanQueue:
         return b"".join(part.tobytes() for part in self._remove(min(most, self._held)))
 
     def _remove(self, count: int) -> list[NDArray[np.void]]:
-        """Remove the oldest `count` scans and return them as a list of arrays."""
+        """Remove the oldest `count` scans and return them as a list of arrays (n,)."""
         parts = []
         self._held -= count
         while count:
@@ -568,7 +572,7 @@ class ServedDevice:
         return device in (DEVICE_ID, self.part.name)
 
     def channel(self, name: str) -> Channel:
-        """Return the channel with this id; `Refused` if there is none."""
+        """Return the channel with the id `name`; raise `Refused` if there is none."""
         for channel in self.channels:
             if name == channel.id:
                 return channel
@@ -585,7 +589,7 @@ class ServedDevice:
         return float(lsb[0]) * _SI[row.kind], float(zero[0] / lsb[0])
 
     def channel_value(self, channel: Channel, name: str, state: SensorState) -> str:
-        """Return the value of a channel's attribute as text; `Refused` if there is none.
+        """Return the value of a channel's attribute `name` as text; raise `Refused` if there is none.
 
         The attribute `raw`, which needs a scan, is not served here.
         """
@@ -601,7 +605,7 @@ class ServedDevice:
         return _text({"scale": scale, "offset": offset}.get(name, frequency_hz))
 
     def device_value(self, name: str, state: SensorState) -> str:
-        """Return the value of an attribute of the device as text; `Refused` if there is none."""
+        """Return the value of the device's attribute `name` as text; raise `Refused` if there is none."""
         match name:
             case "sampling_frequency":
                 return _text(state.configuration.sample_rate_hz)
@@ -664,10 +668,7 @@ def _text(value: float) -> str:
 
 @dataclass(frozen=True)
 class ScanFormat:
-    """The channels that a client has enabled, and the layout of its scans.
-
-    Each sample is aligned to its own size, and the size of a scan is a multiple of its largest sample; the
-    kernel and libiio have this layout.
+    """The channels that a client has enabled, and the layout of its scans (`aligned_dtype`).
 
     Attributes
     ----------
@@ -694,23 +695,10 @@ class ScanFormat:
     @cached_property
     def dtype(self) -> np.dtype[np.void]:
         """Numpy type of one scan, with a field for each channel."""
-        offsets, at, largest = [], 0, 1
-        for channel in self.channels:
-            size = np.dtype(channel.dtype).itemsize
-            at += -at % size  # align to the size of the sample
-            offsets.append(at)
-            at, largest = at + size, max(largest, size)
-        return np.dtype(
-            {
-                "names": [channel.id for channel in self.channels],
-                "formats": [channel.dtype for channel in self.channels],
-                "offsets": offsets,
-                "itemsize": at + -at % largest,
-            }
-        )
+        return aligned_dtype({channel.id: channel.dtype for channel in self.channels})
 
     def pack(self, numbers: NDArray[np.int32], time_ns: NDArray[np.int64]) -> NDArray[np.void]:
-        """Pack numbers (n, channels of the device) and times (n,) into scans (n,) of this format."""
+        """Pack `numbers` (n, registers of the device) and times (n,) into scans (n,) of this format."""
         scans = np.zeros(len(numbers), self.dtype)
         for channel in self.channels:
             scans[channel.id] = time_ns if channel.register is None else numbers[:, channel.index]

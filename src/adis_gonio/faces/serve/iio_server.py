@@ -57,9 +57,9 @@ class AttributePort:
     debug: Callable[[], Mapping[str, int]]
 
     def names(self, target: Target) -> tuple[str, ...]:
-        """Return the names of the attributes of a device or channel; `Refused` if it does not exist.
+        """Return the names of the attributes of the device or channel `target`.
 
-        `target` is the device or channel.
+        Raises `Refused` if it does not exist.
         """
         if not self.device.knows(target.device):
             raise Refused(Errno.ENODEV, f"no device {target.device}")
@@ -71,7 +71,7 @@ class AttributePort:
         return kinds.get(target.kind, ())
 
     async def read(self, target: Target, name: str) -> str:
-        """Read an attribute as text; `Refused` if there is none, or the sensor fails.
+        """Read an attribute as text; raise `Refused` if there is none, or the sensor fails.
 
         `name` is the name of the attribute, `target` its device or channel.
         """
@@ -91,7 +91,7 @@ class AttributePort:
         return self.device.channel_value(channel, name, self.sampler.state)
 
     async def write(self, target: Target, name: str, value: bytes) -> None:
-        """Write an attribute; `Refused` if that is not allowed, or the value is not possible.
+        """Write an attribute; raise `Refused` if that is not allowed, or the value is not possible.
 
         `name` is the name of the attribute, `target` its device or channel, `value` the text from the
         client.
@@ -243,7 +243,7 @@ class ClientSession:
                 return
 
     async def _answer(self, request: Request) -> bytes:
-        """Carry out a request and return the answer; `Refused` is raised to answer with an error number."""
+        """Carry out a request and return the answer; raise `Refused` to answer with an error number."""
         match request:
             case iiod_protocol.Version():
                 return iiod_protocol.version(*VERSION)
@@ -343,7 +343,7 @@ class ClientSession:
         return iiod_protocol.integer(0) if size % scan_size or not size else b""
 
     async def _news(self, buffer: iio_device.Buffer) -> None:
-        """Wait for new scans in the buffer; `Refused` if no scan comes.
+        """Wait for new scans in the buffer; raise `Refused` if no scan comes.
 
         No scan comes after a failure of the sensor, or within the client's time-out.
         """
@@ -534,7 +534,7 @@ class IioServer:
 
 
 def _report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Report an unhandled error of the event loop, unless it is only a broken connection."""
+    """Report the unhandled error in `context`, unless it is only a broken connection."""
     if not isinstance(context.get("exception"), ConnectionError):
         loop.default_exception_handler(context)
 

@@ -70,10 +70,10 @@ Kind = Literal["device", "debug", "buffer", "input", "output"]
 
 @dataclass(frozen=True)
 class Target:
-    """The owner of an attribute: a device, or one of its channels.
+    """The device or channel to which a requested attribute belongs.
 
-    `device` is the id or name of the device, `kind` the kind of attribute, `channel` the id of the channel,
-    empty for the device.
+    `device` is the id or name of the device, `kind` the kind of attribute. `channel` is the id of the
+    channel; it is empty for an attribute of the device.
     """
 
     device: str
@@ -394,7 +394,7 @@ def all_values(values: Sequence[bytes]) -> bytes:
 
 
 def version(major: int, minor: int, tag: str) -> bytes:
-    """Format a version as an answer; the tag has exactly seven characters, like a short commit name."""
+    """Format the version `major.minor` as an answer; the tag is cut or padded to seven characters."""
     return f"{major}.{minor}.{tag:7.7}\n".encode()
 
 

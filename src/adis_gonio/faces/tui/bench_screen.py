@@ -203,13 +203,7 @@ QUIT = {
     "stop": BenchKey("y", "yes", "quit here", also="q"),
     "stay": BenchKey("n", "no", "go on with the session"),
 }
-
-
-def quit_dialog(resume_by: str) -> Dialog:
-    """Make the dialog that asks if the session is to end; `resume_by` is the command that resumes it."""
-    text = f"The recorded data stay. Go on later with\n  {resume_by}"
-    return Dialog("Quit the session?", text, QUIT, "stay")
-
+"""Keys of the answers to the question whether the session is to end, by the name of the answer."""
 
 LARGE_SIZE = (120, 40)
 """Smallest terminal, in columns and rows, on which the digits of the angle have double size."""
@@ -580,15 +574,12 @@ class BenchApp(App[None]):
 
     def action_ask_to_quit(self) -> None:
         """Ask if the session is to end."""
-        self._open(quit_dialog(self._resume_by), self._give_end)
+        text = f"The recorded data stay. Go on later with\n  {self._resume_by}"
+        self._open(Dialog("Quit the session?", text, QUIT, "stay"), self._give)
 
     def _open(self, screen: Screen[Any], then: Callable[..., None]) -> None:
         if len(self.screen_stack) == 1:
             self.push_screen(screen, then)
-
-    def _give_end(self, answer: str | None) -> None:
-        if answer == "stop":
-            self._stop()
 
     def action_stop_now(self) -> None:
         """End the session in order; if called a second time, leave at once."""
@@ -676,7 +667,7 @@ class ScreenFace:
             if not app.abandoned:
                 app.wait()
         for message in app.state.messages:
-            _print(f"  {message.text}")
+            print(f"  {message.text}", file=sys.stderr)  # noqa: T201
         if app.abandoned or app.killed:
             raise KeyboardInterrupt
         if app.crash is not None:
@@ -695,7 +686,3 @@ def remember(state: BenchState) -> None:
         done = [attempt.place for attempt in view.dwells()]
         faulty = [attempt.place for attempt in view.faulty()]
         state.remember(done, view.skipped(), faulty)
-
-
-def _print(text: str) -> None:
-    print(text, file=sys.stderr)  # noqa: T201

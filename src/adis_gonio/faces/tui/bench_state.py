@@ -224,10 +224,7 @@ class BenchState:
         self.question = None
 
     def say(self, text: str, level: Level = "said") -> None:
-        """Add a message to the list of messages.
-
-        Its level is `said` or `warned`.
-        """
+        """Add the message `text` to the list of messages; its level is `said` or `warned`."""
         self.messages = [*self.messages, Message(text, level)][-MOST_MESSAGES:]
 
     def take(self, event: events.Event) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from adis_gonio.base.numbers import DASH, counted, format_duration, signed, use_minus
 from adis_gonio.bench import events
-from adis_gonio.bench.guidance import face, to_do
+from adis_gonio.bench.guidance import face, to_do, turns_text
 from adis_gonio.bench.runner import SHARE_OF_RANGE
 from adis_gonio.faces import bench_words as words
 from adis_gonio.faces.tui.bench_state import BenchState, Mark
@@ -50,7 +50,7 @@ _DIGITS = {
 
 
 def large_angle(value_deg: float | None, scale: int = 1) -> list[str]:
-    """Draw an angle with two decimals in large digits, as rows of block characters; a dash for None.
+    """Draw an angle in degrees with two decimals in large digits, as rows of text; None gives a dash.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def title(state: BenchState) -> str:
 def _place_name(position: Position, *, on_table: bool) -> str:
     """Return the short name of a position in the list, such as `90° from above check`.
 
-    The words are added if the position is approached from above, and if it is a check dwell.
+    ` from above` is added if the position is approached from above, and ` check` if it is a check dwell.
 
     `on_table` is True in a session of whole turns on a table.
     """
@@ -146,10 +146,8 @@ def task(state: BenchState) -> str:
 def _table_task(position: Position) -> str:
     if position.turned_deg is None:
         return f"lay the part flat on the table against the mark, {face(position)}, then press Enter"
-    turns = round(abs(position.turned_deg) / 360)
-    way = "counter-clockwise" if position.turned_deg > 0 else "clockwise"
-    times = "once" if turns == 1 else f"{turns} times"
-    return f"press Enter, 1 s later turn it {times} {way}, seen from above, back to the mark"
+    turns = turns_text(position.turned_deg)
+    return f"press Enter, 1 s later turn it {turns}, seen from above, back to the mark"
 
 
 def target(state: BenchState) -> str:
@@ -320,10 +318,7 @@ def surroundings(state: BenchState, width: int, silence_s: float = 0.0) -> list[
 
 
 def format_measured(name: str, value: float) -> tuple[str, str]:
-    """Return name and value with unit as text, for a number whose name ends in its unit.
-
-    An example of such a name is `gyro_deg`.
-    """
+    """Return name and value with unit as text, for a number whose name ends in its unit (`gyro_deg`)."""
     stem, _, unit = name.rpartition("_")
     if not stem or unit not in _UNITS:
         return name.replace("_", " "), use_minus(f"{value:.4g}")

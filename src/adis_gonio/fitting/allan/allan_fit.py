@@ -313,7 +313,7 @@ def fit_allan(session: Session, part: Part = "gyro", *, filter_m: int | None = N
 
 
 def _flat(record: Floats) -> Floats:
-    """Return samples (n,) minus a straight line: their mean and linear slope."""
+    """Subtract from samples (n,) the straight line that fits them best."""
     # Least squares slope against sample numbers about their middle.
     at = np.arange(len(record)) - (len(record) - 1) / 2
     centred = record - record.mean()
@@ -341,7 +341,7 @@ def _rounding(flat: Sequence[Floats], step: float, m: int) -> tuple[Floats, bool
 
 
 def _highest(m: int) -> float:
-    """Return the highest frequency to fit, in cycles per sample, for the filter of size `m`.
+    """Return the highest frequency to fit in cycles per sample, for the chip's filter M = `m`.
 
     Above it the filter passes too little power.
     """
@@ -352,7 +352,7 @@ def _highest(m: int) -> float:
 
 
 def _filter_seen(rests: Rests) -> int:
-    """Return the filter setting m of the chip that is most likely given the samples."""
+    """Return the parameter M of the chip's filter under which the samples are most likely."""
     record = max(rests.records, key=len)[:_TRIAL]
     losses = np.zeros(MOST_M + 1)
     for axis in range(rests.axes):
@@ -383,7 +383,7 @@ def _fitted(data: Ordinates, band: float, kinds: Sequence[Kind]) -> _Fitted:
 
 
 def _kinds(m: int) -> Sequence[Kind]:
-    """Return the noise processes to fit; with the chip's filter on (m > 0), without quantization noise."""
+    """Return the noise processes to fit; if the chip's filter is on (M = `m` > 0), without quantization."""
     return KINDS if m == 0 else KINDS[1:]
 
 

@@ -355,7 +355,7 @@ def notes_of(
     for line in axis.lines:
         yield (
             f"a sinusoid of {format_number(line.frequency_hz, 4)} Hz, amplitude"
-            f" {format_number(line.amplitude)}, taken off:"
+            f" {format_number(line.amplitude)}, subtracted:"
             f" {'a sway, as of a building' if line.frequency_hz < SWAY_HZ else 'a vibration'}, or its alias"
         )
     flicker, walk = axis["flicker"], axis["walk"]
@@ -377,7 +377,7 @@ def notes_of(
 def missing(parameter: NoiseParameter) -> str:
     """Return the text for a process that may be absent: its upper limit, and the detectable size."""
     found = parameter.profile
-    limit = f"not present: at most {format_number(found.high)} (95 %)"
+    limit = f"not separately detected: at most {format_number(found.high)} (95 %)"
     if parameter.kind == "white":
         return limit
     return f"{limit}; {format_number(found.detectable)} would have shown"

@@ -447,7 +447,9 @@ _POINTS = 16
 
 @dataclass(frozen=True)
 class Ordinates:
-    """Spectrum of one or several records of an axis: DCT-II ordinates, joined in frequency bins.
+    """Spectrum of one or several records of an axis: its ordinates, joined in frequency bins.
+
+    The ordinates of a record are its DCT-II coefficients without the first, the mean.
 
     Attributes
     ----------
@@ -498,7 +500,7 @@ class Ordinates:
 def ordinates(
     record: Floats, filter_m: int, period_s: float, rounding: Floats, masked: NDArray[np.intp]
 ) -> Ordinates:
-    """Compute the spectrum (DCT-II ordinates) of a record after its linear slope was subtracted.
+    """Compute the spectrum (DCT-II coefficients) of a record after its linear slope was subtracted.
 
     Parameters
     ----------

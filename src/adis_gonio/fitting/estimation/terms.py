@@ -204,7 +204,7 @@ class NamedTerm(Term):
         return self.effect.reading(values, ideal, conditions)
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Return the derivative by the values of the effect's contribution to the readings or the angle."""
+        """Return the derivative of the effect's contribution to the readings or the angle by its values."""
         return self.effect.derivative(values, ideal, conditions)
 
     @cached_property
@@ -428,5 +428,5 @@ class NamelessTerm(Term):
         return np.asarray(self.columns(ideal, conditions) @ values)
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Return the derivative by the values: the columns, since the term is linear in them."""
+        """Return the derivative of the contribution by the amplitudes: `columns`, as the term is linear."""
         return self.columns(ideal, conditions)

@@ -33,12 +33,11 @@ from adis_gonio.base.numbers import counted
 from adis_gonio.base.tables import Entries, ParameterTable
 from adis_gonio.base.uncertainty import INADEQUATE, Value
 from adis_gonio.calibrate.calibration import NotCorrected
-from adis_gonio.calibrate.gyro_calibration import GyroCalibration
+from adis_gonio.calibrate.gyro_calibration import GyroCalibration, gyro_directions
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.fit import Fit, adequacy
 from adis_gonio.fitting.estimation.readings import GYRO, Readings, readings_of_part
 from adis_gonio.fitting.estimation.terms import NamedTerm
-from adis_gonio.fitting.gyros.turn_integration import gyro_directions
 from adis_gonio.model.effects import AXES, Effect, effect
 from adis_gonio.model.measurement import SKEW_AXES
 from adis_gonio.model.records import Session
@@ -264,7 +263,7 @@ class GyroFit(ParameterTable):
 
     @property
     def held(self) -> str:
-        """Text with the numbers of dwells and turns used in the fit, such as `14 dwells and 3 turns`."""
+        """Text with the numbers of fitted dwells and turns, such as `14 dwells and 3 turns`."""
         dwells = counted(len(self.positions) - self.turns, "dwell")
         return f"{dwells} and {counted(self.turns, 'turn')}" if self.turns else dwells
 

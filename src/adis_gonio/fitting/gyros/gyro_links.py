@@ -21,12 +21,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, central_differences
 from adis_gonio.base.errors import DataError
+from adis_gonio.calibrate.gyro_calibration import GyroCalibration, sensitivity_of
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.links import Links
 from adis_gonio.fitting.estimation.spectrum import covariance_of_means
@@ -34,9 +34,6 @@ from adis_gonio.fitting.gyros import turn_integration
 from adis_gonio.fitting.gyros.gyro_readings import GyroDwells, gyro_dwells_of, measured_turn
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Session, Turn
-
-if TYPE_CHECKING:
-    from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 
 SHEET_GAIN = 0.02
 """Largest relative error of a gyro's scale factor (ADIS16350 data sheet: sensitivity ±2 %)."""
@@ -153,12 +150,8 @@ def _parameters(gyros: GyroCalibration, values: Floats) -> Floats:
 
     Parameters that the calibration lacks get the values of perfect gyros.
     """
-    held = dict(zip((one.name for one in gyros.parameters), values.tolist(), strict=True))
-    misalignment = np.array([[held.get(f"gyro_misalignment_{i}{j}", 0.0) for j in AXES] for i in AXES])
-    gains = np.array([held.get(f"gyro_scale_{i}", 1.0) for i in AXES])
-    rows = gains[:, None] * turn_integration.gyro_directions(misalignment)
-    per_g = np.array([[held.get(f"g_sensitivity_{i}{j}", 0.0) for j in AXES] for i in AXES])
-    return np.concatenate([rows.ravel(), per_g.ravel(), np.zeros(3)])
+    held = gyros.by_kind(values)
+    return np.concatenate([sensitivity_of(held).ravel(), held["g_sensitivity"].ravel(), np.zeros(3)])
 
 
 EARTH_DPS = 360.0 / 86164.0

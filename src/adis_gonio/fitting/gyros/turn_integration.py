@@ -72,6 +72,7 @@ from adis_gonio.base.arrays import (
     wrap_degrees,
 )
 from adis_gonio.base.errors import AdisGonioError, UsageError
+from adis_gonio.calibrate.calibration import independent_changes
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.readings import Readings, mg_per_unit, readings_of
 from adis_gonio.fitting.estimation.spectrum import noise_of_means
@@ -362,7 +363,7 @@ def integrate(path: Path, sampling: Sampling) -> Integral | str:
 
 
 def has_gap(path: Path) -> bool:
-    """Return True if samples are missing for longer than a straight line may bridge."""
+    """Return True if a gap between samples is longer than a straight line may bridge (`LONGEST_GAP_S`)."""
     return float(np.diff(path.time_s).max()) > LONGEST_GAP_S
 
 
@@ -378,7 +379,7 @@ def _shows_another_attitude(path: Path, here_g: Floats, dwell: int) -> bool:
 
 
 def moving(path: Path, sampling: Sampling) -> NDArray[np.bool_]:
-    """Return True for each sample (n,) if the mean rate around it is too large for a sensor at rest."""
+    """Return a mask (n,) of the samples around which the mean rate is too large for a sensor at rest."""
     rate = path.rate_dps - path.zero_dps.mean(axis=0)
     # Means of windows that shrink at both ends, by differences of the cumulative sum.
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(rate, axis=0)])
@@ -485,15 +486,6 @@ def period_of(times_s: list[Floats]) -> float:
     """
     steps = [np.diff(time) for time in times_s if len(time) > 1]
     return float(np.median(np.concatenate(steps))) if steps else math.nan
-
-
-def gyro_directions(misalignment_deg: Floats) -> Floats:
-    """Return unit vectors (3, 3) along the sensitive axes of the gyros, one row for each gyro.
-
-    `misalignment_deg` (3, 3) has the angle of each gyro (row) towards each other axis (column).
-    """
-    sines = np.sin(np.radians(misalignment_deg)) * (1 - np.eye(3))
-    return np.asarray(sines + np.diag(np.sqrt(1 - (sines**2).sum(axis=1))))
 
 
 @dataclass(frozen=True)
@@ -856,9 +848,7 @@ class Axes:
             block = np.asarray(matrix)[np.ix_(rows, rows)] * np.outer(_NATURAL[new], _NATURAL[new])
             covariance[np.ix_(new, new)] = block
             known |= {NAMES[k] for k in new}
-        # One column per independent error: eigenvectors times standard uncertainties.
-        variance, vectors = np.linalg.eigh(covariance)
-        return cls(values, vectors * np.sqrt(np.maximum(variance, 0.0)), frozenset(known))
+        return cls(values, independent_changes(covariance).T, frozenset(known))
 
     def direction(self, force_g: Floats) -> Floats:
         """Return the direction of gravity (…, 3) in the accelerometers' frame, from readings (…, 3) in g.

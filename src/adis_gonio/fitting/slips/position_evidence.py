@@ -138,8 +138,8 @@ class KnownFaults:
 class Whitened:
     """Rows of the linear model, scaled to unit covariance under one assumption on the ordinary errors.
 
-    The assumption is one point of the grid over which probabilities are averaged. The sizes of the known
-    faults are free.
+    Ordinary errors are the errors that a session without a fault has. The assumption is one point of the
+    grid over which probabilities are averaged. The sizes of the known faults are free.
 
     Attributes
     ----------

@@ -283,7 +283,7 @@ class Conditions:
         return {}
 
     def late(self, history: str, axis: int | None, tau_s: float) -> tuple[Floats, Floats]:
-        """Return a recorded quantity (n,) lagged with time constant τ, and its derivative by τ per s.
+        """Return a recorded quantity (n,) lagged with time constant τ, and its derivative by τ, (n,) per s.
 
         `history` is the field with the quantity, such as `temperature_history`; `axis` is the column of a
         history that has one column for each axis, else None.
@@ -636,7 +636,7 @@ class CourseEffect(AxisEffect):
 
 
 def decay(time_s: Floats, tau_s: float) -> tuple[Floats, Floats]:
-    """Return exp(−t/τ) and its derivative with respect to τ, each (n,)."""
+    """Return exp(−t/τ) at times t (n,) and its derivative by τ, each (n,)."""
     elapsed = time_s / tau_s
     course = np.exp(-elapsed)
     return course, course * elapsed / tau_s

@@ -76,7 +76,10 @@ class Course:
 
     @classmethod
     def of(cls, samples: Samples, usable: Usable, tau: float | None, by_move: bool) -> Course:
-        """Fit a course to the projections of the dwells that are `usable` (d,), a mask."""
+        """Fit a course to the dwells for which the mask `usable` (d,) is True.
+
+        `tau` and `by_move` are as in the class.
+        """
         z, norm = np.zeros((len(samples), samples.axes)), np.zeros(len(samples))
         for k in np.flatnonzero(usable).tolist():
             course = _shape(samples.elapsed_s(k), tau)
@@ -179,7 +182,7 @@ def _fit_course(
 ) -> tuple[WithinFinding, Samples]:
     """Fit the time constant of a course on all axes that show it; return finding and samples without it.
 
-    `axis` is the axis on which the course was found, with its corrected p-value.
+    `axis` is the axis on which the course was found, with the corrected p-value `p_value`.
     """
     weight = _regressor(samples, best.by_move)
     dwells = np.flatnonzero(usable).tolist()
@@ -237,7 +240,7 @@ def _finding(
     """Return the finding of a fitted course, without its p-value and its figure.
 
     `u` are the standard uncertainties of the amplitudes on these `axes`, then of the time constant if the
-    course has one.
+    course has one. `dwells` are the indices of the fitted dwells.
     """
     tau, slope, weight = fitted.tau, fitted.slope, _regressor(samples, fitted.by_move)
     letters = tuple(samples.letters[axis] for axis in axes)

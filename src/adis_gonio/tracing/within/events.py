@@ -185,7 +185,10 @@ def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFindin
 
 
 def _scales(samples: Samples, unit: Floats, shortest: int) -> list[_Scale]:
-    """Return the differences on all scales; the length of a stretch doubles from `shortest` samples on."""
+    """Return the differences on all scales; the length of a stretch doubles from `shortest` samples on.
+
+    `unit` (d, axes) divides the samples of each dwell.
+    """
     sums = [
         np.concatenate(
             [np.zeros((1, samples.axes)), np.cumsum((rows - rows.mean(axis=0)) / unit[k], axis=0)]
@@ -213,7 +216,10 @@ def _scales(samples: Samples, unit: Floats, shortest: int) -> list[_Scale]:
 
 
 def _places_apart(scale: _Scale, counts: NDArray[np.intp]) -> Floats:
-    """Return the number (m,) of independent differences in each dwell for white noise, at least 1."""
+    """Return the number (m,) of independent differences in each dwell for white noise, at least 1.
+
+    `counts` (m,) are the numbers of samples of the dwells.
+    """
     return np.maximum(1.0, counts / (2 * scale.stretch))
 
 

@@ -127,7 +127,7 @@ def _from_neighbours(column: Floats, reach: int) -> tuple[Floats, Floats, Floats
 
 
 def _groups(flags: NDArray[np.bool_], gap: int) -> list[tuple[int, int]]:
-    """Group flagged samples at most `gap` samples apart; return (first, last + 1) of each group."""
+    """Group the samples with a True flag that are at most `gap` apart; return (first, last + 1) of each."""
     at = np.flatnonzero(flags)
     if not at.size:
         return []

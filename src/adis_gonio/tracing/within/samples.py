@@ -131,9 +131,9 @@ def samples_of(session: Session, data: Readings) -> Samples | None:
 
 
 def deviation(rows: Floats, axis: int = 0) -> Floats:
-    """Return the standard deviation of values along `axis`, robust against outliers.
+    """Return the standard deviation of `rows` along `axis`, robust against outliers.
 
-    It is computed from the median absolute deviation.
+    It is computed from the median absolute deviation; the result has no dimension `axis`.
     """
     middle = np.median(rows, axis=axis, keepdims=True)
     spread: Floats = MAD_TO_SD * np.median(np.abs(rows - middle), axis=axis)

@@ -118,7 +118,10 @@ def counts_as_found(finding: WithinFinding) -> bool:
 
 
 def probability(p_value: float) -> float:
-    """Return the posterior probability that a finding with this p-value is real (see the module's text)."""
+    """Return the posterior probability that a finding with this p-value is real.
+
+    The docstring of the module gives the prior and the density of p-values of real effects.
+    """
     depth = -math.log(max(p_value, 1e-300))
     # ∫ ξ p^(ξ−1) dξ from 0 to 1, against the uniform density under the null hypothesis.
     evidence = (math.expm1(depth) - depth) / depth**2 if depth > 1e-6 else 0.5
@@ -199,11 +202,6 @@ def _deviating_dwells(data: Readings, result: TraceResult) -> tuple[list[str], l
 
 _CORRELATED = 0.2
 _FARTHEST = 64
-
-
-def search_within(samples: Samples) -> tuple[WithinFinding, ...]:
-    """Search the samples inside the dwells for effects; return the findings, for `TraceResult.within`."""
-    return look_within(samples)[0]
 
 
 def look_within(samples: Samples) -> tuple[tuple[WithinFinding, ...], dict[str, Detectable]]:

@@ -226,7 +226,7 @@ def aliases_hz(frequency_hz: float, rate_hz: float) -> tuple[float, ...]:
 
 
 def _alias_text(folding: tuple[float, ...]) -> str:
-    """Return the text that lists the aliases in Hz of a spectral line; empty if there are none."""
+    """Return the text that lists the aliases `folding` (in Hz) of a spectral line; empty without any."""
     if not folding:
         return ""
     named = ", ".join(format_number(f, 4) for f in folding[:MOST_ALIASES])
@@ -235,7 +235,10 @@ def _alias_text(folding: tuple[float, ...]) -> str:
 
 
 def _waves(frequency: float, times: list[Floats], rows: list[Floats]) -> Floats:
-    """Return the amplitudes (d, 2, axes) of cosine and sine of one frequency in Hz in each dwell."""
+    """Return the amplitudes (d, 2, axes) of cosine and sine of one frequency in Hz in each dwell.
+
+    `times` (n,) in s and `rows` (n, axes) are the samples of each dwell.
+    """
     waves = []
     for time, own in zip(times, rows, strict=True):
         design = np.column_stack([_cosine_and_sine(frequency, time), np.ones_like(time)])
@@ -271,7 +274,11 @@ def _sizes(squares: Floats, noise: Floats, excess: Floats) -> tuple[Floats, Floa
 
 
 def _view(density: Density, period: float, axis: int, letter: str, frequency: float) -> View:
-    """Return the figure of a line: the noise density over all dwells in mg/√Hz, one-sided."""
+    """Return the figure of a line at `frequency` in Hz: the one-sided noise density of an axis in mg/√Hz.
+
+    The density is over all dwells. `period` is the time between samples in s; `axis` and `letter` are the
+    index and the letter of the axis.
+    """
     level = float(density.level[:, axis].mean())
     pooled = (density.power / density.level[:, None, :]).mean(axis=0)[:, axis] * level
     inside = slice(density.searched.start, density.searched.stop)
@@ -336,7 +343,7 @@ class Density:
     frequency : (k,) float
         Frequency in cycles per sample.
     searched : slice
-        Part of the grid in which lines are searched for.
+        Part of the frequencies in which lines are searched for.
     power : (d, k, axes) float
         Periodograms in mg² (two-sided density per sample).
     level : (d, axes) float
@@ -347,7 +354,7 @@ class Density:
     bound : (k, axes) float
         Density that a line has to exceed: `base` or, if larger, the density on either side.
     width : (k,) float
-        Number of independent ordinates in the running median.
+        Number of independent values of the spectrum in the running median, at each frequency.
     """
 
     dwells: NDArray[np.intp]
@@ -491,7 +498,8 @@ def _gain(own: Floats, with_peak: Floats, without: Floats, peak: NDArray[np.bool
 def _flanks(pooled: Floats, each: float) -> Floats:
     """Return at each frequency the larger of the mean noise densities below and above it, (k, axes).
 
-    The width of a line around the frequency is left out; `each` is the number of frequencies per ordinate.
+    `pooled` (k, axes) is the noise density. The width of a line around the frequency is left out; `each` is
+    the number of frequencies per ordinate.
     """
     near, far = round(_LINE * each), round(2 * _LINE * each)
     sums = np.concatenate([np.zeros((1, pooled.shape[1])), np.cumsum(pooled, axis=0)])
@@ -506,7 +514,7 @@ def _flanks(pooled: Floats, each: float) -> Floats:
 
 
 def without_line(rows: Floats) -> Floats:
-    """Return samples (n, axes) with their mean and linear trend subtracted."""
+    """Return the samples `rows` (n, axes) with their mean and linear trend subtracted."""
     place = np.arange(len(rows)) - (len(rows) - 1) / 2
     centred = rows - rows.mean(axis=0)
     slope = place @ centred / max(float(place @ place), 1e-300)
@@ -528,7 +536,7 @@ def _widths(points: int, each: float) -> Floats:
 
 
 def _smooth(flat: Floats, searched: slice, width: Floats, each: float) -> Floats:
-    """Smooth a density (k,) by a running median of half width `width`, in ordinates.
+    """Smooth the density `flat` (k,) by a running median of half width `width` (k,), in ordinates.
 
     Outside the searched frequencies it is constant. `each` is the number of frequencies per ordinate.
     """
@@ -565,9 +573,9 @@ def _shape(pooled: Floats, frequency: Floats, responses: Sequence[Floats]) -> Fl
     falls = {knee: _falling(frequency, knee) for knee in _KNEES}
 
     def deviance(own: Floats) -> Floats:
-        """Return −2 log likelihood of the density in each cell under models `own`, up to a constant.
+        """Return −2 log likelihood (…) of the measured density under models, up to a constant.
 
-        `own` (…, cells) are densities; the scale of each model is fitted.
+        `own` (…, cells) are the densities of the models; the scale of each model is fitted.
         """
         return np.asarray(np.log(own) @ weight + weight.sum() * np.log((seen / own) @ weight))
 
@@ -611,7 +619,7 @@ def _falling(frequency: Floats, knee: float) -> Floats:
 
 
 def _expected(filter_m: int, counts: NDArray[np.intp], size: int) -> Floats:
-    """Return the expected periodogram of white noise behind the sensor's filter with 2^`filter_m` taps.
+    """Return the expected periodogram (k,) of white noise behind a sensor filter with 2^`filter_m` taps.
 
     It includes the leakage and resolution of the taper, averaged over the lengths `counts` of the dwells;
     `size` is the length of the transform.

@@ -56,7 +56,7 @@ class Levels:
     level_dof: Floats
 
     def rows(self, chosen: NDArray[np.bool_]) -> Levels:
-        """Return the variances and levels of the selected dwells."""
+        """Return the variances and levels of the dwells for which the mask `chosen` (d,) is True."""
         return Levels(self.variance[chosen], self.dof[chosen], self.level[chosen], self.level_dof[chosen])
 
     @cached_property
@@ -94,7 +94,7 @@ class Levels:
 
 
 def step_of(course: Floats, weight: Floats, cut: int) -> tuple[float, float]:
-    """Return the change of a series (d,) at index `cut`, and its standard uncertainty.
+    """Return the change of the series `course` (d,) at index `cut`, and its standard uncertainty.
 
     The change is the weighted mean from index `cut` on minus the weighted mean before it. `weight` (d,) are
     relative weights, in proportion to 1/variance (such as degrees of freedom); the uncertainty follows from
@@ -362,7 +362,10 @@ def _start(
 
 
 def _view(samples: Samples, dwells: NDArray[np.intp], levels: dict[int, Levels]) -> View:
-    """Return the figure of the scatter of each dwell over time, on the first axis in `levels`."""
+    """Return the figure of the scatter of each dwell over time, on the first axis in `levels`.
+
+    `dwells` are the indices of the dwells.
+    """
     axis, own = next(iter(levels.items()))
     letter = samples.letters[axis]
     return View(
