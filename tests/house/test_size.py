@@ -6,7 +6,7 @@ import tokenize
 from pathlib import Path
 
 SOURCE = Path(__file__).resolve().parents[2] / "src" / "adis_gonio"
-MOST_LINES = 53_169
+MOST_LINES = 53_132
 """Lines of code of the package; a change may lower this number."""
 MOST_FILES = 245
 SILENT = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}

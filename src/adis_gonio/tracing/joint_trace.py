@@ -37,7 +37,7 @@ from adis_gonio.record.provenance import digest_of
 from adis_gonio.tracing.credible_sets import cause_name, owners_of
 from adis_gonio.tracing.linear_problem import Products, linearise, span
 from adis_gonio.tracing.model_search import price
-from adis_gonio.tracing.selection import Selection, select
+from adis_gonio.tracing.selection import Selection, promising_labels, select
 from adis_gonio.tracing.sharing import SplitEffect
 from adis_gonio.tracing.stacking import stack
 from adis_gonio.tracing.thresholds import limits
@@ -311,16 +311,7 @@ def screen(data: Readings, terms: Sequence[Term], max_terms: int) -> list[Term]:
         if gains[best] <= 0:
             break
         model.append(best)
-    ranked = [problem.terms[k] for k in np.argsort(-promise)]
-    kept = {term.label for term in ranked[: limits.screened]}
-    seen = set()
-    for term in ranked:
-        if isinstance(term, NamedTerm):
-            split = term.effect.sharing.by if isinstance(term.effect, SplitEffect) else ""
-            key = term.effect.name, term.effect.axes, split
-            if key not in seen or term.constant:
-                kept.add(term.label)
-            seen.add(key)
+    kept = promising_labels(problem.terms, promise, limits.screened, by_sharing=True)
     return [term for term in terms if term.label in kept]
 
 
