@@ -258,7 +258,7 @@ def calibration_for(calibration: Calibration, source: LiveSource) -> Calibration
     if where.counts:
         raise UsageError("the calibration takes readings in counts of unknown scale; a sensor gives mg")
     if where.sensor != source.part:
-        raise UsageError(f"the calibration is of an {where.sensor}, this is an {source.part}")
+        raise UsageError(f"the calibration is of sensor {where.sensor}, this is sensor {source.part}")
     return calibration.for_registers(source.offsets_lsb, source.gyro_offsets_lsb)
 
 

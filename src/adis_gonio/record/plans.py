@@ -216,7 +216,8 @@ def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0)
     if name == GYRO_TURNS:
         raise UsageError("gyro turns have no positions: calibrate URL --plan gyro-turns --turns N")
     if kind is None:
-        raise UsageError(f"no plan is called '{name}'; {suggest(name, _KINDS)}")
+        known = suggest(name, (*_KINDS, "free-turn", GYRO_TURNS, "or a plan file (.json)"))
+        raise UsageError(f"no plan is called '{name}'; {known}")
     count = kind.default if positions is None else positions
     if kind.fixed and count != kind.default:
         raise UsageError(
