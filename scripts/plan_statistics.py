@@ -65,8 +65,8 @@ class Case:
 
 
 @cache
-def cases(fixtures: Sequence[float] = FIXTURES_DEG, seed: int = 1) -> list[Case]:
-    """The six plans of the target, and the evenly spaced ones that the best are compared with."""
+def cases(fixtures: Sequence[float] = FIXTURES_DEG, most: int = 24, seed: int = 1) -> list[Case]:
+    """The six plans of the target, and even ones to compare the best with; at most `most` positions."""
     out = []
     for fixture in fixtures:
         bench = Bench(fixture)
@@ -74,12 +74,11 @@ def cases(fixtures: Sequence[float] = FIXTURES_DEG, seed: int = 1) -> list[Case]
             "two-position": plan("two-position"),
             "four-position": plan("four-position"),
             "mmpm": plan("mmpm"),
-            "even 12": even_plan(12),
             "tumble 12": plan("tumble", 6),
-            "best 12": best_plan(bench, 12, seed=seed).plan,
-            "even 24": even_plan(24),
-            "best 24": best_plan(bench, 24, seed=seed).plan,
         }
+        for count in (12, 24)[: 2 if most >= 24 else 1]:
+            plans[f"even {count}"] = even_plan(count)
+            plans[f"best {count}"] = best_plan(bench, count, seed=seed).plan
         out += [Case(name, made, bench) for name, made in plans.items()]
     return out
 
@@ -213,11 +212,13 @@ def _part(job: tuple[Case, int, int]) -> Floats:
     return errors(*job)
 
 
-def run(sessions: int, seed: int, jobs: int = 1, fixtures: Sequence[float] = FIXTURES_DEG) -> list[Line]:
-    """All plans."""
+def run(
+    sessions: int, seed: int, jobs: int = 1, fixtures: Sequence[float] = FIXTURES_DEG, most: int = 24
+) -> list[Line]:
+    """All plans of at most `most` positions."""
     lines = []
     with ProcessPoolExecutor(jobs) as pool:
-        for case in cases(fixtures):
+        for case in cases(fixtures, most):
             sizes = [min(PART, sessions - done) for done in range(0, sessions, PART)]
             work = [(case, size, seed + k) for k, size in enumerate(sizes)]
             lines += compare(case, np.concatenate(list(pool.map(_part, work))))

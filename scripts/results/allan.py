@@ -27,13 +27,13 @@ _NAMES = {
 def run(effort: Effort) -> Section:
     """Measure every case of the script with three axes per session."""
     rows = allan.run(effort.sessions(SESSIONS, 1), effort.seed, effort.jobs)
-    return section_of(allan.summary(rows), limits(effort.seed))
+    return section_of(allan.summary(rows), limits(effort.seed, effort.sessions(DRAWS, 500)))
 
 
-def limits(seed: int) -> Limits:
+def limits(seed: int, draws: int = DRAWS) -> Limits:
     """Coverage of long records, which the boundary at zero moves away from 95 %."""
     rng = np.random.default_rng(seed)
-    return {name: allan_boundary.coverage(case, DRAWS, rng) for name, case in allan.CASES.items()}
+    return {name: allan_boundary.coverage(case, draws, rng) for name, case in allan.CASES.items()}
 
 
 def section_of(cases: Mapping[str, Mapping[str, Any]], limits: Limits) -> Section:

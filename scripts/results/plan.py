@@ -15,9 +15,10 @@ def run(effort: Effort) -> Section:
     """Measure all plans, the chip and the names."""
     sessions = effort.sessions(1000, 4)
     fixtures = (0.05,) if effort.fast else statistics.FIXTURES_DEG
-    lines = statistics.run(sessions, effort.seed, effort.jobs, fixtures)
+    most = 12 if effort.fast else 24
+    lines = statistics.run(sessions, effort.seed, effort.jobs, fixtures, most)
     chip_sessions = effort.sessions(24, 1)
-    (case,) = [c for c in statistics.cases((CHIP_FIXTURE_DEG,)) if c.name == CASE]
+    (case,) = [c for c in statistics.cases((CHIP_FIXTURE_DEG,), most) if c.name == CASE]
     chip = statistics.through_the_chip(case, chip_sessions, effort.seed % 10**6)
     traced = effort.sessions(12, 1)
     names = statistics.names_found(12, traced, effort.seed)

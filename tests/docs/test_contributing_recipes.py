@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -98,7 +99,7 @@ def test_without_the_package_the_effect_is_unknown_in_one_line(tmp_path):
 def extended(tmp_path_factory):
     """Runs a command of a copy of this package to which the recipes have added a method and an export."""
     folder = tmp_path_factory.mktemp("copy")
-    shutil.copytree(ROOT / "src", folder / "src", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(ROOT / "src", folder / "src")  # with its bytecode
     for name, text in BLOCKS.items():
         if name.startswith("src/"):
             (folder / name).write_text(text, "utf-8")
@@ -111,6 +112,7 @@ def extended(tmp_path_factory):
         first_import = re.search(r"^from adis_gonio", text, re.M).start()
         (folder / path).write_text(f"{text[:first_import]}{line}\n{text[first_import:]}", "utf-8")
 
+    @cache
     def run(*arguments: str) -> str:
         done = subprocess.run(
             [sys.executable, "-m", "adis_gonio", *arguments],
@@ -124,7 +126,7 @@ def extended(tmp_path_factory):
         assert done.returncode == 0, done.stderr
         return done.stdout
 
-    run("simulate", "--plan", "tumble", "-o", "some.session")
+    run("simulate", "--plan", "tumble", "--dwell", "2", "-o", "some.session")
     return run
 
 

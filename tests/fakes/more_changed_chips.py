@@ -153,7 +153,7 @@ class AlarmOffClears(SimulatedChip):
 class OverRangeStays(SimulatedChip):
     """The over-range bit stays until a read.
 
-    The bit follows the output words, offsets included: CHIP.md does not know the threshold.
+    The bit follows the output words, offsets included: the data sheet gives no threshold.
     """
 
     def __init__(self, *args, **options):

@@ -248,7 +248,7 @@ def test_the_certificate_holds_every_parameter_in_si_units_and_keeps_its_structu
 def test_the_certificate_names_the_gyro_and_what_was_not_determined():
     text = certificate_text(with_gyros(calibration(PLANE), ZERO), date(2026, 5, 4))
     assert "Zero rate of gyro X (gyro_bias_x)" in text
-    assert "Accelerometers and gyros of an adis16354" in text
+    assert "Accelerometers and gyros of sensor adis16354" in text
     assert "gyro_scale_x" in text
     poor = replace(
         with_gyros(calibration(PLANE), ZERO),

@@ -229,3 +229,19 @@ def test_the_rig_hears_a_page_that_talks_loads_or_hides_its_text(chrome, tmp_pat
         assert {"image-alt", "color-contrast", "empty-table-header", "html-has-lang"} <= rules
         assert any(sound.startswith("request: ") for sound in tab.noise)
         assert "console: loud" in tab.noise
+
+
+@pytest.mark.parametrize(
+    "body", ["<p class=d>pale</p>", "<details><summary>s</summary><p class=f>pale</p></details>"]
+)
+def test_the_rig_sees_text_that_is_pale_in_the_dark_or_in_a_fold(chrome, tmp_path, body):
+    path = tmp_path / "pale.html"
+    style = (
+        "p.f { color: #ddd } @media (prefers-color-scheme: dark) { p.d { color: #333; background: #000 } }"
+    )
+    page = (
+        f"<!DOCTYPE html><html lang=en><title>p</title><style>{style}</style><body><main><h1>p</h1>{body}"
+    )
+    path.write_text(page, encoding="utf-8")
+    with chrome.tab(path) as tab:
+        assert any(fault.startswith("color-contrast: ") for fault in tab.faults())

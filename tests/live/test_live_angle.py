@@ -143,7 +143,7 @@ def test_what_the_chip_corrects_by_now_is_not_corrected_again(calibration):
 def test_another_parts_calibration_is_refused(calibration):
     with (
         open_live("sim:?seed=1&variant=adis16350", variant="adis16350") as source,
-        pytest.raises(UsageError, match="of an adis16354, this is an adis16350"),
+        pytest.raises(UsageError, match="of sensor adis16354, this is sensor adis16350"),
     ):
         calibration_for(calibration, source)
 

@@ -207,6 +207,21 @@ def test_a_sensor_that_does_not_come_back_ends_with_the_breaks_error():
     assert link.closed == 1
 
 
+def test_a_link_may_break_any_number_of_times_before_a_block_arrives():
+    breaks = 2000
+
+    class Flapping(Link):
+        def blocks(self, angle_deg, *, last):
+            if not last:
+                raise BusTimeoutError("no answer")
+            yield from super().blocks(angle_deg, last=True)
+
+    link = Flapping([20.0] * (breaks + 1), [RATE] * (breaks + 1))
+    blocks = LiveBlocks(link, 10.0, lambda error: None, lambda seconds: None)
+    assert len(next(blocks)) == 82
+    assert blocks.breaks == breaks
+
+
 def test_without_patience_a_break_is_the_end():
     with pytest.raises(BusTimeoutError):
         shown_by(Link([20.0, 0.0], [RATE, RATE]), 0.0, [], [])

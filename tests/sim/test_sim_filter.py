@@ -1,4 +1,4 @@
-"""The Bartlett filter, seen from outside: the table of CHIP.md, every output register, gyro ranges."""
+"""The Bartlett filter, seen from outside: the data sheet's table, every output register, gyro ranges."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The register file against CHIP.md: defaults, access, widths, byte writes, flash."""
+"""The register file against the data sheet: defaults, access, widths, byte writes, flash."""
 
 import pytest
 

@@ -28,9 +28,9 @@ def test_cycles_that_equal_an_eccentricity_of_one_side_share_its_set():
 
 
 def test_scatter_of_the_fixture_is_not_many_cycles():
-    results = [trace(loose_fixture(seed)) for seed in range(8)]
+    results = [trace(loose_fixture(seed)) for seed in range(4)]
     assert not any("stage_periodic" in names(result) for result in results)
-    assert sum("fixture_scatter" in names(result) for result in results) >= 6
+    assert sum("fixture_scatter" in names(result) for result in results) >= 3
 
 
 def test_a_worm_is_found_in_the_order_in_which_few_cycles_grow():

@@ -50,7 +50,7 @@ def format_fixed(value: float | None, decimals: int) -> str:
     """Format a value with a number of decimals; None, NaN and infinity become a dash."""
     if value is None or not math.isfinite(value):
         return DASH
-    return use_minus(f"{value:.{decimals}f}") if decimals <= 9 else format_number(value, 2)
+    return use_minus(f"{value:z.{decimals}f}") if decimals <= 9 else format_number(value, 2)
 
 
 def signed(value: float | None, decimals: int | None = None, *, digits: int = 0) -> str:
@@ -68,7 +68,8 @@ def signed(value: float | None, decimals: int | None = None, *, digits: int = 0)
     text = f"{value:.{digits or 6}g}"
     text = format_number(value, digits or 6) if "e" in text else text
     text = text if decimals is None else format_fixed(value, decimals)
-    return use_minus(text) if math.copysign(1.0, value) < 0 else f"+{text}"
+    text = use_minus(text)
+    return text if text.startswith("−") else f"+{text}"
 
 
 def format_span(low: float, high: float, decimals: int, unit: str) -> str:

@@ -96,6 +96,16 @@ def replacing(path: str | Path) -> Iterator[Path]:
             beside.unlink(missing_ok=True)
 
 
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text to a file as UTF-8, completely or not at all; an existing file is replaced.
+
+    A lone surrogate becomes a question mark (`write_utf8`). Raises `OutputError` if the file cannot be
+    written.
+    """
+    with replacing(path) as temporary:
+        write_utf8(temporary, text)
+
+
 def _special(path: Path) -> bool:
     return path.exists() and not path.is_file() and not path.is_dir()
 

@@ -19,15 +19,15 @@ Entries = Iterable[tuple[str, Row]]
 """Pairs of a parameter's name and its entry in a JSON document; a name may occur twice (two effects)."""
 
 
-def align_columns(rows: Sequence[Sequence[str]], texts: int = 2, indent: int = 2) -> list[str]:
+def align_columns(rows: Sequence[Sequence[str]], texts: int = 2) -> list[str]:
     """Format table rows, column headings first, as lines of plain text with aligned columns.
 
-    The first `texts` columns are aligned to the left, the others to the right. Each line is indented by
-    `indent` blanks.
+    The first `texts` columns are aligned to the left, the others to the right. Each line is indented by two
+    blanks.
     """
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
-        " " * indent
+        "  "
         + "  ".join(
             cell.ljust(width) if k < texts else cell.rjust(width)
             for k, (cell, width) in enumerate(zip(row, widths, strict=True))

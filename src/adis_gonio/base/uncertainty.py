@@ -2,7 +2,7 @@
 
 The methods are JCGM 100:2008 (GUM), G.4.1 (Welch–Satterthwaite) and G.3.2 (Student's distribution). A
 change of a level changes results. `adis_gonio.tracing.thresholds` has the numbers of the trace's search,
-and `adis_gonio.bench.bringup.limits` the limits for commissioning a sensor.
+and `adis_gonio.bench.bringup.bringup_step` those for commissioning a sensor.
 """
 
 from __future__ import annotations

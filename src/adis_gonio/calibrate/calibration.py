@@ -25,7 +25,7 @@ from adis_gonio.base.conformity import ErrorCurve
 from adis_gonio.base.errors import DataError, FitError, UsageError
 from adis_gonio.base.jsonable import HIDDEN, OPTIONAL, JsonRecord, json_object, json_text
 from adis_gonio.base.numbers import counted, join_words
-from adis_gonio.base.output import check_output, replacing, write_utf8
+from adis_gonio.base.output import check_output, write_text
 from adis_gonio.base.tables import ParameterTable
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.model.effects import AXES, Conditions, Effect, catalogue, effect
@@ -179,8 +179,7 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
         OutputError
             The file cannot be written.
         """
-        with replacing(check_output(path, force=force)) as temporary:
-            write_utf8(temporary, json_text(self.as_dict()))
+        write_text(check_output(path, force=force), json_text(self.as_dict()))
 
     def _entries(self, where: Provenance | GyroCalibration) -> dict[str, Any]:
         """Return the entries that the JSON documents of accelerometer and gyro calibrations have in common.

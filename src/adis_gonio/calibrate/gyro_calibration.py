@@ -416,7 +416,10 @@ def gyro_directions(misalignment_deg: Floats) -> Floats:
 
 
 def sensitivity_of(v: ByKind) -> Floats:
-    """Return the matrix (3, 3) of scale factor times direction, one row for each gyro."""
+    """Return the matrix (3, 3) of scale factor times direction, one row for each gyro.
+
+    `v` are the parameters by kind (`GyroCalibration.by_kind`).
+    """
     return np.asarray(v["gyro_scale"][:, None] * gyro_directions(v["gyro_misalignment"]))
 
 

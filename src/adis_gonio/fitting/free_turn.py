@@ -638,7 +638,7 @@ def require_axis(series: TurnRecording, windows: Windows) -> None:
 
 
 def sweeps_of(psi_rad: Floats) -> Sweeps:
-    """Return the number of full turns and the range of angles of a recording.
+    """Return the numbers of full turns and degrees that a recording covers.
 
     `psi_rad` (m,) is the unwrapped angle ψ at each window. A turn back counts as a turn.
     """

@@ -21,7 +21,7 @@ leaves the effects out, so the error that they cause has this second moment, and
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -513,7 +513,7 @@ def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
         away = temperature - temperature.mean()
         columns = away[:, None, None] * np.eye(axes)
         # Part of the columns that the parameters do not explain, which the residual can show.
-        left = _without(fit.white(columns), fit.jacobian)
+        _, left = _fitted(fit.white(columns), fit.jacobian)
         # Combine the prior of the data sheet with the information in the residual of this session.
         spread = 1 / np.sqrt(1 / figure**2 + (left**2).sum(axis=0))
         acts = columns * spread
@@ -691,16 +691,10 @@ def missing_effects(fit: Fit) -> Floats:
         Fit of the incomplete model. The noise of its readings has to include the scatter of the residual,
         so that random scatter is considered as the alternative to missing effects.
     """
-    columns = np.concatenate([*_columns(fit), np.zeros((*fit.data.mean.shape, 0))], axis=2)
-    white = fit.white(columns)
-    size = np.linalg.norm(white, axis=0)
-    # Only the part that the parameters do not describe shows in the residual.
-    remaining = _without(white, fit.jacobian)
-    shown = np.linalg.norm(remaining, axis=0) > _DESCRIBED * size
-    columns, remaining = columns[:, :, shown], remaining[:, shown]
+    columns, _, remaining = _shown_columns(fit, _columns(fit))
     if not columns.shape[2]:
         return columns
-    residual = _without(fit.residual.reshape(-1, 1), fit.jacobian)[:, 0]
+    _, residual = _fitted(fit.residual.ravel(), fit.jacobian)
     # In the basis of the singular vectors the amplitudes are independent.
     left, singular, right = np.linalg.svd(remaining, full_matrices=False)
     along = left.T @ residual
@@ -732,14 +726,9 @@ def missing_curvature(fit: Fit, inflation: float = 1.0) -> Floats:
     inflation : float
         Factor on the variance of the noise.
     """
-    columns = np.concatenate([*_columns(fit, ("reading",)), np.zeros((*fit.data.mean.shape, 0))], axis=2)
-    white = fit.white(columns)
-    # Change of the parameters by an amplitude of typical size, and the part that they do not describe.
-    moved = np.linalg.lstsq(fit.jacobian, white, rcond=1e-9)[0]
-    remaining = white - fit.jacobian @ moved
-    shown = np.linalg.norm(remaining, axis=0) > _DESCRIBED * np.linalg.norm(white, axis=0)
-    moved, remaining = moved[:, shown], remaining[:, shown]
-    if not shown.any():
+    # A change of the readings by an amplitude of typical size moves the parameters.
+    _, moved, remaining = _shown_columns(fit, _columns(fit, ("reading",)))
+    if not remaining.shape[1]:
         return moved @ moved.T
     information = (remaining**2).sum(axis=0) / inflation
     score = remaining.T @ fit.residual.ravel() / inflation
@@ -767,9 +756,24 @@ def _columns(fit: Fit, covariates: tuple[str, ...] | None = None) -> Iterator[Fl
         yield fit.candidate(term) * np.array([term.effect.parameters[k].typical for k in term.amplitudes])
 
 
-def _without(rows: Floats, columns: Floats) -> Floats:
-    """Return the residual (m, d) of the rows (m, d) after a least-squares fit by the columns (m, p)."""
-    return np.asarray(rows - columns @ np.linalg.lstsq(columns, rows, rcond=1e-9)[0])
+def _shown_columns(fit: Fit, changes: Iterable[Floats]) -> tuple[Floats, Floats, Floats]:
+    """Return the changes of the readings that the parameters of a fit do not describe completely.
+
+    `changes` are arrays (n, axes, d). Returned are k of their columns (n, axes, k), the changes (p, k) of
+    the parameters that describe them best, and the remaining part (rows, k), whitened.
+    """
+    columns = np.concatenate([*changes, np.zeros((*fit.data.mean.shape, 0))], axis=2)
+    white = fit.white(columns)
+    # Only the part that the parameters do not describe shows in the residual.
+    moved, remaining = _fitted(white, fit.jacobian)
+    shown = np.linalg.norm(remaining, axis=0) > _DESCRIBED * np.linalg.norm(white, axis=0)
+    return columns[:, :, shown], moved[:, shown], remaining[:, shown]
+
+
+def _fitted(rows: Floats, columns: Floats) -> tuple[Floats, Floats]:
+    """Return the coefficients (p, …) of a fit of rows (m, …) by columns (m, p), and the residual."""
+    found = np.asarray(np.linalg.lstsq(columns, rows, rcond=1e-9)[0], dtype=float)
+    return found, rows - columns @ found
 
 
 def _factor(strength: Floats, power: Floats) -> float:

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats, log_sum_exp
+from adis_gonio.base.arrays import Floats, central_differences, log_sum_exp
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.fleet.population_likelihood import (
@@ -33,6 +33,9 @@ _FACTORS = np.geomspace(0.4, 2.5, 9)
 
 The posterior of the share of affected sessions is averaged over this grid.
 """
+
+_STEP = 0.05
+"""Step of the derivatives by the parameters of a distribution (`parameters_of`)."""
 
 
 def share_of(
@@ -120,11 +123,13 @@ def _uncertainty(population: Population, others: Sequence[ChosenCause], part: Ch
         return None
     given = population.given_others(others, part).inside(part.group.inside)
 
-    def value(parameters: Floats) -> float:
-        return float(given.gain(group_at(parameters, start), MOST_OF_KNOWN).sum())
+    def slope(parameters: Floats) -> Floats:
+        return central_differences(
+            lambda own: given.gain(group_at(own, start), MOST_OF_KNOWN).sum(), parameters, _STEP
+        )
 
     # Parameters: logit of the share, log of the spread, mean.
-    hessian = _curvature(value, at)
+    hessian = -central_differences(slope, at, _STEP)
     # A share at its bound or a spread near zero has no curvature: it stays fixed.
     free = np.diagonal(hessian) > 1e-2
     free[2:] = True
@@ -134,23 +139,6 @@ def _uncertainty(population: Population, others: Sequence[ChosenCause], part: Ch
         return None
     variance = np.diagonal(covariance)[int(free[:2].sum()) :]
     return np.sqrt(variance) if (variance > 0).all() else None
-
-
-def _curvature(value, at: Floats, step: float = 0.05) -> Floats:  # type: ignore[no-untyped-def]
-    """Return minus the second derivatives (p, p) of a function at a point (p,).
-
-    `value` is the function, `at` the point. The derivatives are central differences over the distance
-    `step`.
-    """
-    count = len(at)
-    moves = step * np.eye(count)
-    out = np.zeros((count, count))
-    for i in range(count):
-        for j in range(i, count):
-            # f(+,+) − f(+,−) − f(−,+) + f(−,−) over 4 h²
-            corners = [a * b * value(at + a * moves[i] + b * moves[j]) for a in (1, -1) for b in (1, -1)]
-            out[i, j] = out[j, i] = -sum(corners) / (4 * step**2)
-    return out
 
 
 ASKED = (0.1, 0.3, 1.0)

@@ -118,8 +118,9 @@ class Common(JsonRecord):
         affected, low, high = (format_percent(share[name]) for name in ("value", "low", "high"))
         return (
             f"{what}{axes}: in {affected} ({low} to {high}) of"
-            f" {counted(self.sessions, 'session')}{where}, {sign} ({sizes}); p < {_p(self.p_value)},"
-            f" on held-out sessions the log likelihood gains {self.heldout_gain:.1f}"
+            f" {counted(self.sessions, 'session')}{where}, {sign} ({sizes});"
+            f" p < {max(self.p_value, 1e-99):.1g}, on held-out sessions the log likelihood gains"
+            f" {self.heldout_gain:.1f}"
         )
 
     def _size(self, name: str) -> str:
@@ -128,10 +129,6 @@ class Common(JsonRecord):
             return f"{name} about {spread:.2g} {value.unit}"
         sure = "" if value.U is None else f" ± {value.U:.1g}"
         return f"{name} {value.value:.3g}{sure} {value.unit}, scattering by {spread:.1g}"
-
-
-def _p(value: float) -> str:
-    return f"{max(value, 1e-99):.1g}"
 
 
 class PopulationResult(JsonRecord):
@@ -371,7 +368,10 @@ def _common(population: Population, others: Sequence[ChosenCause], step: Selecti
         relative=part.amplitudes.relative,
         p_value=min(1.0, math.exp(-step.log_evidence)),
         heldout_gain=step.heldout,
-        affected=tuple(_unit(units, i, float(probable[i])) for i in order),
+        affected=tuple(
+            Affected(one.source, one.serial, one.digest, float(probable[i]))
+            for i, one in ((i, units.evidence[i]) for i in order)
+        ),
     )
 
 
@@ -384,11 +384,6 @@ def _dependence(names: Sequence[Kind], best: Kind) -> str:
     also = [name for name, named in names if named]
     what = best[0] if not best[1] else nameless[0]
     return what + (f" (or {', '.join(also)})" if also else "")
-
-
-def _unit(units: Units, index: int, probability: float) -> Affected:
-    one = units.evidence[index]
-    return Affected(one.source, one.serial, one.digest, probability)
 
 
 def _without_evidence(units: Units) -> dict[str, str]:

@@ -345,17 +345,17 @@ def evidence_of(session: Session, result: TraceResult | None = None) -> SessionE
     DataError, FitError
         The session has no readings to fit, or the fit fails.
     """
-    if result is None or not result.fits:
-        data = readings_of(session).training
-        fit = Fit.begin(data).with_terms((_bias(data),), (np.zeros(data.axes),)).refit()
-    else:
+    data = result.fits[-1].data if result and result.fits else readings_of(session).training
+    bias = NamedTerm.offset(AXES[: data.axes])
+    if result and result.fits:
         fit = result.fits[-1]
-        data = fit.data
+    else:
+        fit = Fit.begin(data).with_terms((bias,), (np.zeros(data.axes),)).refit()
     # Bias and single dwells are projected out, as is the base model.
     single = [
         term for term in fit.terms if isinstance(term, NamedTerm) and "dwell" in term.effect.choices()
     ]
-    base, target = reduced(fit, [_bias(data), *single])
+    base, target = reduced(fit, [bias, *single])
     # χ² of the fitted model: a large effect that a trace has found is no scatter.
     rest = fit.residual.ravel()
     rest = rest - base @ (base.T @ rest)
@@ -380,10 +380,6 @@ def evidence_of(session: Session, result: TraceResult | None = None) -> SessionE
         digest=origin.sha256,
         **{name: getattr(origin, name) for name in _TEXTS[1:]},
     )
-
-
-def _bias(data: Readings) -> NamedTerm:
-    return NamedTerm.offset(AXES[: data.axes])
 
 
 def _unit(directions: Floats) -> Floats:

@@ -261,7 +261,7 @@ def _administrative(parent: ET.Element, calibration: Calibration, issued: date |
     ):
         _add(core, name, text)
     sensors = "Accelerometers" if calibration.gyro is None else "Accelerometers and gyros"
-    item = _named(_add(parent, "items"), "item", f"{sensors} of an {where.sensor} in a goniometer")
+    item = _named(_add(parent, "items"), "item", f"{sensors} of sensor {where.sensor} in a goniometer")
     if where.sensor in VARIANTS:
         _named(item, "manufacturer", "Analog Devices")
     _add(item, "model", where.sensor)

@@ -170,7 +170,7 @@ def registers_text(calibration: Calibration) -> str:
     """
     where, gyro = calibration.provenance, calibration.gyro
     lines = [
-        f"# Offsets that remove the bias of an {where.sensor}, part {where.serial or 'not stated'}, "
+        f"# Offsets that remove the bias of sensor {where.sensor}, part {where.serial or 'not stated'}, "
         f"by {where.software}, from {where.source or 'a session'} (data {where.sha256[:16]}).",
         "# Write them: adis-gonio registers URL $(grep -v '^#' THIS_FILE)  # and --save for flash",
         "# The part adds them to its outputs; coefficients exported before hold for the old offsets only.",

@@ -258,7 +258,7 @@ def calibration_for(calibration: Calibration, source: LiveSource) -> Calibration
     if where.counts:
         raise UsageError("the calibration takes readings in counts of unknown scale; a sensor gives mg")
     if where.sensor != source.part:
-        raise UsageError(f"the calibration is of an {where.sensor}, this is an {source.part}")
+        raise UsageError(f"the calibration is of sensor {where.sensor}, this is sensor {source.part}")
     return calibration.for_registers(source.offsets_lsb, source.gyro_offsets_lsb)
 
 
@@ -363,14 +363,14 @@ class LiveBlocks:
 
     def __next__(self) -> Block:
         """Return the next block; if the link breaks and does not return in time, raise its error."""
-        try:
-            return next(self._blocks)
-        except (BusError, ChipError) as error:
-            if not self._patience_s:
-                raise
-            self._broken(error)
-            self._again(error)
-        return next(self)
+        while True:
+            try:
+                return next(self._blocks)
+            except (BusError, ChipError) as error:
+                if not self._patience_s:
+                    raise
+                self._broken(error)
+                self._again(error)
 
     def _again(self, error: Exception) -> None:
         self.close()

@@ -42,6 +42,8 @@ steps within its lag. This pass follows Rauch, Tung and Striebel in the form of 
 smoothing with discrete measurements", 1973). It carries the information of later observations as an adjoint
 vector and matrix, and needs no inverse, so constant parts of the state, or parts without variance, are no
 special case.
+
+A letter B or D after a figure is its confidence: B from the data sheet of related sensors, D an estimate.
 """
 
 from __future__ import annotations
@@ -763,7 +765,7 @@ class PlaneWatch:
     def see(self, rate_dps: Floats, accel_mg: Floats) -> float:
         """Add a time step; return the error (°/s) of the angle's rate because of turns out of the plane.
 
-        It is 0 before the first rest.
+        `rate_dps` (3,) and `accel_mg` (3,) are the means of the step. The error is 0 before the first rest.
         """
         self._rows.append(np.concatenate([rate_dps, accel_mg]))
         if len(self._rows) == self._rows.maxlen:
@@ -966,7 +968,7 @@ class AngleSmoother:
             self._done -= 1
 
     def _pass(self, state: StateEstimate) -> None:
-        """Advance the Kalman filter by the oldest waiting time step, from `state`."""
+        """Advance the Kalman filter from `state` by the oldest time step that it has not passed."""
         passed = advance(state, self._step_of(self._done, state))
         self._state = self._doubt_calibration(passed.filtered)
         self._done += 1
@@ -1052,7 +1054,7 @@ class AngleSmoother:
     def angle(self) -> SmoothedAngle | None:
         """Return the angle at one lag before the newest sample, estimated from all samples so far.
 
-        None until a lag has passed.
+        Return None until a lag has passed.
         """
         if self._state is None or not self._done:
             return None

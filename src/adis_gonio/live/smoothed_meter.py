@@ -170,7 +170,7 @@ class SmoothedMeter:
     def reading(self, end_s: float) -> Smoothed | None:
         """Return the smoothed angle at one lag before `end_s`, the time of the last sample.
 
-        None until a lag has passed.
+        Return None until a lag has passed.
         """
         angle, calibration = self._smoother.angle(), self._calibration
         if angle is None:

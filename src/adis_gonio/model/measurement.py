@@ -183,7 +183,7 @@ class Measurement(ABC):
         return np.array([parameter.nominal for parameter in self.parameters])
 
     def by_pose(self, conditions: Conditions) -> NDArray[np.bool_]:
-        """Return for each reading (n,) True if the pose determines it, as at rest, False if a turn does."""
+        """Return for each reading (n,) True if it was taken at rest in a pose, False if in a turn."""
         return np.ones(len(conditions), dtype=bool)
 
     @abstractmethod
@@ -333,7 +333,10 @@ class PlanarTurn(Measurement):
         return ideal
 
     def tangent(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Return the derivative of the readings by δ: −K_x G sin ψ and K_y G cos(ψ + Δφ), (n, 2, 1)."""
+        """Return the derivative of the readings by δ, (n, 2, 1) in mg per rad.
+
+        It is −K_x G sin ψ for x and K_y G cos(ψ + Δφ) for y.
+        """
         alpha, k_x, k_y, skew = base
         psi = alpha + turn_rad + attitude
         slope = np.empty((len(psi), 2, 1))
@@ -343,7 +346,7 @@ class PlanarTurn(Measurement):
         return slope
 
     def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Return the derivative of the readings with respect to α, K_x, K_y and Δφ, (n, 2, 4)."""
+        """Return the derivative of the readings by α, K_x, K_y and Δφ, (n, 2, 4) in mg per rad or per 1."""
         alpha, _, k_y, skew = base
         psi = alpha + turn_rad + attitude
         columns = np.zeros((len(psi), 2, 4))
@@ -424,7 +427,10 @@ class FreeAttitude(Measurement):
         return np.asarray(self.gravity_mg * np.einsum("jk,nkm->njm", sensitivity(base), across(attitude)))
 
     def columns(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
-        """Return the derivative of the readings by three scale factors and three skews, (n, 3, 6)."""
+        """Return the derivative of the readings, (n, 3, 6) in mg, by three scale factors and three skews.
+
+        It is per 1 for a scale factor, and per rad for a skew.
+        """
         columns = np.zeros((len(attitude), 3, 6))
         ideal = self.gravity_mg * attitude @ axes_matrix(base[3:]).T
         for axis in range(3):
@@ -497,7 +503,10 @@ def axes_matrix(skews_rad: Floats) -> Floats:
 
 
 def axes_matrix_derivatives(skews_rad: Floats) -> Floats:
-    """Return the derivatives of D with respect to each skew, (3, 3, 3); the first index is the skew."""
+    """Return the derivatives of the axes' directions D by each skew, (3, 3, 3) per rad.
+
+    The first index is the skew. `axes_matrix` returns D, whose rows are the axes.
+    """
     axes = axes_matrix(skews_rad)
     (s_xy, s_xz, _), (c_xy, c_xz, c_yz) = np.sin(skews_rad), np.cos(skews_rad)
     y, z = axes[2, 1], axes[2, 2]

@@ -12,7 +12,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -518,7 +518,3 @@ class Session(ComputedOnce):
     def gravity_mg(self) -> float:
         """Local gravity in mg (thousandths of the standard 9.80665 m/s²)."""
         return 1000.0 * self.gravity_mps2 / STANDARD_GRAVITY_MPS2
-
-    def used_for(self, use: Use) -> Session:
-        """Return a copy of the session that contains only the dwells with this `use`, such as `fit`."""
-        return replace(self, dwells=tuple(dwell for dwell in self.dwells if dwell.use == use))

@@ -236,7 +236,7 @@ class Candidates:
         return Criterion(best, self.base, self.gradient, self.precision)
 
     def _covariance(self, choice: Choice) -> Floats:
-        """Return the covariance (2 n, 2 n) in mg² of the readings of a plan with n dwells and two axes."""
+        """Return the covariance (2 n, 2 n) in mg² of the readings of the plan `choice` with n dwells."""
         n = len(choice)
         covariance = self.shared.copy()
         each = np.arange(n)
@@ -809,7 +809,7 @@ def prediction_lines(
     yield from _reach_lines(prediction.reach)
     if found is not None:
         yield ""
-        yield "Gain: the other plan's uncertainty through this one's"
+        yield "Gain: the other plan's uncertainty divided by this one's"
         rows = [["over", "criterion", *_GAINED.values()]]
         for gain in found.gains:
             ratios = [_ratio(gain.u.get(name)) for name in _GAINED]
@@ -879,9 +879,9 @@ def _sight_lines(sight: Sight) -> Iterator[str]:
         else:
             cells.append(f"{name} {with_unit(format_number(one.amplitude, 2), one.unit)}")
     if cells:
-        yield "Sees from this size on (found in 90 of 100 sessions)"
+        yield "Shows effects from these sizes on (found in 90 of 100 sessions)"
         yield from arrange_in_columns(cells)
-    yield "Cannot see"
+    yield "Cannot show"
     for reason, names in blind.items():
         yield from fold_text(f"{', '.join(names)}: {reason}", WIDTH, 2)
     yield "Cannot tell apart"
@@ -891,7 +891,7 @@ def _sight_lines(sight: Sight) -> Iterator[str]:
     for name, several in others.items():
         yield from fold_text(f"{name} from {', '.join(several)}", WIDTH, 2)
     if not others:
-        yield "  nothing of what it sees"
+        yield "  every effect that it shows differs from the others"
 
 
 def arrange_in_columns(cells: Sequence[str], least: int = 38) -> Iterator[str]:

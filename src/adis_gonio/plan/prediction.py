@@ -29,7 +29,7 @@ from adis_gonio.base.jsonable import INLINE, JsonRecord
 from adis_gonio.base.numbers import join_words
 from adis_gonio.base.uncertainty import Detectable, Value
 from adis_gonio.device.sensor.registers import VARIANTS, Variant, variant
-from adis_gonio.device.sensor.settings import filter_settling_samples, sample_period_s
+from adis_gonio.device.sensor.settings import filter_settling_samples, filter_weights, sample_period_s
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, flicker_parts, from_means, quantized_means
 from adis_gonio.fitting.estimation.terms import NamedTerm
@@ -174,9 +174,7 @@ class Bench:
         variance.
         """
         step = self.part.accel_mg_per_lsb
-        # The filter: two boxcars of 2^M taps, convolved.
-        taps = 2**self.settings.filter_m
-        weights = np.convolve(np.full(taps, 1 / taps), np.full(taps, 1 / taps))
+        weights = filter_weights(self.settings.filter_m)
         own = self.white_mg**2 * float(weights @ weights) + step**2 / 12
         remainder = quantized_means(np.array([[own]]), np.array([step]))
         # If noise dithers the steps, the rounding of a sample is white, and averaging lowers it too.
@@ -300,9 +298,9 @@ class PlanUncertainty:
     roots_deg: Floats | None = field(default=None, compare=False)
 
     def conformity(self, tolerance: Tolerance) -> Conformity | None:
-        """Return the conformity of the calibrated angle with a tolerance after such a session.
+        """Return the conformity of the calibrated angle with a tolerance after a session with the plan.
 
-        None if the plan does not determine the angle.
+        Return None if the plan does not determine the angle.
         """
         if self.roots_deg is None:
             return None
@@ -412,9 +410,9 @@ def predict_uncertainty(plan: Plan, bench: Bench) -> PlanUncertainty:
 
 
 def _reach_off(plan: Plan, bench: Bench, off_deg: Floats) -> PlanUncertainty | None:
-    """Predict the uncertainties if stage angles are wrong by `off_deg` (n,).
+    """Predict the uncertainties if the stage's angles are wrong by `off_deg` (n,).
 
-    None if the fit to such a session fails.
+    Return None if the fit to such a session fails.
     """
     try:
         return _reach(fit_readings(expected_readings(plan, bench, off_deg).training))

@@ -73,7 +73,7 @@ from adis_gonio.record.blocks import GENERIC, UNITS, Block, count_alarms, from_b
 from adis_gonio.record.plans import Plan, Position
 
 MOST_STEPS = 100_000_000
-"""Number of SQLite's machine instructions after which a query is stopped; a day-long session takes 10⁶."""
+"""Number of SQLite instructions after which a query is stopped; a day-long session takes 10⁶."""
 LONGEST_ROW_BYTES = 4_000_000
 """Largest size of a table row in bytes: a block has some ten kilobytes, a plan of 3600 positions 500 kB."""
 MOST_TEXT = 4_000_000
@@ -433,10 +433,10 @@ class ArchiveView(Closing):
                 raise damaged(self.path, f"run {run} goes on after attempt {after}")
 
     def dwells(self) -> list[StoredAttempt]:
-        """Return the complete dwells in the order of recording, at most one for each place of the plan.
+        """Return the complete dwells in the order of recording, at most one for each position of the plan.
 
-        Of a repeated dwell only the last counts. If the last dwell of a place was withdrawn, the place has
-        no dwell, and the operator is asked for it again.
+        If a position was repeated, only its last dwell counts. If the operator withdrew this dwell, the
+        position has no dwell, and the operator is asked for it again.
         """
         attempts = self.attempts()
         latest = {a.place: a.number for a in attempts if a.outcome == "complete"}
@@ -447,9 +447,9 @@ class ArchiveView(Closing):
         """Return the reasons to doubt a result of this session, as mappings with `kind` and `message`.
 
         There are two sorts of reason. If the operator overruled a guard (a check at the bench) in a dwell
-        that is used, `attempt` is the number of the dwell. If a place was skipped because its reading
+        that is used, `attempt` is the number of the dwell. If a position was skipped because its reading
         contradicted earlier dwells, and all these dwells are used, one of them may be wrong: `place` is
-        then the skipped place, and `attempt` is None.
+        then the number of the skipped position in the plan, from 0, and `attempt` is None.
         """
         dwells = self.dwells()
         counted, places = {attempt.number for attempt in dwells}, {attempt.place for attempt in dwells}
@@ -464,7 +464,7 @@ class ArchiveView(Closing):
         return kept + [{"attempt": None, **doubt} for doubt in skipped.values()]
 
     def _require_place(self, place: int) -> int:
-        """Return `place`, a position's number in a record; raise `DataError` if the plan is shorter."""
+        """Return `place`, the number of a position in the plan; `DataError` if the plan is shorter."""
         if place >= len(self.plan()):
             raise damaged(self.path, f"a record names place {place}, which the plan does not have")
         return place
@@ -506,12 +506,12 @@ class ArchiveView(Closing):
         ]
 
     def skipped(self) -> set[int]:
-        """Return the places of the plan that the operator skipped and that have no dwell."""
+        """Return the numbers, from 0, of the plan's positions that were skipped and have no dwell."""
         skipped = {self._require_place(place) for place in {r.value for r in self.records("skipped")}}
         return skipped - {a.place for a in self.dwells()}
 
     def pending(self) -> list[int]:
-        """Return the places of the plan, in order, that still need a dwell and were not skipped."""
+        """Return the numbers, from 0, of the plan's positions without a dwell that were not skipped."""
         settled = {a.place for a in self.dwells()} | self.skipped()
         return [place for place in range(len(self.plan())) if place not in settled]
 

@@ -44,7 +44,7 @@ from adis_gonio.base.arrays import Floats, wrap_radians
 from adis_gonio.base.errors import DataError, UsageError, suggest
 from adis_gonio.base.jsonable import OPTIONAL, JsonRecord, finite, json_value
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.output import ends_in, replacing
+from adis_gonio.base.output import ends_in, write_text
 from adis_gonio.base.shapes import ShapeError, anything, choice, fields, list_of, number, shown, text
 from adis_gonio.base.uncertainty import POSITION_QUESTIONED
 from adis_gonio.model.records import Plane, Use
@@ -216,7 +216,8 @@ def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0)
     if name == GYRO_TURNS:
         raise UsageError("gyro turns have no positions: calibrate URL --plan gyro-turns --turns N")
     if kind is None:
-        raise UsageError(f"no plan is called '{name}'; {suggest(name, _KINDS)}")
+        known = suggest(name, (*_KINDS, "free-turn", GYRO_TURNS, "or a plan file (.json)"))
+        raise UsageError(f"no plan is called '{name}'; {known}")
     count = kind.default if positions is None else positions
     if kind.fixed and count != kind.default:
         raise UsageError(
@@ -434,8 +435,7 @@ def write_plan(path: str | Path, made: Plan, made_for: Mapping[str, Any] | None 
         The file cannot be written.
     """
     content = json.dumps(document_of(made, made_for), ensure_ascii=False, indent=1, allow_nan=False)
-    with replacing(path) as temporary:
-        temporary.write_text(f"{content}\n", encoding="utf-8", newline="\n")
+    write_text(path, f"{content}\n")
 
 
 def read_plan(path: str | Path) -> Plan:
@@ -532,9 +532,9 @@ K = NormalDist().inv_cdf(1 - POSITION_QUESTIONED / 2)
 """Deviation of an angle, in standard uncertainties, above which a position is reported as doubtful."""
 
 GAIN_LIMIT = 0.02
-"""Limit of the relative error of a gain (rectangular distribution): ±2 %, by the sibling's data sheet."""
+"""Limit of the relative error of a gain: ±2 % (rectangular distribution), by the ADIS16350's data sheet."""
 ANGLE_LIMIT_DEG = 0.25 + 0.5
-"""Limit of Δφ in degrees: non-orthogonality ±0.25° and axis to frame ±0.5° (sibling's data sheet)."""
+"""Limit of Δφ in degrees: non-orthogonality ±0.25° and axis to frame ±0.5° (ADIS16350's data sheet)."""
 UNMODELLED_MG = SHIFT_MG / math.sqrt(3)
 """Standard uncertainty in mg of a reading from effects outside this model.
 

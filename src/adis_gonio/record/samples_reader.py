@@ -125,7 +125,7 @@ class SamplesTable:
     # -- rows -----------------------------------------------------------------------------------------
 
     def take(self, chunk: samples_header.Chunk) -> None:
-        """Add the next chunk of lines."""
+        """Add the rows in the next chunk of the file's lines to the table."""
         rows, lines = [], []
         for number, line in enumerate(chunk.lines, chunk.first):
             if not line.startswith(("#", '"#')):
@@ -585,7 +585,7 @@ def _stated(table: SamplesTable, name: str, rows: slice) -> Texts:
 
 
 def _one_value(table: SamplesTable, name: str, texts: Texts) -> Any:
-    """Return the value that all texts (row and text) of a dwell agree on."""
+    """Return the value of all texts (row and text) of a dwell; raise `DataError` if they differ."""
     values = []
     for row, text in texts:
         try:

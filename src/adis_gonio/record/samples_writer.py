@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.base import Closing
 from adis_gonio.base.errors import OutputError, UsageError
-from adis_gonio.base.output import ends_in, exists_error, replacing, write_utf8
+from adis_gonio.base.output import ends_in, exists_error
 from adis_gonio.model.records import (
     METADATA,
     SERIES,
@@ -183,18 +183,6 @@ def template_text(
         }  # fmt: skip
         rows.append([COLUMNS[name].text(values[name]) if name in values else "" for name in names])
     return _file_text([*_leading_lines(keys), *(f"# {line}" for line in _HELP)], names, rows)
-
-
-def write_template(path: Path, text: str) -> None:
-    """Write the text of a template to a file.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
-    with replacing(path) as temporary:
-        write_utf8(temporary, text)
 
 
 def session_dict(session: Session) -> dict[str, Any]:

@@ -69,7 +69,7 @@ class Piece:
         return len(self.time_s)
 
     def rows(self, first: int, stop: int | None = None) -> Piece:
-        """Return some rows of the piece, as views."""
+        """Return the rows `first` to `stop` (exclusive; None for the end) of the piece, as views."""
         gyro = None if self.gyro is None else self.gyro[first:stop]
         return Piece(self.time_s[first:stop], self.accel[first:stop], gyro)
 
@@ -331,7 +331,10 @@ def _extent(read: Reading) -> _Extent:
 
 
 def _spreads(deviations: Iterable[Floats], columns: int) -> list[Quantiles]:
-    """Return the distribution of the standard deviations in windows, of each of the first columns."""
+    """Return the distribution over all windows of the standard deviations in each of the first `columns`.
+
+    `deviations` has arrays (m, columns or more) with the standard deviations in m windows.
+    """
     spreads = [Quantiles() for _ in range(columns)]
     for part in deviations:
         for spread, values in zip(spreads, part.T, strict=False):

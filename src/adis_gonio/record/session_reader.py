@@ -233,7 +233,7 @@ def _facts(view: ArchiveView) -> JsonDict:
     return {
         "url": header.url,
         "note": header.note,
-        # A board that hands move is simulated too, though nothing knows its truth.
+        # A simulated board that a hand moves gives simulated samples too, although its truth is unknown.
         "simulated": header.simulated or header.url.startswith("sim:"),
         "software": header.software,
         "started_utc": header.created_utc,
@@ -310,7 +310,10 @@ def _facts_of(attempt: StoredAttempt, scans: Block, dropped: int) -> JsonDict:
 
 
 def _changed_registers(view: ArchiveView) -> list[JsonDict]:
-    """Return a list with one doubt if registers changed between start and end of a session; else empty."""
+    """Return a list with one reason to doubt the session if registers changed during it; else empty.
+
+    The reason has the form of the entries of `ArchiveView.doubts`.
+    """
     then, now = view.last("registers-configured"), view.last("registers-after")
     changed = changed_settings(then or {}, now or {})
     if not changed:

@@ -214,7 +214,7 @@ class SampleSource(Closing):
 
     @abstractmethod
     def configure(self, settings: Settings) -> Measuring:
-        """Apply the settings to the sensor, as far as it has them, and return its configuration.
+        """Apply those settings that the sensor has, and return its configuration.
 
         The data-ready line is reserved until `give_back`.
         """

@@ -133,7 +133,10 @@ class _Windows:
         self.fed = 0
 
     def feed(self, samples: Floats) -> list[tuple[int, Floats]]:
-        """Return the windows (length, 3) that these samples complete, with the sample count at each end."""
+        """Return the windows (length, 3) that these samples (n, 3) complete.
+
+        Each window comes with the number of samples fed up to its end.
+        """
         self._kept = np.concatenate([self._kept, samples])
         self.fed += len(samples)
         first = self.fed - len(self._kept)

@@ -344,7 +344,8 @@ def _words(registers: str, flashed: str, axes: Mapping[str, RegisterState], last
         return f"the sensor holds the {registers} offsets{flashed}{begun}"
     each = ", ".join(f"{name} {state}" for name, state in axes.items())
     if registers == "half":
-        return f"the sensor holds half of it ({each}){begun}: write again to finish, --undo to set back"
+        finish = "write again to finish, --undo to set back"
+        return f"the sensor holds a part of the new offsets ({each}){begun}: {finish}"
     return f"the sensor holds neither the old nor the new offsets ({each}): changed since, or another part"
 
 

@@ -193,7 +193,7 @@ class SimStream(FrameStream):
             period = chip.update_period_s
             stride = max(1, math.ceil((_TRIGGER_S + k * timing.frame_s) / period - 1e-9))
             lost = (stride - 1) * self._block
-            if self._last_edge is not None:  # the chip may have lived on meanwhile
+            if self._last_edge is not None:  # the chip's time may have passed meanwhile
                 lost += max(0, round((first - self._last_edge) / period) - stride)
             edges = first + stride * period * np.arange(self._block, dtype=np.float64)
             starts = (edges + _TRIGGER_S)[:, None] + timing.frame_s * np.arange(k)

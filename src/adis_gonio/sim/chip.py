@@ -3,7 +3,7 @@
 `SimulatedChip.frame` gets one frame as the pins see it: the fall of chip select, the clock and the number
 of bits. Between two frames the chip updates its outputs, writes its flash, tests itself or sleeps. It
 depends on neither bus nor driver; its registers are the table `adis_gonio.device.sensor.registers`. The
-levels of its DIO lines follow the order of precedence data-ready, alarm, general output (CHIP.md, A).
+levels of its DIO lines follow the order of precedence data-ready, alarm, general output (data sheet, A).
 
 Choices for behaviour that is not known
 ---------------------------------------

@@ -5,9 +5,9 @@ the gyros' frame (`gyro_misalignment_…`), and that frame is rotated against th
 (`gyro_triad_…`). `GyroTriad.truth` has the sum of both rotations, relative to the accelerometers' frame, in
 which a fit finds them.
 
-Sources of the drawn errors: CHIP is the known data of the chip. Figures with confidence B are in the data
-sheet of its siblings and are used as the size of the error. Figures with confidence D are estimates for
-parts of this class.
+The sources of the drawn errors have a confidence. Figures with confidence B are in the data sheet (DS) of
+the related sensors ADIS16350 and ADIS16355 and are used as the size of the error. Figures with confidence D
+are estimates for parts of this class.
 """
 
 from __future__ import annotations
@@ -250,6 +250,8 @@ class DrawnFault:
         Shape of the distribution.
     size : float
         Standard deviation of the normal law, or half the width of the uniform law.
+    source, confidence : str
+        Source of the size, and confidence from A to D that it is valid.
     middle : float
         Mean of the distribution.
     most : float
@@ -286,16 +288,14 @@ FIGURES: tuple[DrawnFault, ...] = (
     DrawnFault("gyro_bias_tempco_{}_dps_per_c", AXES, "normal", 0.02, _PART, "D"),
     DrawnFault("gyro_warm_up_{}_dps", AXES, "normal", 0.1, _PART, "D"),
     DrawnFault("gyro_warm_up_tau_s{}", _ONE, "uniform", 90.0, _PART, "D", middle=150.0),
-    DrawnFault(
-        "gyro_scale_{}", AXES, "normal", 0.008, "CHIP: sensitivity ±2 %", "B", middle=1.0, most=0.02
-    ),
-    DrawnFault("gyro_scale_tempco_{}_ppm_per_c", AXES, "normal", 100.0, "CHIP: 100 / 40 ppm/°C", "B"),
-    DrawnFault("gyro_asymmetry_{}", AXES, "normal", 5e-4, "CHIP: nonlinearity ±0.2 % FS allows it", "D"),
-    DrawnFault("gyro_misalignment_{}_deg", _OTHERS, "uniform", 0.25, "CHIP: non-orthogonality ±0.25°", "B"),
-    DrawnFault("gyro_triad_{}_deg", AXES, "uniform", 0.5, "CHIP: axis to frame ±0.5°", "B"),
-    DrawnFault("gyro_g_sensitivity_{}_dps_per_g", PAIRS, "normal", 0.05, "CHIP: 0.05 °/s/g", "B"),
+    DrawnFault("gyro_scale_{}", AXES, "normal", 0.008, "DS: sensitivity ±2 %", "B", middle=1.0, most=0.02),
+    DrawnFault("gyro_scale_tempco_{}_ppm_per_c", AXES, "normal", 100.0, "DS: 100 / 40 ppm/°C", "B"),
+    DrawnFault("gyro_asymmetry_{}", AXES, "normal", 5e-4, "DS: nonlinearity ±0.2 % FS allows it", "D"),
+    DrawnFault("gyro_misalignment_{}_deg", _OTHERS, "uniform", 0.25, "DS: non-orthogonality ±0.25°", "B"),
+    DrawnFault("gyro_triad_{}_deg", AXES, "uniform", 0.5, "DS: axis to frame ±0.5°", "B"),
+    DrawnFault("gyro_g_sensitivity_{}_dps_per_g", PAIRS, "normal", 0.05, "DS: 0.05 °/s/g", "B"),
     DrawnFault("gyro_g2_sensitivity_{}_dps_per_g2", PAIRS, "normal", 0.01, _PART, "D"),
-    DrawnFault("gyro_supply_{}_dps_per_v", AXES, "normal", 0.25, "CHIP: 0.25 °/s/V", "B"),
+    DrawnFault("gyro_supply_{}_dps_per_v", AXES, "normal", 0.25, "DS: 0.25 °/s/V", "B"),
     DrawnFault("gyro_rate_walk_dps_per_rt_s{}", _ONE, "uniform", 5e-4, _PART, "D", middle=5e-4),
     DrawnFault("gyro_range_gain_{}", ("150", "75"), "normal", 1e-3, _PART, "D", middle=1.0),
     DrawnFault("gyro_g_compensation{}", _ONE, "uniform", 0.1, _PART, "D", middle=0.9),

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.base.output import replacing
+from adis_gonio.base.output import write_text
 from adis_gonio.device.sensor.registers import (
     ACCEL_OFF,
     BY_ADDRESS,
@@ -229,5 +229,4 @@ class FlashFile:
     def write(self, words: Mapping[str, int], endurance: int) -> None:
         """Save register words by name and ENDURANCE to the file, completely or not at all."""
         document = {"part": self.part, "endurance": endurance, "flash": dict(words)}
-        with replacing(self.path) as beside:
-            beside.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+        write_text(self.path, json.dumps(document, indent=2) + "\n")

@@ -9,10 +9,10 @@ Some behaviour of the chip is not known. These are estimates (confidence D):
 
 The compensations of MSC_CTRL[7:6] act on each sample before the filter. The compensation of the gyros uses
 the readings of the chip's own accelerometers. `Electronics` has the size of the compensations, the
-saturation of the gyros and the gains of the ranges. CHIP.md describes these functions but not how well they
-work, so all these figures are estimates too.
+saturation of the gyros and the gains of the ranges. The data sheet describes these functions but not how
+well they work, so all these figures are estimates too.
 
-The digital filter is a Bartlett window made of two cascaded boxcars (CHIP.md, confidence A). Samples are
+The digital filter is a Bartlett window made of two cascaded boxcars (data sheet, confidence A). Samples are
 integers in fixed point, so that sums are exact however a run of samples is divided.
 """
 

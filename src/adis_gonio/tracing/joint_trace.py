@@ -37,13 +37,15 @@ from adis_gonio.record.provenance import digest_of
 from adis_gonio.tracing.credible_sets import cause_name, owners_of
 from adis_gonio.tracing.linear_problem import Products, linearise, span
 from adis_gonio.tracing.model_search import price
-from adis_gonio.tracing.selection import Selection, select
+from adis_gonio.tracing.selection import Selection, promising_labels, select
 from adis_gonio.tracing.sharing import SplitEffect
 from adis_gonio.tracing.stacking import stack
 from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace import TraceRun, correct_slips
 from adis_gonio.tracing.trace_result import NextDwell, TraceResult
 from adis_gonio.tracing.validation import held_out_alike, rms
+from adis_gonio.tracing.within.moving_lines import strongest_frequency
+from adis_gonio.tracing.within.samples import samples_of
 
 GROUPS_LEFT_OUT = 10
 """Most groups of sessions that are left out in turn."""
@@ -145,11 +147,17 @@ def trace_sessions(
 
 
 def reduced(session: Session) -> Readings:
-    """Return the readings of one session for a joint trace, with angles corrected for lasting slips."""
+    """Return the readings of one session for a joint trace, with angles corrected for lasting slips.
+
+    If a spectral line moves through the session, its frequency is among the conditions.
+    """
     try:
-        return state_noise(correct_slips(readings_of(session), positions_of(session)))
+        data = state_noise(correct_slips(readings_of(session), positions_of(session)))
     except FitError as error:
         raise FitError(failure_message(session, error)) from error
+    samples = samples_of(session, data)
+    line_hz = None if samples is None else strongest_frequency(samples, data.position)
+    return replace(data, conditions=replace(data.conditions, line_hz=line_hz))
 
 
 def origins_of(sessions: Sequence[Session]) -> list[SessionOrigin]:
@@ -311,16 +319,7 @@ def screen(data: Readings, terms: Sequence[Term], max_terms: int) -> list[Term]:
         if gains[best] <= 0:
             break
         model.append(best)
-    ranked = [problem.terms[k] for k in np.argsort(-promise)]
-    kept = {term.label for term in ranked[: limits.screened]}
-    seen = set()
-    for term in ranked:
-        if isinstance(term, NamedTerm):
-            split = term.effect.sharing.by if isinstance(term.effect, SplitEffect) else ""
-            key = term.effect.name, term.effect.axes, split
-            if key not in seen or term.constant:
-                kept.add(term.label)
-            seen.add(key)
+    kept = promising_labels(problem.terms, promise, limits.screened, by_sharing=True)
     return [term for term in terms if term.label in kept]
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import spent
 from adis_gonio.base.jsonable import ComputedOnce
 from adis_gonio.fitting.estimation.fit import Fit, adequacy
@@ -66,15 +67,8 @@ class Selection(ComputedOnce):
         They are the `limits.fold_active` terms that raised the score of any model most, the terms of the
         chosen model, and the best term of each effect on each combination of axes.
         """
-        candidates = self.problem.terms
-        ranked = [candidates[k] for k in np.argsort(-self.found.promise)]
-        active = {term.label for term in ranked[: limits.fold_active]}
+        active = promising_labels(self.problem.terms, self.found.promise, limits.fold_active)
         active |= {term.label for term in self.terms}
-        seen = set()
-        for term in ranked:
-            if isinstance(term, NamedTerm) and (term.effect.name, term.effect.axes) not in seen:
-                seen.add((term.effect.name, term.effect.axes))
-                active.add(term.label)
         return [term for term in terms if term.label in active]
 
     def without_functions(self, refuted: Sequence[Term]) -> Selection:
@@ -110,6 +104,27 @@ class Selection(ComputedOnce):
         adequate = adequacy(fit.chi2, fit.dof, fit.data.noise_dof) >= limits.adequate if known else True
         inflation = 1.0 if known and adequate else self.inflation
         return replace(self, fit=fit, adequate=adequate, inflation=inflation)
+
+
+def promising_labels(
+    terms: Sequence[Term], promise: Floats, count: int, *, by_sharing: bool = False
+) -> set[str]:
+    """Return the labels of the `count` terms of the largest promise, and of the best term of each effect.
+
+    The best term is of each effect on each combination of axes and, if `by_sharing`, for each grouping of
+    sessions; then every bias is kept. `promise` (M,) has a number for each of the `terms`.
+    """
+    ranked = [terms[k] for k in np.argsort(-promise)]
+    labels = {term.label for term in ranked[:count]}
+    seen: set[tuple[object, ...]] = set()
+    for term in ranked:
+        if isinstance(term, NamedTerm):
+            kind = type(term.effect) if by_sharing else term.effect.name
+            key = kind, term.effect.axes, term.label if by_sharing and term.constant else ""
+            if key not in seen:
+                seen.add(key)
+                labels.add(term.label)
+    return labels
 
 
 def fit_model(problem: LinearProblem, chosen: Sequence[int], about: Fit) -> Fit:

@@ -125,7 +125,7 @@ def trace(
     Raises
     ------
     DataError
-        No readings can be made from the dwells (see `adis_gonio.fitting.estimation.readings_of`).
+        No readings can be made from the dwells (see `adis_gonio.fitting.estimation.readings.readings_of`).
     FitError
         Fewer readings than base parameters.
     UsageError

@@ -162,14 +162,6 @@ def test_rubbish_without_an_end_is_dropped_as_one_packet_that_is_too_long():
     assert (receiver.counts.length_errors, receiver.counts.bad) == (1, 1)
 
 
-def test_reset_forgets_what_is_not_complete():
-    receiver = Receiver()
-    good = Packet(wire.PacketType.STOP_REPLY, 7, bytes(8))
-    receiver.feed(b"\x33\x44")
-    receiver.reset()
-    assert receiver.feed(encode(good)[1:]) == [good]
-
-
 def test_a_sound_packet_of_an_unknown_type_is_counted_and_dropped():
     receiver = Receiver()
     assert receiver.feed(encode(Packet(0x6F, 1))) == []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -79,6 +80,8 @@ def test_undo_note_pause_repeat_skip_and_nonsense_are_all_answers_that_lead_on(b
     status, said, path = bench(typed, "--plan", "four-position")
     assert status == 0
     assert "'xyzzy' is no answer" in said.err
+    (listed,) = (line for line in said.err.splitlines() if "'xyzzy' is no answer" in line)
+    assert {"n", "u", "p", "q"} <= set(re.split(r"[ ,]+", listed))
     assert "90° withdrawn" in said.err
     assert "paused" in said.err
     session = load_session(path)

@@ -34,6 +34,12 @@ def shown(width: int) -> list[str]:
     return out.getvalue().splitlines()
 
 
+def test_a_name_of_a_file_is_not_broken_if_half_of_the_screen_holds_it():
+    assert all(
+        name in "\n".join(shown(80)) for name in ("/sessions/2024/a7-first.session", "four-position")
+    )
+
+
 @pytest.mark.parametrize("width", [30, 60, 80, 100, 160])
 def test_every_cell_is_there_at_every_width(width):
     lines = shown(width)

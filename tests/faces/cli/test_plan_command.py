@@ -27,7 +27,13 @@ def test_the_headline_stands_first_and_eighty_columns_are_enough(capsys):
     assert lines[0].startswith("12 positions, 4 min: angle u 0.01")
     assert max(map(len, lines)) <= 80
     text = "\n".join(lines)
-    order = ["best to tell apart bias_drift, hysteresis", "Predicted, by", "Gain", "Sees", "Cannot see"]
+    order = [
+        "best to tell apart bias_drift, hysteresis",
+        "Predicted, by",
+        "Gain",
+        "Shows effects",
+        "Cannot show",
+    ]
     order += ["Cannot tell apart", "Positions, in this order"]
     places = [text.index(part) for part in order]
     assert places == sorted(places)
@@ -38,7 +44,7 @@ def test_effects_that_a_plan_confounds_stand_side_by_side(capsys):
     text = capsys.readouterr().out
     told = text[text.index("Cannot tell apart") : text.index("Positions, in this order")]
     assert "  quadratic from cubic, cross_quadratic" in told
-    assert "nothing of what it sees" not in told
+    assert "every effect that it shows" not in told
 
 
 def test_two_columns_of_39_letters_fill_a_line():

@@ -92,6 +92,15 @@ def test_an_effect_without_a_value_gets_a_stated_size_that_the_plan_shows(tmp_pa
     assert f"={size[1]}" in url  # so that the file repeats it
 
 
+@pytest.mark.parametrize(("known", "own"), [([], True), (["--set", "bias_tempco_x_mg_per_c=0"], False)])
+def test_what_the_part_has_already_is_named_beside_an_effect(tmp_path, capsys, known, own):
+    words = ["simulate", "--plan", "two-position", "--dwell", "0.5", "-o", str(tmp_path / "a.session")]
+    assert main([*words, "--effect", "bias_temperature:tempco_x=0.5", *known]) == 0
+    assert (
+        "is added to the part's own bias_temperature_x;" in " ".join(capsys.readouterr().err.split())
+    ) == own
+
+
 def test_a_stated_size_of_an_effect_is_kept_and_told(tmp_path, capsys):
     words = ["simulate", "--plan", "two-position", "--dwell", "0.5", "-o", str(tmp_path / "a.session")]
     assert main([*words, "--effect", "quadratic:k2_x=0.01"]) == 0

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import re
+import sys
 from dataclasses import fields
 
 import pytest
@@ -31,6 +33,34 @@ COMMANDS = [
     ["history", "17", "FOLDER"],
     ["plan", "--plan", "tumble", "--fixture", "0.02"],
 ]
+
+
+def test_a_number_that_rounds_to_zero_has_no_minus_sign():
+    assert format_fixed(-0.04, 1) == "0.0"
+    assert signed(-0.04, 1) == "+0.0"
+    assert signed(-0.06, 1) == "−0.1"
+
+
+class Terminal(io.StringIO):
+    """An error output that says it is a terminal."""
+
+    def isatty(self):
+        return True
+
+
+@pytest.mark.parametrize("screen", [io.StringIO, Terminal])
+def test_an_error_is_folded_on_a_terminal_and_one_line_elsewhere(monkeypatch, screen):
+    monkeypatch.setattr("sys.stderr", screen())
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("TERM", "xterm")
+    assert main(["simulate", "--plan", "circle", "-o", "never-written.session"]) == 2
+    lines = sys.stderr.getvalue().splitlines()
+    assert " ".join(" ".join(lines).split()) == (
+        "adis-gonio: no plan is called 'circle'; known: two-position, four-position, mmpm, tumble, poses,"
+        " free-turn, gyro-turns, or a plan file (.json)"
+    )
+    assert (len(lines) == 1) == (screen is io.StringIO)
+    assert screen is io.StringIO or max(map(len, lines)) < 80
 
 
 @pytest.fixture(scope="module")

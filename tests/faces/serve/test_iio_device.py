@@ -41,7 +41,7 @@ def test_one_g_is_981_in_si_units_for_each_variant(part, one_g):
 @pytest.mark.parametrize("dps", [300, 150, 75])
 def test_the_gyros_scale_follows_the_range(dps):
     scale = value(device_of(), "anglvel_x", "scale", state_of(gyro_range_dps=dps, filter_m=4))
-    # CHIP: 0.07326 °/s per LSB at ±300 °/s
+    # data sheet: 0.07326 °/s per LSB at ±300 °/s
     assert math.degrees(scale) == pytest.approx(0.07326 * dps / 300)
 
 

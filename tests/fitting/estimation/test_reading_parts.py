@@ -127,6 +127,17 @@ def test_a_turn_the_other_way_needs_positions_that_tell_it(
         assert len(readings_of(session)) == len(angles)
 
 
+def test_declared_angles_in_radians_are_named_as_the_cause() -> None:
+    sound = turn()
+    radians = replace(
+        sound, dwells=tuple(replace(d, angle_deg=math.radians(d.angle_deg or 0.0)) for d in sound.dwells)
+    )
+    with pytest.raises(DataError, match=r"as if the declared angles, up to 5\.\d+, were radians"):
+        readings_of(radians)
+    few = (0.0, 1.0, 2.0, 3.0, 6.0)  # a small arc in degrees, as in the examples above
+    assert len(readings_of(turn(angles=few))) == len(few)
+
+
 def test_free_attitudes_and_counts_have_no_sense_of_rotation() -> None:
     assert len(readings_of(turn(sign=-1.0, fixture_sigma_deg=math.inf))) == 8
     assert len(readings_of(turn(sign=-1.0, accel_unit="counts", reading_u_mg=None))) == 8

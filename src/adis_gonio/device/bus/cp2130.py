@@ -17,9 +17,9 @@ Timing
     Within one command the chip lowers CS (chip select), clocks the frame and raises CS. The host keeps
     stall and period (see `SpiTiming`): it sends the next command only when stall and period have passed
     since the last reply arrived, which is later than the rise of CS. Two commands are therefore never
-    queued in the chip, which could not handle them. A frame takes
-    one bulk transfer each way: 500 frames a second if each transfer waits for its own USB frame (1 ms),
-    4000 if both together take 0.25 ms. These are bounds; none was measured.
+    queued in the chip, which could not handle them. A frame takes one bulk transfer each way: 500 frames a
+    second if each transfer waits for its own USB frame (1 ms), 4000 if both together take 0.25 ms. These
+    are bounds; none was measured.
 Errors
     Bulk replies carry no tag, so a late reply would look like the next one. After a time-out the device
     is therefore reset (USB port reset) and configured again; after any other failure halts of its pipes are
@@ -59,12 +59,6 @@ FRAME_BYTES = 2
 CLOCKS_HZ = (12e6, 6e6, 3e6, 1.5e6, 750e3, 375e3, 187.5e3, 93.75e3)
 """SPI clocks of the CP2130 in Hz; the index of a clock is its code."""
 
-CS_LOW_FOR_A_WHOLE_COMMAND = True
-"""Chip select stays low for one bulk command; not confirmed by a document.
-
-The chip's own "CS toggle" works per byte: so a frame is one WriteRead of two bytes with the toggle off. If
-a scope shows CS rising between the two bytes, change the delay mask in `Cp2130Bus._set_up`.
-"""
 
 CPHA_BIT, CPOL_BIT, PUSH_PULL_BIT = 5, 4, 3
 """Positions of three bits in the SPI configuration byte; not confirmed by a document.
@@ -111,12 +105,15 @@ _SELECTS = struct.Struct(">HH")
 
 
 def clock_code(clock_hz: float) -> int | None:
-    """Return the code of the fastest SPI clock not above `clock_hz`; None if all clocks are faster."""
+    """Return the index in `CLOCKS_HZ` of the fastest clock not above `clock_hz`; None if all are faster."""
     return next((code for code, clock in enumerate(CLOCKS_HZ) if clock <= clock_hz), None)
 
 
 def spi_word(code: int) -> int:
-    """Return the SPI configuration byte of a channel for a clock code: mode 3, push-pull chip select."""
+    """Return the SPI configuration byte of a channel: mode 3, push-pull chip select, clock by its code.
+
+    `code` is an index of `CLOCKS_HZ`.
+    """
     return 1 << CPHA_BIT | 1 << CPOL_BIT | 1 << PUSH_PULL_BIT | code
 
 
@@ -236,10 +233,12 @@ class Cp2130Bus(host.UsbBus):
     def _set_up(self, code: int) -> None:
         """Set the SPI channel to mode 3 without delays, and enable its chip select alone.
 
-        `code` is the code of the SPI clock.
+        `code` is the index of the SPI clock in `CLOCKS_HZ`.
         """
         word, channel = spi_word(code), self._options.cs
         self._out(ControlRequest.SET_SPI_WORD, bytes((channel, word)))
+        # Without delays and "CS toggle" (per byte) CS stays low for a command: not confirmed by a document.
+        # If a scope shows CS rising between the two bytes of a frame, change this mask.
         self._out(ControlRequest.SET_SPI_DELAY, bytes((channel, *[0] * 7)))
         self._out(ControlRequest.SET_CHIP_SELECT, bytes((channel, _THIS_ONE_ONLY)))
         if parse_spi_words(self._in(ControlRequest.GET_SPI_WORD, PACKET))[channel] != word:

@@ -281,7 +281,7 @@ class SpidevBus(host.HostBus):
         return min(timing.clock_hz, filling) if filling >= SLOWEST_HZ else timing.clock_hz
 
     def _fills(self, timing: SpiTiming) -> bool:
-        """Return True if frames in one kernel message keep stall and period without waits by the host."""
+        """Return True if the frames of one kernel message keep the stall and period of `timing`."""
         frame_us = FRAME_BITS / timing.clock_hz * 1e6 + self._cs_high_us
         return self._cs_high_us >= timing.stall_us and frame_us >= timing.period_us
 
@@ -413,7 +413,7 @@ def open_from_url(
         try:
             system = Kernel()
         except ImportError:
-            raise CannotOpenError(f"{url.text}: spidev is Linux's; this system has none") from None
+            raise CannotOpenError(f"{url.text}: spidev is a part of Linux; this system has none") from None
     with contextlib.ExitStack() as stack:
         fd = _open(system, url.text, path, "spidev", folder)
         stack.callback(system.close, fd)

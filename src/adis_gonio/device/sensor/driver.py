@@ -8,7 +8,8 @@ Rules that the driver keeps
     * After a reset, restore, self-test or flash update nothing is sent until the sensor has recovered.
     * A silent chip, a wrong variant, and a flash update that failed according to STATUS raise errors.
 
-`Undo` restores changed registers and verifies them, also after an error or an interruption.
+`Undo` restores changed registers and verifies them, also after an error or an interruption. A letter after
+DS (data sheet) is the confidence that the figure is valid for this sensor, see `registers.CONFIDENCES`.
 """
 
 from __future__ import annotations
@@ -185,7 +186,7 @@ class Adis16354(Closing):
         if check:
             self._check_variant()
 
-    # -- life -------------------------------------------------------------------------------------
+    # -- closing ----------------------------------------------------------------------------------
 
     def close(self) -> None:
         """Close the bus; may be called twice."""

@@ -27,8 +27,8 @@ from adis_gonio.device.bus import SpiTiming, Words
 
 Confidence = Literal["A", "B", "C", "D"]
 CONFIDENCES: dict[Confidence, str] = {
-    "A": "the siblings' data sheet and independent code for this part agree",
-    "B": "the siblings' data sheet only",
+    "A": "the data sheet of the ADIS16350 and independent code for this part agree",
+    "B": "the data sheet of the ADIS16350 only",
     "C": "derived, or code only",
     "D": "an estimate",
 }
@@ -495,7 +495,8 @@ class Variant:
     def lsb(self, kind: Kind, gyro_range_dps: int = 300) -> tuple[float, float, str]:
         """Return the scale of a kind of register: value of an LSB, value of the number 0, and unit.
 
-        The value in this unit is `zero + lsb * number`. `gyro_range_dps` matters only for gyros.
+        A register that contains the number N has the value of 0 plus N times the value of an LSB.
+        `gyro_range_dps` matters only for gyros.
         """
         if kind is Kind.GYRO:
             return GYRO_LSB_DPS[gyro_range_dps], 0.0, "°/s"

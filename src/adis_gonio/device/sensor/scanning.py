@@ -516,7 +516,7 @@ class PolledScans(ScanStream):
         # frame between them, only one at the very end.
         scan_s = max(self._period_s, self._pass_s)
         passes = max(LEAST_PASSES, int(np.ceil(self._block_scans * scan_s / self._pass_s)))
-        if not self._probed:  # a bridge may be far slower than its timing: look before a long batch
+        if not self._probed:  # a bridge may be far slower than its timing: time a pass before a long batch
             passes, self._probed = LEAST_PASSES, True
         # A pass may take seconds on a slow bridge; no exchange of several passes lasts longer than this.
         passes = min(passes, max(1, int(LONGEST_EXCHANGE_S / self._pass_s)))
@@ -526,7 +526,7 @@ class PolledScans(ScanStream):
         frames = np.append(np.tile(self._frames, passes), np.uint16(IDLE))
         before, self._open = self._open, (self._open[0][:0], self._open[1][:0])
         begin_s = self._bus.now_s()
-        replies = self._bus.exchange_array(frames)  # replies that are lost take ND of their words with them
+        replies = self._bus.exchange_array(frames)  # a read that is lost has cleared ND of its word
         self._open = before
         end_s = self._bus.now_s()
         took_s = end_s - begin_s
@@ -568,7 +568,7 @@ class PolledScans(ScanStream):
         # Keep the passes with unfinished rows for the next batch.
         cut = max(left[0] // width, len(words) - LEAST_PASSES) if left.size else len(words)
         self._open = (words[cut:], times[cut:])
-        if self._late:  # the first update was read late: by its time nothing can be counted
+        if self._late:  # the first update was read late: its time does not show how many were missed
             rows = rows[rows.min(axis=1, initial=len(words)) > held]
         passes = np.empty((len(rows), len(self._frames)), np.int64)
         passes[:, self._flags] = rows

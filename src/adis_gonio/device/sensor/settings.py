@@ -1,7 +1,8 @@
 """Settings of the sensor, and decoding of its words.
 
 Configuration, offsets, alarms and status as data; the digital filter of the sensor; and the conversion of
-the words of many scans to numbers and units, vectorised.
+the words of many scans to numbers and units, vectorised. A letter after DS (data sheet) is the confidence
+that the figure is valid for this sensor, see `registers.CONFIDENCES`.
 """
 
 from __future__ import annotations
@@ -150,12 +151,12 @@ def smpl_prd_for(sample_rate_hz: float) -> int:
 
 
 def filter_settling_samples(filter_m: int) -> int:
-    """Return the number of samples until the filter of size M has settled, 2·2^M − 1 (data sheet)."""
+    """Return the number of samples in which the chip's filter of size M settles: 2·2^M − 1 (data sheet)."""
     return int(2 * 2**filter_m - 1)
 
 
 def low_pass_3db_hz(filter_m: int, sample_rate_hz: float) -> float:
-    """Return the frequency in Hz at which the filter of size M halves the power.
+    """Return the frequency in Hz at which the chip's filter of size M halves the power.
 
     It is the −3 dB column of the data sheet's table (confidence A). Without the filter (M = 0), only the
     pole of the analog front end remains.

@@ -120,7 +120,13 @@ def _recording_hint(error: AdisGonioError) -> str:
 
 
 def _fail(message: str, status: int) -> int:
-    print(f"adis-gonio: {format_message(message)}", file=sys.stderr)  # noqa: T201
+    line = f"adis-gonio: {format_message(message)}"
+    if sys.stderr.isatty():
+        from adis_gonio.faces.cli.show import say
+
+        say(line)
+    else:
+        print(line, file=sys.stderr)  # noqa: T201
     return status
 
 

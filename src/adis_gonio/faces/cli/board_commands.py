@@ -62,10 +62,10 @@ def bringup_command(
     With --from, and without a URL, files of record: or VCD captures are compared with the rows of the
     register table instead: bringup --from run.rec --from capture.vcd. All files must be of one part.
     """
-    if recordings and not (url or output or allow_writes):
+    if recordings and not (url or output or allow_writes or flash or yes or leave_registers):
         return _judge(recordings, variant, as_json=as_json)
     if recordings or url is None:
-        raise UsageError("give the URL of a board, or --from FILE without URL, --output and --allow-writes")
+        raise UsageError("give the URL of a board, or --from FILE with at most --variant and --json")
     _check_permission(allow_writes, flash or yes, yes, leave_registers)
     files = () if output is None else _report_files(output)
     from adis_gonio.bench.bringup import Permission, bring_up
@@ -122,12 +122,11 @@ def _judge(recordings: tuple[Path, ...], variant: str, *, as_json: bool) -> int:
 
 
 def _write_report(found: Bringup, page: Path, document: Path) -> None:
-    from adis_gonio.base.output import replacing, write_utf8
+    from adis_gonio.base.output import write_text
     from adis_gonio.bench.bringup.bringup_page import build_page
 
     for path, text in ((document, json_text(found.as_dict())), (page, build_page(found))):
-        with replacing(path) as temporary:
-            write_utf8(temporary, text)
+        write_text(path, text)
         report_written(path)
 
 

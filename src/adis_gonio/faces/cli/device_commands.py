@@ -18,7 +18,7 @@ from adis_gonio.device.sensor import DEFAULT_SCAN, REGISTERS, Adis16354, Registe
 from adis_gonio.device.sensor.driver import MARK
 from adis_gonio.device.sensor.registers import CONFIDENCES, Kind, register, registers
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import console, print_json, print_table
+from adis_gonio.faces.cli.show import console, print_json, print_table, say
 
 if TYPE_CHECKING:
     from adis_gonio.handover.register_offsets import OffsetWord
@@ -187,7 +187,7 @@ def frames_command(
             frame, word = (f"{x:04X}" if x is not None else "    " for x in (row.frame, row.word))
             line = f"{row.record:6} {row.time_s:12.6f} {row.action:5} {row.register:10} {frame} {word}"
             problem = f"  ! {row.problem}" if row.problem else ""
-            click.echo(f"{line} {row.value}".rstrip() + problem)
+            say(f"{line} {row.value}".rstrip() + problem, err=False, hang=48)
     if as_json:
         print_json({"frames": listed, "problems": problems, "damage": source.damage})
     else:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -161,7 +161,7 @@ def print_answer(
         screen.print(line, style=None if k else "bold")
     screen.print()
     if truth is not None or answer.has_more:
-        _print_parameters(screen, answer, truth)
+        _print_parameters(screen, answer.parameter_rows(), answer.parameters, truth)
     for line in answer.facts():
         screen.print(f"  {line}")
     names, rows = answer.budget_rows()
@@ -174,11 +174,16 @@ def print_answer(
             screen.print(text)
 
 
-def _print_parameters(screen: Console, answer: Answer, truth: Mapping[str, float] | None) -> None:
-    columns, rows = list(_PARAMETER_HEAD), [list(row) for row in answer.parameter_rows()]
+def _print_parameters(
+    screen: Console,
+    given: Iterable[Sequence[str]],
+    parameters: Mapping[str, Value],
+    truth: Mapping[str, float] | None,
+) -> None:
+    columns, rows = list(_PARAMETER_HEAD), [list(row) for row in given]
     if truth is not None:
         columns.insert(2, "truth")
-        for row, (name, value) in zip(rows, answer.parameters.items(), strict=True):
+        for row, (name, value) in zip(rows, parameters.items(), strict=True):
             row.insert(
                 2, format_fixed(truth[name], count_decimals(value.u or 0.0)) if name in truth else ""
             )
@@ -244,11 +249,11 @@ def show_gyro_fit(
     screen = show.console(most=show.WIDTH)
     title = f"{session.title}: " if session.title else ""
     screen.print(f"{title}gyros, {result.held}, {session.sensor}\n", style="bold")
-    _print_gyros(screen, result.parameters)
+    _print_gyros(screen, result.parameters, session.facts.get("truth"))
     screen.print()
     if result.triad is not None:
         screen.print("The gyros' triad: rotation against the accelerometers', and 90° minus its angles")
-        _print_gyros(screen, result.triad)
+        _print_gyros(screen, result.triad, None)
         screen.print()
     screen.print(
         f"  residual {result.residual_rms_dps:.3g} °/s rms, χ² {result.chi2:.1f} at {result.dof} degrees of"
@@ -264,11 +269,11 @@ def show_gyro_fit(
         screen.print(text)
 
 
-def _print_gyros(screen: Console, parameters: dict[str, Value]) -> None:
+def _print_gyros(screen: Console, parameters: dict[str, Value], truth: Mapping[str, float] | None) -> None:
     from adis_gonio.fitting.answer import parameter_row
 
     rows = [parameter_row(name, value) for name, value in parameters.items()]
-    show.print_table(screen, _PARAMETER_HEAD, rows, (0, 1))
+    _print_parameters(screen, rows, parameters, truth)
 
 
 _ALLAN_ENDINGS = (".html", ".htm", ".svg")

@@ -277,7 +277,8 @@ class PlainBench:
         elif self._hands is not None and key == words.MOVE.letter:
             self._say(f"  {self._hands.move(self._rest_of(rest, '  degrees'))}")
         else:
-            known = ", ".join(key for key in question.keys if key)
+            notes = (words.NOTE.letter,) if question.takes_notes else ()
+            known = ", ".join((*filter(None, question.keys), *notes))
             self._say(f"  '{line}' is no answer: press Enter, or one of {known} (? lists them)")
 
     def _rest_of(self, text: str, asked: str) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 
 from adis_gonio.base.errors import DataError, FitError, UsageError
 from adis_gonio.base.jsonable import json_object
-from adis_gonio.base.numbers import counted, use_minus, with_unit
+from adis_gonio.base.numbers import counted, join_words, use_minus, with_unit
 from adis_gonio.base.output import ends_in, replacing
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import print_json, report_progress, report_written, say
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from adis_gonio.plan.prediction import Bench, Prediction
     from adis_gonio.record.plans import Plan
     from adis_gonio.record.source import Settings
+    from adis_gonio.sim import World
 
 
 @option.command(
@@ -206,13 +207,14 @@ def template_command(
 
     Fill in times and readings in an editor or a spreadsheet; `adis-gonio fit` reads the saved file.
     """
+    from adis_gonio.base.output import write_text
     from adis_gonio.plan import find_plan
-    from adis_gonio.record.samples_writer import template_text, write_template
+    from adis_gonio.record.samples_writer import template_text
 
     if ends_in(output, ".gz"):
         raise UsageError(f"{output}: a template is filled in by hand: name it .csv")
     chosen = find_plan(plan_name, positions, check)
-    write_template(output, template_text(chosen, **keys))
+    write_text(output, template_text(chosen, **keys))
     report_written(output, f"{counted(len(chosen), 'position')} to fill in")
 
 
@@ -340,6 +342,7 @@ def simulate_command(*, output: Path, date: datetime | None, **options: Any) -> 
     ):
         archive = Path(folder) / "simulated.session" if as_csv else output
         world = sensor.bus.world  # type: ignore[attr-defined]  # the simulator's bus has one
+        _report_own_values(world)
         runner = SessionRunner.begin(
             sensor,
             archive,
@@ -362,6 +365,20 @@ def simulate_command(*, output: Path, date: datetime | None, **options: Any) -> 
         click.echo(f"{output}: {done} of {counted(len(positions), 'dwell')}", err=True)
         raise KeyboardInterrupt
     report_written(output, counted(done, "dwell"))
+
+
+def _report_own_values(world: World) -> None:
+    """Print which hidden parameters of the part add to the simulated effects."""
+    truth = world.truth()
+    for effect, values in world.effects:
+        added = [one.name for one, value in zip(effect.parameters, values, strict=True) if value]
+        names = {*added, *(f"{effect.name}_{name.rpartition('_')[2]}" for name in added)}
+        own = sorted(name for name in names if truth.get(name))
+        if own:
+            say(
+                f"effect {effect.name} is added to the part's own {join_words(own)}; --set gives these a"
+                " known value, such as 0 (--list-settings)"
+            )
 
 
 def _sized_effects(

@@ -97,7 +97,7 @@ def print_table(
         Cells of each row.
     texts : container of int
         Indices of the columns of text, aligned left, which may be folded; the others hold numbers, aligned
-        right.
+        right. A word, such as a name of a file, is broken only if it is wider than half of the screen.
     bold : container of str
         First cells of those rows that are printed in bold.
     indent : int
@@ -109,10 +109,13 @@ def print_table(
 
     shown = [k for k in range(len(head)) if any(row[k] not in ("", "–") for row in rows)]
     least: dict[int, int] = {}
+    room = screen.width - indent
     for k in shown:
         widest = max(cell_len(line) for row in (head, *rows) for line in row[k].split("\n"))
-        least[k] = 2 + (min(widest, LEAST_TEXT) if k in texts else widest)
-    room = screen.width - indent
+        if k in texts:
+            word = max((cell_len(word) for row in (head, *rows) for word in row[k].split()), default=0)
+            widest = min(widest, max(LEAST_TEXT, min(word, room // 2)))
+        least[k] = 2 + widest
     parts: list[list[int]] = [[]]
     for k in shown:
         if len(parts[-1]) > 1 and sum(least[j] for j in (*parts[-1], k)) > room:
@@ -142,10 +145,9 @@ def check_page(output: Path | None) -> None:
 
 def write_page(output: Path, text: str) -> None:
     """Write an HTML page and report it on standard error."""
-    from adis_gonio.base.output import replacing, write_utf8
+    from adis_gonio.base.output import write_text
 
-    with replacing(output) as temporary:
-        write_utf8(temporary, text)
+    write_text(output, text)
     report_written(output)
 
 

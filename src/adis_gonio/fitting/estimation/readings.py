@@ -59,6 +59,10 @@ sense of rotation is certain."""
 TURNING_U, TURNING_BIAS = 0.03, 0.1
 """Standard deviations in g of a reading about its first harmonic, and of a bias, in the test of the sense
 of rotation."""
+LARGEST_RADIANS = 4 * math.pi
+"""Largest declared angle, as a number, that may be in radians: two turns."""
+LIKELIER = 50.0
+"""Difference of χ² by which angles in radians have to describe the readings better than degrees."""
 OFF_UNIT = 2.0
 """Factor by which the length of readings at rest may differ from 1 g. Beyond it the unit is wrong, because
 no gain of a sensor is so far from 1."""
@@ -460,8 +464,8 @@ def _as_another(session: Session, length: float) -> str:
     )
 
 
-def _refuse_reversed(session: Session, readings: Readings) -> None:
-    """Raise `DataError` if the readings turn in the direction opposite to the declared angles.
+def _refuse_other_turns(session: Session, readings: Readings) -> None:
+    """Raise `DataError` if the declared angles are in radians, or of the opposite sense of rotation.
 
     X follows cos(α − θ) and Y sin(α − θ): with x_c, x_s, y_c, y_s their first harmonics, the sense of
     rotation is the sign of x_s y_c − x_c y_s, which neither gains nor a misalignment below 90° change.
@@ -474,11 +478,22 @@ def _refuse_reversed(session: Session, readings: Readings) -> None:
         return
     # First harmonics of both axes by least squares, with wide priors and a prior of the bias.
     prior = TURNING_U / np.array([2.0, 2.0, TURNING_BIAS])
-    design = np.concatenate(
-        [np.column_stack([np.cos(theta), np.sin(theta), np.ones(len(theta))]), np.diag(prior)]
-    )
     target = np.concatenate([readings.mean[rows] / session.gravity_mg, np.zeros((3, 2))])
-    x, y = np.linalg.lstsq(design, target, rcond=None)[0][:2].T
+
+    def harmonics(theta: Floats) -> tuple[Floats, Floats, float]:
+        columns = np.column_stack([np.cos(theta), np.sin(theta), np.ones(len(theta))])
+        design = np.concatenate([columns, np.diag(prior)])
+        found = np.linalg.lstsq(design, target, rcond=None)[0]
+        return design, found, float(((design @ found - target) ** 2).sum()) / TURNING_U**2
+
+    design, found, chi2 = harmonics(theta)
+    numbers = np.degrees(theta)
+    if np.abs(numbers).max() <= LARGEST_RADIANS and harmonics(numbers)[-1] < chi2 - LIKELIER:
+        raise DataError(
+            f"{session.source or 'session'}: the readings turn as if the declared angles, up to "
+            f"{np.abs(numbers).max():.4g}, were radians: angle_deg is in degrees, multiply it by 57.29578"
+        )
+    x, y = found[:2].T
     area = x[1] * y[0] - x[0] * y[1]
     # Variance of the area, from the covariance of the cosine and sine of each axis.
     covariance = TURNING_U**2 * np.linalg.inv(design.T @ design)[:2, :2]
@@ -513,7 +528,7 @@ def _checked_readings(session: Session) -> Readings:
     current().tell("noise of the readings")
     readings = reduced(session)
     _refuse_other_units(session, readings)
-    _refuse_reversed(session, readings)
+    _refuse_other_turns(session, readings)
     return readings
 
 

@@ -1,8 +1,8 @@
 """Effects of the gyros: terms of a reading in addition to the true rate and a constant zero rate.
 
 Readings are in °/s, forces are the readings of the accelerometers in g, Ω are the true rates of turn about
-the axes of the accelerometers. Typical sizes are estimates, except two from the data sheet of the sibling
-sensors: a g-sensitivity of 0.05 °/s/g and a supply sensitivity of 0.25 °/s/V.
+the axes of the accelerometers. Typical sizes are estimates, except two from the data sheet of the
+ADIS16350: a g-sensitivity of 0.05 °/s/g and a supply sensitivity of 0.25 °/s/V.
 """
 
 from __future__ import annotations

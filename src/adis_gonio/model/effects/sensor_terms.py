@@ -1,9 +1,9 @@
 """Effects of the sensor and its surroundings: response, temperature, supply, time, local gravity.
 
 The static terms have the order of the model equation of IEEE Std 1293: E/K1 = K0 + a_i + K2 a_i² + K3 a_i³
-+ K_ip a_i a_p + K_pp a_p² + δ a_p. All typical sizes are estimates. The data sheet of the siblings gives
++ K_ip a_i a_p + K_pp a_p² + δ a_p. All typical sizes are estimates. The data sheet of the ADIS16350 gives
 non-orthogonality ±0.25° and nonlinearity ±0.2 % of full scale (3.4 mg at 1.7 g, hence K3 ≈ 0.7 mg/g³).
-Estimates for the ADIS16354: 0.5 mg/°C and 40 ppm/°C like its better sibling; self-heating of a few degrees
+Estimates for the ADIS16354: 0.5 mg/°C and 40 ppm/°C like the ADIS16355; self-heating of a few degrees
 with a time constant of minutes; a gain that changes with the supply a hundred times less than the gain of a
 fully ratiometric sensor (which changes by 200 000 ppm/V at 5 V); a drift of the gain that changes a reading
 of 1 g as much as the drift of the bias.

@@ -175,7 +175,7 @@ class SimulatedBoard(Closing):
         if transport not in get_args(Transport):
             raise UsageError(f"no transport '{transport}': {' or '.join(get_args(Transport))}")
         if not isinstance(firmware.pins.clock, WorkClock):
-            raise UsageError("a board lives in real time: give its firmware a WorkClock")
+            raise UsageError("a board runs in real time: give its firmware a WorkClock")
         self.firmware = firmware
         self.faults = faults or Faults()
         self._world = world
@@ -206,7 +206,7 @@ class SimulatedBoard(Closing):
     def world(self) -> World:
         """The simulated world of the board's chip."""
         if self._world is None:
-            raise UsageError("this board was made without its world; open_board brings one")
+            raise UsageError("this board has no simulated world; open_board makes one that has")
         return self._world
 
     @property

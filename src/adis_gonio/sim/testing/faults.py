@@ -141,10 +141,6 @@ class FaultyStream:
             taken.append(self._queue.popleft()[1])
         return bytes(taken)
 
-    def clear(self) -> None:
-        """Discard all bytes that are in transit."""
-        self._queue.clear()
-
 
 @dataclass(frozen=True)
 class BusFaults:

@@ -127,7 +127,7 @@ class SimulatedFirmware:
         self.frames = self.all_lost = self.scan_packets = 0
         self.restart()
 
-    # -- life -------------------------------------------------------------------------------------------
+    # -- start -------------------------------------------------------------------------------------------
 
     def restart(self) -> None:
         """Start again, as after power-on or a reset by the DTR line."""

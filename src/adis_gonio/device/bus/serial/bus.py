@@ -676,7 +676,7 @@ class SerialBus(HostBus):
         return self.count_events()[0]
 
     def count_events(self) -> tuple[int, float]:
-        """Return the data-ready edges since the last call, and the present time in s of the firmware."""
+        """Return the number of data-ready edges since the last call, and the firmware's time in s."""
         with self._lock:
             self._require(Capability.EVENT_COUNTER)
             now = self._ask(wire.StatisticsRequest(), wire.StatisticsReply)
@@ -755,7 +755,7 @@ class SerialBus(HostBus):
             raise ProtocolError(f"{self.url}: {refused}") from refused
 
     def _renew(self) -> None:
-        """Open a new session with the firmware and set the SPI timing again, which the hello resets."""
+        """Open a new session by a hello request, which resets the SPI timing; set the timing again."""
         self.firmware = self._link.hello(AGAIN_S)
         timing = self.timing
         stall, period = math.ceil(timing.stall_us), math.ceil(timing.period_us)

@@ -118,10 +118,6 @@ class Receiver:
             self._rest = b""
         return packets
 
-    def reset(self) -> None:
-        """Discard the bytes of a packet that is not complete."""
-        self._rest, self._too_long = b"", False
-
     def _take(self, part: bytes) -> Packet | None:
         counts = self.counts
         if self._too_long or len(part) > _LONGEST:
