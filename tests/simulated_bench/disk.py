@@ -212,7 +212,7 @@ class Disk:
         name, text, number = FAILURES[kind]
         if path is not None and path.suffix != ".session":
             raise OSError(number, os.strerror(number), str(path))
-        if label.startswith(("create ", "open ")):
+        if label.startswith(("create ", "open ", "rename ", "replace ")):
             raise OSError(number, os.strerror(number), str(path))
         error = sqlite3.OperationalError(text)
         error.sqlite_errorname = name

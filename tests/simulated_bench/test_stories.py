@@ -32,6 +32,14 @@ KEPT = {
             Step("calibrate afresh"),
         ),
     ),
+    "a session that a full disk does not let --force rename ends with one line": Story(
+        seed=2,
+        motor=True,
+        only="none",
+        plan="two-position",
+        positions=2,
+        steps=(Step("calibrate"), Step("calibrate afresh", disk=DiskFault("full", 1))),
+    ),
     "a dwell is kept if the bus fails at the check of the sensor after it": Story(
         seed=2,
         motor=True,
