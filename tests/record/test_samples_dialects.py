@@ -97,6 +97,18 @@ EXCEL = (
 )
 
 
+@pytest.mark.parametrize("gap", [" ", "   ", "\t "])
+@pytest.mark.parametrize("mark", ["", '"'])
+def test_quoted_names_with_blanks_between_blanks(tmp_path, gap, mark):
+    names = ("time [s]", "position", "angle (deg)", "acc x [mg]", "acc y [mg]")
+    rows = [(0.01 * k, k // 4, 90 * (k // 4), 1000.0 + k, 2.0 * k) for k in range(8)]
+    lines = [gap.join(f'"{name}"' for name in names)]
+    lines += [gap.join(f"{mark}{cell}{mark}" for cell in row) for row in rows]
+    session = load_session(saved(tmp_path, "\n".join(lines).encode() + b"\n"))
+    assert [dwell.angle_deg for dwell in session.dwells] == [0, 90]
+    assert np.concatenate([d.accel for d in session.dwells]).tolist() == [[x, y] for *_, x, y in rows]
+
+
 def test_a_german_excel_file(tmp_path):
     session = load_session(saved(tmp_path, EXCEL.encode("cp1252")))
     assert (session.accel_unit, session.gravity_mps2, session.fixture_sigma_deg) == ("mps2", 9.81, None)

@@ -377,7 +377,7 @@ def the_journal_says_what_the_part_holds(case: Case) -> str:
             return f"the journal says that {one.old} was there before, it was {record.base}"
     noted = len(case.after["records"]) > len(case.before.get("records", []))
     open_write = case.ended.words[0] == "write" and noted and known[-1].open
-    if open_write and case.ran and case.step.disk is None and _could_set_back(case.step, known[-1]):
+    if open_write and case.ran and _could_set_back(case.step, known[-1]):
         return f"a write that was interrupted is neither done nor set back: {known[-1]}"
     if noted and case.ended.words[0] == "write" and record.found == record.by_hand != now:
         return f"a write took the place of numbers that somebody wrote by hand: {record.by_hand}"
@@ -385,10 +385,10 @@ def the_journal_says_what_the_part_holds(case: Case) -> str:
 
 
 def _could_set_back(step: Step, last: Operation) -> bool:
-    """True if the line was sound again after a write that was interrupted; an undo can be repeated."""
-    if not step.line:
-        return True
-    return step.faults == 1 and step.line[0].kind in PASSING and last.op != "undo"
+    """True if line and disk were sound after a write that one fault stopped; an undo can be repeated."""
+    passing = all(fault.kind in PASSING for fault in step.line)
+    sound = step.disk is None or step.disk.kind in ("interrupt", "slow")
+    return step.faults == 0 or (step.faults == 1 and passing and sound and last.op != "undo")
 
 
 def _report_is_true(case: Case, now: tuple[int, ...], planned: list[tuple[int, ...]]) -> str:

@@ -38,6 +38,8 @@ NIGHT, POWER, OUTAGE, STRANGER = "night", "power", "outage", "stranger"
 SELF_TEST, OFFSET = "self-test on", "offset by hand"
 HAPPENINGS = {NIGHT: 0.3, POWER: 0.15, OUTAGE: 0.15, SELF_TEST: 0.1, OFFSET: 0.1, STRANGER: 0.2}
 """Share of each thing that happens between two commands."""
+CAUSES = (0.4, 0.3, 0.25)
+"""Probabilities of a fault of the disk, a fault of the line and Ctrl-C in a command in which any comes."""
 HAPPENS = 0.45
 """Probability that something happens between two commands."""
 DISK_SHARES = {
@@ -51,8 +53,8 @@ HAND_LSB = 40
 SIGNS = (0x100, 0x200)
 """Bits of the manual self-test: positive, negative."""
 LENGTHS = {
-    "fit": (0.1, 4), "angle": (1.5, 4), "export": (0.1, 9), "write": (6.0, 28), "write --save": (6.0, 34),
-    "undo": (0.5, 29), "status": (0.4, 5), "serve": (8.0, 0), "bringup": (10.0, 10),
+    "fit": (0.1, 4), "angle": (1.5, 4), "export": (0.1, 9), "write": (12.0, 28), "write --save": (12.0, 34),
+    "undo": (0.5, 29), "status": (0.4, 5), "serve": (10.0, 0), "bringup": (10.0, 10),
 }  # fmt: skip
 """Time in s and number of operations of the disk that a command takes: faults are drawn from them."""
 MOST_TRIES = 4
@@ -201,14 +203,14 @@ class _World:
         step = Step(command, draw=int(rng.integers(1 << 16)) if command == "serve" else 0)
         if rng.random() >= share:
             return step
-        kind = rng.random()
-        if kind < 0.5 and operations:
+        disk, line, interrupt = rng.random(3) < CAUSES
+        if disk and operations:
             step = replace(step, disk=self._disk_fault(operations))
-        if kind > 0.4 or not operations:
+        if interrupt:
+            step = replace(step, interrupt_s=round(float(rng.uniform(0, length_s)), 2))
+        if line or step.faults == 0:
             count = 1 + int(rng.random() < 0.2)
             step = replace(step, line=tuple(self._line_fault(length_s) for _ in range(count)))
-        if kind > 0.9 or 0.2 < kind < 0.35:
-            step = replace(step, interrupt_s=round(float(rng.uniform(0, length_s)), 2))
         return step
 
     def _disk_fault(self, operations: int) -> DiskFault:

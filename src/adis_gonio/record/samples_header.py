@@ -231,12 +231,13 @@ class Dialect:
         ValueError
             A quotation mark is not closed.
         """
-        if self.delimiter == SPACE:
-            return line.split()
+        delimiter = self.delimiter
         if '"' not in line:
-            return line.split(self.delimiter)
+            return line.split(None if delimiter == SPACE else delimiter)
+        if delimiter == SPACE:
+            line, delimiter = " ".join(line.split()), " "
         try:
-            return next(csv.reader([line], delimiter=self.delimiter, strict=True, skipinitialspace=True))
+            return next(csv.reader([line], delimiter=delimiter, strict=True, skipinitialspace=True))
         except (csv.Error, StopIteration):
             raise ValueError("a quotation mark does not end, or is within a cell") from None
 
@@ -259,8 +260,8 @@ class Dialect:
 
 def header_cells(line: str, delimiter: str) -> list[str]:
     """Split a header line into cells; if spaces separate cells, a unit in brackets stays with its name."""
-    if delimiter == SPACE:
-        return [cell.strip('"') for cell in _TOKENS.split(line.strip())]
+    if delimiter == SPACE and '"' not in line:
+        return _TOKENS.split(line.strip())
     try:
         cells = [cell.strip() for cell in Dialect(delimiter).cells(line)]
     except ValueError:

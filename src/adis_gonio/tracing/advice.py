@@ -199,6 +199,7 @@ _FORM_SHOWS = {
     "temperature": "repeat one position while the temperature goes slowly up and down",
     "temperature_rate": "repeat one position while the temperature changes at different speeds",
     "supply": "repeat one position at a dozen supply voltages",
+    "line_frequency": "find what moves the line, such as a temperature, and record it",
     "approach": "approach one position from both sides several times",
     "previous_angle": "approach one position from many others",
     "variance": "repeat one position with a source of vibration of different strengths",

@@ -34,7 +34,7 @@ from adis_gonio.tracing.model_search import Model, posterior, skeleton
 from adis_gonio.tracing.selection import Selection
 from adis_gonio.tracing.thresholds import limits
 
-SLOW = {"time", "order", "temperature", "temperature_rate", "supply", "variance"}
+SLOW = {"time", "order", "temperature", "temperature_rate", "supply", "variance", "line_frequency"}
 """Covariates that change from dwell to dwell (slow ones); all others depend on the position."""
 
 

@@ -164,6 +164,10 @@ def _bases(data: Readings) -> Iterator[_Made]:
         yield from _of_rate(data)
     if conditions.supply_v is not None and np.ptp(conditions.supply_v) > 0:
         yield from _of_scalar("supply", "V", "5 V", _over("supply_v", line_shape), REFERENCE_V, data)
+    if conditions.line_hz is not None and np.ptp(conditions.line_hz) > 0:
+        middle = float(conditions.line_hz.mean())
+        zero, get = f"{middle:.4g} Hz", _over("line_hz", line_shape)
+        yield from _of_scalar("line_frequency", "f", zero, get, middle, data)
     if conditions.approach is not None:
         yield _formula("approach", "approach", _over("approach", line_shape), ("gain",))
     if conditions.previous_angle_rad is not None:

@@ -44,6 +44,8 @@ from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace import TraceRun, correct_slips
 from adis_gonio.tracing.trace_result import NextDwell, TraceResult
 from adis_gonio.tracing.validation import held_out_alike, rms
+from adis_gonio.tracing.within.moving_lines import strongest_frequency
+from adis_gonio.tracing.within.samples import samples_of
 
 GROUPS_LEFT_OUT = 10
 """Most groups of sessions that are left out in turn."""
@@ -145,11 +147,17 @@ def trace_sessions(
 
 
 def reduced(session: Session) -> Readings:
-    """Return the readings of one session for a joint trace, with angles corrected for lasting slips."""
+    """Return the readings of one session for a joint trace, with angles corrected for lasting slips.
+
+    If a spectral line moves through the session, its frequency is among the conditions.
+    """
     try:
-        return state_noise(correct_slips(readings_of(session), positions_of(session)))
+        data = state_noise(correct_slips(readings_of(session), positions_of(session)))
     except FitError as error:
         raise FitError(failure_message(session, error)) from error
+    samples = samples_of(session, data)
+    line_hz = None if samples is None else strongest_frequency(samples, data.position)
+    return replace(data, conditions=replace(data.conditions, line_hz=line_hz))
 
 
 def origins_of(sessions: Sequence[Session]) -> list[SessionOrigin]:

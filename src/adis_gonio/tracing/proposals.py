@@ -195,6 +195,7 @@ _COVARIATES = {
     "previous_angle": "the position before",
     "order": "the order",
     "supply": "the supply",
+    "line_frequency": "the frequency of a line that moves",
     "temperature_rate": "the speed of warming",
     "variance": "vibration",
 }

@@ -166,6 +166,8 @@ def _lines_and_rings(c: Conditions, driven_by: Sequence[str]) -> tuple[dict[str,
         lines["temperature"] = lambda k: k.covariate("temperature_c")
     if c.supply_v is not None:
         lines["supply"] = lambda k: k.covariate("supply_v")
+    if c.line_hz is not None:
+        lines["line_frequency"] = lambda k: k.covariate("line_hz")
     rings: dict[str, Get] = {}
     if c.angle_rad is not None:
         rings["angle"] = lambda k: k.covariate("angle_rad")

@@ -100,7 +100,7 @@ def test_a_half_write_is_exit_1_in_status_and_offers_to_finish_or_set_back(bus, 
     Adis16354(bus).write("YACCL_OFF", 0)
     capsys.readouterr()
     assert main(["write", str(path), URL, "--status"]) == 1
-    assert "half" in capsys.readouterr().out
+    assert "a part of the new offsets" in capsys.readouterr().out
     answering(monkeypatch, "b\n")
     assert main(["write", str(path), URL, *QUICK]) == 0
     assert numbers(bus) == OLD

@@ -188,7 +188,8 @@ def _print_errors(screen: Console, result: TraceResult) -> None:
     _print_heading(screen, "Error before and after")
     _print_models(screen, summary.error_rows(result))
     if result.heldout_design:
-        screen.print(Padding(_plain(f"left out: {result.heldout_design}", "dim"), (0, 0, 0, 3)))
+        alone = "; `fit` leaves out one dwell at a time" if "whole dwells" in result.heldout_design else ""
+        screen.print(Padding(_plain(f"left out: {result.heldout_design}{alone}", "dim"), (0, 0, 0, 3)))
 
 
 def _print_models(screen: Console, cells: tuple[list[str], list[list[str]]]) -> None:

@@ -114,8 +114,8 @@ def lagged(record_s: Floats, record: Floats, time_s: Floats, tau_s: float) -> tu
 
 AXES = ("x", "y", "z")
 COVARIATES = (
-    "angle", "approach", "force", "order", "previous_angle", "reading", "rotation", "supply",
-    "temperature", "temperature_rate", "time", "variance",
+    "angle", "approach", "force", "line_frequency", "order", "previous_angle", "reading", "rotation",
+    "supply", "temperature", "temperature_rate", "time", "variance",
 )  # fmt: skip
 """Names of the covariates on which an effect may depend; the trace compares effects by these names."""
 CYCLE = "repeat a few positions about 10 °C warmer, and again after it has cooled"
@@ -128,6 +128,7 @@ _OF_CONDITION = {
     "previous_angle_rad": "previous_angle",
     "temperature_c": "temperature",
     "supply_v": "supply",
+    "line_hz": "line_frequency",
     "variance_mg2": "variance",
     "order": "order",
     "force_g": "force",
@@ -216,6 +217,8 @@ class Conditions:
         Times and readings (in mg) of the whole session, for effects with memory of the load.
     variance_mg2 : (n, axes) float
         Variance of the samples within each dwell, in mg².
+    line_hz : (n,) float
+        Frequency in Hz of a spectral line that moves through the session, at each dwell.
     session : (n,) float
         Number of the session, from 0, if the rows are of several sessions; otherwise None. The clocks of
         `time_s` then begin with each session, and the times of the histories are on `clock_s`.
@@ -241,6 +244,7 @@ class Conditions:
     force_g: Floats | None = None
     rate_dps: Floats | None = None
     abs_rate_dps: Floats | None = None
+    line_hz: Floats | None = None
     session: Floats | None = None
 
     def __post_init__(self) -> None:

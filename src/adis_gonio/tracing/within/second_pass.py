@@ -46,6 +46,7 @@ from adis_gonio.tracing.trace_result import Finding, TraceResult
 from adis_gonio.tracing.within.courses import LEAST_DWELLS, LEAST_SAMPLES, Course, courses, grid
 from adis_gonio.tracing.within.events import events
 from adis_gonio.tracing.within.faults import quantization, saturation, spikes, stuck
+from adis_gonio.tracing.within.moving_lines import findings_of, moving_lines
 from adis_gonio.tracing.within.samples import (
     SEARCHES,
     Samples,
@@ -210,13 +211,14 @@ def look_within(samples: Samples) -> tuple[tuple[WithinFinding, ...], dict[str, 
     reach = correlation_reach(samples)
     frozen = stuck(samples, spread, reach)
     wild, samples = spikes(samples, spread, reach)
-    lines, samples, density = tones(samples)
+    moving, samples, density = moving_lines(samples)
+    lines, samples, density = tones(samples, density)
     change = noise_change(samples, density)
     shared, samples = courses(samples)
     # The scatter differs between dwells on the axes of this finding.
     unlike = [] if change is None else [samples.letters.index(axis) for axis in change.axes]
     single = events(samples, unlike, reach)
-    every = [frozen, wild, *lines, change, *shared, *single]
+    every = [frozen, wild, *findings_of(moving, samples), *lines, change, *shared, *single]
     return tuple(finding for finding in every if finding is not None), sensitivity(samples, density)
 
 

@@ -73,13 +73,13 @@ class _Peak:
     """Row in `Density.power` of the only dwell with the line; None for a line in all dwells."""
 
 
-def tones(samples: Samples) -> tuple[list[WithinFinding], Samples, Density | None]:
+def tones(samples: Samples, density: Density | None) -> tuple[list[WithinFinding], Samples, Density | None]:
     """Find spectral lines; return findings, the samples without the lines, and the remaining noise density.
 
-    The density is None if no dwell has the `LEAST_SAMPLES` samples for a spectrum.
+    `density` is the density of `samples`; it is None if no dwell has the `LEAST_SAMPLES` samples for a
+    spectrum.
     """
     found: list[WithinFinding] = []
-    density = density_of(samples)
     while density is not None and len(found) < MOST:
         peak = _highest(density)
         line = None if peak is None else _line(samples, density, peak)
@@ -157,7 +157,7 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
         chosen = excess.max(axis=1) > -np.log(FOUND_WITHIN / excess.size)
         if not chosen.any():
             return None
-    amplitude, u, stands = _sizes(squares[chosen], (4 * noise / counts)[chosen], excess[chosen])
+    amplitude, u, stands = line_sizes(squares[chosen], (4 * noise / counts)[chosen], excess[chosen])
     axes = [k for k in range(samples.axes) if stands[k]] or [int(np.argmax(excess.sum(axis=0)))]
     if not amplitude[axes].max() > 0:
         return None
@@ -172,7 +172,7 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
     u_frequency = 1 / (2 * np.pi * period * np.sqrt(max(information, 1e-300)))
     positions = tuple(samples.position[dwells[clear]].tolist())
     if not clear.all():
-        amplitude, u, _ = _sizes(squares[clear], (4 * noise / counts)[clear], excess[clear])
+        amplitude, u, _ = line_sizes(squares[clear], (4 * noise / counts)[clear], excess[clear])
     values = list(samples.values)
     for k, time, wave in zip(dwells.tolist(), times, waves, strict=True):
         values[k] = values[k] - _cosine_and_sine(frequency, time) @ wave
@@ -189,7 +189,7 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
         p_value=peak.p_value,
         sentence=(
             f"a spectral line at {hertz} (amplitude {sizes}) in "
-            f"{positions_text(positions, len(samples))}{_alias_text(folding)}"
+            f"{positions_text(positions, len(samples))}{alias_text(folding)}"
         ),
         advice=(
             "find what shakes the table at the line's frequency, or at one that folds to it: record again "
@@ -225,7 +225,7 @@ def aliases_hz(frequency_hz: float, rate_hz: float) -> tuple[float, ...]:
     return tuple(np.sort(folding[folding <= HIGHEST_HZ]).tolist())
 
 
-def _alias_text(folding: tuple[float, ...]) -> str:
+def alias_text(folding: tuple[float, ...]) -> str:
     """Return the text that lists the aliases `folding` (in Hz) of a spectral line; empty without any."""
     if not folding:
         return ""
@@ -251,7 +251,7 @@ def _cosine_and_sine(frequency: float, time: Floats) -> Floats:
     return np.column_stack([np.cos(turn), np.sin(turn)])
 
 
-def _sizes(squares: Floats, noise: Floats, excess: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+def line_sizes(squares: Floats, noise: Floats, excess: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Return a line's amplitude on each axis (axes,), its standard uncertainty and its significance.
 
     `squares` (d, axes) are the squared amplitudes in each dwell, `noise` is the mean squared amplitude of
@@ -320,7 +320,7 @@ _ROUNDING = 1e-30
 """Smallest power in mg²: an axis that repeats a single value has no noise at all."""
 _CELLS = 120
 _LENGTHS = 5
-_LINE = 2.0
+LINE_WIDTH = 2.0
 """Number of independent values of the spectrum on each side that a line covers under Hann's taper."""
 _STEEP = 1.5
 """Distance within which the largest value of the fitted shape is used.
@@ -463,7 +463,7 @@ def _beside(pooled: Floats, searched: slice, each: float) -> Callable[[Floats, i
     """
     above = (pooled / np.maximum(_flanks(pooled, each), 1e-300))[searched]
     peaks = searched.start + above.argmax(axis=0)
-    near, far = round(_LINE * each), 3 * round(_LINE * each)
+    near, far = round(LINE_WIDTH * each), 3 * round(LINE_WIDTH * each)
 
     def bridged(density: Floats, axis: int) -> Floats:
         peak = int(peaks[axis])
@@ -501,7 +501,7 @@ def _flanks(pooled: Floats, each: float) -> Floats:
     `pooled` (k, axes) is the noise density. The width of a line around the frequency is left out; `each` is
     the number of frequencies per ordinate.
     """
-    near, far = round(_LINE * each), round(2 * _LINE * each)
+    near, far = round(LINE_WIDTH * each), round(2 * LINE_WIDTH * each)
     sums = np.concatenate([np.zeros((1, pooled.shape[1])), np.cumsum(pooled, axis=0)])
     at = np.arange(len(pooled))
 
