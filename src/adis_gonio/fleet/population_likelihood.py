@@ -92,7 +92,9 @@ class Group:
 
 
 def log_factor(block: Block, mean: Floats, spread: float | Floats) -> Floats:
-    """Return the log Bayes factor (n,) of each session, affected against unaffected, without a limit.
+    """Return the log Bayes factor (n,) of each session, affected against unaffected.
+
+    It is not bounded, so one session can outweigh all others.
 
     `mean` (d,) and `spread` are the mean and the standard deviation of the amplitudes of affected sessions.
     `block` has score and information of the sessions on the amplitudes.
