@@ -21,22 +21,15 @@ fi
 unset PYTHONDONTWRITEBYTECODE
 # Threads of BLAS in addition to the workers would wait for one another on matrices of a hundred rows.
 export OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"
-# Recorders wait until each step is on the disk. In memory, if there is enough, that takes no time.
-free_kib="$({ df -Pk /dev/shm 2>/dev/null || true; } | awk 'NR == 2 { print $4 }')"
-if [ -w /dev/shm ] && [ "${free_kib:-0}" -gt 6000000 ]; then
-  TMPDIR="$(mktemp -d /dev/shm/gonio.XXXXXX)"
-else
-  TMPDIR="$(mktemp -d)"
-fi
-export TMPDIR
 # The types are checked while the tests run; both have to pass.
-.venv/bin/mypy >"$TMPDIR/types.txt" 2>&1 &
+types="$(mktemp)"
+.venv/bin/mypy >"$types" 2>&1 &
 checker=$!
-trap 'rm -rf "$TMPDIR"; kill "$checker" 2>/dev/null || true' EXIT
+trap 'rm -f "$types"; kill "$checker" 2>/dev/null || true' EXIT
 # Some tests wait for programs and clocks, so half as many workers again as cores keep the cores busy.
 # A worker that has run its tests takes half of the tests that another one still has.
 status=0
 .venv/bin/pytest -n $((cores + cores / 2)) --dist worksteal ${selection[@]+"${selection[@]}"} "$@" || status=$?
 wait "$checker" || status=1
-cat "$TMPDIR/types.txt"
+cat "$types"
 exit "$status"

@@ -84,7 +84,7 @@ class ErrorCurve:
 
     @cached_property
     def _independent(self) -> Floats:
-        """Change (m, q) of the error by one standard deviation of each of q independent causes.
+        """Change (m, q) of the error at m angles by one standard deviation of each of q independent causes.
 
         Causes with an effect on the error below the rounding error are left out.
         """

@@ -92,7 +92,9 @@ class Group:
 
 
 def log_factor(block: Block, mean: Floats, spread: float | Floats) -> Floats:
-    """Return the log Bayes factor (n,) of each session, affected against unaffected, without a limit.
+    """Return the log Bayes factor (n,) of each session, affected against unaffected.
+
+    It is not bounded, so one session can outweigh all others.
 
     `mean` (d,) and `spread` are the mean and the standard deviation of the amplitudes of affected sessions.
     `block` has score and information of the sessions on the amplitudes.
@@ -365,7 +367,7 @@ def _moderated(ratio: Floats, dof: Floats) -> Floats:
     from scipy.stats import chi2
 
     ratio = np.maximum(ratio, 1e-12)
-    common = float(np.median(ratio / _median_of(dof)))
+    common = float(np.median(ratio * dof / chi2.median(dof)))
     foreign = chi2.sf(ratio * dof / common, dof) < _FOREIGN
     own = np.asarray(~foreign)
     if own.sum() >= 3:
@@ -377,11 +379,3 @@ def _moderated(ratio: Floats, dof: Floats) -> Floats:
     # Mean of common and own ratio, weighted by their degrees of freedom.
     drawn = (prior * common + dof * ratio) / (prior + dof)
     return np.where(foreign, ratio, drawn)
-
-
-def _median_of(dof: Floats) -> Floats:
-    """Return the median of the distribution of χ²/ν for `dof` degrees of freedom ν (n,).
-
-    The approximation is by Wilson and Hilferty.
-    """
-    return np.asarray(np.maximum(1 - 2 / (9 * dof), 0.1) ** 3)

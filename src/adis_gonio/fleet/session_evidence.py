@@ -395,7 +395,10 @@ def _reduced(unit: Floats) -> Floats:
 
 
 def _scatter(fit: Fit, rest: Floats, base: Floats) -> tuple[ResidualChi2, ...]:
-    """Return χ² of the residual along the turn and across it, each with its degrees of freedom.
+    """Return χ² of the residual in two directions of the plane of x and y, with the degrees of freedom.
+
+    The first direction is the one in which the readings move if the attitude changes a little. There the
+    residual contains errors of the stage. The second direction is perpendicular to it.
 
     `rest` is the whitened residual, `base` the whitened columns of base model, bias and effects of single
     dwells, which reduce the degrees of freedom. A session with free attitudes has one entry. `fit` is the

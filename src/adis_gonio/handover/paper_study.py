@@ -122,7 +122,9 @@ _FROM_FIT = {
 
 
 def true_values(column: Axis) -> dict[str, float]:
-    """Return the true values of the paper's quantities in the sessions of one column of the table.
+    """Return the true values of the seed paper's quantities in the sessions simulated for one axis.
+
+    The paper's table has a column for each axis.
 
     They are the relative scale errors, the offsets in g, the non-orthogonality in degrees, and ΔK. `column`
     decides the value of the non-orthogonality.

@@ -117,7 +117,7 @@ class Criterion:
     name : {"angle", "parameters", "tell-apart"}
         Quantity that a plan is scored by: the largest u of the angle over the turn, the geometric mean of
         the u along the axes of the parameters' covariance, or the least separation of a typical effect from
-        all others.
+        all others, in standard uncertainties.
     base : int
         Number of parameters of the base model.
     gradient : (m, base) float
@@ -584,6 +584,8 @@ def best_plan(
 
     Parameters
     ----------
+    bench : Bench
+        Noise, stage and sensor of the sessions that are planned.
     positions : int
         Number of positions of the plan.
     best : {"angle", "parameters", "tell-apart"}

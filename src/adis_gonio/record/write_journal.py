@@ -129,7 +129,10 @@ class Operation(JsonRecord):
 
 
 def operations(entries: Iterable[Mapping[str, Any]]) -> tuple[Operation, ...]:
-    """Combine the records of a session's write journal to operations, in order.
+    """Combine the records of a session's write journal to operations, in the order of their beginning.
+
+    An operation is one `write`, `write --undo` or null, from its plan to its end. Each of its steps left a
+    record with the number of the operation.
 
     `entries` are the records, as `Session.facts["offset_writes"]` has them.
     """

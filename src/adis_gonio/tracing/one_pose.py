@@ -600,7 +600,11 @@ def _one_way(conditions: Conditions) -> bool:
 
 
 def _figures(problem: _Problem, model: Model) -> ErrorFigures:
-    """Return the errors of a model: of its most likely forms on all samples, and on held-out blocks."""
+    """Return the rms errors of a model in mg, over all samples and over held-out blocks.
+
+    Over all samples the most likely time constants are used. A held-out block is predicted by the mean over
+    all time constants, weighted by the likelihood of the other blocks.
+    """
     each = [_columns(model, choice) for choice in _best_variants(problem, model)]
     residual = _residual(problem, each)
     by_axis = np.sqrt(_held_out(problem, model).sum(axis=0) / len(residual))

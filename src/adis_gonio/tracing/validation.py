@@ -366,9 +366,9 @@ class Fold:
 def nest_fits(selection: Selection, averaged: Averaged | None) -> tuple[list[Fit], list[str]]:
     """Return fits of nested models, from the base model to the chosen model, and the name added at each.
 
-    The term that explains most is added first, after the forced terms. `averaged` is the fit with the
-    average of several functions in the place of one unnamed function; it is then the last fit. It is None
-    if nothing was averaged.
+    Terms that every model must have (forced terms) are added first, then in each step the term that
+    explains most. If an unnamed function was averaged over several forms, `averaged` is the fit with the
+    average, which is then the last fit; otherwise `averaged` is None.
     """
     left = list(selection.verdict.best)
     model: list[int] = []
