@@ -148,7 +148,7 @@ class Recorder(ABC):
     Parameters
     ----------
     questions : Questions
-        Dialogue with the operator, with the parts of the session.
+        Dialogue with the operator; it holds the bench and the archive of the session.
 
     Attributes
     ----------

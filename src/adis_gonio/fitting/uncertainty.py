@@ -115,7 +115,7 @@ class Source:
     further_mg: Floats | None = None
 
     def parts(self, gradient: Floats, reading: Floats | None = None) -> list[tuple[int, float, float]]:
-        """Return the contributions of the source to the variance of a quantity, one for each component.
+        """Return the contributions of the source to the mean variance of m values, one for each component.
 
         Each contribution is (number of the estimate, degrees of freedom, variance). A further reading adds
         its own noise as another contribution.
@@ -123,7 +123,7 @@ class Source:
         Parameters
         ----------
         gradient : (m, p) float
-            Derivative of m values by the parameters; the quantity is their root mean square.
+            Derivative of the m values by the parameters.
         reading : (m, axes) float, optional
             Derivative of the m values by one further reading, per mg; without it only the parameters count.
         """
@@ -179,11 +179,11 @@ class Sources:
         return np.asarray(moves @ moves.T)
 
     def parts(self, gradient: Floats, reading: Floats | None = None) -> list[tuple[int, float, float]]:
-        """Return the contributions of all sources to the variance of a quantity.
+        """Return the contributions of all sources to the variance of m values, a mean over the values.
 
-        The quantity is the root mean square of m values, with the derivatives `gradient` (m, p) by the
-        parameters and `reading` (m, axes) by one further reading (None: the parameters alone). Each
-        contribution is (number of the estimate, degrees of freedom, variance).
+        `gradient` (m, p) are the derivatives of the values by the parameters, `reading` (m, axes) those by
+        one further reading (None: the parameters alone). Each contribution is (number of the estimate,
+        degrees of freedom, variance).
         """
         return [part for source in self._counted for part in source.parts(gradient, reading)]
 
@@ -207,10 +207,11 @@ class Sources:
         return np.concatenate([source._moved(gradient, reading) for source in self._counted], axis=1)
 
     def uncertainty(self, gradient: Floats, reading: Floats | None = None) -> tuple[float, float]:
-        """Return the standard uncertainty of a quantity and its effective degrees of freedom.
+        """Return the standard uncertainty of m values together, with its effective degrees of freedom.
 
-        The quantity is the root mean square of m values, with the derivatives `gradient` (m, p) by the
-        parameters and `reading` (m, axes) by one further reading (None: the parameters alone).
+        It is the root mean square of the m standard uncertainties; for one value it is the value's own.
+        `gradient` (m, p) are the derivatives of the values by the parameters, `reading` (m, axes) those by
+        one further reading (None: the parameters alone).
         """
         parts = self.parts(gradient, reading)
         return math.sqrt(sum(part[2] for part in parts)), dof_of(parts)

@@ -68,7 +68,7 @@ class Operation(JsonRecord):
         Kind of the operation; an autonull lets the sensor find the offsets itself.
     old, new : dict of str to int
         Register contents before the write and contents to write, by name in LSB. An undo has the numbers of
-        the write that it undoes; in an autonull `new` equals `old` until it is `saved`.
+        the write that it undoes; in an autonull `new` equals `old` until saving has ended.
     found : dict of str to int
         Register contents at its start, or the old numbers if the registers were half written; a write that
         is broken off restores them.

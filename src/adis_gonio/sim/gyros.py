@@ -268,7 +268,7 @@ class DrawnFault:
     most: float = 0.0
 
     def draw(self, rng: np.random.Generator) -> dict[str, float]:
-        """Draw one value for each axis; return the values by the name of their setting."""
+        """Draw a value of this property for each axis; return the values by the name of their setting."""
         n = len(self.axes)
         if self.law == "uniform":
             drawn = self.size * rng.uniform(-1.0, 1.0, n)

@@ -377,7 +377,11 @@ def calibrate_by_length(angles: Angles) -> Floats:
 
 
 def rows_at(angles: Angles, calibration: Floats) -> Rows:
-    """Return the linear model of readings and gyro turns, linearised at a calibration (5,)."""
+    """Return the linear model of readings and turns, in start angle, calibration, effects and gyro.
+
+    `calibration` (5,) is the point of linearisation: K_x, K_y, Δφ in rad, b_x and b_y in mg. `angles` are
+    the readings, the declared angles and the turns.
+    """
     near, n = _local(angles, calibration), len(angles)
     seen_by = near.psi_rad + (near.along * near.left_mg).sum(axis=1)
     declared = np.isfinite(angles.declared_rad)

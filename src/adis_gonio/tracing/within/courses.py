@@ -76,9 +76,10 @@ class Course:
 
     @classmethod
     def of(cls, samples: Samples, usable: Usable, tau: float | None, by_move: bool) -> Course:
-        """Fit a course to the dwells for which the mask `usable` (d,) is True.
+        """Fit a line or an exponential to the samples of all dwells that the mask `usable` (d,) selects.
 
-        `tau` and `by_move` are as in the class.
+        `tau` is the time constant in s; None for a line. With `by_move` the amplitude is proportional to
+        the change of the reading in the move before the dwell, otherwise it is equal in all dwells.
         """
         z, norm = np.zeros((len(samples), samples.axes)), np.zeros(len(samples))
         for k in np.flatnonzero(usable).tolist():
