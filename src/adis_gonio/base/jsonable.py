@@ -44,9 +44,9 @@ OPTIONAL = {"optional": True}
 """Metadata of a dataclass field that is omitted from the document if its value is its default or null.
 None, NaN and infinity are null."""
 INLINE = {"inline": True}
-"""Metadata of a field with another record, whose entries become entries of the outer record's document."""
+"""Metadata of a field with another record: its entries become entries of the outer record's document."""
 NAMED_BY_UNIT = {"named_by_unit": True}
-"""Metadata of a field to whose key `_` and the value of the record's attribute `unit` are appended."""
+"""Metadata of a field: its key gets `_` and the value of the record's attribute `unit` at the end."""
 KEYED_BY_NAME = {"keyed_by_name": True}
 """Metadata of a field with several records: the document has them as an object, keyed by their `name`."""
 

@@ -286,7 +286,7 @@ class SessionBench:
                 )
 
     def changes(self, before: dict[str, int], after: dict[str, int]) -> dict[str, tuple[int, int]]:
-        """Return the control registers whose numbers `before` and `after` differ, with both numbers.
+        """Return the control registers with different numbers `before` and `after`, with both numbers.
 
         Both arguments have the numbers of all registers by name.
         """

@@ -205,7 +205,7 @@ class Repeated(JsonRecord):
 
 
 def once(records: Iterable[SessionRecord]) -> tuple[list[SessionRecord], list[Repeated]]:
-    """Keep one record of several with equal data, such as those of an archive and the CSV exported from it.
+    """Keep one record of several with equal data, such as an archive and the CSV exported from it.
 
     Return the remaining records, sorted by path, and the files of the removed records. The record of the
     file that states more facts remains.

@@ -505,7 +505,7 @@ def axes_matrix(skews_rad: Floats) -> Floats:
 def axes_matrix_derivatives(skews_rad: Floats) -> Floats:
     """Return the derivatives of the axes' directions D by each skew, (3, 3, 3) per rad.
 
-    The first index is the skew. `axes_matrix` returns D, whose rows are the axes.
+    The first index is the skew. `axes_matrix` returns D, with the axes as rows.
     """
     axes = axes_matrix(skews_rad)
     (s_xy, s_xz, _), (c_xy, c_xz, c_yz) = np.sin(skews_rad), np.cos(skews_rad)

@@ -70,7 +70,7 @@ WALL = Clock()
 
 
 class Pace:
-    """Waits until the next frame may start, for a bridge whose host has to keep stall and period.
+    """Waits until the next frame may start, for a bridge that leaves stall and period to its host.
 
     The host knows the time at which it got the report of the end of a frame, which is later than the rise
     of chip select. Both limits count from this time, so that they are kept for any latency of the bridge.

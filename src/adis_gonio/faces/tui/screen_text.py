@@ -318,7 +318,7 @@ def surroundings(state: BenchState, width: int, silence_s: float = 0.0) -> list[
 
 
 def format_measured(name: str, value: float) -> tuple[str, str]:
-    """Return name and value with unit as text, for a number whose name ends in its unit (`gyro_deg`)."""
+    """Return name and value with unit as text; `name` ends in the unit, such as `gyro_deg`."""
     stem, _, unit = name.rpartition("_")
     if not stem or unit not in _UNITS:
         return name.replace("_", " "), use_minus(f"{value:.4g}")

@@ -242,7 +242,7 @@ def _limits(dwells: Sequence[Dwell], steps: Floats) -> tuple[Limit, ...]:
 
 
 def is_lively(dwells: Sequence[Floats], steps: Floats) -> NDArray[np.bool_]:
-    """Return a mask (axes,) of the axes whose noise is at least `_LIVELY` steps of the converter.
+    """Return a mask (axes,) of the axes with noise of at least `_LIVELY` steps of the converter.
 
     `dwells` are the samples (n, axes) of each dwell, `steps` (axes,) the steps of the converter.
     """
