@@ -3,8 +3,8 @@
 A `Budget` here is a budget of time (elsewhere a budget of uncertainty). The current budget is a context
 variable, so that an inner loop can check it without an argument. Long work calls a function at the places
 at which it can stop. `spent` returns True at the end of the time, for work that can return its best result
-so far; `check` raises an exception, for work whose unfinished result must be discarded. `attempt` runs a
-stage and returns a substitute result if `check` ended the stage; `with_progress` reports the progress of a
+so far; `check` raises an exception, for work that is of no use unfinished. `attempt` runs a stage and
+returns a substitute result if `check` ended the stage; `with_progress` reports the progress of a
 loop. Without a time limit nothing ends early.
 """
 

@@ -8,7 +8,7 @@ at any angle, so the specific risk of a false accept is
     p = P(E > T) = 1 − P(|m(ψ) + R(ψ) z| ≤ T at all ψ)
 
 The set of all z for which the angle conforms is convex. Along a direction d, with z = r d, it is therefore
-one interval of r ≥ 0, whose probability follows from the distribution of r = |z|. The mean of this
+one interval of r ≥ 0; its probability follows from the distribution of r = |z|. The mean of this
 probability over random directions is 1 − p. For a single angle the result is exact: it is then the
 conformance probability of JCGM 106, clause 7.
 

@@ -50,7 +50,7 @@ class Ledger:
     done : dict
         Number of the attempt that is used as the dwell, by place.
     skipped, faulty : set of int
-        Skipped places, and places whose dwell has an error or alarm that was not accepted.
+        Skipped places, and places of dwells with an error or alarm that was not accepted.
     last_place : int or None
         Place of the newest dwell; None without a dwell.
     taken : int

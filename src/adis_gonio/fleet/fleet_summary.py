@@ -197,7 +197,7 @@ class Summary:
 
 
 def summarise(rows: Sequence[Row] | Any) -> Summary:
-    """Summarise the fleet whose sessions are the rows of a table, in any order.
+    """Summarise the fleet with the sessions in the rows of a table, in any order.
 
     The table is a list of rows or a pyarrow table, with the columns `session_table.COLUMNS`.
     """

@@ -284,7 +284,7 @@ def _objection(population: Population, parts: Sequence[ChosenCause], step: Selec
 def _keep_supported(
     population: Population, steps: Sequence[SelectionStep]
 ) -> tuple[list[SelectionStep], dict[str, str]]:
-    """Drop each cause whose evidence is explained by causes that were found later.
+    """Drop each cause that is explained by causes that were found later.
 
     Returns the remaining steps, and the reason for each dropped cause.
     """

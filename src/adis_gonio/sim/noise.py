@@ -1,4 +1,4 @@
-"""Random processes whose values do not depend on the grouping of the requested times into calls."""
+"""Random processes that do not depend on the grouping of the requested times into calls."""
 
 from __future__ import annotations
 

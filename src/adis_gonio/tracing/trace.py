@@ -136,7 +136,7 @@ def trace(
     request = AskedModel.of(include, exclude, only)
     if session.free_turn and not session.dwells:
         raise FitError(
-            f"{session.source or 'session'}: a free turn has no positions whose residuals a trace could"
+            f"{session.source or 'session'}: a free turn has no positions with residuals that a trace could"
             " follow; use fit, or measure positions (calibrate --plan tumble) and trace those"
         )
     with limited_to(time_limit):

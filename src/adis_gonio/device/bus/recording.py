@@ -2,7 +2,7 @@
 
 | URL | meaning |
 |---|---|
-| `record:FILE:URL` | opens URL and writes every call to the new file FILE, whose name has no colon |
+| `record:FILE:URL` | opens URL and writes every call to the new file FILE; its name has no colon |
 | `replay:FILE` | answers each call with the next recorded call that has the same frames |
 | `replay:FILE?mode=strict` | raises an error at the first call that differs from the recording |
 

@@ -292,7 +292,7 @@ They are bit masks by register name; -1 is all bits.
 
 
 def changed_settings(then: Mapping[str, int], now: Mapping[str, int]) -> dict[str, tuple[int, int]]:
-    """Return the old and the new content of each register whose change shifts or scales the readings.
+    """Return the old and new contents of the registers with changes that shift or scale the readings.
 
     `then` and `now` map register names to contents at an earlier and a later time. Only the bits in
     `READING_BITS` are compared, and only these bits are returned. A register that is missing in `then` or

@@ -311,7 +311,7 @@ SWAY_HZ = 1.0
 
 
 class MovingPeak(NamedTuple):
-    """A peak of the spectrum whose frequency moves during the records.
+    """A peak of the spectrum that moves during the records.
 
     `low_hz` and `high_hz` are its lowest and highest frequency in the pieces of the records. `ratio` is its
     median height, relative to the spectrum around it.
@@ -326,7 +326,7 @@ class MovingPeak(NamedTuple):
         """Sentence for the user on the frequency and the height of the peak."""
         return (
             f"a line between {self.low_hz:.3g} and {self.high_hz:.3g} Hz, {self.ratio:.2g} times the noise"
-            " around it: a resonance of the sensor, or a vibration whose speed changes"
+            " around it: a resonance of the sensor, or a vibration that changes its speed"
         )
 
 

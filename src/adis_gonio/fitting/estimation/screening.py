@@ -101,7 +101,7 @@ def limit_notes(limits: Sequence[Limit], unit: str) -> list[str]:
 
 
 def dwells_at_limit(dwells: Sequence[Dwell], limits: Sequence[Limit], gravity: float | None) -> set[int]:
-    """Return the positions of dwells whose mean is changed by a limit of the range.
+    """Return the positions of dwells with a mean that is changed by a limit of the range.
 
     `gravity` is local gravity in the unit of the samples. If it is None, because the unit is unknown, the
     result is empty. A limit counts only if two or more dwells reach it, and if the means of the dwells that

@@ -484,7 +484,7 @@ class _Model:
 
     @classmethod
     def of(cls, data: Readings, effects: Sequence[Effect]) -> _Model:
-        """Build the model from the effects whose conditions are recorded, and find its free parameters."""
+        """Build the model from the effects with recorded conditions, and find its free parameters."""
         seen = [one for one in effects if not data.conditions.lacks(one.needs)]
         terms = tuple(NamedTerm(one.name, (), 0.0, one) for one in seen)
         names = (*data.model.names, *(p.name for term in terms for p in term.effect.parameters))

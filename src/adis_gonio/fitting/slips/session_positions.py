@@ -688,7 +688,7 @@ def _increments(session: Session, readings: Readings) -> Increments | None:
 def _noted(session: Session) -> dict[tuple[int, int], tuple[float, float]]:
     """Return the turns about z that the program measured while the session ran: angle and u in degrees.
 
-    They serve for turns whose samples were not recorded. The keys are the indices of the dwells before and
+    They serve for turns without recorded samples. The keys are the indices of the dwells before and
     after a turn. The u includes the effect of the g-sensitivity.
     """
     dwells = session.facts.get("dwells") or []

@@ -290,7 +290,7 @@ def saturation(session: Session, data: Readings) -> WithinFinding | None:
 
 
 def quantization(session: Session, samples: Samples, reach: int) -> WithinFinding | None:
-    """Return the finding on axes whose converter step is too coarse for the noise; None without such axes.
+    """Return the finding on axes with a converter step too coarse for the noise; None without such axes.
 
     `session` gives the sensor and the unit of its samples.
 
