@@ -16,16 +16,20 @@ HEAD = """\
 
 <!-- written by scripts/effects_page.py from src/adis_gonio/model/effects: change it there -->
 
-An effect is a named physical term that the seed paper's model (start angle α, one gain per axis,
-Δφ) lacks. A fitted value outside the bounds is rejected. Typical sizes are **estimates** for a bench
-with an ADIS16354. [Theory](theory.md#from-the-residual-to-the-effect) lists the harmonics that they share.
+An effect is a named physical term that may be added to the model of the seed paper (start angle α, one gain
+per axis, Δφ; [theory](theory.md)). A fitted value outside the bounds is rejected. Typical sizes are
+**estimates** for a bench with an ADIS16354. [Theory](theory.md#from-the-residual-to-the-effect) lists the harmonics that they share.
 
 Symbols: a_i is the ideal reading of axis i in mg, a_p the ideal reading of an axis across it, θ the
-declared angle of the stage, ψ = α − θ the true angle of the part, t the time; for gyros ω_i is the ideal
-reading of gyro i in °/s, Ω the true rate about the accelerometers' axes, f the reading of the
+declared angle of the stage, ψ = α − θ the true angle of the part, t the time in s; for gyros ω_i is the
+ideal reading of gyro i in °/s, Ω the true rate about the accelerometers' axes, f the reading of the
 accelerometers in g. The parameters of an axis have its letter (`bias_x`), the parameters of a
-pair have both (`kpp_xy`: axis x, acceleration along y). Each parameter is given with its typical size
-and its bounds.
+pair have both (`kpp_xy`: axis x, acceleration along y).
+
+Each entry has the formula, the parameters with typical size, unit (1 for a ratio) and bounds, and then what
+helps to tell the effect from others like it. *needs* is a condition that the session must have recorded;
+*choice* is a setting of the effect (axes count from 0: x, y, z); *enters* is said if the effect does not
+change the mean reading of an axis.
 
 On a command line an effect is `name` (all parameters typical) or `name:parameter=value,…` (other
 amplitudes are zero; time constants, frequencies and limits keep their typical values). Your own

@@ -617,7 +617,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
             Wrong shape, another unit, NaN or infinity; the calibration has no start angle.
         """
         if "alpha" not in self:
-            raise UsageError("this calibration has no start angle alpha: only .angle() can be given")
+            raise UsageError("this calibration has no start angle: use `angle`, the angle by gravity")
         return self._with_u(self._angle_of(stage=True), accel, temperature_c, supply_v, reading_u)
 
     def error_curves(self, *, stage: bool = True) -> tuple[ErrorCurve | None, ErrorCurve]:

@@ -295,7 +295,7 @@ class FitResult(ParameterTable):
         if self.shown_angle is None or self.origin is None:
             return curves
         if self.angle_roots_deg is None:
-            raise FitError("this session does not determine the angle, so conformity cannot be stated")
+            raise FitError("the session does not determine the angle: conformity needs more positions")
         before, after = curves
         after = replace(after, root_deg=self.angle_roots_deg, dof=self.shown_angle.dof)
         return before and replace(after, error_deg=before.error_deg), after
@@ -590,5 +590,5 @@ def assumed_parameters(model: Measurement, names: Sequence[str]) -> tuple[str, .
     missing = [name for name in names_of(model) if name not in names]
     needed = [name for name in missing if not name.startswith(("bias", "alpha", "scale_y"))]
     if needed:
-        raise FitError(f"the session does not determine {', '.join(needed)}: it gives no calibration")
+        raise FitError(f"the session does not determine {', '.join(needed)}: record more positions")
     return tuple(missing)

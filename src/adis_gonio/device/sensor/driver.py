@@ -687,7 +687,7 @@ class Adis16354(Closing):
     def _flash_command(self, field: str, wait_s: float, what: str) -> int:
         before = self.endurance()
         if before >= FLASH_LIFE:
-            raise ChipError(f"ENDURANCE is {before}: the flash is made for {FLASH_LIFE} writes")
+            raise ChipError(f"ENDURANCE is {before}: no update, since the flash lasts {FLASH_LIFE} updates")
         self.forget_mark()
         self._command(field)
         self.bus.sleep_s(wait_s)

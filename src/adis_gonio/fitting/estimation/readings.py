@@ -428,8 +428,8 @@ def _refuse_other_units(session: Session, readings: Readings) -> None:
     if session.plane == "xy" and left:
         where = f" at {odd_positions}" if right_unit else ""
         raise DataError(
-            f"{source}: the part lies flat, X and Y read {lengths.min():.2g} g of {flat:.3g} g{where}: a"
-            " plane that is turned has to be vertical; write '# plane: none' for poses in space"
+            f"{source}: the part lies flat, X and Y read {lengths.min():.2g} g, not {flat:.3g} g{where}:"
+            " a plane that is turned has to be vertical; write '# plane: none' for poses in space"
         )
     if right_unit:
         raise DataError(

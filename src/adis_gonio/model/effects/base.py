@@ -498,7 +498,7 @@ class Effect(ABC):
         """
         columns = [AXES.index(axis) for axis in self.axes]
         if columns and max(columns) >= readings.shape[1]:
-            raise UsageError(f"{self.name} acts on {', '.join(self.axes)}, but z was not recorded")
+            raise UsageError(f"effect {self.name} acts on {', '.join(self.axes)}, but z was not recorded")
         return columns
 
 
