@@ -18,7 +18,8 @@ HEAD = """\
 
 An effect is a named physical term that may be added to the model of the seed paper (start angle α, one gain
 per axis, Δφ; [theory](theory.md)). A fitted value outside the bounds is rejected. Typical sizes are
-**estimates** for a bench with an ADIS16354. [Theory](theory.md#from-the-residual-to-the-effect) lists the harmonics that they share.
+**estimates** for a bench with an ADIS16354.
+[Theory](theory.md#from-the-residual-to-the-effect) lists the harmonics that they share.
 
 Symbols: a_i is the ideal reading of axis i in mg, a_p the ideal reading of an axis across it, θ the
 declared angle of the stage, ψ = α − θ the true angle of the part, t the time in s; for gyros ω_i is the
