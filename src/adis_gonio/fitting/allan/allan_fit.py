@@ -136,7 +136,7 @@ def rests_of(session: Session, part: Part) -> Rests:
         longest = max(len(series) for _, series in held)
         raise DataError(
             f"{where}: no rest without a gap is longer than {counted(longest, 'sample')}"
-            f" ({longest * period_s:.3g} s): noise needs {LEAST} samples; let the part lie still for longer"
+            f" ({longest * period_s:.3g} s): noise needs {LEAST}; let the part lie still for longer"
         )
     still = [axis for axis in range(records[0].shape[1]) if all(not np.ptp(r[:, axis]) for r in records)]
     if still:
