@@ -202,9 +202,9 @@ def _fitted(
     values = list(samples.values)
     fits: list[tuple[float, float, float]] = []
     squares: list[Floats] = []
-    for k, f, s, own in zip(dwells.tolist(), rough.tolist(), slopes.tolist(), noise[rows, at], strict=True):
-        time = samples.time_s[k] - middle[len(fits)]
-        chirp = _chirp(time, without_line(values[k]) / np.sqrt(own), f, s)
+    for k, mid, f, s, own in zip(dwells.tolist(), middle, rough, slopes, noise[rows, at], strict=True):
+        time = samples.time_s[k] - mid
+        chirp = _chirp(time, without_line(values[k]) / np.sqrt(own), float(f), float(s))
         turn = 2 * np.pi * (chirp[0] + chirp[1] * time / 2) * time
         design = np.column_stack([np.cos(turn), np.sin(turn)])
         wave = np.linalg.lstsq(design, without_line(values[k]), rcond=None)[0]
