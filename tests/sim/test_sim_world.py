@@ -279,7 +279,7 @@ def test_effects_get_every_condition():
     Everything.seen.clear()
     world.sample(end + np.array([1.0, 2.0]))
     (conditions,) = Everything.seen
-    assert conditions.lacks([f.name for f in fields(conditions)]) == ("session",)
+    assert conditions.lacks([f.name for f in fields(conditions)]) == ("line_hz", "session")
     assert np.degrees(conditions.angle_rad) == pytest.approx(70.0)
     assert np.degrees(conditions.previous_angle_rad) == pytest.approx(40.0)
     assert conditions.order.tolist() == [1, 1]

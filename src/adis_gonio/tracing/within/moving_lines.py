@@ -110,11 +110,10 @@ def moving_lines(samples: Samples) -> tuple[list[MovingLine], Samples, Density |
         return found, samples, density
     counts = samples.counts[density.dwells]
     each = 2 * (len(density.frequency) - 1) / float(np.median(counts))
-    short = counts < np.median(counts) / 2
     passed = np.zeros(density.power[:, density.searched].shape[:2], dtype=bool)
     wide = round(LINE_WIDTH * each)
     for _ in range(2 * MOST):
-        noise = _own_noise(density, each, short)
+        noise = _own_noise(density, each, counts < np.median(counts) / 2)
         heights = (density.power[:, density.searched] / noise).max(axis=2)
         heights[passed] = 0.0
         dwell, at = np.unravel_index(int(heights.argmax()), heights.shape)
@@ -140,32 +139,34 @@ def strongest_frequency(samples: Samples, position: NDArray[np.intp]) -> Floats 
     lines = moving_lines(samples)[0]
     if not lines:
         return None
-    seen = samples.position[lines[0].dwells]
-    return np.asarray(np.interp(position, seen, lines[0].frequency_hz), dtype=np.float64)
+    return np.asarray(np.interp(position, samples.position[lines[0].dwells], lines[0].frequency_hz))
 
 
 def _own_noise(density: Density, each: float, short: NDArray[np.bool_]) -> Floats:
     """Return the noise density (d, searched, axes) of each dwell.
 
-    Its shape is that of the noise of all dwells. Its level is the median over a part of the dwell's own
-    spectrum, the larger one of the two nearest parts. `each` is the number of frequencies per ordinate. In
-    the dwells `short` (d,) a line covers whole parts: their levels are the medians over the other dwells.
+    Its shape is the density of all dwells or, if it is larger, the median over the dwells at each
+    frequency, which a line that moves does not change. Its level is the median over a part of the dwell's
+    own spectrum, the larger one of the two nearest parts. In the dwells `short` (d,) a line covers whole
+    parts: their levels are medians over the other dwells. `each` is the number of frequencies per ordinate.
     """
-    shape = density.base[density.searched]
-    relative = density.power[:, density.searched] / shape
+    base = density.base[density.searched]
+    relative = density.power[:, density.searched] / base
     edges, at = [0], 0.0
-    while edges[-1] < len(shape):
+    while edges[-1] < len(base):
         at += float(np.clip(_GROWTH * (LOWEST + at / each), *_BLOCKS)) * each
-        edges.append(min(round(at), len(shape)))
+        edges.append(min(round(at), len(base)))
     if len(edges) > 2 and edges[-1] - edges[-2] < _BLOCKS[0] * each / 2:
         edges.pop(-2)
     levels = np.stack([np.median(relative[:, low:high], axis=1) for low, high in pairwise(edges)], axis=1)
     levels[short] = np.median(levels[~short], axis=0)
     middles = (np.array(edges[:-1]) + np.array(edges[1:])) / 2
-    above = np.clip(np.searchsorted(middles, np.arange(len(shape))), 0, len(middles) - 1)
-    larger = np.maximum(levels[:, np.maximum(above - 1, 0)], levels[:, above])
+    above = np.clip(np.searchsorted(middles, np.arange(len(base))), 0, len(middles) - 1)
     # The median of an exponential distribution is ln 2 times its mean.
-    return np.asarray(np.maximum(larger * shape / np.log(2), 1e-300), dtype=np.float64)
+    larger = np.maximum(levels[:, np.maximum(above - 1, 0)], levels[:, above]) / np.log(2)
+    larger = np.maximum(larger, 1e-300)
+    shared = np.maximum(np.median(relative / larger, axis=0) / np.log(2), 1.0)
+    return np.asarray(larger * shared * base, dtype=np.float64)
 
 
 def _path(heights: Floats, start: tuple[int, int], each: float, axes: int) -> dict[int, int]:
