@@ -205,7 +205,7 @@ def test_expected_frames_name_the_line_of_the_test() -> None:
     here = sys._getframe().f_lineno - 1
     with pytest.raises(AssertionError, match=rf"test_recording\.py:{here}: .*0x0A00.*0x0000"):
         bus.exchange([0x3600, 0x0A00])
-    with pytest.raises(AssertionError, match=rf"test_recording\.py:{here}: 1 expected"):
+    with pytest.raises(AssertionError, match=rf"test_recording\.py:{here}: .*never sent: 1,"):
         bus.close()
     done = ExpectedFrames([(0x3600, 5), (0x0000, 1)])
     assert done.exchange([0x3600, 0x0000]) == [5, 1]

@@ -406,7 +406,7 @@ def test_a_worn_flash_is_not_written():
     script = [*CONFIGURATION, *checked_reading((0x0000, 10_000))]
     with (
         Adis16354(ExpectedFrames(script), check=False) as sensor,
-        pytest.raises(ChipError, match="made for 10000"),
+        pytest.raises(ChipError, match="lasts 10000"),
     ):
         sensor.save_to_flash()
 

@@ -83,7 +83,7 @@ class ExpectedFrames(SpiBus):
         if missing:
             first = missing[0]
             raise AssertionError(
-                f"{first.place}: {len(missing)} listed frames were never sent, first 0x{first.frame:04X}"
+                f"{first.place}: frames never sent: {len(missing)}, first 0x{first.frame:04X}"
             )
 
 
