@@ -96,8 +96,8 @@ def find_defects(names: Sequence[str], first: int, most: int, state: Path | None
 
     The second number of a line counts the stories among them that reach the place of the defect.
 
-    A story that may reach the place of a defect is played without one first; only the defects whose place
-    it reaches can change it, and are put back one by one, so that the numbers are those of playing all.
+    A story that may reach the place of a defect is played without one first. Only defects with a place that
+    it reaches can change it: these are put back one by one. The numbers equal those of a run with all.
     `state` is a file from which the search goes on, or None.
     """
     known = json.loads(state.read_text()) if state is not None and state.exists() else {}

@@ -29,7 +29,7 @@ pair have both (`kpp_xy`: axis x, acceleration along y).
 
 Each entry has the formula, the parameters with typical size, unit (1 for a ratio) and bounds, and then what
 helps to tell the effect from others like it. *needs* is a condition that the session must have recorded;
-*choice* is a setting of the effect (axes count from 0: x, y, z); *enters* is said if the effect does not
+*choice* is a setting of the effect (axes count from 0: x, y, z); *enters* is stated if the effect does not
 change the mean reading of an axis.
 
 On a command line an effect is `name` (all parameters typical) or `name:parameter=value,…` (other

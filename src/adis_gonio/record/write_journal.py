@@ -185,7 +185,7 @@ def _remarks(known: Sequence[Operation], recorded: Numbers, what: str) -> tuple[
         else "saved to flash"
     )
     return (
-        f"offsets were written to the sensor since ({changes}): {what} here are those of the recording, "
+        f"offsets were written to the sensor since ({changes}): the {what} here were recorded before, "
         f"and exported coefficients hold only while the part holds the offsets written; they are {kept}",
     )
 

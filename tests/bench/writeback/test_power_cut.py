@@ -1,9 +1,9 @@
 """A power cut at each frame of write and undo leaves the old or the new offsets; the next start says which.
 
-Two ways: `test_after_each_frame…` runs the procedure once and asks at every one of its frames what a part
-that loses its power there would hold, and what the next start says of it and does with it. `test_a_cut…`
-really cuts, before and after each frame that writes, at every third of the others outside the dwells and
-at some within, while the host goes on against a dead line or against a part that has restarted.
+`test_after_each_frame…` runs the procedure once. At each frame it asks for the content of a part without
+power from then on, and for the report and action of the next start. `test_a_cut…` really cuts, before and
+after each frame that writes, at every third of the others outside the dwells and at some within, while the
+host goes on against a dead line or against a part that has restarted.
 """
 
 import shutil

@@ -274,8 +274,8 @@ class RecordedChip:
     counts : list of (command, int)
         Change of ENDURANCE by each command that saves to flash.
     kept_alarms : list of bool
-        For each alarm whose condition has ended and whose bit the first word of STATUS had: True if the
-        second word has the bit too.
+        For each alarm that is over, if the first word of STATUS had its bit: True if the second word has
+        the bit too.
     error_flags : list of str
         Labels of the flag EA (error or alarm) in the output words during an alarm. `set`: all words from
         the first flag on have it. `missing`: no word has it, although STATUS has the bit of the alarm.

@@ -36,6 +36,8 @@ from adis_gonio.tracing.within.tones import (
     Density,
     alias_text,
     aliases_hz,
+    amplitudes_of,
+    cosine_and_sine,
     density_of,
     line_sizes,
     without_line,
@@ -85,11 +87,6 @@ class MovingLine:
     squares: Floats
     p_value: float
 
-    @property
-    def power(self) -> float:
-        """Sum of the squared amplitudes over dwells and axes, in mg²."""
-        return float(self.squares.sum())
-
     def moves_like(self, other: MovingLine) -> bool:
         """True if the frequencies of both lines change alike, in at least four dwells that show both."""
         _, own, others = np.intersect1d(self.dwells, other.dwells, return_indices=True)
@@ -128,7 +125,7 @@ def moving_lines(samples: Samples) -> tuple[list[MovingLine], Samples, Density |
         line, samples = _fitted(samples, density, noise, path, p)
         found.append(line)
         density = density_of(samples) or density
-    return sorted(found, key=lambda line: -line.power), samples, density
+    return sorted(found, key=lambda line: -float(line.squares.sum())), samples, density
 
 
 def strongest_frequency(samples: Samples, position: NDArray[np.intp]) -> Floats | None:
@@ -206,8 +203,7 @@ def _fitted(
     for k, mid, f, s, own in zip(dwells.tolist(), middle, rough, slopes, noise[rows, at], strict=True):
         time = samples.time_s[k] - mid
         chirp = _chirp(time, without_line(values[k]) / np.sqrt(own), float(f), float(s))
-        turn = 2 * np.pi * (chirp[0] + chirp[1] * time / 2) * time
-        design = np.column_stack([np.cos(turn), np.sin(turn)])
+        design = cosine_and_sine(chirp[0] + chirp[1] * time / 2, time)
         wave = np.linalg.lstsq(design, without_line(values[k]), rcond=None)[0]
         values[k] = values[k] - design @ wave
         fits.append(chirp)
@@ -259,7 +255,7 @@ def _finding(line: MovingLine, alike: Sequence[MovingLine], samples: Samples) ->
     noise = 4 * line.noise / samples.counts[line.dwells][:, None]
     amplitude, u, stands = line_sizes(line.squares, noise, line.squares / noise)
     axes = [k for k in range(samples.axes) if stands[k]] or [int(amplitude.argmax())]
-    sizes = {samples.letters[k]: Value(float(amplitude[k]), float(u[k]), "mg") for k in axes}
+    letters, parameters, sizes = amplitudes_of(samples, axes, amplitude, u)
     first, last = (Value(float(line.frequency_hz[k]), float(line.u_hz[k]), "Hz") for k in (0, -1))
     positions = tuple(samples.position[line.dwells].tolist())
     folding = aliases_hz(float(np.median(line.frequency_hz)), 1 / samples.period_s)
@@ -268,17 +264,12 @@ def _finding(line: MovingLine, alike: Sequence[MovingLine], samples: Samples) ->
     return WithinFinding(
         kind="tone",
         effect="tone",
-        axes=tuple(sizes),
+        axes=letters,
         positions=positions,
-        parameters={
-            **{f"tone_{letter}": size for letter, size in sizes.items()},
-            "frequency_first": first,
-            "frequency_last": last,
-        },
+        parameters=parameters | {"frequency_first": first, "frequency_last": last},
         p_value=line.p_value,
         sentence=(
-            f"a spectral line that moves from {first} to {last} (amplitude "
-            f"{', '.join(f'{letter} {size}' for letter, size in sizes.items())}) in "
+            f"a spectral line that moves from {first} to {last} (amplitude {sizes}) in "
             f"{positions_text(positions, len(samples))}{with_it}{alias_text(folding)}"
         ),
         advice=(
@@ -292,7 +283,7 @@ def _finding(line: MovingLine, alike: Sequence[MovingLine], samples: Samples) ->
             line.frequency_hz,
             "time / s",
             "frequency / Hz",
-            f"Frequency of a spectral line of {join_words(list(sizes))} in each dwell.",
+            f"Frequency of a spectral line of {join_words(letters)} in each dwell.",
             points=True,
         ),
     )

@@ -175,17 +175,16 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
         amplitude, u, _ = line_sizes(squares[clear], (4 * noise / counts)[clear], excess[clear])
     values = list(samples.values)
     for k, time, wave in zip(dwells.tolist(), times, waves, strict=True):
-        values[k] = values[k] - _cosine_and_sine(frequency, time) @ wave
-    lines = {samples.letters[k]: Value(float(amplitude[k]), float(u[k]), "mg") for k in axes}
+        values[k] = values[k] - cosine_and_sine(frequency, time) @ wave
     hertz = Value(frequency, float(u_frequency), "Hz")
-    sizes = ", ".join(f"{letter} {line}" for letter, line in lines.items())
+    letters, parameters, sizes = amplitudes_of(samples, axes, amplitude, u)
     folding = aliases_hz(frequency, 1 / period)
     finding = WithinFinding(
         kind="tone",
         effect="tone",
-        axes=tuple(lines),
+        axes=letters,
         positions=positions,
-        parameters={**{f"tone_{letter}": line for letter, line in lines.items()}, "frequency": hertz},
+        parameters=parameters | {"frequency": hertz},
         p_value=peak.p_value,
         sentence=(
             f"a spectral line at {hertz} (amplitude {sizes}) in "
@@ -241,12 +240,13 @@ def _waves(frequency: float, times: list[Floats], rows: list[Floats]) -> Floats:
     """
     waves = []
     for time, own in zip(times, rows, strict=True):
-        design = np.column_stack([_cosine_and_sine(frequency, time), np.ones_like(time)])
+        design = np.column_stack([cosine_and_sine(frequency, time), np.ones_like(time)])
         waves.append(np.linalg.lstsq(design, own, rcond=None)[0][:2])
     return np.array(waves)
 
 
-def _cosine_and_sine(frequency: float, time: Floats) -> Floats:
+def cosine_and_sine(frequency: float | Floats, time: Floats) -> Floats:
+    """Return cosine and sine (n, 2) of a frequency in Hz at times (n,) in s; the frequency may be (n,)."""
     turn = 2 * np.pi * frequency * time
     return np.column_stack([np.cos(turn), np.sin(turn)])
 
@@ -271,6 +271,18 @@ def line_sizes(squares: Floats, noise: Floats, excess: Floats) -> tuple[Floats, 
     u = np.minimum(u, np.sqrt(np.sqrt(own)))
     shown = special.gammaincc(d, excess.sum(axis=0)) < 1e-3
     return amplitude, u, np.asarray(shown)
+
+
+def amplitudes_of(
+    samples: Samples, axes: Sequence[int], amplitude: Floats, u: Floats
+) -> tuple[tuple[str, ...], dict[str, Value], str]:
+    """Return letters, parameters and a text of a line's amplitudes in mg on some `axes`.
+
+    `amplitude` and `u` are the amplitudes on all axes and their standard uncertainties.
+    """
+    lines = {samples.letters[k]: Value(float(amplitude[k]), float(u[k]), "mg") for k in axes}
+    sizes = ", ".join(f"{letter} {line}" for letter, line in lines.items())
+    return tuple(lines), {f"tone_{letter}": line for letter, line in lines.items()}, sizes
 
 
 def _view(density: Density, period: float, axis: int, letter: str, frequency: float) -> View:
