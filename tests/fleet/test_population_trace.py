@@ -161,15 +161,6 @@ def test_order_does_not_matter_and_a_session_counts_once() -> None:
     assert "count once" in second.notes[0]
 
 
-def test_what_would_have_been_seen_grows_with_rarity() -> None:
-    reach = trace_population(drawn(np.random.default_rng(0), 100)).detectable["hysteresis"]
-    rare, some, all_ = (reach.amplitude[share] for share in ("0.1", "0.3", "1"))
-    assert all_ is not None
-    assert some is not None
-    assert all_ < some
-    assert rare is None or some < rare
-
-
 def test_a_ratio_that_the_common_noise_cannot_explain_is_taken_as_it_is() -> None:
     every = drawn(np.random.default_rng(2), 50)
     odd = replace(every[0], scatter=tuple(replace(p, chi2=25 * p.dof) for p in every[0].scatter))

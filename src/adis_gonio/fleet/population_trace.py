@@ -15,7 +15,7 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import counted, format_percent
 from adis_gonio.base.uncertainty import POPULATION_SET, Value
-from adis_gonio.fleet.cause_distribution import Reach, means_of, reach_of, share_of
+from adis_gonio.fleet.cause_distribution import means_of, share_of
 from adis_gonio.fleet.population_likelihood import Units, units_of
 from adis_gonio.fleet.population_selection import (
     LEAST_UNITS,
@@ -144,8 +144,6 @@ class PopulationResult(JsonRecord):
         Causes with several names that the data cannot distinguish.
     unnamed : tuple of Common
         Causes that are unnamed functions, or may be unnamed functions.
-    detectable : mapping of str to Reach
-        Smallest amplitude of each effect that these sessions would have shown.
     missing : mapping of str to str
         Effects for which no session gives evidence, with the reason.
     open : mapping of str to str
@@ -161,7 +159,6 @@ class PopulationResult(JsonRecord):
     found: tuple[Common, ...]
     sets: tuple[Common, ...]
     unnamed: tuple[Common, ...]
-    detectable: Mapping[str, Reach]
     missing: Mapping[str, str]
     open: Mapping[str, str]
     inflation: Mapping[str, float]
@@ -239,7 +236,6 @@ def trace_population(
         found=tuple(one for one in commons if len(one.effects) == 1),
         sets=tuple(one for one in commons if len(one.effects) > 1),
         unnamed=tuple(one for one in commons if not one.effects),
-        detectable=reach_of(population),
         missing=_without_evidence(units),
         open=open_,
         inflation={"median": inflated, "largest": float(units.inflation.max())},
