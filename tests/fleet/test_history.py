@@ -73,7 +73,7 @@ def test_one_session_has_values_and_neither_drift_nor_chart():
     assert words.chart_lines(track)
 
 
-def test_an_unknown_serial_number_lists_those_like_it_in_one_line():
+def test_an_unknown_serial_number_names_the_one_most_like_it_in_one_line():
     with pytest.raises(UsageError, match=r"'A1O7'.* A107") as caught:
         known_serial("A1O7", ["A107", "B-33", "C9"])
     assert "\n" not in str(caught.value)

@@ -146,7 +146,7 @@ def test_a_serial_number_in_other_capitals_is_another_sensor_and_is_said(tmp_pat
     said = [line for line in printed.err.splitlines() if "another sensor" in line]
     assert [line.split("'")[1] for line in said] == ["a 7", "a7"]
     assert main(["history", "A8", str(tmp_path)]) == 2
-    assert "A7, a7" in capsys.readouterr().err
+    assert "known: A7, B, a 7, a7" in capsys.readouterr().err
 
 
 def test_a_scatter_beyond_all_doubt_is_no_probability_of_zero():

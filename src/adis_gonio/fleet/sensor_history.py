@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.errors import UsageError
+from adis_gonio.base.errors import UsageError, suggest
 from adis_gonio.base.jsonable import JsonRecord, json_object
 from adis_gonio.base.numbers import (
     DASH,
@@ -149,21 +148,17 @@ def known_serial(serial: str, known: Sequence[str]) -> str:
     Raises
     ------
     UsageError
-        The serial number is unknown; the message lists similar serial numbers.
+        The serial number is unknown; the message names the most similar serial number.
     """
     if serial in known:
         return serial
-    lower = {name.lower() for name in known}
-    close = difflib.get_close_matches(serial.lower(), sorted(lower), n=5, cutoff=0.5)
-    near = [name for one in close for name in known if name.lower() == one]
-    if near:
-        hint = f"similar: {', '.join(near)}"
-    elif known:
-        hint = f"known: {', '.join(known[:5])}{' …' if len(known) > 5 else ''}"
+    if known:
+        otherwise = f"known: {', '.join(known[:5])}{' …' if len(known) > 5 else ''}"
     else:
-        hint = (
+        otherwise = (
             "no session in these folders has a serial number (calibrate --serial, or '# serial:' in a CSV)"
         )
+    hint = suggest(serial, known, otherwise)
     raise UsageError(f"no session is of a sensor with serial number '{serial}'; {hint}")
 
 

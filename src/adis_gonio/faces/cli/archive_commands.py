@@ -50,7 +50,7 @@ def _records_of(store: Store, serial: str) -> list[SessionRecord]:
     """Return the records of the sessions of the sensor `serial`, sorted by time.
 
     Files with equal samples, and sensors with a similar serial number, are reported on standard error.
-    Raises `UsageError`, which names similar serial numbers, if the sensor has no session.
+    Raises `UsageError`, which names the most similar serial number, if the sensor has no session.
     """
     from adis_gonio.fleet.sensor_history import alike, known_serial
 
