@@ -1,10 +1,9 @@
-"""State of a session: its ledger, the noise, the position of the sensor, and the running fit."""
+"""State of a session: its ledger, the noise, the position of the sensor, and the fit so far."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -14,13 +13,12 @@ from adis_gonio.base.errors import AdisGonioError, UsageError
 from adis_gonio.bench.events import NoiseMeasured, Problem, Running, Vector, Watching, Withdrawn
 from adis_gonio.bench.guards import Judge
 from adis_gonio.bench.session_bench import SessionBench
-from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.live.smoothed_meter import SmoothedMeter, sensing_of
-from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.record.archive import Archive
-from adis_gonio.record.archive_tables import Header
 from adis_gonio.record.blocks import Block, join, session_columns
 from adis_gonio.record.plans import Plan, Position, PriorKnowledge
+from adis_gonio.record.session_reader import read_session
 from adis_gonio.record.stillness import (
     SETTLINGS_PER_WINDOW,
     StillnessLimits,
@@ -133,88 +131,8 @@ class Ledger:
         return max(self.done, key=self.done.__getitem__, default=None)
 
 
-PARTS = 8
-"""Number of parts of a dwell; the scatter of their means gives the uncertainty of the dwell's mean."""
 EVERY_UP_TO = 36
 """Number of dwells up to which each dwell is followed by a fit; later, every increase by 10 % is."""
-
-
-class RunningFit:
-    """Fits the mean readings of the dwells so far, fast enough to run after each dwell.
-
-    The final fit uses all samples. This fit takes each dwell as one averaged reading, with its uncertainty
-    from the scatter of parts of the dwell.
-    """
-
-    def __init__(self, header: Header) -> None:
-        self._header = header
-        # Position, mean reading (3,) in mg and the variance of this mean per axis in mg², by place.
-        self._means: dict[int, tuple[Position, Floats, float]] = {}
-        self._fitted = 0
-
-    def add(self, place: int, position: Position, scans: Block) -> None:
-        """Add the mean of the dwell at a place; it replaces the mean of an earlier dwell there.
-
-        `scans` are the scans of the dwell.
-        """
-        # The scatter of the means of the parts gives the variance of the mean of the dwell.
-        parts = np.array([part.mean(axis=0) for part in np.array_split(scans.accel_mg, PARTS)])
-        variance = float(parts.var(axis=0, ddof=1).mean()) / PARTS
-        self._means[place] = position, np.asarray(scans.accel_mg.mean(axis=0)), variance
-
-    def withdraw(self, place: int) -> None:
-        """Remove the dwell of a place (index in the plan) from the fit."""
-        self._means.pop(place, None)
-        self._fitted = 0
-
-    def result(self, plan: Plan, *, reverse: bool) -> Running | None:
-        """Fit the dwells so far and return the event that shows the fit.
-
-        Returns None if the dwells do not allow a fit. With more than `EVERY_UP_TO` dwells, it also returns
-        None until their number is 10 % larger than at the last fit. `reverse` is True in a reversed
-        session, in which the stage counts angles the other way than the plan.
-        """
-        from adis_gonio.fitting.estimation.readings import readings_of
-        from adis_gonio.fitting.methods import fit_of
-
-        count = len(self._means)
-        if count > EVERY_UP_TO and count < 1.1 * self._fitted:
-            return None
-        try:
-            # The guards search for wrong positions; in `fit` that search takes most of the time.
-            result = fit_of(readings_of(self._session(plan, reverse=reverse)))
-        except (AdisGonioError, np.linalg.LinAlgError):
-            # Too few dwells or positions; the next dwell may change that.
-            return None
-        self._fitted = count
-        # The whole document would compare the methods, with one fit for each of them.
-        parameters = {estimate.name: estimate.as_dict() for estimate in result.parameters}
-        return Running(parameters, result.method, count)
-
-    def _session(self, plan: Plan, *, reverse: bool) -> Session:
-        header, sign = self._header, -1.0 if reverse else 1.0
-        variance = float(np.mean([one for _, _, one in self._means.values()] or [1.0]))
-        count = len(self._means)
-        if header.variant in VARIANTS and count > 1:
-            # Variance of n means by 1/f noise: n ln n/(2 (n − 1) ln 2) Allan variances (Allan 1966).
-            ratio = count * math.log2(count) / (2 * (count - 1))
-            variance += ratio * VARIANTS[header.variant].performance.bias_instability_mg ** 2
-        dwells = []
-        for number, place in enumerate(sorted(self._means)):
-            position, mean_mg, _ = self._means[place]
-            angle = position.angle_deg
-            dwell = Dwell(number, np.array([float(number)]), mean_mg[None, :], use=position.use)
-            dwells.append(replace(dwell, angle_deg=None if angle is None else sign * angle))
-        return Session(
-            tuple(dwells),
-            sensor=header.variant,
-            accel_unit="mg",
-            gravity_mps2=header.gravity_mps2,
-            fixture_sigma_deg=header.fixture_sigma_deg,
-            plane=plan.plane,
-            reading_u_mg=math.sqrt(variance),
-        )
-
 
 LEAST_BIAS_MG = 10.0
 """Least standard deviation of an unknown bias in mg: the estimate for the ADIS16354 (D)."""
@@ -351,7 +269,7 @@ class Knowledge:
         self._ledger = ledger
         self._judging = judging
         self._noise_mg: Floats = np.zeros(3)
-        self._running = RunningFit(ledger.header)
+        self._fitted = 0  # number of dwells in the last fit
         self.view = LiveView()
         self.judge: Judge | None = None
         self.limits: StillnessLimits | None = None
@@ -401,7 +319,6 @@ class Knowledge:
         for attempt in archive.dwells():
             scans = join(archive.blocks(attempt, "dwell"))
             judge.done(attempt.place, attempt.position, scans, doubted=attempt.number in doubted)
-            self._running.add(attempt.place, attempt.position, scans)
         judge.forget_turn()
         return judge
 
@@ -424,18 +341,17 @@ class Knowledge:
             self.judge.turning.see(block)
 
     def learn(self, place: int, position: Position, scans: Block, *, doubted: bool) -> None:
-        """Take a complete dwell into account in the running fit and the check of positions.
+        """Take a complete dwell into account in the check of positions.
 
         `place` is the index of its position in the plan; `doubted` is True if a guard was overruled.
         """
-        self._running.add(place, position, scans)
         if self.judge is not None:
             self.judge.done(place, position, scans, doubted=doubted)
 
     def withdraw(self, place: int) -> Withdrawn:
-        """Withdraw the dwell of a place from the session, the running fit and the check of positions."""
+        """Withdraw the dwell of a place (index in the plan) from the session and the check of positions."""
         withdrawn = self._ledger.withdraw(place)
-        self._running.withdraw(place)
+        self._fitted = 0
         if self.judge is not None:
             self.judge.withdraw(place)
         return withdrawn
@@ -448,11 +364,23 @@ class Knowledge:
             self.judge.reverse()
 
     def running(self) -> Running | None:
-        """Fit the dwells so far and return the event that shows the fit.
+        """Fit the dwells so far, as in the archive, and return the event that shows the fit.
 
-        Returns None if the dwells do not allow a fit, or if few were added since the last fit (see
-        `RunningFit`).
+        Returns None if the dwells do not allow a fit, or if the session has no positions. With more than
+        `EVERY_UP_TO` dwells, it also returns None until their number is 10 % larger than at the last fit.
         """
-        if not self.fits_dwells:
+        from adis_gonio.fitting import fit
+
+        count = len(self._ledger.done)
+        soon = count > EVERY_UP_TO and count < 1.1 * self._fitted
+        if soon or not (self.fits_dwells and self._judging):
             return None
-        return self._running.result(self._ledger.plan, reverse=self.reversed)
+        try:
+            result = fit(read_session(self._ledger.archive.path))
+        except (AdisGonioError, np.linalg.LinAlgError):
+            # Too few dwells or positions; the next dwell may change that.
+            return None
+        self._fitted = count
+        # The whole document would compare the methods, with one fit for each of them.
+        parameters = {estimate.name: estimate.as_dict() for estimate in result.parameters}
+        return Running(parameters, result.method, count)
