@@ -26,7 +26,6 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from adis_gonio.fitting.estimation.readings import ACCELEROMETER, readings_of_part
-from adis_gonio.fitting.noise_estimation import state_noise
 from adis_gonio.fitting.slips.session_positions import positions_of
 from adis_gonio.model.records import Session
 from adis_gonio.record.loading import load_session
@@ -87,7 +86,7 @@ def written(kind: str, seed: int, index: int, folder: Path) -> tuple[Path, tuple
 def searched(session: Session) -> Search:
     """Return the final search of a session, as `trace` makes it."""
     positions = positions_of(session)
-    data = state_noise(correct_slips(readings_of_part(session, ACCELEROMETER), positions))
+    data = correct_slips(readings_of_part(session, ACCELEROMETER), positions)
     run = TraceRun(data, 6, positions)
     run.search()
     return run.selection.found

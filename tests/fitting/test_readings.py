@@ -215,8 +215,8 @@ def test_readings_of_one_row_have_the_stated_uncertainty_or_none():
     stated = reduced(session(dwell([[1.0, 2.0]]), reading_u_mg=0.3))
     np.testing.assert_allclose(stated.covariance[0], 0.09 * np.eye(2))
     assert np.isinf(stated.dof[0])
-    assert stated.known.all()
-    assert not reduced(session(dwell([[1.0, 2.0]]))).known.any()
+    assert stated.noise_known
+    assert not reduced(session(dwell([[1.0, 2.0]]))).noise_known
 
 
 def test_loads_stand_from_the_first_to_the_last_sample_of_each_dwell():
@@ -374,15 +374,15 @@ def test_a_few_averaged_poses_in_space_are_refused_in_one_line_or_have_no_u(coun
 
 def test_an_average_that_is_written_down_twice_shows_no_noise():
     poses = [(0, 0, -1.0), (0, 0, 1.0), (1.0, 0, 0), (-1.0, 0, 0), (0, 1.0, 0), (0, -1.0, 0), (0.6, 0.8, 0)]
-    assert not readings_of(few_poses(poses, 2)).known.any()
-    assert readings_of(few_poses(poses, 2, reading_u_mg=1.0)).known.all()
+    assert not readings_of(few_poses(poses, 2)).noise_known
+    assert readings_of(few_poses(poses, 2, reading_u_mg=1.0)).noise_known
 
 
 @pytest.mark.parametrize(("unit", "per_mg"), [("g", 1e-3), ("counts", 4.1)])
 def test_an_average_in_any_unit_but_words_shows_no_noise(unit, per_mg):
     session = few_poses([(0, 0, 1.0), (1.0, 0, 0), (0, 1.0, 0), (0.6, 0.8, 0)], 2)
     dwells = tuple(replace(dwell, accel=per_mg * dwell.accel) for dwell in session.dwells)
-    assert not readings_of(replace(session, dwells=dwells, accel_unit=unit)).known.any()
+    assert not readings_of(replace(session, dwells=dwells, accel_unit=unit)).noise_known
 
 
 @pytest.mark.parametrize(("dwells", "samples"), [(24, 2), (9, 2), (24, 3)])

@@ -49,12 +49,10 @@ def test_a_root_is_one_of_its_covariance_also_where_that_is_singular() -> None:
 
 def test_noise_that_averaging_lowers_is_what_the_other_parts_leave() -> None:
     quantization, flicker = RNG.uniform(0, 1, (N, 2)), RNG.uniform(0, 1, (N, 2))
-    data = readings(quantization=quantization, flicker=flicker, known=np.array([True, True, False, True]))
-    noise = NoiseAssumptions(scale=3.0)
+    data = readings(quantization=quantization, flicker=flicker)
     own = np.array(data.own_covariance)
-    own[2] *= 9
     own -= np.stack([np.diag(row) for row in quantization + flicker])
-    source = module._repeatability(data, noise, RESPONSE)
+    source = module._repeatability(data, NoiseAssumptions(), RESPONSE)
     np.testing.assert_allclose(source.moves @ source.moves.T, carried(own))
     np.testing.assert_allclose(source.reading_mg2, own.mean(axis=0))
     assert source.u == pytest.approx(math.sqrt(np.trace(own.mean(axis=0)) / 2))
@@ -71,15 +69,19 @@ def test_noise_that_averaging_lowers_is_what_the_other_parts_leave() -> None:
 
 
 def test_an_estimate_is_that_of_all_dwells_of_each_or_of_the_residual() -> None:
-    data = readings(dof=np.array([3.0, 4.0, 5.0, np.inf]), known=np.array([True, True, False, True]))
-    settled = NoiseAssumptions(scale_dof=7.0)
+    data = readings(dof=np.array([3.0, 4.0, 5.0, np.inf]))
+    settled = NoiseAssumptions()
     _, dof, estimate = module.repeatability_of(data, settled)
-    assert dof.tolist() == [[3, 3], [4, 4], [7, 7], [math.inf, math.inf]]
-    assert estimate.tolist() == [[0, 1], [0, 1], [5, 5], [0, 1]]
+    assert dof.tolist() == [[3, 3], [4, 4], [5, 5], [math.inf, math.inf]]
+    assert estimate.tolist() == [[0, 1], [0, 1], [0, 1], [0, 1]]
     _, _, each = module.repeatability_of(replace(data, pooled=False), settled)
-    assert each.tolist() == [[6, 7], [9, 10], [5, 5], [15, 16]]
+    assert each.tolist() == [[6, 7], [9, 10], [12, 13], [15, 16]]
     _, same, own = module.repeatability_of(data, replace(settled, extra_mg=1.0))
     assert (same.tolist(), own.tolist()) == (dof.tolist(), estimate.tolist())
+    unknown = replace(readings(), noise_known=False, own_covariance=np.tile(np.eye(2), (4, 1, 1)))
+    roots, of_residual, one = module.repeatability_of(unknown, NoiseAssumptions(scale=3.0, scale_dof=7.0))
+    np.testing.assert_allclose(roots, np.tile(3 * np.eye(2), (4, 1, 1)))
+    assert (of_residual.tolist(), one.tolist()) == ([[7, 7]] * 4, [[5, 5]] * 4)
 
 
 def test_one_over_f_noise_is_what_dwells_have_and_what_they_share() -> None:

@@ -394,7 +394,7 @@ class TestErrors:
         ((own,), _) = without_folds([fit], louder, None)
         assert own.chi2_per_dof == pytest.approx(fit.chi2 / (48 - 7))
         assert told.chi2_per_dof == pytest.approx(4 * fit.chi2 / (48 - 7), rel=1e-3)
-        unknown = replace(self.data, known=np.zeros(24, dtype=bool))
+        unknown = replace(self.data, noise_known=False)
         ((silent,), _) = without_folds([replace(fit, data=unknown)], unknown, None)
         assert silent.chi2_per_dof is None
 

@@ -196,7 +196,7 @@ class TestFiguresOfSteps:
         np.testing.assert_allclose(panel.check_after, (misfit_mg(checking, fit) - drift)[:, 1], atol=1e-6)
 
     def test_where_the_noise_is_not_known_no_uncertainty_is_drawn(self) -> None:
-        data = replace(self.data, known=np.zeros(24, dtype=bool))
+        data = replace(self.data, noise_known=False)
         (panel,) = panels(data, self.catalogue["quadratic[x]"])
         assert np.isnan(panel.u).all()
         np.testing.assert_allclose(panel.x, data.mean[:, 0] / G)
@@ -772,7 +772,7 @@ class TestNotes:
         assert all(fact in note for fact in facts)
 
     def test_noise_that_is_not_known_is_said(self) -> None:
-        data = replace(biased(), known=np.zeros(24, dtype=bool))
+        data = replace(biased(), noise_known=False)
         selection = chosen(data, labelled(data, "bias[xy]"), ((0,), 1.0))
         (note,) = notes_of(replace(selection, inflation=9.0, adequate=False), None)
         assert "noise of a reading" in note

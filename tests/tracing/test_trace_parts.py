@@ -491,7 +491,7 @@ class TestSelection:
     ) -> None:
         c = turn()
         rough = ideal_mg(c) + np.random.default_rng(44).normal([5.0, -3.0], 7 * U, (24, 2))
-        data = replace(read(c, rough), known=np.zeros(24, dtype=bool))
+        data = replace(read(c, rough), noise_known=False)
         chose = select(data, labelled(data, "bias[xy]", "quadratic[x]"), 2)
         assert chose.adequate
         assert [term.name for term in chose.terms] == ["bias"]
@@ -507,7 +507,7 @@ class TestSelection:
             np.tile(U**2 * np.eye(3), (4, 1, 1)),
             Conditions(60.0 * np.arange(4)),
         )
-        chose = select(replace(data, known=np.zeros(4, dtype=bool)), [], 0)
+        chose = select(replace(data, noise_known=False), [], 0)
         assert chose.fit.dof == 1
         assert chose.inflation == pytest.approx(chose.fit.chi2, rel=1e-3)
 
@@ -894,7 +894,7 @@ class TestAverages:
     def test_names_alone_are_averaged_where_they_are_inadequate_under_known_noise(
         self, monkeypatch: pytest.MonkeyPatch, adequate: bool, known: bool, called_for: bool
     ) -> None:
-        data = replace(biased(), known=np.full(24, known))
+        data = replace(biased(), noise_known=known)
         selection = replace(chosen(data, labelled(data, "bias[xy]"), ((0,), 1.0)), adequate=adequate)
         smooth = processes(data)[:3]
         for gained, wanted in ((20.0, called_for), (-20.0, False)):

@@ -373,7 +373,7 @@ class TestChoice:
         assert self.weighed(monkeypatch, data, (0, 1), adequate=True) != plain
         assert self.weighed(monkeypatch, data, (0,), adequate=False) != plain
         assert self.weighed(monkeypatch, data, most=0) == plain
-        unknown = replace(data, known=np.arange(24) > 0)
+        unknown = replace(data, noise_known=False)
         assert self.weighed(monkeypatch, unknown) == plain
 
     def test_scatter_of_a_fixture_is_thought_of_where_angles_are_declared_in_a_plane(self) -> None:

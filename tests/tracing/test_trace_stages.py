@@ -158,7 +158,7 @@ class TestResult:
         data, terms, selection = bent((2, 7, 12, 17), 2.0)
         inadequate = told((data, terms, replace(selection, adequate=False)))
         assert not any("do not agree" in note for note in inadequate.notes)
-        unknown = replace(data, known=np.zeros(24, dtype=bool))
+        unknown = replace(data, noise_known=False)
         fit = replace(selection.fit, data=unknown.training)
         silent = told((unknown, terms, replace(selection, fit=fit)))
         assert not silent.adequate, "noise that is not known tests no model"
@@ -168,7 +168,7 @@ class TestResult:
     def test_a_model_that_leaves_no_freedom_cannot_be_called_adequate(
         self, told: Told, known: bool
     ) -> None:
-        data = replace(noisy(turn(angles_deg=[0, 70]), 71), known=np.full(2, known))
+        data = replace(noisy(turn(angles_deg=[0, 70]), 71), noise_known=known)
         selection = chosen(data, labelled(data, "quadratic[x]"), ((), 1.0))
         assert selection.adequate
         assert not told((data, [], selection)).adequate

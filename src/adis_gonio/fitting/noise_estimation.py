@@ -1,10 +1,6 @@
 """Noise of readings and declared angles that is not stated and has to be estimated from the session.
 
-* A reading without a stated uncertainty: one common standard deviation, such that χ² equals its degrees of
-  freedom. If the noise of other readings is known, these are fitted first, by themselves, and they test the
-  model. The unknown noise is then chosen so that the remaining readings scatter about the prediction of
-  that fit as expected. It is never smaller than the noise of the known readings, so that a reading that
-  agrees by chance cannot dominate the fit.
+* Readings of unknown noise: one common standard deviation, such that χ² equals its degrees of freedom.
 * A fixture without a stated uncertainty: the standard deviation σ_f of the declared angles is estimated by
   restricted maximum likelihood, if the residual has at least two degrees of freedom.
 * A residual that the noise within the dwells does not explain (χ² above its 99.9 % quantile): the model
@@ -22,8 +18,6 @@ from functools import cache
 
 import numpy as np
 
-from adis_gonio.base.errors import FitError
-from adis_gonio.base.numbers import counted
 from adis_gonio.fitting.determination import Determination, determine, information
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
@@ -43,7 +37,7 @@ class NoiseAssumptions:
     Attributes
     ----------
     scale : float
-        Standard deviation (mg) of the readings without a stated uncertainty.
+        Standard deviation (mg) of readings of unknown noise; 1 if the noise is known.
     extra_mg : float
         Standard deviation added to every reading, because the measured noise does not explain the residual.
     sigma_rad : float
@@ -67,9 +61,8 @@ class NoiseAssumptions:
 
     def applied(self, readings: Readings) -> Readings:
         """Return a copy of the readings with this noise in their covariance and their declared angles."""
-        # Readings without a stated noise have a placeholder of 1 mg, scaled here.
-        factor = np.where(readings.known, 1.0, self.scale**2)[:, None, None]
-        covariance = readings.own_covariance * factor + self.extra_mg**2 * np.eye(readings.axes)
+        # Readings of unknown noise have a placeholder of 1 mg, scaled here.
+        covariance = readings.own_covariance * self.scale**2 + self.extra_mg**2 * np.eye(readings.axes)
         return replace(readings, own_covariance=covariance, fixture_rad=self.sigma_rad)
 
 
@@ -78,8 +71,8 @@ class Settled:
     """A fit of base model and biases, with an estimate of the noise that the session does not state.
 
     `determination` is the fit and `noise` the estimate. `chi2` and `dof` (χ² of the fit and its degrees of
-    freedom) test the model. If the noise of enough readings is known, they are from these readings alone
-    and do not use the estimate; otherwise they are from all readings and use it.
+    freedom) are computed with the measured or stated noise; if it is unknown, with the estimate, and are
+    then no test of the model.
     """
 
     determination: Determination
@@ -90,9 +83,6 @@ class Settled:
 
 def settle(readings: Readings) -> Settled:
     """Fit base model and biases to readings, and estimate the noise that the session does not state."""
-    if readings.known.any() and not readings.noise_known:
-        first = _settle_known(readings)
-        return _without_noise(readings) if first is None else _settle_unknown(readings, first)
     open_sigma = not readings.fixture_stated and readings.planar and not readings.free
     noise = NoiseAssumptions(sigma_rad=readings.fixture_rad)
     determination = determine(readings)
@@ -120,87 +110,6 @@ def settle(readings: Readings) -> Settled:
         noise = replace(noise, extra_mg=extra, dof=float(dof), notes=(*noise.notes, note))
         determination = follow.determination(noise)
     return Settled(determination, noise, chi2, dof)
-
-
-def _settle_known(readings: Readings) -> Settled | None:
-    """Fit only the readings with a known noise; return None if these are too few to test the model."""
-    try:
-        first = settle(replace(readings.rows(readings.known), fitted=readings.visible))
-    except (FitError, np.linalg.LinAlgError):
-        return None
-    return first if first.dof > 0 else None
-
-
-def _without_noise(readings: Readings) -> Settled:
-    """Fit base model and biases if the noise cannot be estimated; the result has no uncertainties."""
-    determination = determine(readings)
-    note = (
-        "the readings with a known noise cannot be fitted by themselves: no uncertainty can be given; "
-        "state reading_u_mg, or keep the samples of each dwell"
-    )
-    noise = NoiseAssumptions(sigma_rad=readings.fixture_rad, known=False, notes=(note,))
-    return Settled(determination, noise, determination.fit.chi2, determination.dof)
-
-
-def _settle_unknown(readings: Readings, first: Settled) -> Settled:
-    """Estimate the noise of readings that state none, by their residuals against the other readings.
-
-    `first` is a fit of the other readings, which have a known noise. The unknown readings y increase χ² of
-    this fit by (y − ŷ)ᵀ(S + P)⁻¹(y − ŷ), with their unknown noise S, their prediction ŷ by the other
-    readings, and the covariance P of ŷ. The estimate is the S at which this increase equals its mean, the
-    number of equations that the readings y add; it is at least the noise of the other readings.
-    """
-    determination = determine(first.noise.applied(readings))
-    added = determination.dof - first.dof
-    # A reading of unknown noise is at best as good as the readings with a known noise.
-    own = np.einsum("naa->na", readings.own_covariance[readings.known])
-    least = scale = max(math.sqrt(float(own.mean())), _LEAST_SCALE)
-    if added > 0:
-        follow, tested = _Follow(readings, determination), first.determination.fit.chi2
-        scale = scale_at_dof(
-            lambda s: follow(replace(first.noise, scale=s)).chi2 - tested, added, least, _LARGEST_SCALE
-        )
-    given = (
-        f"estimated from the residual ({counted(added, 'degree')} of freedom)"
-        if scale > least
-        else "the noise of the other readings, since the residual shows no more"
-    )
-    note = (
-        f"{_unstated(readings)} were given {scale:.3g} mg, {given}; chi2 and dof are computed from the "
-        f"other {counted(len(own), 'reading')}"
-    )
-    noise = replace(
-        first.noise, scale=scale, scale_dof=float(max(added, 1)), notes=(*first.noise.notes, note)
-    )
-    return Settled(determine(noise.applied(readings)), noise, first.chi2, first.dof)
-
-
-def state_noise(readings: Readings) -> Readings:
-    """Return the readings with an estimated noise for each reading that states none.
-
-    `settle` makes the estimate from the dwells that may be fitted. It needs other readings with a known
-    noise: if there are none, or too few for a test of the model, the readings are returned unchanged.
-    """
-    training = readings.training
-    if training.noise_known or not training.known.any():
-        return readings
-    noise = settle(training).noise
-    if not noise.known:
-        return readings
-    # The scatter of a model that lacks an effect hides a smaller noise.
-    scale = math.hypot(noise.scale, noise.extra_mg)
-    own = NoiseAssumptions(scale=scale, sigma_rad=readings.fixture_rad)
-    return replace(
-        own.applied(readings),
-        known=np.ones(len(readings), dtype=bool),
-        dof=np.where(readings.known, readings.dof, noise.scale_dof),
-        notes=(*readings.notes, f"{_unstated(readings)} were given {scale:.3g} mg by the base model"),
-    )
-
-
-def _unstated(readings: Readings) -> str:
-    count = int((~readings.known).sum())
-    return f"{counted(count, 'reading')} of one sample without a stated noise (reading_u_mg)"
 
 
 class _Follow:

@@ -359,8 +359,7 @@ def _own(data: Readings, noise: NoiseAssumptions) -> Floats:
 
     Quantization and 1/f noise are excluded.
     """
-    factor = np.where(data.known, 1.0, noise.scale**2)[:, None, None]
-    own = data.own_covariance * factor
+    own = data.own_covariance * noise.scale**2
     for part in (data.quantization, data.flicker):
         own = own if part is None else own - _diagonal(part)
     return np.asarray(own)
@@ -375,14 +374,14 @@ def repeatability_of(data: Readings, noise: NoiseAssumptions) -> tuple[Floats, F
     """
     n, axes = data.mean.shape
     first = np.full(n, _POOLED) if data.pooled else 3 * np.arange(n) + _EACH
-    dof = np.where(data.known, data.dof, noise.scale_dof)
-    estimate = np.where(data.known[:, None], first[:, None] + np.arange(axes), _UNSTATED)
-    return _root(_own(data, noise)), np.repeat(dof[:, None], axes, axis=1), estimate.astype(np.intp)
+    dof = np.minimum(data.dof, noise.scale_dof)
+    estimate = first[:, None] + np.arange(axes) if data.noise_known else np.full((n, axes), _UNSTATED)
+    return _root(_own(data, noise)), np.repeat(dof[:, None], axes, axis=1), estimate
 
 
 def _repeatability(data: Readings, noise: NoiseAssumptions, response: Floats) -> Source:
     roots, dof, estimate = repeatability_of(data, noise)
-    stated = bool((data.known & np.isinf(data.dof)).all())
+    stated = data.noise_known and bool(np.isinf(data.dof).all())
     mean = _own(data, noise).mean(axis=0)
     return Source(
         REPEATABILITY,

@@ -29,7 +29,6 @@ from adis_gonio.base.numbers import counted
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
-from adis_gonio.fitting.noise_estimation import state_noise
 from adis_gonio.fitting.slips.session_positions import failure_message, positions_of
 from adis_gonio.model.measurement import SessionOrigin
 from adis_gonio.model.records import Session
@@ -152,7 +151,7 @@ def reduced(session: Session) -> Readings:
     If a spectral line moves through the session, its frequency is among the conditions.
     """
     try:
-        data = state_noise(correct_slips(readings_of(session), positions_of(session)))
+        data = correct_slips(readings_of(session), positions_of(session))
     except FitError as error:
         raise FitError(failure_message(session, error)) from error
     samples = samples_of(session, data)

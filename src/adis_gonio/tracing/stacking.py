@@ -19,8 +19,8 @@ def stack(each: Sequence[Readings], origins: Sequence[SessionOrigin]) -> Reading
     """Join the readings `each` of several sessions; the sessions of one part share base parameters.
 
     `origins` has part, stage and label of each session. The rows keep the number of their session
-    (`Conditions.session`). Noise that dwells share is independent between sessions. A covariate that a
-    session did not record is dropped.
+    (`Conditions.session`). Noise that dwells share is independent between sessions. If the noise of one
+    session is unknown, the noise of all is. A covariate that a session did not record is dropped.
 
     Raises
     ------
@@ -42,7 +42,9 @@ def stack(each: Sequence[Readings], origins: Sequence[SessionOrigin]) -> Reading
     session = np.repeat(np.arange(len(each)), [len(one) for one in each])
     if len(each) == 1:
         return first
-    by_row = ["mean", "own_covariance", "dof", "known", "angle_rad", "check", "position", "samples"]
+    if not all(one.noise_known for one in each):
+        each = [one.without_noise() for one in each]
+    by_row = ["mean", "own_covariance", "dof", "angle_rad", "check", "position", "samples"]
     parts = [
         name for name in ("quantization", "flicker") if all(getattr(r, name) is not None for r in each)
     ]
@@ -50,6 +52,7 @@ def stack(each: Sequence[Readings], origins: Sequence[SessionOrigin]) -> Reading
     return replace(
         first,
         **joined,
+        noise_known=all(one.noise_known for one in each),
         conditions=_conditions([one.conditions for one in each]),
         slow=_modes(each, origins),
         flicker_shown=any(one.flicker_shown for one in each),

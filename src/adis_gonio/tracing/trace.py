@@ -29,7 +29,6 @@ from adis_gonio.base.numbers import counted, format_p, format_percent, signed
 from adis_gonio.base.uncertainty import Detectable
 from adis_gonio.fitting.estimation.readings import ACCELEROMETER, Readings, known_part, readings_of_part
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
-from adis_gonio.fitting.noise_estimation import state_noise
 from adis_gonio.fitting.slips import Diagnosis, PositionFinding
 from adis_gonio.fitting.slips.session_positions import failure_message, positions_of
 from adis_gonio.model.effects import catalogue
@@ -161,7 +160,6 @@ def _trace(session: Session, max_effects: int, part: str, request: AskedModel) -
     positions = positions_of(session) if own else Diagnosis()
     data = correct_slips(readings_of_part(session, part), positions)
     try:
-        data = state_noise(data) if own else data
         result = trace_readings(data, max_effects, positions, request)
     except FitError as error:
         raise FitError(failure_message(session, error)) from error

@@ -245,7 +245,8 @@ def budgets_of_trace(traced: TraceResult, values: Mapping[str, Value]) -> dict[s
         return {}
     data = final.data
     # If the noise was not stated, `inflation` is its estimate.
-    noise = NoiseAssumptions(scale=math.sqrt(traced.inflation), sigma_rad=data.fixture_rad, dof=traced.dof)
+    scale = 1.0 if data.noise_known else math.sqrt(traced.inflation)
+    noise = NoiseAssumptions(scale=scale, sigma_rad=data.fixture_rad, dof=traced.dof)
     response = response_of(final, covariance, np.ones(len(covariance)))
     sources = sources_of(data, noise, final, response)
     slopes = {name: (row[None], None) for name, row in _gradients(final).items()}

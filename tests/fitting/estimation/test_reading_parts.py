@@ -187,7 +187,7 @@ def test_averages_beside_sampled_dwells_have_their_stated_uncertainty_each_its_o
     dwells = [Dwell(k, 100.0 * k + np.arange(50) / 10, own) for k, own in enumerate(rows)]
     dwells[1] = replace(dwells[1], time_s=np.array([100.0]), accel=np.array([[1000.0, 1001.0]]))
     mixed = reduced(sampled(*dwells, reading_u_mg=0.7, sensor="adis16354"))
-    assert mixed.known.all()
+    assert mixed.noise_known
     assert np.isinf(mixed.dof).tolist() == [False, True, False]
     np.testing.assert_allclose(mixed.own_covariance[1], 0.49 * np.eye(2))
     assert mixed.slow is not None
@@ -198,8 +198,10 @@ def test_averages_beside_sampled_dwells_have_their_stated_uncertainty_each_its_o
     # The dwells' own spectrum is used in part only: within a factor of 1.7 it is the textbook's variance.
     assert (np.abs(np.log(own / white)) < math.log(1.7)).all()
     unknown = reduced(sampled(*dwells))
-    assert unknown.known.tolist() == [True, False, True]
-    np.testing.assert_allclose(unknown.own_covariance[1], np.eye(2))
+    assert not unknown.noise_known
+    np.testing.assert_allclose(unknown.own_covariance, np.tile(np.eye(2), (3, 1, 1)))
+    assert (unknown.slow, unknown.flicker, unknown.quantization) == (None, None, None)
+    assert unknown.notes[0].startswith("1 dwell of one sample without a stated noise")
 
 
 def test_one_over_f_noise_of_dwells_is_that_of_their_times_axis_by_axis() -> None:
@@ -282,7 +284,7 @@ def test_words_of_a_quiet_converter_have_a_step_of_one_at_least() -> None:
     data = reduced(sampled(*dwells, accel_unit="lsb", sensor="adis16354"))
     np.testing.assert_allclose(data.quantization, lsb**2 / 12, rtol=1e-2)
     # In a unit in which nothing is known of the step the same dwells are averages without a noise.
-    assert not reduced(sampled(*dwells)).known.any()
+    assert not reduced(sampled(*dwells)).noise_known
 
 
 def test_a_step_is_the_axis_own_and_a_noise_of_a_step_leaves_nothing() -> None:

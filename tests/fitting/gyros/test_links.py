@@ -382,7 +382,7 @@ def test_links_are_judged_by_what_they_add_to_chi2_where_the_noise_is_known() ->
     assert alone > 0.5
     assert judge_links(data, _Fixed(links))[1].chi2 == pytest.approx(linked - alone, rel=1e-3)
     few, links = linked_part(6, np.random.default_rng(6))
-    found_links, found = judge_links(replace(few, known=np.zeros(6, dtype=bool)), _Fixed(links))
+    found_links, found = judge_links(replace(few, noise_known=False), _Fixed(links))
     assert (found_links, found.why) == (None, "the noise of the poses is unknown")
 
 

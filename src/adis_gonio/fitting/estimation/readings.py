@@ -19,8 +19,8 @@ Neighbouring dwells share 1/f noise. The shared part is kept as modes (`Readings
 constant by which this session differs from a session on another day.
 
 A dwell of one sample is a reading that was averaged before. `Session.reading_u_mg` is its whole
-uncertainty. If the session does not state it, the uncertainty is unknown (`Readings.known` is False), and a
-fit estimates it from its residual.
+uncertainty. If the session does not state it, the noise of every dwell counts as unknown
+(`Readings.noise_known` is False), and a fit estimates one noise for all from its residual.
 
 Readings in `counts` have neither a known zero nor a known gain. An ellipse or ellipsoid through them gives
 rough values of both (`Unit`), so that all later steps use readings that are nearly in mg.
@@ -121,12 +121,12 @@ class Readings(ComputedOnce):
     mean : (n, axes) float
         Mean of each dwell in mg; two columns in a planar session, three in space.
     own_covariance : (n, axes, axes) float
-        Covariance of the means in mg² without the noise that dwells share. If `known` is False, it is a
-        placeholder: 1 mg² on each axis.
+        Covariance of the means in mg² without the noise that dwells share. If `noise_known` is False, it
+        is a placeholder: 1 mg² on each axis.
     dof : (n,) float
         Degrees of freedom of that covariance; inf if it was stated.
-    known : (n,) bool
-        False for readings of unknown uncertainty.
+    noise_known : bool
+        False if the noise of the readings is neither measured nor stated.
     angle_rad : (n,) float
         Declared angle θ of each dwell; NaN if unknown.
     conditions : Conditions
@@ -173,7 +173,7 @@ class Readings(ComputedOnce):
     mean: Floats
     own_covariance: Floats
     dof: Floats
-    known: NDArray[np.bool_]
+    noise_known: bool
     angle_rad: Floats
     conditions: Conditions
     gravity_mg: float
@@ -215,11 +215,6 @@ class Readings(ComputedOnce):
         if self.measurement is not None:
             return self.measurement
         return PlanarTurn(self.gravity_mg) if self.axes == 2 else FreeAttitude(self.gravity_mg)
-
-    @property
-    def noise_known(self) -> bool:
-        """True if the noise of every reading is known."""
-        return bool(self.known.all())
 
     @property
     def variance_of_mean(self) -> Floats:
@@ -311,7 +306,7 @@ class Readings(ComputedOnce):
     def rows(self, index: NDArray[np.bool_] | NDArray[np.intp]) -> Readings:
         """Return a copy with the selected dwells."""
         by_dwell = [
-            "mean", "own_covariance", "dof", "known", "angle_rad", "check", "position", "samples",
+            "mean", "own_covariance", "dof", "angle_rad", "check", "position", "samples",
         ]  # fmt: skip
         parts = ("slow", "quantization", "flicker")
         by_dwell += [name for name in parts if getattr(self, name) is not None]
@@ -327,9 +322,6 @@ class Readings(ComputedOnce):
     def training(self) -> Readings:
         """Readings of the dwells that may be fitted (no `check` dwells), for all fits of the session.
 
-        If too few of these dwells have a known noise for a test of a model, the noise of every dwell counts
-        as unknown: one noise for all is estimated from the residual.
-
         Raises
         ------
         FitError
@@ -338,19 +330,16 @@ class Readings(ComputedOnce):
         if self.check.all():
             raise FitError("every dwell is for checking: there is none to fit")
         rows = self.rows(~self.check)
-        rows = replace(rows, fitted=rows.visible)
-        least = int(rows.visible.sum()) + self.axes  # base parameters and a bias
-        testable = int(rows.known.sum()) * rows.equations_each > least
-        return rows if testable or rows.noise_known else rows.without_noise()
+        return replace(rows, fitted=rows.visible)
 
     def without_noise(self) -> Readings:
-        """Return a copy in which the noise of every reading is unknown."""
+        """Return a copy in which the noise of the readings is unknown."""
         n = len(self)
         return replace(
             self,
             own_covariance=np.broadcast_to(np.eye(self.axes), (n, self.axes, self.axes)).copy(),
             dof=np.full(n, np.inf),
-            known=np.zeros(n, dtype=bool),
+            noise_known=False,
             slow=None,
             stage_modes=0,
             quantization=None,
@@ -387,7 +376,7 @@ def from_means(
         mean=mean,
         own_covariance=covariance,
         dof=np.full(n, np.inf),
-        known=np.ones(n, dtype=bool),
+        noise_known=True,
         angle_rad=np.full(n, np.nan) if angle is None else angle,
         conditions=conditions,
         gravity_mg=gravity_mg,
@@ -552,16 +541,20 @@ def reduced(session: Session) -> Readings:
 
     covariance = np.broadcast_to(np.eye(axes), (n, axes, axes)).copy()
     dof = np.full(n, np.inf)
-    known = np.zeros(n, dtype=np.bool_)
     slow: Floats | None = None
     parts: dict[str, Any] = {}
     lone = (samples == 1) | _without_noise(session, dwells, axes)
     single = np.flatnonzero(lone)
-    if single.size:
-        covariance[single] *= (1.0 if session.reading_u_mg is None else session.reading_u_mg) ** 2
-        known[single] = session.reading_u_mg is not None
     many = np.flatnonzero(~lone)
-    if many.size:
+    known = not single.size or session.reading_u_mg is not None
+    if session.reading_u_mg is not None:
+        covariance[single] *= session.reading_u_mg**2
+    elif single.size and many.size:
+        notes.append(
+            f"{counted(single.size, 'dwell')} of one sample without a stated noise: one noise is estimated "
+            "for all dwells; state reading_u_mg, or keep the samples of each dwell"
+        )
+    if many.size and known:
         rows = [dwells[k].accel[:, :axes] for k in many.tolist()]
         noise = spectrum.noise_of_means(rows, mg)
         # Dwells at a limit show other steps than the converter's, so they are left out here.
@@ -579,7 +572,6 @@ def reduced(session: Session) -> Readings:
             "pooled": noise.pooled,
         }
         dof[many] = noise.dof
-        known[many] = True
         if noise.too_short:
             notes.append(
                 "within the dwells the noise still rises towards the lowest frequencies (a long filter, "
@@ -600,7 +592,7 @@ def reduced(session: Session) -> Readings:
         mean=mean,
         own_covariance=covariance,
         dof=dof,
-        known=known,
+        noise_known=known,
         angle_rad=angle,
         conditions=_conditions(dwells, angle, mean, unit, scale, axes),
         gravity_mg=session.gravity_mg,

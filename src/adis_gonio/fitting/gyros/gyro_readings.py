@@ -488,7 +488,7 @@ def readings_of_intervals(
         mean=column("mean_dps"),
         own_covariance=covariance + flicker[:, :, None] * np.eye(3),
         dof=column("dof"),
-        known=np.ones(n, dtype=np.bool_),
+        noise_known=True,
         angle_rad=np.full(n, np.nan),
         conditions=_conditions(intervals, force),
         gravity_mg=gravity_mg,

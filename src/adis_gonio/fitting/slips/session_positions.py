@@ -645,12 +645,11 @@ def angles_of(session: Session) -> Angles | None:
     readings = readings_of(session)
     if not readings.planar or not np.isfinite(readings.angle_rad).any():
         return None
-    known = readings.known[:, None, None]
     return Angles(
         tuple(readings.position.tolist()),
         readings.angle_rad,
         readings.mean,
-        np.where(known, readings.covariance, UNKNOWN_MG**2 * np.eye(2)),
+        readings.covariance * (1.0 if readings.noise_known else UNKNOWN_MG**2),
         readings.conditions,
         readings.gravity_mg,
         readings.fixture_rad if readings.fixture_stated else None,
