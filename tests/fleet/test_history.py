@@ -74,7 +74,7 @@ def test_one_session_has_values_and_neither_drift_nor_chart():
 
 
 def test_an_unknown_serial_number_names_the_one_most_like_it_in_one_line():
-    with pytest.raises(UsageError, match=r"'A1O7'.* A107") as caught:
+    with pytest.raises(UsageError, match=r"'A1O7'.* did you mean 'A107'") as caught:
         known_serial("A1O7", ["A107", "B-33", "C9"])
     assert "\n" not in str(caught.value)
     with pytest.raises(UsageError, match=r"A107, B-33"):
