@@ -15,6 +15,7 @@ the textbooks apply. Shewhart's chart detects a session that is far off; the CUS
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -100,8 +101,6 @@ def control_chart(value: Floats, u: Floats) -> ControlChart:
     """
     from scipy.special import ndtr, stdtrit
 
-    from adis_gonio.fleet.fleet_statistics import as_normal
-
     expected, sigma = np.full(len(value), np.nan), np.full(len(value), np.nan)
     dof = np.full(len(value), np.inf)
     for k in range(1, len(value)):
@@ -126,6 +125,21 @@ def control_chart(value: Floats, u: Floats) -> ControlChart:
     if chart.signal is None:
         return chart
     return replace(chart, since=_split(value, 1 / (u**2 + between**2), chart.signal))
+
+
+def as_normal(t: Floats, dof: Floats) -> Floats:
+    """Convert values (n,) of Student's t with `dof` (n,) degrees of freedom to normal deviates.
+
+    A value and its deviate have equal probability.
+    """
+    from scipy.special import ndtri, stdtr
+
+    few = np.isfinite(dof) & (dof < 1e6)
+    out = np.array(t, dtype=float)
+    # The lower tail keeps the digits of small probabilities.
+    tail = np.maximum(stdtr(np.maximum(dof[few], 1.0), -np.abs(out[few])), 1e-300)
+    out[few] = -np.sign(out[few]) * ndtri(tail)
+    return out
 
 
 def _split(value: Floats, weight: Floats, last: int) -> int:
@@ -221,8 +235,6 @@ def drift_of(day: Floats, value: Floats, u: Floats, unit: str) -> Drift | None:
         return None
     from scipy.special import gammaincc, stdtr
 
-    from adis_gonio.fleet.fleet_statistics import tau_of
-
     dof = len(day) - 2
     stated = _line(day, value, u**2)
     between = tau_of(lambda tau: _line(day, value, u**2 + tau**2)[-1], dof, value)
@@ -238,6 +250,22 @@ def drift_of(day: Floats, value: Floats, u: Floats, unit: str) -> Drift | None:
         birge_p=float(gammaincc(dof / 2, stated[-1] / 2)),
         p_value=float(2 * stdtr(dof, -abs(slope) / u_slope)),
     )
+
+
+def tau_of(q_at: Callable[[float], float], goal: float, values: Floats) -> float:
+    """Return the standard deviation τ between sessions at which Cochran's Q equals `goal`.
+
+    `q_at(τ)` computes Q of the `values` (n,). Their range is the first guess of τ. The result is 0 if Q is
+    at most `goal` at τ = 0 (Paule and Mandel).
+    """
+    from scipy.optimize import brentq
+
+    if q_at(0.0) <= goal:
+        return 0.0
+    high = float(np.ptp(values))
+    while q_at(high) > goal:
+        high *= 2
+    return float(brentq(lambda tau: q_at(tau) - goal, 0.0, high, xtol=1e-7 * high, rtol=1e-6))
 
 
 def _line(

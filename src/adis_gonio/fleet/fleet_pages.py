@@ -80,7 +80,7 @@ def _overview(summary: Summary) -> Section:
 
 def _parameters(summary: Summary) -> Section:
     table = Table(
-        fleet_summary.PARAMETER_HEAD, fleet_summary.parameter_rows(summary), numeric=tuple(range(2, 11))
+        fleet_summary.PARAMETER_HEAD, fleet_summary.parameter_rows(summary), numeric=tuple(range(2, 8))
     )
     figures = [_histogram(one, summary.table[one.name]) for one in summary.parameters]
     return Section(
@@ -94,8 +94,7 @@ def _parameters(summary: Summary) -> Section:
 def _histogram(one: QuantitySummary, values: Floats) -> Figure | None:
     """Plot a histogram of one quantity over the sessions; None for fewer than five sessions.
 
-    `values` (n,) are the values of the quantity, NaN where unknown. The curve is the normal distribution of
-    the values if all sessions had one true value and the median standard uncertainty.
+    `values` (n,) are the values of the quantity, NaN where unknown.
     """
     x = values[np.isfinite(values)]
     spread = one.distribution
@@ -107,26 +106,18 @@ def _histogram(one: QuantitySummary, values: Floats) -> Figure | None:
     low, high = max(spread.low, middle - reach), min(spread.high, middle + reach)
     edges = np.linspace(low, high, 1 + int(np.clip(np.ceil((high - low) / width), 4, _MOST_BINS)))
     counts, _ = np.histogram(x, edges)
-    series = [
-        Series(
-            np.append(np.insert(edges, 0, edges[0]), edges[-1]),
-            np.concatenate([[0], counts, [0, 0]]),
-            "sessions",
-            role="after",
-            style="steps",
-        )
-    ]
-    if one.beyond is not None and one.beyond.u > 0.2 * (edges[1] - edges[0]):
-        grid = np.linspace(edges[0], edges[-1], 300)
-        u = one.beyond.u
-        density = np.exp(-0.5 * ((grid - middle) / u) ** 2) / (u * np.sqrt(2 * np.pi))
-        expected = density * len(x) * (edges[1] - edges[0])
-        series.append(Series(grid, expected, "if u explained all", role="model", style="line"))
+    steps = Series(
+        np.append(np.insert(edges, 0, edges[0]), edges[-1]),
+        np.concatenate([[0], counts, [0, 0]]),
+        "sessions",
+        role="after",
+        style="steps",
+    )
     name = NAMES.get(one.name, one.name)
     outside = int((x < low).sum() + (x > high).sum())
     far = f"; {counted(outside, 'session')} outside the figure" if outside else ""
     svg = plot(
-        series, label_quantity(one.name, one.unit), "sessions", title=f"Distribution of {name}", zero=True
+        [steps], label_quantity(one.name, one.unit), "sessions", title=f"Distribution of {name}", zero=True
     )
     return Figure(svg, f"{name} of {counted(len(x), 'session')}{far}.")
 

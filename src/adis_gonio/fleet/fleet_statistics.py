@@ -1,4 +1,4 @@
-"""Scatter of a quantity over the fleet, and the outlying sensors (units), stages and operators.
+"""Distribution of a quantity over the fleet, and the outlying sensors (units), stages and operators.
 
 A *unit* is one sensor, known by its serial number. It is compared with the other units by a robust z: its
 distance from the median of the units, divided by the distance that scatter and its own u explain. A *stage*
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,16 +19,13 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri, stdtr
-from scipy.stats import chi2, hypergeom, rankdata
+from scipy.stats import hypergeom, rankdata
 
 from adis_gonio.base.arrays import MAD_TO_SD, Floats, robust_sd
-from adis_gonio.base.jsonable import JsonRecord, key
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.uncertainty import OUTLYING
 
 PROBABILITIES = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
-LEAST = 3
-"""Smallest number of values from which scatter is estimated."""
-
 
 _LEAST_SHARE = 1e-6
 """Smallest share of the variance of a value that is taken as not shared by sessions on one stage."""
@@ -82,137 +79,6 @@ class Distribution(JsonRecord):
         sd = float(values.std(ddof=1)) if len(values) > 1 else math.nan
         ends = float(values.min()), float(values.max())
         return cls(len(values), float(values.mean()), sd, robust_sd(values), quantiles, *ends)
-
-
-class Beyond(JsonRecord):
-    """Scatter of a quantity between sessions, compared with the uncertainties that the sessions state.
-
-    Attributes
-    ----------
-    n : int
-        Number of values with a standard uncertainty.
-    u : float
-        Median standard uncertainty of the values.
-    q, dof, p_value : float
-        Cochran's Q about the weighted mean, its degrees of freedom, and the probability of at least this Q
-        if u explains the scatter.
-    tau : float
-        Additional standard deviation between the true values of the sessions (Paule and Mandel).
-    tau_95 : tuple of float
-        95 % interval of tau (Q profile).
-    """
-
-    document_keys = ("n", "u", "q", "dof", "p_value", "birge_ratio", "tau", "tau_95")
-
-    n: int
-    u: float = field(metadata=key("median_u"))
-    q: float
-    dof: int
-    p_value: float
-    tau: float
-    tau_95: tuple[float, float]
-
-    @property
-    def birge_ratio(self) -> float:
-        """Birge ratio: observed scatter divided by the scatter that the stated uncertainties explain."""
-        return math.sqrt(self.q / self.dof)
-
-
-def beyond(values: Floats, u: Floats, dof: Floats) -> Beyond | None:
-    """Compare the scatter of values (n,) with their standard uncertainties.
-
-    `u` (n,) are the standard uncertainties with `dof` (n,) degrees of freedom. A deviation in units of u
-    has Student's distribution. It is converted to the normal deviate of equal probability, so that Q is χ²
-    even if u has few degrees of freedom. Returns None for fewer than three values with a u.
-    """
-    good = np.isfinite(values) & np.isfinite(u) & (u > 0)
-    x, s, nu = values[good], u[good], dof[good]
-    n = len(x)
-    if n < LEAST:
-        return None
-
-    def q_at(tau: float) -> float:
-        # Weighted mean and deviations with the variance that τ adds.
-        variance = s**2 + tau**2
-        weight = 1 / variance
-        centre = float(weight @ x) / float(weight.sum())
-        return float((as_normal((x - centre) / np.sqrt(variance), nu) ** 2).sum())
-
-    # Q equals its expectation at τ, and its 2.5 % and 97.5 % quantiles at the ends of the interval.
-    expected = (n - 1.0, float(chi2.ppf(0.975, n - 1)), float(chi2.ppf(0.025, n - 1)))
-    tau, low, high = (tau_of(q_at, goal, x) for goal in expected)
-    q = q_at(0.0)
-    return Beyond(n, float(np.median(s)), q, n - 1, float(chi2.sf(q, n - 1)), tau, (low, high))
-
-
-def as_normal(t: Floats, dof: Floats) -> Floats:
-    """Convert values (n,) of Student's t with `dof` (n,) degrees of freedom to normal deviates.
-
-    A value and its deviate have equal probability.
-    """
-    few = np.isfinite(dof) & (dof < 1e6)
-    out = np.array(t, dtype=float)
-    # The lower tail keeps the digits of small probabilities.
-    tail = np.maximum(stdtr(np.maximum(dof[few], 1.0), -np.abs(out[few])), 1e-300)
-    out[few] = -np.sign(out[few]) * ndtri(tail)
-    return out
-
-
-def tau_of(q_at: Callable[[float], float], goal: float, values: Floats) -> float:
-    """Return the standard deviation τ between sessions at which Cochran's Q equals `goal`.
-
-    `q_at(τ)` computes Q of the `values` (n,). Their range is the first guess of τ. The result is 0 if Q is
-    at most `goal` at τ = 0 (Paule and Mandel).
-    """
-    if q_at(0.0) <= goal:
-        return 0.0
-    high = float(np.ptp(values))
-    while q_at(high) > goal:
-        high *= 2
-    return float(brentq(lambda tau: q_at(tau) - goal, 0.0, high, xtol=1e-7 * high, rtol=1e-6))
-
-
-class Repeats(JsonRecord):
-    """Scatter of each sensor's sessions about the sensor's mean, compared with their stated u.
-
-    Attributes
-    ----------
-    units, sessions : int
-        Number of sensors with two sessions or more, and number of their sessions.
-    ratio : float
-        Scatter of a sensor's sessions divided by the scatter that their standard uncertainties u explain; 1
-        if u is right.
-    p_value : float
-        Probability of at least this scatter if u explains it.
-    """
-
-    units: int
-    sessions: int
-    ratio: float
-    p_value: float
-
-
-def repeats(values: Floats, u: Floats, dof: Floats, unit: NDArray[np.int64]) -> Repeats | None:
-    """Compare the scatter of each sensor's sessions about the sensor's mean with the stated uncertainties.
-
-    `values`, `u`, `dof` and `unit` are (n,): value of a quantity in each session, its standard uncertainty
-    and degrees of freedom, and the number of the sensor; a negative number is an unknown sensor. Returns
-    None if no sensor has two sessions.
-    """
-    good = np.isfinite(values) & np.isfinite(u) & (u > 0) & (unit >= 0)
-    x, s, nu = values[good], u[good], dof[good]
-    _, index, count = np.unique(unit[good], return_inverse=True, return_counts=True)
-    weight = 1 / s**2
-    # Weighted mean of each unit.
-    centre = np.bincount(index, weight * x) / np.bincount(index, weight) if len(x) else x
-    several = count[index] > 1  # sessions of units with at least two
-    freedom = int((count[count > 1] - 1).sum())
-    if not freedom:
-        return None
-    q = float((as_normal((x - centre[index]) / s, nu)[several] ** 2).sum())
-    return Repeats(
-        int((count > 1).sum()), int(several.sum()), math.sqrt(q / freedom), float(chi2.sf(q, freedom))
-    )
 
 
 FEWEST_UNITS = 5

@@ -15,7 +15,7 @@ import numpy as np
 
 from adis_gonio.base import __version__
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.jsonable import HIDDEN, INLINE, JsonRecord, key
+from adis_gonio.base.jsonable import HIDDEN, INLINE, JsonRecord
 from adis_gonio.base.numbers import (
     NAMES,
     count_decimals,
@@ -31,18 +31,14 @@ from adis_gonio.base.uncertainty import OUTLYING, wilson
 from adis_gonio.fleet.fleet_statistics import (
     FEWEST,
     FEWEST_UNITS,
-    Beyond,
     Codes,
     Distribution,
     FamilyOfTests,
-    Repeats,
     Test,
-    beyond,
     by_rank,
     by_share,
     by_unit,
     outlying,
-    repeats,
     unshared_u,
 )
 from adis_gonio.fleet.session_record import QUANTITIES
@@ -76,18 +72,11 @@ class QuantitySummary(JsonRecord):
         Name and unit of the quantity.
     distribution : Distribution
         Statistics of its values.
-    beyond : Beyond or None
-        Its scatter compared with the stated uncertainties; None if fewer than three sessions state one.
-    repeats : Repeats or None
-        Scatter of each sensor's sessions compared with the stated uncertainties; None if no sensor has two
-        sessions.
     """
 
     name: str = field(metadata=HIDDEN)
     unit: str
     distribution: Distribution = field(metadata=INLINE)
-    beyond: Beyond | None = field(metadata=key("beyond_u"))
-    repeats: Repeats | None
 
 
 class Frequency(JsonRecord):
@@ -210,7 +199,7 @@ def summarise(rows: Sequence[Row] | Any) -> Summary:
     return Summary(
         _counts(table, groups, ok, traced),
         tuple((str(table["path"][k]), str(table["reason"][k])) for k in failed),
-        tuple(_parameters(table, groups["unit"])),
+        tuple(_parameters(table)),
         tuple(_frequencies(table, int(traced.sum()))),
         tests,
         tuple(_named(test, tests, table, groups) for test in found),
@@ -242,39 +231,26 @@ def _quantities(table: Table) -> list[str]:
     return [name for name in QUANTITIES if name in table and np.isfinite(table[name]).any()]
 
 
-def _u_in_groups(table: Table, name: str, group: Codes | None = None) -> Floats:
-    """Return the standard uncertainties (n,) of a quantity for comparisons of sessions within a group.
+def _own_u(table: Table, name: str) -> Floats:
+    """Return the standard uncertainties (n,) of a quantity for comparisons of sessions; NaN if unknown.
 
-    If all sessions of a group have the certificate of one stage, its errors are left out, since they change
-    all values of the group together. `name` is the quantity. `group` (n,) is the group of each session, a
-    negative number for a group of one session; None makes all sessions one group. The result is NaN for a
-    session that states no uncertainty.
+    If all sessions have the certificate of one stage, its errors are left out, since they change all values
+    together. `name` is the quantity.
     """
     if name == _RMS:
         return np.full(len(table[name]), np.nan)
-    u, curve, influence = table[f"{name}_u"].copy(), table["stage_curve"], table[f"{name}_stage"]
-    codes = np.zeros(len(u), dtype=int) if group is None else group
-    rows = np.flatnonzero(np.isfinite(u) & np.isfinite(table[name]) & (codes >= 0))
-    if not (curve[rows] != "").any():
-        return u
-    rows = rows[np.argsort(codes[rows], kind="stable")]
-    for one in np.split(rows, np.flatnonzero(np.diff(codes[rows])) + 1):
-        u[one] = unshared_u(u[one], curve[one], influence[one])
+    u = table[f"{name}_u"].copy()
+    rows = np.isfinite(u) & np.isfinite(table[name])
+    if rows.any():
+        u[rows] = unshared_u(u[rows], table["stage_curve"][rows], table[f"{name}_stage"][rows])
     return u
 
 
-def _parameters(table: Table, unit: Codes) -> list[QuantitySummary]:
-    found = []
-    for name in _quantities(table):
-        values, dof = table[name], table[f"{name}_dof"]
-        dof = np.where(np.isfinite(dof), dof, np.inf)
-        known = values[np.isfinite(values)]
-        by_u = (
-            beyond(values, _u_in_groups(table, name), dof),
-            repeats(values, _u_in_groups(table, name, unit), dof, unit),
-        )
-        found.append(QuantitySummary(name, QUANTITIES[name], Distribution.of(known), *by_u))
-    return found
+def _parameters(table: Table) -> list[QuantitySummary]:
+    return [
+        QuantitySummary(name, QUANTITIES[name], Distribution.of(table[name][np.isfinite(table[name])]))
+        for name in _quantities(table)
+    ]
 
 
 def _effects(table: Table) -> list[tuple[str, Any]]:
@@ -303,7 +279,7 @@ def _comparisons(table: Table, groups: dict[str, Codes], traced: Any) -> list[Fa
     made = []
     for name in _quantities(table):
         values = _compared(name, table[name])
-        made.append(by_unit(name, values, _u_in_groups(table, name), unit))
+        made.append(by_unit(name, values, _own_u(table, name), unit))
         made += [by_rank(kind, name, values, groups[kind], unit) for kind in KINDS[1:]]
     for effect, shown in _effects(table):
         made += [by_share(kind, effect, shown, np.where(traced, groups[kind], -1), unit) for kind in KINDS]
@@ -354,16 +330,8 @@ def _twins(kind: str, rows: Any, table: Table, groups: dict[str, Codes]) -> tupl
     return tuple(found)
 
 
-PARAMETER_HEAD = [
-    "quantity", "unit", "sessions", "median", "5 %", "95 %", "mean", "robust sd", "median u", "sd beyond u",
-    "repeats / u",
-]  # fmt: skip
-PARAMETER_NOTES = (
-    "sd beyond u: standard deviation between the true values, needed in addition to the sessions' u"
-    " (Paule and Mandel), with its interval of 95 %; 0 if u explains the scatter.",
-    "repeats / u: scatter of sessions of one unit over the scatter that their u explains; 1 if u is right.",
-    "angle: error of the angle, rms over held-out dwells; it has no u.",
-)
+PARAMETER_HEAD = ["quantity", "unit", "sessions", "median", "5 %", "95 %", "mean", "robust sd"]
+PARAMETER_NOTES = ("angle: error of the angle, rms over held-out dwells.",)
 EFFECT_HEAD = ["effect", "sessions", "share", "95 % interval"]
 OUTLYING_HEAD = ["group", "quantity", "here", "the others", "z", "p × tests", "of"]
 
@@ -423,9 +391,6 @@ def _parameter(one: QuantitySummary) -> list[str]:
         str(spread.n),
         *(_to_digit_of(spread.robust_sd, value) for value in (q["50"], q["5"], q["95"], spread.mean)),
         format_number(spread.robust_sd if spread.n > 1 else None, 2),
-        "–" if one.beyond is None else format_number(one.beyond.u, 2),
-        "–" if one.beyond is None else _tau(one.beyond),
-        "–" if one.repeats is None else f"{one.repeats.ratio:.2f} ({format_p(one.repeats.p_value)})",
     ]
 
 
@@ -434,14 +399,6 @@ def _to_digit_of(sd: float, value: float) -> str:
     if not sd > 1e-6:
         return format_number(value)
     return format_fixed(value, count_decimals(sd))
-
-
-def _tau(beyond: Beyond) -> str:
-    low, high = beyond.tau_95
-    if beyond.tau == 0:
-        return "0" if high == 0 else f"0 (to {format_number(high, 2)})"
-    ends = dict.fromkeys(format_number(end, 2) for end in (low, high))
-    return f"{format_number(beyond.tau, 2)} ({' to '.join(ends)})"
 
 
 def effect_rows(summary: Summary) -> list[list[str]]:

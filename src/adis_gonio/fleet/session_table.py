@@ -75,7 +75,7 @@ _FACTS_USED = (
     *("path", "serial", "operator", "stage", "stage_curve", "status", "reason"),
     *("traced", "adequate", "effects", "doubts"),
 )
-_USED = (*_FACTS_USED, *(f"{name}{part}" for name in QUANTITIES for part in ("", "_u", "_dof", "_stage")))
+_USED = (*_FACTS_USED, *(f"{name}{part}" for name in QUANTITIES for part in ("", "_u", "_stage")))
 
 
 def table_of(rows: Sequence[Row] | Any) -> Table:
