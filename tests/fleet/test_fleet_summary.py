@@ -92,15 +92,6 @@ def test_many_sessions_of_one_unit_are_no_many_witnesses_against_a_stage(rng):
     assert not {one for one in found(summarise(rows)) if one[0] == "stage"}
 
 
-def test_a_stage_and_its_only_operator_are_not_told_apart(rng):
-    rows = quiet_rows(rng, 120)
-    for one in rows:
-        one["operator"] = "Ann" if one["stage"] == "stage 1" else "Bob"
-        one["bias_y"] += 4 * (one["stage"] == "stage 1")
-    told = {one.name: one.same_sessions_as for one in summarise(rows).outlying if one.quantity == "bias_y"}
-    assert told["stage 1"] == ("operator Ann",)
-
-
 def test_a_share_is_judged_as_by_fishers_exact_test():
     shown = np.r_[np.ones(5), np.zeros(3), np.ones(4), np.zeros(40)].astype(bool)
     group = np.r_[np.zeros(8), np.ones(44)].astype(int)

@@ -10,16 +10,12 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import NAMES, counted, format_percent, label_quantity
 from adis_gonio.fleet import fleet_summary, sensor_history
 from adis_gonio.fleet.control_charts import YEAR_DAYS
-from adis_gonio.fleet.fleet_summary import GROUPS, Outlying, QuantitySummary, Summary
+from adis_gonio.fleet.fleet_summary import GROUPS, QuantitySummary, Summary
 from adis_gonio.fleet.sensor_history import History, Track
 from adis_gonio.fleet.session_record import Repeated
 from adis_gonio.page.document import Figure, KeyFigure, Section, Series, Table, plot, render
 
 _MOST_BINS = 40
-_MOST_GROUPS = 12
-"""Largest number of groups (stages or operators) in one figure."""
-_MOST_FIGURES = 6
-"""Largest number of figures of outlying groups."""
 _MOST_ROWS = 200
 """Largest number of rows in a table of the page; the JSON document has all rows."""
 
@@ -135,14 +131,10 @@ def _outlying(summary: Summary) -> Section:
     rows = fleet_summary.outlying_rows(summary)
     caption = "" if len(rows) <= _MOST_ROWS else f"The first {_MOST_ROWS} of {len(rows)}."
     table = Table(fleet_summary.OUTLYING_HEAD, rows[:_MOST_ROWS], numeric=(2, 3, 4, 5), caption=caption)
-    groups = [one for one in summary.outlying if one.kind != "unit" and one.quantity in summary.table]
-    shown = {(one.kind, one.quantity): one for one in groups}
-    figures = [_group_plot(one, summary) for one in list(shown.values())[:_MOST_FIGURES]]
     return Section(
         "Outlying groups",
         words=[fleet_summary.outlying_text(summary)],
         tables=[table] if rows else [],
-        figures=[figure for figure in figures if figure is not None],
         notes=[
             "Units: robust z of the median of their sessions. Stages and operators: normal scores over"
             " their units, effects by the hypergeometric tail. The most outlying group is removed"
@@ -151,36 +143,6 @@ def _outlying(summary: Summary) -> Section:
         if summary.tests
         else (),
     )
-
-
-def _group_plot(one: Outlying, summary: Summary) -> Figure | None:
-    """Plot a quantity of all sessions by stage or operator; None for more than `_MOST_GROUPS` groups.
-
-    `one` is an outlying group, which gives the quantity and the kind of group.
-    """
-    names = summary.table[GROUPS[one.kind]]
-    values = summary.table[one.quantity]
-    known = [str(name) for name in np.unique(names[(names != "") & np.isfinite(values)])]
-    if len(known) > _MOST_GROUPS:
-        return None
-    at = np.array([known.index(name) if name in known else np.nan for name in names.tolist()])
-    odd = np.isin(
-        names, [x.name for x in summary.outlying if (x.kind, x.quantity) == (one.kind, one.quantity)]
-    )
-    # Spread the points in the order of the sessions, so that they do not hide each other.
-    place = at + np.linspace(-0.3, 0.3, len(at))
-    name = NAMES.get(one.quantity, one.quantity)
-    svg = plot(
-        [
-            Series(place[~odd], values[~odd], "others", role="after"),
-            Series(place[odd], values[odd], "outlying", role="before"),
-        ],
-        one.kind,
-        label_quantity(one.quantity, one.unit),
-        title=f"{name} by {one.kind}",
-        x_ticks={float(k): text if len(text) < 9 else f"{text[:7]}…" for k, text in enumerate(known)},
-    )
-    return Figure(svg, f"{name} of each session by {one.kind}.")
 
 
 def _files(title: str, head: str, rows: Sequence[tuple[str, str]], *, folded: bool = False) -> Section:

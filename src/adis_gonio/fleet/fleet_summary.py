@@ -48,11 +48,6 @@ FORMAT = "adis-gonio fleet summary 1"
 KINDS = ("unit", "stage", "operator")
 GROUPS = {"unit": "serial", "stage": "stage", "operator": "operator"}
 """Name of the table's column that names the groups, by kind of group."""
-_ALIKE = 0.9
-"""Share of common sessions above which two groups cannot be distinguished.
-
-The groups are, for example, a stage and an operator who works on this stage.
-"""
 _RMS = "angle"
 """Name of the quantity that is the rms error of the angle.
 
@@ -120,8 +115,6 @@ class Outlying(JsonRecord):
         sensors that show it.
     n : int
         Number of sessions of the unit, or of units of the stage or operator.
-    same_sessions_as : tuple of str
-        Other groups with nearly the same sessions, which may be the cause instead.
     """
 
     kind: str
@@ -134,7 +127,6 @@ class Outlying(JsonRecord):
     value: float
     others: float
     n: int
-    same_sessions_as: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -293,9 +285,10 @@ def _compared(name: str, values: Floats) -> Floats:
 
 
 def _named(test: Test, tests: int, table: Table, groups: dict[str, Codes]) -> Outlying:
-    codes = groups[test.kind]
-    rows = np.flatnonzero(codes == test.code) if test.code >= 0 else np.array([-1 - test.code])
-    name = str(table[GROUPS[test.kind] if test.code >= 0 else "path"][rows[0]])
+    if test.code >= 0:
+        name = str(table[GROUPS[test.kind]][groups[test.kind] == test.code][0])
+    else:  # a session without a serial number counts as a unit
+        name = str(table["path"][-1 - test.code])
     value, others = (
         (float(np.exp(one)) if test.quantity == _RMS else float(one)) for one in (test.value, test.others)
     )
@@ -310,24 +303,7 @@ def _named(test: Test, tests: int, table: Table, groups: dict[str, Codes]) -> Ou
         value,
         others,
         test.n,
-        _twins(test.kind, rows, table, groups) if len(rows) > 1 else (),
     )
-
-
-def _twins(kind: str, rows: Any, table: Table, groups: dict[str, Codes]) -> tuple[str, ...]:
-    """Return the names of other groups that have nearly the same sessions as the given rows.
-
-    `kind` is the kind of the group to which the rows belong.
-    """
-    found = []
-    for other in KINDS:
-        codes = groups[other]
-        here, count = np.unique(codes[rows], return_counts=True)
-        for code, common in zip(here, count, strict=True):
-            union = len(rows) + int((codes == code).sum()) - common
-            if other != kind and code >= 0 and common >= _ALIKE * union:
-                found.append(f"{other} {table[GROUPS[other]][codes == code][0]}")
-    return tuple(found)
 
 
 PARAMETER_HEAD = ["quantity", "unit", "sessions", "median", "5 %", "95 %", "mean", "robust sd"]
@@ -422,17 +398,15 @@ def _outlying(one: Outlying) -> list[str]:
         values = [format_percent(one.value), format_percent(one.others)]
     else:
         values = [with_unit(format_number(value), one.unit) for value in (one.value, one.others)]
-    same = f", the same sessions as {', '.join(one.same_sessions_as)}" if one.same_sessions_as else ""
-    of_sessions = one.kind == "unit"
     return [
-        f"{one.kind} {one.name}{same}",
+        f"{one.kind} {one.name}",
         NAMES.get(one.quantity, one.quantity),
         *values,
         format_fixed(one.z, 1),
         format_number(one.adjusted_p, 2)
         if one.adjusted_p >= 1e-12
         else format_p(one.adjusted_p).split("p\u00a0")[1],
-        counted(one.n, "session" if of_sessions else "unit"),
+        counted(one.n, "session" if one.kind == "unit" else "unit"),
     ]
 
 
