@@ -172,6 +172,7 @@ def test_history_fits_a_terminal_of_eighty_columns(sessions, capsys):
     assert main(["history", "A7", str(sessions)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= 80
+    assert sum("±" in line and line.startswith("20") for line in lines) >= len(YEARS)
     assert any("CUSUM signals a change up since 2020-03-01" in line for line in lines)
     assert any("not traced" in line for line in lines)
 

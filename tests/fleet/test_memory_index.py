@@ -203,7 +203,7 @@ def test_a_summary_counts_what_is_there(tmp_path):
         index.keep(*(made_up(f"20{10 + n}-01-01", serial=f"S{n % 3}", bias_x=float(n)) for n in range(9)))
         found = summarise([record.row() for record in index.records()])
     assert [found.sessions[name] for name in ("n", "failed", "traced", "units")] == [9, 0, 0, 3]
-    (bias_x,) = (one.distribution for one in found.parameters if one.name == "bias_x")
+    (bias_x,) = (one for one in found.parameters if one.name == "bias_x")
     assert bias_x.mean == 4
     assert bias_x.quantiles["50"] == 4
     assert bias_x.sd == pytest.approx(2.7386128)

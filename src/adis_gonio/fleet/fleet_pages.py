@@ -10,7 +10,8 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import NAMES, counted, format_percent, label_quantity
 from adis_gonio.fleet import fleet_summary, sensor_history
 from adis_gonio.fleet.control_charts import YEAR_DAYS
-from adis_gonio.fleet.fleet_summary import GROUPS, QuantitySummary, Summary
+from adis_gonio.fleet.fleet_statistics import Distribution
+from adis_gonio.fleet.fleet_summary import GROUPS, Summary
 from adis_gonio.fleet.sensor_history import History, Track
 from adis_gonio.fleet.session_record import Repeated
 from adis_gonio.page.document import Figure, KeyFigure, Section, Series, Table, plot, render
@@ -87,19 +88,18 @@ def _parameters(summary: Summary) -> Section:
     )
 
 
-def _histogram(one: QuantitySummary, values: Floats) -> Figure | None:
+def _histogram(one: Distribution, values: Floats) -> Figure | None:
     """Plot a histogram of one quantity over the sessions; None for fewer than five sessions.
 
     `values` (n,) are the values of the quantity, NaN where unknown.
     """
     x = values[np.isfinite(values)]
-    spread = one.distribution
-    width = 2 * (spread.quantiles["75"] - spread.quantiles["25"]) / len(x) ** (1 / 3)
+    width = 2 * (one.quantiles["75"] - one.quantiles["25"]) / len(x) ** (1 / 3)
     if len(x) < 5 or not width > 0:
         return None
     # A few far values would press all others into one bin.
-    middle, reach = spread.quantiles["50"], 6 * spread.robust_sd
-    low, high = max(spread.low, middle - reach), min(spread.high, middle + reach)
+    middle, reach = one.quantiles["50"], 6 * one.robust_sd
+    low, high = max(one.low, middle - reach), min(one.high, middle + reach)
     edges = np.linspace(low, high, 1 + int(np.clip(np.ceil((high - low) / width), 4, _MOST_BINS)))
     counts, _ = np.histogram(x, edges)
     steps = Series(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from scipy.special import ndtr, ndtri, stdtr
 from scipy.stats import hypergeom, rankdata
 
 from adis_gonio.base.arrays import MAD_TO_SD, Floats, robust_sd
-from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.base.jsonable import HIDDEN, JsonRecord
 from adis_gonio.base.uncertainty import OUTLYING
 
 PROBABILITIES = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
@@ -50,8 +50,12 @@ def unshared_u(u: Floats, curves: Iterable[str], influence: Iterable[Sequence[fl
 class Distribution(JsonRecord):
     """Statistics of the values of one quantity over the fleet.
 
+    The JSON document is one value of `parameters`.
+
     Attributes
     ----------
+    name, unit : str
+        Name and unit of the quantity.
     n : int
         Number of sessions with the quantity.
     mean, sd, robust_sd : float
@@ -63,6 +67,8 @@ class Distribution(JsonRecord):
         Smallest and largest value.
     """
 
+    name: str = field(metadata=HIDDEN)
+    unit: str
     n: int
     mean: float
     sd: float
@@ -72,13 +78,14 @@ class Distribution(JsonRecord):
     high: float
 
     @classmethod
-    def of(cls, values: Floats) -> Distribution:
-        """Compute the statistics of at least one finite value, (n,)."""
+    def of(cls, name: str, unit: str, values: Floats) -> Distribution:
+        """Compute the statistics of values (n,), NaN if unknown; at least one is finite."""
+        values = values[np.isfinite(values)]
         probable = np.quantile(values, PROBABILITIES)
         quantiles = {f"{100 * p:g}": float(q) for p, q in zip(PROBABILITIES, probable, strict=True)}
         sd = float(values.std(ddof=1)) if len(values) > 1 else math.nan
         ends = float(values.min()), float(values.max())
-        return cls(len(values), float(values.mean()), sd, robust_sd(values), quantiles, *ends)
+        return cls(name, unit, len(values), float(values.mean()), sd, robust_sd(values), quantiles, *ends)
 
 
 FEWEST_UNITS = 5

@@ -15,7 +15,7 @@ import numpy as np
 
 from adis_gonio.base import __version__
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.jsonable import HIDDEN, INLINE, JsonRecord
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import (
     NAMES,
     count_decimals,
@@ -54,24 +54,6 @@ _RMS = "angle"
 Its logarithm is compared between groups. It has no standard uncertainty here, because the stated u is that
 of a displayed angle.
 """
-
-
-class QuantitySummary(JsonRecord):
-    """Statistics of one quantity over all sessions that determine it.
-
-    The JSON document is one value of `parameters`.
-
-    Attributes
-    ----------
-    name, unit : str
-        Name and unit of the quantity.
-    distribution : Distribution
-        Statistics of its values.
-    """
-
-    name: str = field(metadata=HIDDEN)
-    unit: str
-    distribution: Distribution = field(metadata=INLINE)
 
 
 class Frequency(JsonRecord):
@@ -141,7 +123,7 @@ class Summary:
         `operators`.
     failures : tuple of (str, str)
         Path of each failed session, and the reason.
-    parameters : tuple of QuantitySummary
+    parameters : tuple of Distribution
         Statistics of each quantity.
     effects : tuple of Frequency
         Number of sessions with each effect, the most frequent first.
@@ -153,7 +135,7 @@ class Summary:
 
     sessions: dict[str, int]
     failures: tuple[tuple[str, str], ...]
-    parameters: tuple[QuantitySummary, ...]
+    parameters: tuple[Distribution, ...]
     effects: tuple[Frequency, ...]
     tests: int
     outlying: tuple[Outlying, ...]
@@ -191,7 +173,7 @@ def summarise(rows: Sequence[Row] | Any) -> Summary:
     return Summary(
         _counts(table, groups, ok, traced),
         tuple((str(table["path"][k]), str(table["reason"][k])) for k in failed),
-        tuple(_parameters(table)),
+        tuple(Distribution.of(name, QUANTITIES[name], table[name]) for name in _quantities(table)),
         tuple(_frequencies(table, int(traced.sum()))),
         tests,
         tuple(_named(test, tests, table, groups) for test in found),
@@ -236,13 +218,6 @@ def _own_u(table: Table, name: str) -> Floats:
     if rows.any():
         u[rows] = unshared_u(u[rows], table["stage_curve"][rows], table[f"{name}_stage"][rows])
     return u
-
-
-def _parameters(table: Table) -> list[QuantitySummary]:
-    return [
-        QuantitySummary(name, QUANTITIES[name], Distribution.of(table[name][np.isfinite(table[name])]))
-        for name in _quantities(table)
-    ]
 
 
 def _effects(table: Table) -> list[tuple[str, Any]]:
@@ -358,15 +333,14 @@ def parameter_rows(summary: Summary) -> list[list[str]]:
     return [_parameter(one) for one in summary.parameters]
 
 
-def _parameter(one: QuantitySummary) -> list[str]:
-    spread = one.distribution
-    q = spread.quantiles
+def _parameter(one: Distribution) -> list[str]:
+    q = one.quantiles
     return [
         NAMES.get(one.name, one.name),
         format_unit(one.unit),
-        str(spread.n),
-        *(_to_digit_of(spread.robust_sd, value) for value in (q["50"], q["5"], q["95"], spread.mean)),
-        format_number(spread.robust_sd if spread.n > 1 else None, 2),
+        str(one.n),
+        *(_to_digit_of(one.robust_sd, value) for value in (q["50"], q["5"], q["95"], one.mean)),
+        format_number(one.robust_sd if one.n > 1 else None, 2),
     ]
 
 

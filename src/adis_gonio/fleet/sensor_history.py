@@ -19,7 +19,6 @@ from adis_gonio.base.numbers import (
     format_p,
     format_uncertain,
     label_quantity,
-    use_minus,
 )
 from adis_gonio.base.uncertainty import DRIFTING, Value
 from adis_gonio.fleet.control_charts import ControlChart, Drift, control_chart, drift_of
@@ -231,9 +230,6 @@ def _stated(value: Value | None) -> bool:
     return value is not None and bool(np.isfinite(value.value)) and value.u is not None and value.u > 0
 
 
-_ROWS = 9
-
-
 def drift_sentences(track: Track) -> list[str]:
     """Return sentences on the drift of a quantity, and on its scatter between sessions.
 
@@ -305,41 +301,6 @@ def headline(history: History) -> str:
     if not signals and not outside:
         parts.append("control charts quiet")
     return "; ".join(parts)
-
-
-def chart_lines(track: Track, width: int = 80) -> list[str]:
-    """Return a plot of a quantity over time in lines of characters, at most `width` wide.
-
-    The signs are `●` for a value, `│` for its expanded uncertainty U and `·` for the weighted mean.
-    """
-    if not track.values:
-        return []
-    value, half = track.value, np.nan_to_num(track.expanded)
-    low, high = float((value - half).min()), float((value + half).max())
-    low, high = (low, high) if high > low else (low - 1, high + 1)
-    labels = [use_minus(f"{edge:.4g}") for edge in (high, (high + low) / 2, low)]
-    margin = max(map(len, labels)) + 1
-    columns = width - margin - 1
-    grid = [[" "] * columns for _ in range(_ROWS)]
-    span = float(np.ptp(track.day)) or 1.0
-    where = np.round((track.day - track.day.min()) / span * (columns - 1)).astype(int)
-
-    def row(at: float) -> int:
-        return round((high - at) / (high - low) * (_ROWS - 1))
-
-    weights = 1 / np.where(half > 0, half, 1.0) ** 2
-    for column in range(0, columns, 2):
-        grid[row(float(np.average(value, weights=weights)))][column] = "·"
-    for column, one, u in zip(where, value, half, strict=True):
-        for line in range(row(one + u), row(one - u) + 1):
-            grid[line][column] = "│"
-    for column, one in zip(where, value, strict=True):
-        grid[row(one)][column] = "●"
-    edges = {0: labels[0], _ROWS // 2: labels[1], _ROWS - 1: labels[2]}
-    lines = [f"{edges.get(k, ''):>{margin}}│{''.join(cells)}".rstrip() for k, cells in enumerate(grid)]
-    first, last = date_of(track.day.min()), date_of(track.day.max())
-    foot = first if first == last else first + last.rjust(columns - len(first))
-    return [*lines, " " * (margin + 1) + foot]
 
 
 def value_rows(history: History) -> tuple[list[str], Sequence[list[str]]]:

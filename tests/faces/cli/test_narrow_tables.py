@@ -8,10 +8,6 @@ from rich.console import Console
 
 from adis_gonio.faces.cli import main
 from adis_gonio.faces.cli.show import print_table
-from adis_gonio.faces.cli.terminal import ascii_form
-from adis_gonio.fleet import sensor_history as words
-from adis_gonio.fleet.sensor_history import history_of
-from fleet.made_up import made_up
 
 HEAD = ("serial", "plan", "ΔK", "Δφ / °", "effects", "file")
 ROWS = [
@@ -61,13 +57,6 @@ def test_with_room_it_is_one_table_and_without_each_part_names_its_rows():
     gap = narrow.index([])
     assert narrow[gap + 1] == ["serial", "effects", "file"]
     assert [line[0] for line in narrow[gap + 2 :] if line[0] in ("A7", "B")] == ["A7", "B"]
-
-
-def test_the_chart_of_a_history_has_a_letter_for_every_mark():
-    history = history_of("A7", [made_up(f"20{year}-01-01", bias_x=year / 10) for year in range(10, 16)])
-    chart = "".join(words.chart_lines(history.tracks["bias_x"], 80))
-    assert "●" in chart
-    assert "?" not in {ascii_form(mark) for mark in set(chart) if ord(mark) > 127}
 
 
 def test_a_fit_at_40_columns_cuts_no_number(tmp_path, capsys, monkeypatch):

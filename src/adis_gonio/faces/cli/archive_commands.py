@@ -144,8 +144,8 @@ def history_command(
 ) -> None:
     """Show ΔK, Δφ, biases and the angle error of a sensor over its sessions, with U.
 
-    The command tests for drift between sessions, draws a control chart (CUSUM, and 3σ limits from u and the
-    scatter between sessions), and lists the effects found each time.
+    The command tests for drift between sessions, keeps a control chart (CUSUM, and 3σ limits from u and the
+    scatter between sessions), and lists the effects found each time. The page of -o shows the charts.
     """
     from adis_gonio.fleet import sensor_history
 
@@ -161,11 +161,10 @@ def history_command(
         return
     screen = show.console(most=_HISTORY_WIDTH)
     screen.print(f"Sensor {found.serial}: {sensor_history.headline(found)}", style="bold")
+    show.print_table(screen, *sensor_history.value_rows(found))
     for track in found.tracks.values():
         screen.print()
         screen.print(track.label, style="bold cyan")
-        for line in sensor_history.chart_lines(track, screen.width):
-            screen.print(line)
         for text in (*sensor_history.drift_sentences(track), *sensor_history.chart_sentences(track, found)):
             show.print_indented(screen, text)
     screen.print()
