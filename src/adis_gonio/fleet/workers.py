@@ -1,8 +1,7 @@
 """Workers that compute sessions: local processes or a dask cluster; a worker that dies loses nothing.
 
-Each process of this machine has one session at a time, so that the session lost with a process is known.
-That session is given to a new process; if this process dies as well, the record of the session has the
-reason.
+If a process of this machine dies, the unfinished sessions are computed again, one at a time; if the process
+of a session then dies as well, the record of the session has the reason.
 
 The files of a cluster are on a disk that all workers see. The scheduler gives the sessions of a worker that
 dies to others; a session that was lost more often than its `distributed.scheduler.allowed-failures` (3) has
@@ -16,12 +15,14 @@ import os
 import queue
 import signal
 import time
-from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent import futures
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
 from itertools import islice
 from multiprocessing import get_context
-from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING
 
 from adis_gonio.base import __version__
@@ -31,15 +32,9 @@ from adis_gonio.fleet.session_record import Job, Options, SessionRecord, lost, w
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-ATTEMPTS = 2
-"""Number of processes that may die while they compute one session.
-
-After that the session counts as failed.
-"""
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 _LOOK_S = 0.5
 """Interval in s between checks while the cluster is waited for."""
-_SPAWN = get_context("spawn")
 
 
 def cores() -> int:
@@ -63,104 +58,70 @@ class LocalPool:
     def __init__(self, workers: int | None = None, compute: Callable[..., SessionRecord] = work) -> None:
         self.workers = workers or cores()
         self._compute = compute
-        self._running: list[_Worker] = []
+        self._pool: ProcessPoolExecutor | None = None
 
     def __enter__(self) -> LocalPool:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for worker in self._running:
-            worker.end()
-        self._running = []
+        if self._pool is not None:
+            for process in (self._pool._processes or {}).values():
+                process.kill()
+            self._pool.shutdown()
 
     def results(self, jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, SessionRecord]]:
         """Yield each job with its record, in the order in which the records arrive."""
-        waiting, deaths = deque(jobs), Counter[str]()
-        while waiting or self._running:
-            while waiting and len(self._running) < self.workers:
-                self._running.append(_Worker(self._compute))
-                self._running[-1].give(waiting.popleft(), options)
-            ready = wait([worker.pipe for worker in self._running])
-            for worker in [worker for worker in self._running if worker.pipe in ready]:
-                job, record = worker.job, worker.record()
-                if record is None:
-                    self._running.remove(worker)
-                    deaths[job.path] += 1
-                    how = worker.end()
-                    if deaths[job.path] < ATTEMPTS:
-                        waiting.appendleft(job)
-                        continue
-                    record = lost(job.path, f"its process {how}, {ATTEMPTS} times")
-                elif waiting:
-                    worker.give(waiting.popleft(), options)
-                else:
-                    self._running.remove(worker)
-                    worker.end()
-                yield job, record
+        waiting = deque(jobs)
+        while waiting:
+            suspects = yield from self._until_death(waiting, options, self.workers)
+            for job in suspects:
+                if (yield from self._until_death(deque([job]), options, 1)):
+                    yield job, lost(job.path, "its process died twice")
 
-
-class _Worker:
-    """A worker process, the pipe to it, and the job that it computes."""
-
-    job: Job
-
-    def __init__(self, compute: Callable[..., SessionRecord]) -> None:
+    def _until_death(
+        self, waiting: deque[Job], options: Options, workers: int
+    ) -> Generator[tuple[Job, SessionRecord], None, list[Job]]:
+        """Yield the waiting jobs with their records; if a process dies, return the jobs that were begun."""
         for name in _ONE_THREAD:  # each worker has a core
             os.environ.setdefault(name, "1")
-        self.pipe, there = _SPAWN.Pipe()
-        self.process = _SPAWN.Process(target=_answer, args=(there, compute), daemon=True)
-        masks = hasattr(signal, "pthread_sigmask")
-        # A process inherits the mask: only the parent handles Ctrl-C in the terminal.
-        held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masks else set()
-        try:
-            self.process.start()
-        finally:
-            if masks:
-                signal.pthread_sigmask(signal.SIG_SETMASK, held)
-        there.close()
-
-    def give(self, job: Job, options: Options) -> None:
-        """Send a job to the process.
-
-        If the process has died, this is noticed when its record is received.
-        """
-        self.job = job
-        with suppress(OSError):
-            self.pipe.send((job.path, job.digest, options.as_dict(), __version__))
-
-    def record(self) -> SessionRecord | None:
-        """Receive the record of the job; None if the process ended."""
-        try:
-            record: SessionRecord = self.pipe.recv()
-        except (EOFError, OSError):
-            return None
-        return record
-
-    def end(self) -> str:
-        """Kill the process if it runs, wait for its end, and return a text on how it ended."""
-        self.process.kill()
-        self.process.join()
-        self.pipe.close()
-        status = self.process.exitcode or 0
-        if status >= 0:
-            return f"ended with status {status}"
-        try:
-            return f"was killed ({signal.Signals(-status).name})"
-        except ValueError:
-            return f"was killed (signal {-status})"
+        # A fresh pool; a process takes a job as soon as it has none, so no other job is begun.
+        begun: dict[futures.Future[SessionRecord], Job] = {}
+        with self:
+            self._pool = ProcessPoolExecutor(min(workers, len(waiting)), get_context("spawn"), _be_quiet)
+            try:
+                while waiting or begun:
+                    while waiting and len(begun) < workers:
+                        job = waiting[0]
+                        request = (job.path, job.digest, options.as_dict(), __version__)
+                        with _interrupts_held():
+                            begun[self._pool.submit(self._compute, *request)] = job
+                        waiting.popleft()
+                    for future in futures.wait(begun, return_when=futures.FIRST_COMPLETED).done:
+                        record = future.result()
+                        yield begun.pop(future), record
+            except BrokenProcessPool:
+                return list(begun.values())
+        return []
 
 
-def _answer(pipe: Connection, compute: Callable[..., SessionRecord]) -> None:
-    """Answer jobs in a worker process until the pipe is closed.
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Context whose new processes ignore Ctrl-C in the terminal: only the parent handles it."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, held)
 
-    `compute` makes a record from a job's arguments. Output that libraries print is not shown.
-    """
+
+def _be_quiet() -> None:
+    """Discard the output that libraries print in a worker process."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     os.dup2(nowhere, 2)
-    with suppress(EOFError, OSError):
-        while True:
-            pipe.send(compute(*pipe.recv()))
 
 
 CONNECT_S = 10.0
