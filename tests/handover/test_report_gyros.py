@@ -25,19 +25,6 @@ def section(session):
     return gyro_section(session)
 
 
-def test_every_parameter_stands_with_u_and_expanded_uncertainty(session, section):
-    result = fit_gyro(session)
-    (every,) = section.parts
-    rows = {row[0]: row for row in every.tables[0].rows}
-    assert list(rows) == list(result.parameters)
-    for name, value in result.parameters.items():
-        assert float(rows[name][2].replace("−", "-")) == pytest.approx(value.value, abs=0.06 * value.u)
-        assert float(rows[name][3]) == pytest.approx(value.u, rel=0.06)
-        assert float(rows[name][4]) == pytest.approx(value.U, abs=0.06 * value.u)  # to the digits of u
-        assert rows[name][5] == f"{value.k:.2f}"
-    assert rows["g_sensitivity_yz"][1] == "°/s/g"
-
-
 def test_the_gyros_stand_beside_each_other_and_what_is_not_known_is_a_dash(session, section):
     result = fit_gyro(session)
     rows = {row[0]: row[1:] for row in section.tables[0].rows}
@@ -62,11 +49,8 @@ def test_one_gain_of_three_is_told_apart_from_those_that_are_not_known(session, 
     assert f"gains to {format_number(100 * value.u, 2)} % (1 of them)" in uncertainty_sentence(one)
 
 
-def test_what_is_not_determined_and_dwells_left_out_are_said(section):
+def test_what_is_not_determined_is_said(section):
     assert any("gyro_scale" in point and "gyro-turns" in point for point in section.points)
-    scores = {row[0]: row for row in section.tables[2].rows}
-    assert float(scores["zero rate"][2]) == pytest.approx(0.243, abs=0.001)  # Y, as the recording shows
-    assert float(scores["gyro"][2]) < 0.06
     assert [row[0] for row in section.tables[1].rows] == ["XGYRO_OFF", "YGYRO_OFF", "ZGYRO_OFF"]
 
 

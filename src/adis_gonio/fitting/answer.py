@@ -320,8 +320,6 @@ def with_notes(best: FitResult, given: FitResult) -> FitResult:
 
 
 Rows = list[list[str]]
-_METHOD_WIDTH = 24
-"""Width, in characters, of the column for one method in the table of all methods."""
 
 
 def parameter_row(name: str, value: Value) -> list[str]:
@@ -339,22 +337,22 @@ def format_dof(dof: float) -> str:
     return "> 10⁴" if dof > 1e4 else f"{dof:.{0 if dof >= 10 else 1}f}"
 
 
-def method_tables(results: Sequence[FitResult], width: int) -> Iterator[tuple[list[str], Rows]]:
+def method_tables(results: Sequence[FitResult], most: int) -> Iterator[tuple[list[str], Rows]]:
     """Yield head and rows of tables that compare the parameters of all methods, as value ± U.
 
-    Each table has one column per method, and as many methods as `width` (in characters) allows.
+    Each table has one column per method, and at most `most` methods; ΔK and Δφ come first.
     """
     units = {e.name: e.unit for result in results for e in result.parameters}
-    columns = max(1, (width - 26) // _METHOD_WIDTH)
-    for start in range(0, len(results), columns):
-        part = results[start : start + columns]
+    names = sorted(units, key=lambda name: name not in ("delta_k", "delta_phi"))
+    for start in range(0, len(results), most):
+        part = results[start : start + most]
         rows = [
-            [NAMES.get(name, name), format_unit(unit), *(format_parameter(result, name) for result in part)]
-            for name, unit in units.items()
+            [NAMES.get(name, name), format_unit(units[name]), *(format_parameter(r, name) for r in part)]
+            for name in names
         ]
         rows.append(["residual, rms", "mg", *(f"{r.residual_rms_mg:.3f}" if r.dof else DASH for r in part)])
         rows.append(["χ² / dof", "", *(f"{r.chi2:.1f} / {r.dof}" if r.dof else "none left" for r in part)])
-        yield ["", "unit", *(f"{result.method}, ± U" for result in part)], rows
+        yield ["parameter", "unit", *(f"{result.method}, ± U" for result in part)], rows
 
 
 def format_parameter(result: FitResult, name: str) -> str:

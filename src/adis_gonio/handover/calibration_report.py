@@ -24,7 +24,6 @@ from adis_gonio.base.numbers import (
     format_percent,
     format_span,
     format_uncertain,
-    format_unit,
     label_quantity,
     use_minus,
     with_unit,
@@ -32,7 +31,7 @@ from adis_gonio.base.numbers import (
 from adis_gonio.base.uncertainty import NORMAL_95, Value
 from adis_gonio.device.sensor.settings import compensations
 from adis_gonio.fitting import FitResult
-from adis_gonio.fitting.answer import Answer, format_dof, format_parameter, format_share
+from adis_gonio.fitting.answer import Answer, format_dof, format_share, method_tables
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.slips import PositionFinding
 from adis_gonio.fitting.slips.session_positions import Angle
@@ -62,33 +61,13 @@ _ROLES: tuple[Role, Role] = ("before", "after")
 _MOST_PLACES = 24
 """Largest number of lines of one finding in the table of single dwells."""
 _SIDES = {-1.0: "from above", 1.0: "from below"}
-_ORDER = ("delta_k", "delta_phi")
 
 
-def summary_section(traced: TraceResult | str, fits: Sequence[FitResult]) -> Section:
-    """Return the section that summarises the trace in sentences.
-
-    `traced` is the trace, or the reason if there is none; `fits` has the best fit last.
-    """
-    best = fits[-1] if fits else None
-    by_method = ""
-    if best is not None:
-        pair = {e.name: Value(e.value, e.u, e.unit) for e in best.parameters if e.name in _ORDER}
-        by_method = _pair(pair)
+def summary_section(traced: TraceResult | str) -> Section:
+    """Return the section that summarises the trace, or states the reason (a text) if there is none."""
     if isinstance(traced, str):
-        lines = [f"By method {best.method} (± U): {by_method}."] if best is not None and by_method else []
-        return Section("Summary", words=[*lines, f"The session could not be traced: {traced}"])
-    lines = [words.headline(traced), words.gains(traced)]
-    final = {name: value for name, value in traced.base.items() if name in _ORDER}
-    if final:
-        alternative = (
-            f" (method {best.method}, before the trace: {by_method})" if best and by_method else ""
-        )
-        names = "With the effects found" if traced.steps else "By the base model"
-        lines.append(f"{names} (± U): {_pair(final)}{alternative if traced.steps else ''}.")
-    if traced.confounded:
-        lines.append(f"This session cannot distinguish: {'; '.join(words.confounded(traced))}.")
-    return Section("Summary", words=lines)
+        return Section("Summary", words=[f"The session could not be traced: {traced}"])
+    return Section("Summary", words=[words.headline(traced), words.gains(traced)])
 
 
 def answer_section(answer: Answer) -> Section:
@@ -100,8 +79,7 @@ def answer_section(answer: Answer) -> Section:
         caption="u: standard uncertainty; U = k·u covers 95 %. The error of the angle is the root mean "
         "square over held-out dwells; its u belongs to a displayed angle.",
     )
-    sentences = [*answer.doubts, f"By method {answer.title}.", answer.why, *answer.remarks]
-    return Section("Answer", words=sentences, tables=[table])
+    return Section("Answer", words=[f"By method {answer.title}.", answer.why], tables=[table])
 
 
 def certificate_section(
@@ -187,7 +165,7 @@ def _error_figures(
 
 def _key(values: Mapping[str, Value]) -> list[KeyFigure]:
     """Return ΔK, Δφ and the error of the angle as key figures; an empty list for attitudes in space."""
-    wanted = [name for name in (*_ORDER, "angle") if name in values]
+    wanted = [name for name in ("delta_k", "delta_phi", "angle") if name in values]
     return [_large(name, values[name]) for name in wanted if len(wanted) > 1]
 
 
@@ -269,10 +247,6 @@ def scores_section(answer: Answer) -> Section:
     return Section("Methods on the same readings", words=[answer.scored_on], tables=[table] if rows else [])
 
 
-def _pair(values: Mapping[str, Value]) -> str:
-    return ", ".join(f"{NAMES[name]} = {values[name]}" for name in _ORDER if name in values)
-
-
 _BESIDE = 3
 """Largest number of methods in one table; more would be wider than the page."""
 
@@ -290,35 +264,11 @@ def fitted_section(fits: Sequence[FitResult], failures: Mapping[str, str]) -> Se
     notes += [f"{method}: {reason}" for method, reason in failures.items()]
     none = [] if fits or failures else ["No method applies: the session has too few poses."]
     # The best fit is last in the list and first on the page.
-    order = list(reversed(fits))
-    tables = [_by_method(order[k : k + _BESIDE]) for k in range(0, len(order), _BESIDE)]
-    return Section("Results by method", words=none, tables=tables, notes=notes, folded=bool(tables))
-
-
-def _by_method(fits: Sequence[FitResult]) -> Table:
-    units = {e.name: e.unit for fit in fits for e in fit.parameters}
-    names = sorted(units, key=lambda name: _ORDER.index(name) if name in _ORDER else len(_ORDER))
-    rows = [
-        [NAMES.get(name, name), format_unit(units[name]), *(format_parameter(fit, name) for fit in fits)]
-        for name in names
+    tables = [
+        Table(head, rows, numeric=tuple(range(2, len(head))))
+        for head, rows in method_tables(list(reversed(fits)), _BESIDE)
     ]
-    rows.append(
-        ["residual, rms", "mg", *(format_number(fit.residual_rms_mg) if fit.dof else DASH for fit in fits)]
-    )
-    rows.append(
-        [
-            "χ² / degrees of freedom",
-            "",
-            *(f"{format_number(f.chi2)} / {f.dof}" if f.dof else "–" for f in fits),
-        ]
-    )
-    return Table(
-        ["parameter", "unit", *(fit.method for fit in fits)],
-        rows,
-        numeric=tuple(range(2, 2 + len(fits))),
-        strong=tuple(k for k, name in enumerate(names) if name in _ORDER),
-        caption="Value ± U (95 %).",
-    )
+    return Section("Results by method", words=none, tables=tables, notes=notes, folded=bool(tables))
 
 
 def found_section(traced: TraceResult) -> Section:
@@ -808,7 +758,7 @@ def build_page(
     if answer is not None:
         first = certificate_section(session, answer, _observed(session), positions, tolerance)
         body += [first, answer_section(answer)]
-    body += [summary_section(traced, fits), *positions_section(positions)]
+    body += [summary_section(traced), *positions_section(positions)]
     if answer is not None:
         body += [budget_section(answer), scores_section(answer)]
     body += [fitted_section(fits, failures or {})]

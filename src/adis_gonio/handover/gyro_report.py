@@ -40,8 +40,7 @@ def gyro_section(session: Session) -> Section | None:
         words=sentences,
         points=tuple(result.warnings),
         figures=[_residuals(result)],
-        tables=[gyro_table(result), *_offsets(session), *_scores(result)],
-        parts=[Section("Every parameter of the gyros", tables=_every(result), folded=True)],
+        tables=[gyro_table(result), *_offsets(session)],
     )
 
 
@@ -90,41 +89,6 @@ def _cell(result: GyroFit, name: str) -> str:
         towards_itself = name.startswith("gyro_misalignment") and name[-1] == name[-2]
         return "" if towards_itself else "–"
     return numbers.format_uncertain(result[name].value, result[name].U)
-
-
-def _every(result: GyroFit) -> list[Table]:
-    """Return tables of all gyro parameters, and of the gyro axes' rotation against the accelerometers."""
-    captions = (
-        "First letter: gyro, second letter: axis of the accelerometers. u: standard uncertainty; U = k·u.",
-        "Rotation of the gyros' triad against the accelerometers', and 90° minus its own angles.",
-    )
-    return [
-        Table(
-            numbers.HEAD,
-            [numbers.QuantityRow.of(*one) for one in values.items()],
-            caption,
-            numeric=(2, 3, 4, 5),
-        )
-        for values, caption in zip((result.parameters, result.triad), captions, strict=True)
-        if values is not None
-    ]
-
-
-def _scores(result: GyroFit) -> list[Table]:
-    """Return a list with the table of the gyros' errors on held-out dwells; empty without such errors."""
-    if not result.scores:
-        return []
-    rows = [
-        [
-            name,
-            *(numbers.format_number(rms) for rms in score.rms_dps.values()),
-            numbers.format_number(max(score.max_dps.values())),
-        ]
-        for name, score in result.scores.items()
-    ]
-    head = ["model", "X / (°/s)", "Y / (°/s)", "Z / (°/s)", "largest / (°/s)"]
-    caption = "Residual of dwells at rest, each left out of the fit in turn, rms by gyro."
-    return [Table(head, rows, caption=caption, numeric=(1, 2, 3, 4))]
 
 
 def _offsets(session: Session) -> list[Table]:

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from adis_gonio.record.loading import Overrides
 
 _PARAMETER_HEAD = ("parameter", "unit", "value", "u", "U (95 %)", "k", "ν")
+_METHOD_WIDTH = 24
+"""Width, in characters, of the column for one method in the tables of all methods."""
 
 
 @option.command(
@@ -205,7 +207,8 @@ def _print_scores(screen: Console, answer: Answer, *, everything: bool) -> None:
             show.print_table(screen, head, rows, bold=rows[0][:1] if rows else ())
     for method, reason in failures.items():
         screen.print(f"no result by {method}: {reason}")
-    for block_head, block in method_tables(answer.comparison.results, screen.width) if everything else ():
+    most = max(1, (screen.width - 26) // _METHOD_WIDTH)
+    for block_head, block in method_tables(answer.comparison.results, most) if everything else ():
         screen.print()
         show.print_table(screen, block_head, block, (0, 1))
 
