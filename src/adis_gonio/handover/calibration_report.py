@@ -18,7 +18,6 @@ from adis_gonio.base.numbers import (
     NAMES,
     NO_BREAK,
     UNKNOWN,
-    format_fixed,
     format_number,
     format_p,
     format_percent,
@@ -532,16 +531,11 @@ def data_section(
     `software` made the page; `reference_c` is the temperature in °C at which the parameters are valid,
     None if unknown.
     """
-    observed = _observed(session)
-    rows = [[name, text] for name, text in facts(session, observed, software, reference_c) if text]
-    parts = []
-    if observed is not None and len(observed) > 1:
-        parts.append(Section("Readings", tables=[_readings(session, observed)], folded=True))
+    known = facts(session, _observed(session), software, reference_c)
+    rows = [[name, text] for name, text in known if text]
     notes = [*session.notes, *(traced.notes if traced is not None else ())]
     problems = [str(problem) for problem in session.facts.get("problems", ())]
-    return Section(
-        "Data and configuration", tables=[Table(["", ""], rows)], notes=[*notes, *problems], parts=parts
-    )
+    return Section("Data and configuration", tables=[Table(["", ""], rows)], notes=[*notes, *problems])
 
 
 def _observed(session: Session) -> Readings | None:
@@ -630,39 +624,6 @@ def _span(series: Sequence[Any], unit: str) -> str:
         return "not recorded"
     low, high = min(float(np.nanmin(s)) for s in known), max(float(np.nanmax(s)) for s in known)
     return format_span(low, high, 2, unit)
-
-
-def _readings(session: Session, observed: Readings) -> Table:
-    used = set(observed.position.tolist())  # without saturated dwells
-    dwells = [dwell for dwell in session.dwells if dwell.position in used]
-    letters = "xyz"[: observed.axes]
-    rows = []
-    for dwell, mean, covariance in zip(dwells, observed.mean, observed.covariance, strict=True):
-        u = np.sqrt(np.diagonal(covariance)) if observed.noise_known else np.full(observed.axes, np.nan)
-        rows.append(
-            [
-                str(dwell.position),
-                DASH if dwell.angle_deg is None else use_minus(f"{dwell.angle_deg:g}"),
-                {1: "below", -1: "above"}.get(dwell.approach, "–"),
-                str(len(dwell)),
-                *(
-                    format_fixed(m, 3) if np.isnan(s) else format_uncertain(m, NORMAL_95 * s)
-                    for m, s in zip(mean, u, strict=True)
-                ),
-                "–" if dwell.temperature_c is None else f"{float(np.mean(dwell.temperature_c)):.2f}",
-                dwell.use,
-            ]
-        )
-    head = [
-        "position",
-        "angle / °",
-        "from",
-        "samples",
-        *(f"{a} / mg" for a in letters),
-        "temperature / °C",
-        "use",
-    ]
-    return Table(head, rows, numeric=(0, 1, 3, *range(4, 5 + observed.axes)))
 
 
 def _panel_figure(panel: Panel, effect: str, before: str) -> Figure:
