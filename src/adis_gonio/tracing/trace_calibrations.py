@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path, PurePath
-from typing import Any
 
 import numpy as np
 
@@ -453,21 +452,19 @@ def load_gyro_calibration(
 
         _refuse_made_for_others(path)
         session = load_session(path)
-        _refuse_another_part(part, _named(provenance_of(session)), path)
+        _refuse_another_part(part, provenance_of(session), path)
         return gyro_calibration_of(session, traced=traced)
     schema = document.get("schema") if isinstance(document, dict) else None
     if schema == Calibration.schema:
         whole = calibration_from(document, str(path))
-        _refuse_another_part(part, _named(whole.provenance), path)
+        _refuse_another_part(part, whole.provenance, path)
         if whole.gyro is None:
             raise FitError(f"{path}: is a calibration without gyros")
         return whole.gyro
-    if schema is None and isinstance(document, dict) and isinstance(document.get("gyro"), dict):
-        # Export of a session that calibrates only its gyros, such as one of the plan gyro-turns.
-        _refuse_another_part(part, _exported(document.get("session")), path)
-        return gyro_calibration_from(document["gyro"], str(path))
     if schema != GyroCalibration.schema:
-        raise DataError(f"{path}: is no gyro calibration; GyroCalibration.save makes one")
+        raise DataError(
+            f"{path}: is no gyro calibration; give the session of the gyros or a GyroCalibration.save file"
+        )
     return gyro_calibration_from(document, str(path))
 
 
@@ -476,20 +473,10 @@ def _refuse_made_for_others(path: str | Path) -> None:
         raise DataError(f"{path}: is made for others to read; give a session, or the .json of export")
 
 
-def _named(part: Provenance) -> tuple[str, str]:
-    return part.sensor, part.serial
-
-
-def _exported(session: Any) -> tuple[str, str]:
-    """Return the sensor and serial number that an exported JSON session states; empty if missing."""
-    about = session if isinstance(session, dict) else {}
-    return str(about.get("sensor") or ""), str(about.get("serial") or "")
-
-
-def _refuse_another_part(part: Provenance | None, other: tuple[str, str], path: str | Path) -> None:
+def _refuse_another_part(part: Provenance | None, other: Provenance, path: str | Path) -> None:
     if part is None:
         return
-    for here, there in zip((part.sensor, part.serial), other, strict=True):
+    for here, there in ((part.sensor, other.sensor), (part.serial, other.serial)):
         if here and there and here != there:
             raise UsageError(f"{path}: its gyros are of {there}, the accelerometers of {here}")
 
