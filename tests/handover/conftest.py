@@ -8,8 +8,8 @@ from handover.browser import Browser, browser
 
 @pytest.fixture(scope="package")
 def small():
-    """A study of two parts of each kind, in this process."""
-    return reproduce(7, 2, jobs=1)
+    """A study of two parts of each kind."""
+    return reproduce(7, 2)
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,6 @@
 
 import json
 import re
-import shlex
 
 import pytest
 
@@ -56,17 +55,6 @@ def test_every_section_with_a_table_or_a_figure_carries_the_command_that_makes_i
             )
 
 
-def test_the_command_beside_a_session_records_it_again(small, tmp_path, capsys):
-    part = small.results["x"][0]
-    words = shlex.split(part.part.command("mmpm", str(tmp_path / "one.session")))
-    assert words.pop(0) == "adis-gonio"
-    assert main(words) == 0
-    capsys.readouterr()
-    assert main(["fit", str(tmp_path / "one.session"), "--method", "mmpm", "--json"]) == 0
-    again = json.loads(capsys.readouterr().out)["parameters"]["delta_phi"]["value"]
-    assert again == part.found["mmpm"]["non_orthogonality"][0]
-
-
 def test_the_command_writes_page_and_document(small, page, monkeypatch, tmp_path, capsys):
     asked = []
     monkeypatch.setattr(
@@ -79,7 +67,6 @@ def test_the_command_writes_page_and_document(small, page, monkeypatch, tmp_path
     document = json.loads(capsys.readouterr().out)
     assert document["command"] == "adis-gonio paper --seed 7 --sessions 2 --json"
     assert [row["measured"] for row in document["table_1"]["rows"]] == [row.measured for row in TABLE]
-    assert len(document["parts"]["x"]) == 2
     assert main(["paper", "--seed", "7", "--sessions", "2"]) == 0
     said = capsys.readouterr().out
     assert "overtakes MMPM" in said
