@@ -13,7 +13,7 @@ from adis_gonio.fitting.allan import AllanResult, AxisNoise, allan_result, fit_a
 from adis_gonio.fitting.gyros.gyro_fit import GyroFit, fit_gyro, gains_in
 from adis_gonio.handover.register_offsets import gyro_offset_words
 from adis_gonio.model.records import Session
-from adis_gonio.page.document import ROLES, Figure, Role, Section, Series, Table, plot, render
+from adis_gonio.page.document import Figure, Role, Section, Series, Table, plot, render
 from adis_gonio.tracing.trace_calibrations import gyros_as_recorded
 
 _ROLES: tuple[Role, ...] = ("after", "third", "fourth")
@@ -186,21 +186,6 @@ def section_of(result: AllanResult) -> Section:
     )
 
 
-def allan_svg(result: AllanResult) -> str:
-    """Return a plot of the Allan deviations of all axes with the fitted curves, as one SVG."""
-    series = []
-    for role, axis in zip(ROLES, result.axes, strict=False):
-        curve = axis.curve
-        series.append(Series(curve.tau_s, curve.deviation, axis.axis, role=role))
-        series.append(Series(curve.tau_s, curve.model, "", role="model", style="line"))
-    title = f"Allan deviation of the {allan_result.PARTS[result.part]}"
-    described = " ".join(_described(result, axis) for axis in result.axes)
-    return plot(
-        series, _TIME, _deviation(result), title=title, description=described, x_log=True, y_log=True,
-        width=560, height=380,
-    )  # fmt: skip
-
-
 def _deviation(result: AllanResult) -> str:
     return f"Allan deviation / {numbers.format_unit(result.unit)}"
 
@@ -210,8 +195,7 @@ def _reading() -> tuple[str, ...]:
         "The coefficients follow IEEE Std 952-1997, Annex C; the bias instability is the floor of the"
         " Allan deviation, 0.664 times the standard's B. They are fitted to the samples by restricted"
         " maximum likelihood, not to the points of the plot.",
-        "A noise that was not separately detected has an upper limit (95 %), and the size that these"
-        " records would have shown in nine of ten cases.",
+        "A noise that was not separately detected has an upper limit (95 %).",
     )
 
 
@@ -220,10 +204,7 @@ def _section(result: AllanResult, axis: AxisNoise) -> Section:
     absent: list[str] = []
     for parameter in axis.parameters:
         if parameter.present:
-            # Every row has its name, since a screen reader reads the head of each row.
-            rows += [
-                (allan_result.name_shown(parameter), *row[1:]) for row in allan_result.cells(parameter)
-            ]
+            rows.append(allan_result.cells(parameter))
         elif parameter.kind != "quantization":
             unit = numbers.format_unit(parameter.unit)
             absent.append(

@@ -13,7 +13,7 @@ OUTPUTS = {
     "calibrate": (["calibrate", SIM, "--auto", "--dwell", "0.5"], "x.session"),
     "stream": (["stream", SIM, "--seconds", "0.1"], "x.csv"),
     "report": (["report", "SESSION"], "x.html"),
-    "allan": (["allan", "SESSION"], "x.svg"),
+    "allan": (["allan", "SESSION"], "x.html"),
     "plan": (["plan", "--plan", "two-position", "--fixture", "0.02"], "x.json"),
     "history": (["history", "17", "."], "x.html"),
     "fleet": (["fleet", "SESSION", "--no-trace"], "x.json"),

@@ -2,7 +2,6 @@
 
 import json
 import re
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -39,8 +38,6 @@ def test_the_table_fits_80_columns_and_names_value_u_and_limits(recording, capsy
     assert "Noise at rest of the gyros of left alone (adis16354)" in out
     assert re.search(r"angle random walk +0\.0\d+ +\S+ +\S+ … \S+ +\S+ °/s/√Hz", out)
     assert re.search(r"bias instability +0\.0\d+ ", out)
-    assert "°/√h" in out
-    assert "°/h" in out
     assert "rate random walk / °/s/√s\n    not separately detected: at most 0.0" in out
 
 
@@ -49,7 +46,6 @@ def test_accelerometers_have_their_own_names(recording, capsys):
     assert status == 0
     assert "velocity random walk" in out
     assert "acceleration random walk / mg/√s" in out
-    assert "m/s/√h" in out
 
 
 def test_the_json_is_one_document_and_nothing_else(recording, capsys):
@@ -65,24 +61,21 @@ def test_the_json_is_one_document_and_nothing_else(recording, capsys):
         assert len(axis["allan"]["tau_s"]) == len(axis["allan"]["model"]) > 8
 
 
-def test_the_page_and_the_plot_stand_alone(recording, capsys, tmp_path):
-    for name in ("noise.html", "noise.svg"):
-        status, _, err = run(capsys, "allan", recording, "-o", tmp_path / name)
-        assert status == 0
-        assert f"{name}, " in err
+def test_the_page_stands_alone(recording, capsys, tmp_path):
+    status, _, err = run(capsys, "allan", recording, "-o", tmp_path / "noise.html")
+    assert status == 0
+    assert "noise.html, " in err
     page = (tmp_path / "noise.html").read_text("utf-8")
     assert "gyros of left alone" in page
     assert page.count("<svg") == 3
     assert not re.search(r'(src|href)="https?:', page)
     assert "fitted noise" in page
-    assert ElementTree.parse(tmp_path / "noise.svg").getroot().tag.endswith("}svg")
 
 
 @pytest.mark.parametrize(
     ("words", "status", "told"),
     [
         (["no.csv"], 1, "there is no such file"),
-        (["rest.csv", "-o", "noise.png"], 2, ".html for the page, .svg for the plot"),
         (["rest.csv", "--sensor-part", "mag"], 2, "'gyro', 'accelerometer'"),
         (["accel.csv"], 1, "there are no gyros (gx, gy, gz): give --sensor-part accelerometer"),
         (["short.csv"], 1, "noise needs 128"),

@@ -279,9 +279,6 @@ def _print_gyros(screen: Console, parameters: dict[str, Value], truth: Mapping[s
     _print_parameters(screen, rows, parameters, truth)
 
 
-_ALLAN_ENDINGS = (".html", ".htm", ".svg")
-
-
 @option.command("allan", "--output --sensor-part --json")
 @option.session
 @option.part("gyro")
@@ -289,7 +286,7 @@ _ALLAN_ENDINGS = (".html", ".htm", ".svg")
     "--filter", "filter_m", type=click.IntRange(0, 6), metavar="M",
     help="Filter of the chip, two passes of 2^M taps, if the file does not contain it.",
 )  # fmt: skip
-@option.output("Write a page with the Allan plot (.html), or only the plot (.svg) (extra: report).")
+@option.output("Write a page with the Allan plot (extra: report).")
 @option.overrides
 @option.json
 def allan_command(
@@ -309,17 +306,14 @@ def allan_command(
     """
     from adis_gonio.fitting.allan import fit_allan
 
-    if output is not None and output.suffix.lower() not in _ALLAN_ENDINGS:
-        raise UsageError(f"{output}: its ending says the format: .html for the page, .svg for the plot")
     show.check_page(output)
     loaded = option.load(session, overrides)
     with show.report_progress(f"noise of {session.name}"):
         found = fit_allan(loaded, part, filter_m=filter_m)
     if output is not None:
-        from adis_gonio.handover.gyro_report import allan_page, allan_svg
+        from adis_gonio.handover.gyro_report import allan_page
 
-        draw = allan_svg if output.suffix.lower() == ".svg" else allan_page
-        show.write_page(output, draw(found))
+        show.write_page(output, allan_page(found))
     if as_json:
         show.print_json(found.as_dict())
     else:

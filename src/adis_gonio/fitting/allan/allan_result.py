@@ -12,7 +12,6 @@ from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted, format_number, format_p, format_unit
 from adis_gonio.base.uncertainty import INADEQUATE, SLOW_NOISE, Value, finite_or_none
 from adis_gonio.fitting.allan.spectral_likelihood import (
-    FLOOR_OF_B,
     KINDS,
     AllanCurve,
     Kind,
@@ -38,14 +37,6 @@ _UNITS = {
     "counts": ("counts·s", "counts/√Hz", "counts", "counts/√s"),
 }
 """Units of the coefficients of the noise processes, by the unit of the samples."""
-_MPS_PER_MG_S = 9.80665e-3
-_ALSO: dict[tuple[str, Kind], tuple[str, float]] = {
-    ("dps", "white"): ("deg/√h", 60.0),
-    ("dps", "flicker"): ("deg/h", 3600.0),
-    ("dps", "walk"): ("deg/h/√h", 3600.0 * 60.0),
-    ("mg", "white"): ("m/s/√h", 60 * _MPS_PER_MG_S),
-    ("mg", "walk"): ("m/s/h/√h", 3600 * 60 * _MPS_PER_MG_S),
-}
 
 
 @dataclass(frozen=True)
@@ -68,8 +59,6 @@ class NoiseParameter:
     name: str
     unit: str
     profile: Profile
-    also: tuple[str, float] | None = None
-    """A second unit in common use, and the factor from `unit` to it; None if there is none."""
 
     @property
     def present(self) -> bool:
@@ -90,32 +79,19 @@ class NoiseParameter:
         return Value(found.value, found.u, self.unit, found.dof, factor=arm / found.u)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the JSON object of a noise process: its value with uncertainty, interval and limits.
+        """Return the JSON object of a noise process: its value with uncertainty, interval and upper limit.
 
-        The value, u, its degrees of freedom ν, k and U are null if the process may be absent. The limits
-        are the upper limit of the coefficient and its detectable size.
+        The value, u, its degrees of freedom ν, k and U are null if the process may be absent.
         """
         value, found = self.value, self.profile
         empty = {"value": None, "u": None, "dof": None, "k": None, "U": None, "unit": self.unit}
-        document: dict[str, Any] = {
+        return {
             "present": self.present,
             **(empty if value is None else value.as_dict()),
             "interval_95": [found.low, finite_or_none(found.high)],
             "upper_95": finite_or_none(found.high),
             "p_value": found.p_value,
-            "detectable": finite_or_none(found.detectable),
         }
-        if self.kind == "flicker":
-            document["ieee_952_b"] = None if value is None else found.value / FLOOR_OF_B
-        if self.also is not None:
-            unit, size = self.also
-            document["also"] = {
-                "unit": unit,
-                "value": None if value is None else size * found.value,
-                "u": None if value is None else size * found.u,
-                "upper_95": finite_or_none(size * found.high),
-            }
-        return document
 
 
 def parameters(part: Part, unit: str, profiles: dict[Kind, Profile]) -> tuple[NoiseParameter, ...]:
@@ -126,9 +102,7 @@ def parameters(part: Part, unit: str, profiles: dict[Kind, Profile]) -> tuple[No
     """
     named = zip(KINDS, _NAMES[part], _UNITS[unit], strict=True)
     return tuple(
-        NoiseParameter(kind, name, own, profiles[kind], _ALSO.get((unit, kind)))
-        for kind, name, own in named
-        if kind in profiles
+        NoiseParameter(kind, name, own, profiles[kind]) for kind, name, own in named if kind in profiles
     )
 
 
@@ -375,33 +349,21 @@ def notes_of(
 
 
 def missing(parameter: NoiseParameter) -> str:
-    """Return the text for a process that may be absent: its upper limit, and the detectable size."""
+    """Return the text for a process that may be absent, with its upper limit."""
+    return f"not separately detected: at most {format_number(parameter.profile.high)} (95 %)"
+
+
+def cells(parameter: NoiseParameter) -> tuple[str, ...]:
+    """Return the table row, with the columns `HEAD`, for a noise process that is present."""
     found = parameter.profile
-    limit = f"not separately detected: at most {format_number(found.high)} (95 %)"
-    if parameter.kind == "white":
-        return limit
-    return f"{limit}; {format_number(found.detectable)} would have shown"
-
-
-def cells(parameter: NoiseParameter) -> Sequence[tuple[str, ...]]:
-    """Return the table rows, with the columns `HEAD`, for a noise process that is present.
-
-    A second row gives the value in another common unit, if there is one.
-    """
-    found, rows = parameter.profile, []
-    dof_text = f"> {_MANY_DOF}" if found.dof > _MANY_DOF else format_number(found.dof, 2)
-    for unit, size in ((parameter.unit, 1.0), *((parameter.also,) if parameter.also else ())):
-        rows.append(
-            (
-                name_shown(parameter) if size == 1.0 else "",
-                format_number(size * found.value, 4),
-                format_number(size * found.u, 2),
-                f"{format_number(size * found.low)} … {format_number(size * found.high)}",
-                "" if size != 1.0 else dof_text,
-                format_unit(unit),
-            )
-        )
-    return rows
+    return (
+        name_shown(parameter),
+        format_number(found.value, 4),
+        format_number(found.u, 2),
+        f"{format_number(found.low)} … {format_number(found.high)}",
+        f"> {_MANY_DOF}" if found.dof > _MANY_DOF else format_number(found.dof, 2),
+        format_unit(parameter.unit),
+    )
 
 
 def headline(result: AllanResult) -> str:
@@ -423,8 +385,8 @@ def table_lines(result: AllanResult) -> Iterator[str]:
         yield _row((axis.axis.upper(), *HEAD[1:]))
         for parameter in axis.parameters:
             if parameter.present:
-                for row in cells(parameter):
-                    yield _row(("  " + row[0], *row[1:]))
+                name, *numbers = cells(parameter)
+                yield _row((f"  {name}", *numbers))
             elif parameter.kind != "quantization":
                 yield f"  {name_shown(parameter)} / {format_unit(parameter.unit)}"
                 yield f"    {missing(parameter)}"

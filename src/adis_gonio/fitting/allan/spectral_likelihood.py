@@ -56,9 +56,6 @@ from adis_gonio.device.sensor.settings import filter_response, filter_weights
 Kind = Literal["quantization", "white", "flicker", "walk"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
-FLOOR_OF_B = math.sqrt(2 * math.log(2) / math.pi)
-"""Ratio of the smallest Allan deviation under flicker noise to the standard's coefficient B of bias
-instability."""
 _FLICKER_ALLAN = 4 * math.log(2)
 """Allan variance of noise with the two-sided density h/f, in units of h."""
 _TABLE = 256
@@ -616,7 +613,6 @@ def _bins(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return starts, np.append(starts[1:], n).astype(np.intp)
 
 
-_POWER_90 = 1.2815515655446004
 _CELLS, _LEAST_CELL = 24, 16
 
 
@@ -634,8 +630,6 @@ class Profile:
         Profile-likelihood interval of 95 %; `low` is 0 if the coefficient may be absent.
     p_value : float
         Probability of data that favour the noise process at least as much, if it is absent.
-    detectable : float
-        Coefficient that a record like this one shows to be present with a probability of 90 %.
     """
 
     value: float
@@ -643,7 +637,6 @@ class Profile:
     low: float
     high: float
     p_value: float
-    detectable: float
 
     @property
     def present(self) -> bool:
@@ -833,7 +826,7 @@ def profile(likelihood: Likelihood, theta: Floats, least: float, index: int) -> 
     `theta` is the maximum of the likelihood over all squared coefficients, and `least` its deviance;
     `index` is the coefficient's index.
     """
-    absent, deviance = likelihood.maximum(theta.copy(), {index: 0.0})
+    _, deviance = likelihood.maximum(theta.copy(), {index: 0.0})
     ratio = max(deviance - least, 0.0)
     p_value = 0.5 * float(special.chdtrc(1, ratio)) if theta[index] > 0 else 1.0
     u_squared = likelihood.u_squared(theta, index)
@@ -849,14 +842,7 @@ def profile(likelihood: Likelihood, theta: Floats, least: float, index: int) -> 
     top = theta[index] + NORMAL_95 * max(u_squared, 1e-12 * likelihood.scale[index])
     high = _root_above(beyond, max(theta[index], 0.0), top)
     low = _root_below(beyond, float(theta[index])) if p_value < SLOW_NOISE else 0.0
-    return Profile(
-        value=sigma,
-        u=u,
-        low=math.sqrt(low),
-        high=math.sqrt(high),
-        p_value=p_value,
-        detectable=_detectable(likelihood, absent, index),
-    )
+    return Profile(sigma, u, math.sqrt(low), math.sqrt(high), p_value)
 
 
 def _root_above(beyond: Callable[[float], float], begin: float, top: float) -> float:
@@ -874,18 +860,3 @@ def _root_below(beyond: Callable[[float], float], top: float) -> float:
         if beyond(low) > 0:
             return float(optimize.brentq(beyond, low, 2 * low, rtol=1e-5))
     return 0.0
-
-
-def _detectable(likelihood: Likelihood, absent: Floats, index: int) -> float:
-    """Return the smallest coefficient that nine of ten records like this one would show to be present.
-
-    `index` is the index of the noise process, `absent` (4,) the best model without it.
-    """
-    at = absent.copy()
-    without = likelihood.u_squared(at, index)
-    # The uncertainty depends on the size, so iterate.
-    size = (NORMAL_95 + _POWER_90) * without
-    for _ in range(8):
-        at[index] = size
-        size = NORMAL_95 * without + _POWER_90 * likelihood.u_squared(at, index)
-    return math.sqrt(size)
