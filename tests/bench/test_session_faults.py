@@ -1,4 +1,4 @@
-"""Faults that pass within a dwell: judged by EA of every scan, told, kept, offered for repetition."""
+"""Faults that pass within a dwell: judged by EA of every scan, told, kept, asked about at once."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from adis_gonio.bench.events import (
     GuardRaised,
     PositionAsked,
     Problem,
-    RepetitionOffered,
     StageMoved,
     Withdrawn,
 )
@@ -35,7 +34,6 @@ from adis_gonio.record.samples_writer import session_dict, write_samples_csv
 from adis_gonio.record.session_reader import read_session
 from adis_gonio.record.source import Settings
 from adis_gonio.sim import World
-from bench.hand_bench import Hand, hand_sensor
 
 URL = "sim:?seed=3"
 SETTINGS = Settings(dwell_s=1.0, settle_s=0.1)
@@ -72,15 +70,13 @@ def path(tmp_path: Path) -> Path:
 
 
 def answer(runner: SessionRunner, event: Event, *, repeat: bool = False) -> None:
-    """Go through the plan; say yes or no where a repetition is offered."""
+    """Go through the plan; take a faulty dwell again or keep it."""
     if isinstance(event, PositionAsked):
         runner.confirm()
     elif isinstance(event, ExtensionOffered):
         runner.decline()
     elif isinstance(event, GuardRaised):
         runner.answer(Reply.RETAKE if repeat else Reply.KEEP)
-    elif isinstance(event, RepetitionOffered):
-        (runner.accept if repeat else runner.decline)()
 
 
 def visit(
@@ -145,7 +141,6 @@ def test_the_faulty_dwell_is_asked_about_at_once_and_a_sound_one_takes_its_place
     assert (raised.kind, raised.place, raised.default) == ("over_range", 1, "retake")
     assert raised.values["scans"] in (24, 25)
     assert [withdrawn.place for withdrawn in of(events, Withdrawn)] == [1]
-    assert not of(events, RepetitionOffered)
     assert [done.place for done in of(events, DwellDone)] == [0, 1, 1]
     assert isinstance(events[-1], Finished)
     session = read_session(path)
@@ -156,74 +151,38 @@ def test_the_faulty_dwell_is_asked_about_at_once_and_a_sound_one_takes_its_place
 def test_a_faulty_dwell_that_is_kept_is_not_asked_about_again(sensor, path):
     events = visit(SessionRunner.begin(sensor, path, plan(), SETTINGS), sensor)
     assert len(of(events, GuardRaised)) == 1
-    assert not of(events, RepetitionOffered)
     with open_sensor(URL) as again:
         events = visit(SessionRunner.resume(again, path), again, glitch_at=None)
-    assert not of(events, RepetitionOffered)
+    assert not of(events, GuardRaised)
     assert len(read_session(path).notes) == 1
 
 
 @pytest.mark.parametrize("stop", [Problem, GuardRaised])
-def test_a_fault_survives_a_break_and_is_offered_after_resuming(sensor, path, stop):
+def test_a_fault_survives_a_break_before_the_answer_in_the_session_s_notes(sensor, path, stop):
     visit(SessionRunner.begin(sensor, path, plan(), SETTINGS), sensor, stop=stop)
     assert "dwell 1 (90°" in read_session(path).notes[-1]
     with open_sensor(URL) as again:
-        events = visit(SessionRunner.resume(again, path), again, glitch_at=None, repeat=True)
-    assert of(events, RepetitionOffered)[0].places == (1,)
-    assert [done.alarms for done in of(events, DwellDone)] == [0]
-    assert read_session(path).notes == ()
+        events = visit(SessionRunner.resume(again, path), again, glitch_at=None)
+    assert not of(events, DwellDone)
+    (note,) = read_session(path).notes
+    assert note.startswith("dwell 1 (90°")
 
 
-def test_positions_to_repeat_are_asked_for_because_the_part_lies_elsewhere(path):
-    """By hand nothing else brings the part there; without the question the guard would stop for ever."""
-    with hand_sensor() as sensor:
-        runner, hand = SessionRunner.begin(sensor, path, plan("four-position"), SETTINGS), Hand(sensor)
-        glitches, events = Glitches(sensor.bus.inner.world), []
-        for event in runner.run():
-            events.append(event)
-            if isinstance(event, DwellProgress) and event.place == 1 and not glitches.begin_s:
-                glitches.begin_s.append(sensor.bus.now_s() + 0.1)
-            if isinstance(event, GuardRaised):
-                runner.stop()  # the power goes before the question is answered
-            else:
-                hand.see(runner, event)
-    with hand_sensor() as sensor:
-        runner, hand = SessionRunner.resume(sensor, path), Hand(sensor)
-        events = []
-        for event in runner.run():
-            events.append(event)
-            if isinstance(event, RepetitionOffered):
-                runner.accept()
-            else:
-                hand.see(runner, event)
-    assert [asked.place for asked in of(events, PositionAsked)] == [2, 3, 1]
-    assert [done.place for done in of(events, DwellDone)] == [2, 3, 1]
-    assert hand.guards == []
-    assert events[-1].complete
-    assert read_session(path).notes == ()
-
-
-def test_a_position_to_repeat_that_is_skipped_keeps_the_dwell_that_it_has(sensor, path):
+def test_a_faulty_dwell_of_an_earlier_run_is_taken_again_by_repeat(sensor, path):
     visit(SessionRunner.begin(sensor, path, plan(), SETTINGS), sensor, stop=GuardRaised)
     with open_sensor(URL) as again:
         runner, events = SessionRunner.resume(again, path), []
         for event in runner.run():
             events.append(event)
-            if isinstance(event, RepetitionOffered):
-                runner.accept()
-            elif isinstance(event, PositionAsked):
-                runner.skip()
-            elif isinstance(event, ExtensionOffered):
-                runner.decline()
-    assert len(of(events, RepetitionOffered)) == len(of(events, PositionAsked)) == 1
-    assert (events[-1].complete, events[-1].done, events[-1].skipped) == (True, 2, 0)
-    assert len(read_session(path).dwells) == 2
+            if isinstance(event, ExtensionOffered):
+                (runner.decline if of(events, DwellDone) else runner.repeat)()
+    assert [(done.place, done.alarms) for done in of(events, DwellDone)] == [(1, 0)]
+    assert read_session(path).notes == ()
 
 
 def test_an_automatic_session_keeps_the_dwell_and_says_so(sensor, path):
     runner = SessionRunner.begin(sensor, path, plan(), SETTINGS, auto=True)
     events = visit_auto(runner, sensor)
-    assert len(of(events, RepetitionOffered)) == 1
     assert len(of(events, DwellDone)) == 2
     assert events[-1].complete
     assert len(read_session(path).notes) == 1

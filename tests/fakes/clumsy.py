@@ -160,11 +160,6 @@ class Person:
                 return [f"say {self._mind.choice(['nonsense', 'pause', 'note'])}", f"say {default}"]
         return ["rest 1", f"say {default}"]
 
-    def at_repetition(self) -> list[str]:
-        """Dwells with a fault in them are offered again."""
-        self.questions += 1
-        return ["say accept"]
-
     def at_extension(self) -> list[str]:
         """A longer plan is offered."""
         self.questions += 1

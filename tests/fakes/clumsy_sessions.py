@@ -23,7 +23,6 @@ from adis_gonio.bench.events import (
     GuardRaised,
     Paused,
     PositionAsked,
-    RepetitionOffered,
     Watching,
 )
 from adis_gonio.bench.runner import SessionRunner
@@ -134,8 +133,6 @@ class EventHand:
             case GuardRaised():
                 self._outcome.guards.append(event.kind)
                 self._steps = person.at_guard(event.kind, event.answers, event.default, event.place)
-            case RepetitionOffered():
-                self._steps = person.at_repetition()
             case ExtensionOffered():
                 self._steps = person.at_extension()
             case Paused():

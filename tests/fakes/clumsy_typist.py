@@ -38,7 +38,6 @@ ASKED = re.compile(
     r"(?P<metadata>\(Enter: none\): $)"
     r"|(?P<note>  note: $)"
     r"|(?P<paused>paused: .* goes on: $)"
-    r"|(?P<again>  Repeat these dwells\? .* help\): $)"
     r"|(?P<more>  Go on with 180°, 270°\? .* help\): $)"
     r"|(?P<guard>  Enter: .*, n note, \? help\): $)"
     r"|(?P<position>\d+ of \d+.*, n note, \? help\): $)",
@@ -150,8 +149,6 @@ class Typist:
         match kind:
             case "paused":
                 return person.at_pause()
-            case "again":
-                return person.at_repetition()
             case "more":
                 steps = person.at_extension()
                 longer = extension(plan("two-position"), 2)

@@ -474,16 +474,14 @@ class DwellRecorder(Recorder):
         attempt = recording.attempt("complete", bench.now_s)
         number = ledger.archive.add_attempt(attempt)
         place, scans = recording.place, recording.scans()
-        ledger.faulty.discard(place)
-        alarms = count_alarms(scans)
-        if attempt.status or alarms:
-            ledger.faulty.add(place)
         doubted = self._note_doubts(number)
         ledger.use_attempt(place, number)
         self._knowledge.learn(place, recording.position, scans, doubted=doubted)
         self._note_turn(number)
         mean = vector(scans.accel_mg.mean(axis=0))
-        yield DwellDone(place, recording.position, number, len(scans), scans.lost, mean, alarms)
+        yield DwellDone(
+            place, recording.position, number, len(scans), scans.lost, mean, count_alarms(scans)
+        )
         found = problems(place, scans, recording.status)
         for problem in found:
             yield ledger.problem(problem)
@@ -586,8 +584,6 @@ class DwellRecorder(Recorder):
                 if skipped:
                     ledger.skipped.add(place)
                 return
-            if place in ledger.faulty:
-                ledger.keep_faulty([place])
 
     def _keep(self, guard: Guard) -> None:
         self._kept_kinds.add(guard.kind)

@@ -447,22 +447,6 @@ class Withdrawn(Event):
     attempt: int
 
 
-class RepetitionOffered(Event):
-    """The plan is done, but some dwells have an error or alarm. Answers: accept, decline, repeat, stop.
-
-    If accepted, their positions are asked for one by one and measured again. If declined, the dwells are
-    kept and not asked about again.
-
-    Attributes
-    ----------
-    places, positions : tuple
-        Indices in the plan and positions of these dwells.
-    """
-
-    places: tuple[int, ...]
-    positions: tuple[Position, ...]
-
-
 class ExtensionOffered(Event):
     """The plan is done and an extension is offered. Answers: accept, decline, repeat, stop.
 

@@ -40,7 +40,6 @@ from adis_gonio.bench.events import (
     Finished,
     PositionAsked,
     Problem,
-    RepetitionOffered,
     Started,
 )
 from adis_gonio.bench.gyro_turns import GyroTurnsRecorder
@@ -336,9 +335,7 @@ class SessionRunner(Operator):
                 yield self._knowledge.take_noise(noise)
             place = self._ledger.next_place
             yield from self._questions.handle_pause(place)
-            if place is None and self._ledger.faulty:
-                answer = yield from self._offer_repetition()
-            elif place is None:
+            if place is None:
                 answer = yield from self._offer_extension()
             else:
                 answer = yield from self._ask_position(place)
@@ -349,7 +346,7 @@ class SessionRunner(Operator):
         """Do what the operator's answer requests; return False if the answer ends the session.
 
         `place` is the index of the position that the operator was asked to set; None if the program offered
-        something else (more positions, a repeat).
+        something else (more positions).
         """
         last = self._ledger.last_place
         if answer is Reply.REPEAT and last is not None:
@@ -389,42 +386,6 @@ class SessionRunner(Operator):
         if ledger.taken:
             each = (bench.now_s - self._first_asked_s) / ledger.taken
         return left * each + sum(ledger.plan.positions[k].wait_s for k in ledger.open_places)
-
-    def _offer_repetition(self) -> Generator[Event, None, Reply]:
-        """Ask if dwells with an error or alarm are to be repeated or kept; record and return the answer."""
-        places = sorted(self._ledger.faulty)
-        where = tuple(self._ledger.plan.positions[place] for place in places)
-        offer = RepetitionOffered(tuple(places), where)
-        answer = yield from self._questions.ask(offer, {Reply.ACCEPT, Reply.DECLINE}, Reply.DECLINE)
-        if answer is Reply.DECLINE:
-            self._ledger.keep_faulty(places)
-            return Reply.ACCEPT
-        if answer is Reply.ACCEPT:
-            for place in places:
-                other = yield from self._take_again(place)
-                if other is not None:
-                    return other
-        return answer
-
-    def _take_again(self, place: int) -> Generator[Event, None, Reply | None]:
-        """Repeat the dwell of a position: ask for the position until there is a new dwell.
-
-        Returns None, or the operator's answer if it is about something else. If the position is skipped,
-        its present dwell is kept.
-        """
-        done, skipped = self._ledger.done, self._ledger.skipped
-        before = done.get(place)
-        while done.get(place) == before and not self._questions.stopped:
-            answer = yield from self._ask_position(place)
-            if answer is Reply.CONFIRM:
-                yield from self._recorder.take(place)
-            if answer is Reply.SKIP or (place in skipped and done.get(place) == before):
-                skipped.discard(place)
-                self._ledger.keep_faulty([place])
-                return None
-            if answer not in (Reply.CONFIRM, Reply.SKIP):
-                return answer
-        return None
 
     def _offer_extension(self) -> Generator[Event, None, Reply]:
         ledger = self._ledger

@@ -47,8 +47,8 @@ class Ledger:
         Length of a free turn in s; None for dwells, which have the length of the settings.
     done : dict
         Number of the attempt that is used as the dwell, by place.
-    skipped, faulty : set of int
-        Skipped places, and places of dwells with an error or alarm that was not accepted.
+    skipped : set of int
+        Skipped places.
     last_place : int or None
         Place of the newest dwell; None without a dwell.
     taken : int
@@ -62,7 +62,6 @@ class Ledger:
         self.recorded_s: float | None = None
         self.done = {attempt.place: attempt.number for attempt in archive.dwells()}
         self.skipped = archive.skipped()
-        self.faulty = {attempt.place for attempt in archive.faulty()}
         self.last_place = self._newest()
         self.taken = 0
         self._scanning: dict[str, Any] = archive.last("scanning") or {}
@@ -113,14 +112,8 @@ class Ledger:
         """Remove the dwell of a place from the session; it stays in the archive, marked as withdrawn."""
         number = self.done.pop(place)
         self.note("withdrawn", number)
-        self.faulty.discard(place)
         self.last_place = self._newest()
         return Withdrawn(place, self.plan.positions[place], number)
-
-    def keep_faulty(self, places: list[int]) -> None:
-        """Accept the dwells of these places despite an error or alarm; they are not questioned again."""
-        self.note("kept", [self.done[place] for place in places])
-        self.faulty.difference_update(places)
 
     def extend(self, plan: Plan) -> None:
         """Replace the plan by a changed one, such as a longer one, also in the archive."""

@@ -56,7 +56,7 @@ BUMP = BenchKey("b", "bump", "bump the simulated part")
 The keys `MOVE` and `BUMP` act only on this part, which nothing but the operator's keys moves.
 """
 
-Question = events.PositionAsked | events.GuardRaised | events.RepetitionOffered | events.ExtensionOffered
+Question = events.PositionAsked | events.GuardRaised | events.ExtensionOffered
 
 
 def answers_to(question: Question) -> dict[str, BenchKey]:
@@ -81,18 +81,11 @@ def default_of(question: Question) -> str:
     return "confirm" if isinstance(question, events.PositionAsked) else "accept"
 
 
-Offer = events.RepetitionOffered | events.ExtensionOffered
+def reason_of(question: events.ExtensionOffered, planned: int) -> tuple[str, str]:
+    """Return the reason for extending the plan as sentences, and the offer as a question.
 
-
-def reason_of(question: Offer, planned: int) -> tuple[str, str]:
-    """Return the reason for an offer as sentences, and the offer as a question.
-
-    The offer is to repeat dwells or to extend the plan; `planned` is the number of positions in the present
-    plan.
+    `planned` is the number of positions in the present plan.
     """
-    if isinstance(question, events.RepetitionOffered):
-        where = ", ".join(str(position) for position in question.positions)
-        return f"An error or alarm occurred at {where}.", "Repeat these dwells? Otherwise they are kept."
     reasons = question.reasons if question.blindness is None else (question.blindness.message,)
     where = ", ".join(str(position) for position in question.plan.positions[planned:])
     return " ".join(f"{reason[:1].upper()}{reason[1:]}." for reason in reasons), f"Go on with {where}?"

@@ -69,7 +69,7 @@ from adis_gonio.record.archive_tables import (
     statements,
     utc_now,
 )
-from adis_gonio.record.blocks import GENERIC, UNITS, Block, count_alarms, from_bytes, to_bytes
+from adis_gonio.record.blocks import GENERIC, UNITS, Block, from_bytes, to_bytes
 from adis_gonio.record.plans import Plan, Position
 
 MOST_STEPS = 100_000_000
@@ -491,19 +491,6 @@ class ArchiveView(Closing):
     def withdrawn(self) -> set[int]:
         """Return the numbers of complete attempts that the operator declared invalid afterwards."""
         return {record.value for record in self.records("withdrawn")}
-
-    def faulty(self) -> list[StoredAttempt]:
-        """Return the dwells with an error or alarm of the sensor, except those that the operator accepted.
-
-        The sensor reports an error in STATUS after the dwell, or in the bit EA within the dwell.
-        """
-        kept = {number for record in self.records("kept") for number in record.value}
-        return [
-            attempt
-            for attempt in self.dwells()
-            if attempt.number not in kept
-            and (attempt.status or any(count_alarms(block) for block in self.blocks(attempt, "dwell")))
-        ]
 
     def skipped(self) -> set[int]:
         """Return the numbers, from 0, of the plan's positions that were skipped and have no dwell."""

@@ -408,7 +408,6 @@ RECORDS: Mapping[str, Shape] = {
     "reversed": truth_value,
     "skipped": _COUNT,
     "withdrawn": _COUNT,
-    "kept": list_of(_COUNT, 0, _MOST),
     "dropped": fields({"attempt": _COUNT, "scans": _COUNT}),
     "doubt": fields({"attempt": _COUNT, **_DOUBT}),
     "contradiction": fields({"place": _COUNT, "dwells": list_of(_COUNT, 0, _MOST), **_DOUBT}),

@@ -187,7 +187,7 @@ def run(sensor: Adis16354, path: Path, resume: bool = False) -> list:
         events.append(event)
         if type(event).__name__ == "PositionAsked":
             made.confirm()
-        elif type(event).__name__ in ("ExtensionOffered", "RepetitionOffered"):
+        elif type(event).__name__ == "ExtensionOffered":
             made.decline()
         elif type(event).__name__ == "GuardRaised":  # nothing turns this board's part
             made.keep()

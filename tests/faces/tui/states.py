@@ -163,7 +163,6 @@ STATES: dict[str, tuple[list[events.Event], tuple[str, ...]]] = {
     "guard_reversed": ([*THREE, REVERSED], ()),
     "guard_not_moved": ([*THREE, NOT_MOVED], ()),
     "guard_shock": ([*THREE, SHOCK], ("down",)),
-    "repetition": ([*THREE, events.RepetitionOffered((1, 2), PLAN.positions[1:3])], ()),
     "extension": (
         [started(name="two-position"), *OPEN[1:], done(0, TWO), done(1, TWO), EXTENSION],
         (),

@@ -137,7 +137,7 @@ def test_the_screen_and_the_plain_prompts_have_one_key_map(name, monkeypatch):
         monkeypatch.setattr("sys.stdin", io.StringIO(f"{letter}\n"))
         choosing.PlainBench(runner, auto=False).run()
         typed = [] if runner.told == ["stop"] else runner.told
-        if letter != "n" or isinstance(question, events.RepetitionOffered | events.ExtensionOffered):
+        if letter != "n" or isinstance(question, events.ExtensionOffered):
             assert told == typed, letter
             alike += bool(told)
     assert alike >= 2
@@ -301,10 +301,8 @@ def test_earlier_work_is_remembered():
     state = BenchState()
     for event in [started(resumed=True), *OPEN[1:]]:
         state.take(event)
-    state.remember(done=[0, 1, 2], skipped={3}, faulty=[1])
-    assert [state.mark(place) for place in range(5)] == [
-        Mark.DONE, Mark.FAULTY, Mark.DONE, Mark.SKIPPED, Mark.OPEN,
-    ]  # fmt: skip
+    state.remember(done=[0, 1, 2], skipped={3})
+    assert [state.mark(place) for place in range(5)] == [*[Mark.DONE] * 3, Mark.SKIPPED, Mark.OPEN]
 
 
 def test_a_change_of_size_that_no_signal_told_of_is_seen(monkeypatch):

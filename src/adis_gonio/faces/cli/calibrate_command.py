@@ -301,7 +301,7 @@ def _is_complete(path: Path) -> bool:
     from adis_gonio.record.plans import extension
 
     with ArchiveView(path) as view:
-        done = not view.pending() and not view.faulty()
+        done = not view.pending()
         return done and extension(view.plan(), len(view.dwells())) is None
 
 

@@ -154,7 +154,7 @@ class PlainBench:
                 print_indented(self._screen, event.message, style="bold yellow")
                 meaning = words.answers_to(event)[event.default].meaning
                 self._put(f"  {words.ENTER}: {meaning}", event)
-            case events.RepetitionOffered() | events.ExtensionOffered():
+            case events.ExtensionOffered():
                 reason, offer = words.reason_of(event, len(self._plan))
                 print_indented(self._screen, reason, style="yellow")
                 if not self._auto:
@@ -197,7 +197,7 @@ class PlainBench:
         known = words.answers_to(question)
         keys: Actions = {"": answering(words.default_of(question))}
         keys |= {key.letter: answering(name) for name, key in known.items() if key.letter != words.ENTER}
-        offers = isinstance(question, events.RepetitionOffered | events.ExtensionOffered)
+        offers = isinstance(question, events.ExtensionOffered)
         keys |= {} if offers else {words.PAUSE.letter: self._runner.pause}
         listed = [key for key in known.values() if key.letter != words.ENTER]
         listed += [] if offers else [words.PAUSE, words.NOTE]

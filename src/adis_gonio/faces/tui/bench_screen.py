@@ -1,8 +1,8 @@
 """The screen of a session, and its dialogs.
 
 The screen shows a `BenchState`, and passes the operator's keys to the session's runner in its thread.
-Dialogs ask the questions of guards (checks of a dwell), offer repetitions or more positions, ask if the
-session is to end, take a note, and show help. All of them work by keys alone.
+Dialogs ask the questions of guards (checks of a dwell), offer more positions, ask if the session
+is to end, take a note, and show help. All of them work by keys alone.
 """
 
 from __future__ import annotations
@@ -190,8 +190,8 @@ def guard_dialog(event: events.GuardRaised) -> Dialog:
     return Dialog(heading, event.message, words.answers_to(event), event.default, rows)
 
 
-def offer_dialog(event: events.RepetitionOffered | events.ExtensionOffered, planned: int) -> Dialog:
-    """Make the dialog that offers to repeat dwells, or to extend the plan.
+def offer_dialog(event: events.ExtensionOffered, planned: int) -> Dialog:
+    """Make the dialog that offers to extend the plan.
 
     `planned` is the number of positions in the present plan.
     """
@@ -460,7 +460,7 @@ class BenchApp(App[None]):
         match question:
             case events.GuardRaised():
                 dialog = guard_dialog(question)
-            case events.RepetitionOffered() | events.ExtensionOffered():
+            case events.ExtensionOffered():
                 planned = 0 if self.state.plan is None else len(self.state.plan)
                 dialog = offer_dialog(question, planned)
             case events.PositionAsked() if not (self.state.zero_known or self._drawn):
@@ -681,8 +681,7 @@ class ScreenFace:
 
 
 def remember(state: BenchState) -> None:
-    """Mark the positions of a resumed session that earlier runs have done, skipped or found faulty."""
+    """Mark the positions of a resumed session that earlier runs have done or skipped."""
     with ArchiveView(state.path) as view:
         done = [attempt.place for attempt in view.dwells()]
-        faulty = [attempt.place for attempt in view.faulty()]
-        state.remember(done, view.skipped(), faulty)
+        state.remember(done, view.skipped())

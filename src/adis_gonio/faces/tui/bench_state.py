@@ -204,12 +204,11 @@ class BenchState:
         """Return the state of the position with this place in the plan."""
         return Mark.NOW if place == self.place else self.marks.get(place, Mark.OPEN)
 
-    def remember(self, done: Collection[int], skipped: Collection[int], faulty: Collection[int]) -> None:
-        """Mark the positions that earlier runs have done, skipped or found faulty, by place in the plan."""
+    def remember(self, done: Collection[int], skipped: Collection[int]) -> None:
+        """Mark the positions that earlier runs have done or skipped, by place in the plan."""
         self.zero_known = bool(done)
         self.marks |= dict.fromkeys(done, Mark.DONE)
         self.marks |= dict.fromkeys(skipped, Mark.SKIPPED)
-        self.marks |= dict.fromkeys(faulty, Mark.FAULTY)
 
     def answered(self, answer: str = "") -> None:
         """Close the open question after the answer with this name; the next event sets the new state.
@@ -265,7 +264,7 @@ class BenchState:
         self._ask(event, event.place)
 
     @_take.register
-    def _(self, event: events.RepetitionOffered | events.ExtensionOffered) -> None:
+    def _(self, event: events.ExtensionOffered) -> None:
         self._ask(event, None)
 
     def _ask(self, question: Question, place: int | None) -> None:
