@@ -172,12 +172,12 @@ def test_interleaved_angles_are_the_even_ones_in_another_order():
         ({"positions": 8, "best": "speed"}, "best is 'speed'"),
         ({"positions": 8, "grid_deg": 0.1}, "grid is 0.1"),
         ({"positions": 8, "beware": ["quadratc"]}, "did you mean 'quadratic'"),
-        ({"positions": 8, "beware": ["gravity"]}, "lies in the model"),
+        ({"positions": 8, "beware": ["gravity"]}, "no plan can be made for 'gravity'; "),
         ({"positions": 8, "beware": ["axis_tilt"]}, "lies in the model"),
-        ({"positions": 8, "beware": ["creep"]}, "all positions before"),
-        ({"positions": 8, "beware": ["supply_bias"]}, "supply, which no plan sets"),
-        ({"positions": 8, "beware": ["tone"]}, "within the dwells"),
-        ({"positions": 8, "beware": ["outlier_dwell"]}, "single dwells"),
+        ({"positions": 8, "beware": ["creep"]}, "no plan can be made for 'creep'; "),
+        ({"positions": 8, "beware": ["supply_bias"]}, "no plan can be made for 'supply_bias'; "),
+        ({"positions": 8, "beware": ["tone"]}, "no plan can be made for 'tone'; "),
+        ({"positions": 8, "beware": ["outlier_dwell"]}, "no plan can be made for 'outlier_dwell'; "),
     ],
 )
 def test_what_cannot_be_searched_for_is_told_in_one_line(arguments, told):

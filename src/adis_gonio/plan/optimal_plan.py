@@ -388,8 +388,7 @@ def _refuse_hidden(term: NamedTerm, base: Floats, columns: Floats) -> None:
     outside = rows - (within / size) @ np.linalg.lstsq(within / size, rows, rcond=1e-10)[0]
     if (np.linalg.norm(outside, axis=0) <= _HIDDEN * np.linalg.norm(rows, axis=0)).any():
         raise UsageError(
-            f"beware: {term.name} lies in the model that every session fits, so that no plan can show it: "
-            "leave it out"
+            f"beware: no plan can be made for '{term.name}': it lies in the model that every session fits"
         )
 
 

@@ -26,7 +26,6 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.conformity import Conformity, ErrorCurve, Tolerance
 from adis_gonio.base.errors import FitError, UsageError, suggest
 from adis_gonio.base.jsonable import INLINE, JsonRecord
-from adis_gonio.base.numbers import join_words
 from adis_gonio.base.uncertainty import Detectable, Value
 from adis_gonio.device.sensor.registers import VARIANTS, Variant, variant
 from adis_gonio.device.sensor.settings import filter_settling_samples, filter_weights, sample_period_s
@@ -36,7 +35,7 @@ from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.fitting.fit_result import FitResult
 from adis_gonio.fitting.methods import fit_readings
 from adis_gonio.fitting.uncertainty import ShownAngle
-from adis_gonio.model.effects import Conditions, catalogue
+from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import PlanarTurn
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.record.plans import Plan
@@ -59,14 +58,6 @@ _DEPENDS = (
     "with so few positions the result depends on the errors of the stage: the figures are medians of "
     f"{_STAGES} imagined sessions"
 )
-_HIDDEN = "lies in the model that every session fits, in these positions"
-_SURROUNDINGS = {
-    "temperature_c": "the temperature",
-    "temperature_history": "its history",
-    "supply_v": "the supply",
-    "variance_mg2": "vibration",
-}
-"""Words for conditions that no plan of positions sets, by name of the condition."""
 
 
 @dataclass(frozen=True)
@@ -510,17 +501,8 @@ def predict_sight(readings: Readings) -> Sight:
     # The bias on all axes is in each model, because every part has one.
     widest = widest_terms(problem.terms)
     bias = tuple(problem.terms.index(term) for term in widest.values() if term.constant)
-    reasons = {name: _why_unplanned(name, why) for name, why in missing.items()}
-    seen = detectable(Search(problem, price(problem)), bias, reasons)
-    hidden = {name: replace(one, reason=_HIDDEN) for name, one in seen.items() if "lies in" in one.reason}
-    return Sight(seen | hidden, _confounded_pairs(problem, bias, seen))
-
-
-def _why_unplanned(name: str, why: str) -> str:
-    needs = [need for need in catalogue("accelerometer")[name].needs if need in _SURROUNDINGS]
-    if not needs:
-        return why
-    return f"depends on {join_words([_SURROUNDINGS[need] for need in needs])}, which no plan sets"
+    seen = detectable(Search(problem, price(problem)), bias, missing)
+    return Sight(seen, _confounded_pairs(problem, bias, seen))
 
 
 def _confounded_pairs(
@@ -566,30 +548,18 @@ def planned_terms(readings: Readings, names: Sequence[str]) -> tuple[NamedTerm, 
     Raises
     ------
     UsageError
-        An unknown effect, or one that the positions of a plan do not influence.
+        An unknown effect, or an effect for which single positions cannot be chosen.
     """
-    terms, missing = named_terms(replace(readings, check=np.zeros(len(readings), dtype=bool)))
+    terms, _ = named_terms(replace(readings, check=np.zeros(len(readings), dtype=bool)))
     offered = widest_terms(terms)
-    with_memory = {
+    # The model already has some effects, and one exchanged position changes the history of all later ones.
+    known = sorted(
         name
         for name, term in offered.items()
-        if any(need.endswith("_history") or need.startswith("previous") for need in term.effect.needs)
-    }
-    of_base = {name for name, kind in catalogue("accelerometer").items() if kind.in_base}
-    known = sorted(set(offered) - of_base - with_memory)
+        if not term.effect.in_base
+        and not any(need.endswith("_history") or need.startswith("previous") for need in term.effect.needs)
+    )
     for name in names:
-        if name in known:
-            continue
-        if name not in catalogue("accelerometer"):
-            hint = suggest(name, catalogue("accelerometer"))
-            raise UsageError(f"beware: no effect is called '{name}'; {hint}")
-        if name in of_base:
-            why = "lies in the model that every session fits: leave it out"
-        elif name in offered:
-            why = "depends on all positions before, which an exchange of single ones cannot plan for"
-        elif name in missing:
-            why = _why_unplanned(name, missing[name])
-        else:
-            why = "acts on single dwells"
-        raise UsageError(f"beware: {name} {why}; known here: {', '.join(known)}")
+        if name not in known:
+            raise UsageError(f"beware: no plan can be made for '{name}'; {suggest(name, known)}")
     return tuple(offered[name] for name in dict.fromkeys(names))
