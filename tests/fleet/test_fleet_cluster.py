@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -13,12 +14,15 @@ from pathlib import Path
 
 import pytest
 
+from adis_gonio import load_session
 from adis_gonio.faces.cli import main
+from adis_gonio.tracing.joint_trace import trace_sessions
 from fleet.sessions import kept_in, write_fleet
 from fleet.test_fleet_command import FLEET, SOON_S, until
 from programs import running
 
 pytest.importorskip("distributed")
+PAGE = Path(__file__).parents[2] / "docs" / "many_sessions.md"
 QUIET = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
 
 
@@ -125,3 +129,21 @@ def test_a_scheduler_that_goes_away_ends_the_run_with_a_line_and_what_was_done_i
         said.strip().splitlines()[-1].startswith(f"adis-gonio: the scheduler at {cluster.address} has gone")
     )
     assert len(kept_in(journal)) >= 2
+
+
+def test_the_joint_traces_of_the_page_run_on_a_cluster_and_are_those_of_this_process(tmp_path):
+    files = write_fleet(tmp_path / "fleet", 4, seed=13)
+    sessions = [files[:2], files[2:]]
+    (block,) = (
+        text for text in re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
+        if "trace_sessions" in text
+    )  # fmt: skip
+    with dask(tmp_path) as cluster:
+        workers = [cluster.worker(OPENBLAS_NUM_THREADS="1") for _ in sessions]
+        names = {"sessions": sessions}
+        exec(block.replace("tcp://127.0.0.1:8786", cluster.address), names)
+        for one in workers:
+            one.kill()
+    here = trace_sessions([load_session(file) for file in sessions[1]]).as_dict()
+    assert len(names["results"]) == 2
+    assert json.dumps(names["results"][1]) == json.dumps(here)
