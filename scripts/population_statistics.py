@@ -115,7 +115,7 @@ def session_of(bench: Bench, samples_mg: Floats, serial: str) -> Session:
 
 
 def measured(bench: Bench, terms: list[Term], rng: np.random.Generator, serial: str) -> Session:
-    """Samples of a bench: base model, bias, terms and noise."""
+    """Samples of a bench: base model, zeros, terms and noise."""
     rows = bench.samples
     slips = np.deg2rad(bench.fixture_deg) * rng.normal(size=len(bench.check))
     psi = bench.alpha - rows.angle_rad + np.repeat(slips, np.diff(bench.starts))
@@ -124,7 +124,7 @@ def measured(bench: Bench, terms: list[Term], rng: np.random.Generator, serial: 
             psi = psi + np.deg2rad(term.value(rows, bench.ideal_mg(psi)))
     ideal = bench.ideal_mg(psi)
     readings = ideal + sum((term.value(rows, ideal) for term in terms if not term.attitude), 0.0)
-    return session_of(bench, readings + rng.normal(0, 10, 2) + draw_noise(rng, bench), serial)
+    return session_of(bench, readings + bench.zero_mg + draw_noise(rng, bench), serial)
 
 
 def limits_of(session: Session) -> dict[str, float | None]:

@@ -15,13 +15,13 @@ Statements, all read from the JSON of `trace`:
   where a name leads it;
 * *what has no name depends on*: `probability` of `unnamed`, for its covariates;
 * *there is something*: 1 less the share of `rivals` that have no cause, or the greatest `probability` or
-  `present` of what was claimed, whichever is more; in sessions of blind_residual, which all have a bias,
-  beside the bias;
+  `present` of what was claimed, whichever is more;
 * *verdicts*: the figures of `trace_statistics.py`, of the same sessions;
 * *intervals*: value ± U, the 95 % interval; scores z are in units of U/1.96.
 
-A name is true where it was put in. Where it only stands for what was put in as well as this session can
-tell (tests/tracing/verdict.py: *innocent*), that is counted beside it.
+Every session has a bias, so that a claimed bias, and a set that holds it, is no statement. A name is true
+where it was put in. Where it only stands for what was put in as well as this session can tell
+(tests/tracing/verdict.py: *innocent*), that is counted beside it.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ from tracing.lens import Lens
 from tracing.named_truth import Term
 from tracing.rounds import crew, judge_answer, trace_file, write_session
 from tracing.space import SPACE
-from tracing.verdict import Verdict, covariate, drives, innocent
+from tracing.verdict import ZERO, Verdict, covariate, drives, innocent
 
 RESIDUAL = "residual"
 NAMELESS = "unnamed: "
@@ -95,29 +95,33 @@ def record_of(answer: Mapping[str, Any], task: Task) -> Record:
     if "failure" in answer:
         return record | {"failure": answer["failure"]}
     record |= _of_residual(answer, seed, number) if kind == RESIDUAL else _of_blind(answer, task)
-    bias_too = kind != RESIDUAL
-    record["something"] = something(answer, "bias" if kind == RESIDUAL else None)
+    record["something"] = something(answer)
     record["found"] = [
         [found["effect"], found["probability"]]
         for found in answer["found"]
-        if found["effect"] not in WITHIN and (bias_too or found["effect"] != "bias")
+        if found["effect"] not in WITHIN | {ZERO}
     ]
-    record["sets"] = [one for one in answer["sets"] if bias_too or "bias" not in one["names"]]
+    record["sets"] = sets_beside_zero(answer)
     record["unnamed"] = answer["unnamed"]
     record["adequate"] = answer["adequate"]
     return record
 
 
-def something(answer: Mapping[str, Any], apart: str | None = None) -> float:
-    """Probability that there is a cause, but for the name `apart`."""
-    claimed = [f["probability"] for f in answer["found"] if f["effect"] != apart]
-    claimed += [one["present"] for one in answer["sets"] if apart not in one["names"]]
+def sets_beside_zero(answer: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Sets of causes that the zero is not among."""
+    return [one for one in answer["sets"] if ZERO not in one["names"]]
+
+
+def something(answer: Mapping[str, Any]) -> float:
+    """Probability that there is a cause beside the zero."""
+    claimed = [f["probability"] for f in answer["found"] if f["effect"] != ZERO]
+    claimed += [one["present"] for one in sets_beside_zero(answer)]
     without = 0.0
     total = 0.0
     for rival in answer["rivals"]:
         total += rival["probability"]
         named = [term.split("[")[0] for term in rival["terms"] if "~" not in term]
-        if len(named) == len(rival["terms"]) and set(named) <= {apart}:
+        if len(named) == len(rival["terms"]) and set(named) <= {ZERO}:
             without += rival["probability"]
     if total > 0:
         claimed.append(1 - without / total)

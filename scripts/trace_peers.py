@@ -42,7 +42,7 @@ from tracing.verdict import Verdict, best_attitude, judge
 class Columns:
     """Candidates of a session: whitened columns of all dwells, one label each.
 
-    `white` (k, d, 2), `base` (4, d, 2), `target` (d, 2) whitened; `plain` the same columns in mg.
+    `white` (k, d, 2), `base` (6, d, 2), `target` (d, 2) whitened; `plain` the same columns in mg.
     """
 
     labels: tuple[tuple[str, str], ...]
@@ -56,7 +56,7 @@ class Columns:
 
     def past_base(self, keep: np.ndarray) -> tuple[Floats, Floats]:
         """Columns (2n, k) of unit length and target (2n,) of some dwells without the base model's part."""
-        q = np.linalg.qr(self.base[:, keep].reshape(4, -1).T)[0]
+        q = np.linalg.qr(self.base[:, keep].reshape(len(self.base), -1).T)[0]
         x = self.white[:, keep].reshape(len(self.labels), -1).T
         y = self.target[keep].ravel()
         return x - q @ (q.T @ x), y - q @ (q.T @ y)
@@ -239,7 +239,8 @@ def _heldout(blind: Blind, columns: Columns, chosen: Sequence[int]) -> float | N
         return None
     fit = ~out
     picked = np.array(chosen, dtype=int)
-    both = np.concatenate([columns.base, columns.white[picked]])[:, fit].reshape(4 + len(picked), -1)
+    both = np.concatenate([columns.base, columns.white[picked]])[:, fit]
+    both = both.reshape(len(both), -1)
     size = np.linalg.norm(both, axis=1)
     answer = np.linalg.lstsq((both / size[:, None]).T, columns.target[fit].ravel(), rcond=1e-9)[0] / size
     model = np.tensordot(answer, np.concatenate([columns.base_plain, columns.plain[picked]]), axes=1)

@@ -2,11 +2,11 @@
 
     python scripts/trace_smoothing.py --sessions 200
 
-On the blind sessions `beyond` with `check` dwells and a single cause: held-out error of the base model, of
-`trace`, and of a Gaussian process that is told which covariate drives the cause and where it enters (its
-length and size by evidence), each over the error of the oracle, which knows the very form and estimates its
-size only. What lies between the third and 1 is the price of not knowing the form, which no method that
-learns it from these readings escapes.
+On the blind sessions `beyond` with `check` dwells and a single cause: held-out error of base model and
+bias, of `trace`, and of a Gaussian process that is told which covariate drives the cause and where it
+enters (its length and size by evidence), each over the error of the oracle, which knows the very form and
+estimates its size only. What lies between the third and 1 is the price of not knowing the form, which no
+method that learns it from these readings escapes.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import os
 import sys
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -28,6 +29,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from adis_gonio import load_session, trace
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
+from adis_gonio.fitting.estimation.terms import NamedTerm
+from adis_gonio.model.effects import effect
 from adis_gonio.tracing.smooth_candidates import Process, evidence, processes
 from adis_gonio.tracing.validation import residuals_on, rms
 from tracing.blind import Blind, draw, write
@@ -58,15 +61,17 @@ def told_error(blind: Blind, fitted: Readings, checked: Readings) -> float:
     candidates = told(blind, fitted)
     if not candidates:
         return float("nan")
-    fit = Fit.begin(fitted).refit()
+    bias = NamedTerm("bias", (), 0.0, effect("bias", ("x", "y")))
+    fit = Fit.begin(fitted).with_terms((bias,), (np.zeros(2),)).refit()
     for _ in range(2):  # the second time about the first one's state
-        base, _, target = fit.linear()
+        base, blocks, target = fit.linear()
+        base = np.hstack([base, blocks[0]])
         beside = np.linalg.qr(base / np.linalg.norm(base, axis=0))[0]
         left = target - beside @ (beside.T @ target)
         scores = evidence(fit, beside, left, candidates)
         term = candidates[int(np.argmax(scores))].term
         width = term.columns(fitted.mean, fitted.conditions).shape[-1]
-        fit = fit.with_terms((term,), (np.zeros(width),)).refit()
+        fit = fit.with_terms((bias, term), (np.zeros(2), np.zeros(width))).refit()
     return rms(residuals_on(fit, checked).residual, True)
 
 
@@ -80,10 +85,10 @@ def one(seed: int, index: int) -> tuple[str, float, float, float] | None:
         write(path, blind, samples)
         session = load_session(path)
     data = readings_of(session)
-    error = trace(session).as_dict()["error"]
+    after = trace(session).as_dict()["error"]["after"]["heldout_rms_mg"]
     oracle, _ = oracle_rms(blind)
+    before, _ = oracle_rms(replace(blind, terms=()))
     limit = told_error(blind, data.rows(~data.check), data.rows(data.check))
-    before, after = (error[when]["heldout_rms_mg"] for when in ("before", "after"))
     return blind.terms[0].name, before / oracle, after / oracle, limit / oracle
 
 

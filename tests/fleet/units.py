@@ -15,11 +15,11 @@ from tracing.plans import Bench, draw_bench, draw_noise
 
 
 def session_with(bench: Bench, rng: np.random.Generator, terms: Sequence[Term]) -> Session:
-    """A session of a bench with terms that add to the readings, a bias, and noise."""
+    """A session of a bench with its zeros, terms that add to the readings, and noise."""
     rows, starts = bench.samples, bench.starts
     slips = np.deg2rad(bench.fixture_deg) * rng.normal(size=len(bench.check))
     ideal = bench.ideal_mg(bench.alpha - rows.angle_rad + np.repeat(slips, np.diff(starts)))
-    added = sum((term.value(rows, ideal) for term in terms), rng.normal(0, 10, 2))
+    added = sum((term.value(rows, ideal) for term in terms), bench.zero_mg)
     samples = ideal + added + draw_noise(rng, bench)
     dwells = [
         Dwell(

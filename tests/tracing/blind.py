@@ -1,7 +1,8 @@
 """Blind test sessions: drawn with what they hide, and written as a samples CSV that does not tell.
 
 Size of an effect: its largest contribution to a reading, in standard uncertainties of that reading (noise
-of the dwell and the fixture's share together), *after* projecting off the base model; drawn from 4 to 12. A
+of the dwell and the fixture's share together), *after* projecting off the base model, to which the zeros of
+the part belong; drawn from 4 to 12. A
 draw is repeated where the excess of χ² that it causes past the base model (and past the other effect of the
 session) is below `SEEN`: an effect that the base model or its partner absorbs is not in the session at all.
 An undeclared effect is drawn again, besides, where a single catalogue name explains it to within `FOREIGN`:
@@ -139,7 +140,7 @@ def believable(terms: list[Term]) -> bool:
 
 
 def _measure(bench: Bench, terms: tuple[Term, ...], rng: np.random.Generator) -> Floats:
-    """Samples (n, 2) in mg: the base model at the true angles, the terms, and noise."""
+    """Samples (n, 2) in mg: the base model at the true angles, the zeros, the terms, and noise."""
     rows = bench.samples
     slips = np.deg2rad(bench.fixture_deg) * rng.normal(size=len(bench.check))
     psi = bench.alpha - rows.angle_rad + np.repeat(slips, np.diff(bench.starts))
@@ -148,7 +149,7 @@ def _measure(bench: Bench, terms: tuple[Term, ...], rng: np.random.Generator) ->
         if term.attitude:
             psi = psi + np.deg2rad(term.value(rows, nominal))
     ideal = bench.ideal_mg(psi)
-    readings = ideal + sum((term.value(rows, ideal) for term in terms if not term.attitude), 0.0)
+    readings = ideal + sum((t.value(rows, ideal) for t in terms if not t.attitude), bench.zero_mg)
     samples = readings + draw_noise(rng, bench)
     return np.round(samples / LSB_MG) * LSB_MG if bench.in_steps else np.round(samples, 4)
 

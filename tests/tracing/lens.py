@@ -1,8 +1,8 @@
 """What a session can tell apart: whitened readings seen past the base model.
 
-The base model's four columns (start angle, two gains, Δφ) are projected out of everything after whitening
-with the reading noise and the fixture's share along the tangent. The *noncentrality* of an effect is the
-sum of squares of what is left of it: the excess of χ² that it causes.
+The base model's six columns (start angle, two gains, Δφ, two zeros) are projected out of everything after
+whitening with the reading noise and the fixture's share along the tangent. The *noncentrality* of an effect
+is the sum of squares of what is left of it: the excess of χ² that it causes.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ class Lens:
         self.white = np.linalg.inv(np.linalg.cholesky(cover + np.diag(bench.u_mg**2)))
         turn = np.zeros_like(self.ideal)
         turn[:, 1] = G_MG * bench.gains[1] * np.cos(psi + bench.dphi)
-        gains = self.ideal[None] * np.eye(2)[:, None, :]
-        self.base_mg = np.stack([self.slope, *gains, turn])
+        gains, zeros = (values * np.eye(2)[:, None, :] for values in (self.ideal, np.ones_like(turn)))
+        self.base_mg = np.stack([self.slope, *gains, turn, *zeros])
         self.base = np.linalg.qr(self.whiten(self.base_mg).T)[0]
 
     def whiten(self, columns_mg: Floats) -> Floats:

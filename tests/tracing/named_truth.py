@@ -1,8 +1,8 @@
 """Own physics of the catalogue's effects that a planar session can show, from docs/effects.md.
 
 Written apart from the product's effect objects so that an error in one of them shows. Left out are names
-that the base model absorbs in the plane (scale, misalignment, gravity, axis_tilt) and those that live among
-the samples.
+that the base model absorbs in the plane (scale, misalignment, gravity, axis_tilt), the bias, which is in
+every part, and those that live among the samples.
 """
 
 from __future__ import annotations
@@ -92,7 +92,6 @@ def lagged(rows: Rows, driver: Floats, tau_s: float) -> Floats:
 
 
 _READING: dict[str, tuple[str, Callable[[Rows, Floats, int], Floats], tuple[str, ...]]] = {
-    "bias": ("bias_{i}", lambda r, a, i: np.ones(len(a)), ()),
     "cross_axis": ("kip_{i}{p}", lambda r, a, i: a[:, 0] * a[:, 1] * 1e-6, ()),
     "quadratic": ("k2_{i}", lambda r, a, i: (a[:, i] / 1000) ** 2, ()),
     "cubic": ("k3_{i}", lambda r, a, i: (a[:, i] / 1000) ** 3, ()),

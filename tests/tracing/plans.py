@@ -14,6 +14,8 @@ Floats = NDArray[np.float64]
 G_MG = 1000.0
 LSB_MG = 0.4672
 """One step of the ADIS16354's accelerometer words."""
+ZERO_MG = 10.0
+"""Standard deviation of the zero of an axis (the initial bias of a real part)."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +51,8 @@ class Bench:
         Standard uncertainty of a reading from the noise of its samples alone.
     taps : int
         Taps of each of the two averages of the filter that correlates neighbours.
-    alpha, gains, dphi : float, (2,) float, float
-        Start angle (rad), gains of x and y, misalignment (rad).
+    alpha, gains, dphi, zero_mg : float, (2,) float, float, (2,) float
+        Start angle (rad), gains of x and y, misalignment (rad), zeros of x and y.
     """
 
     samples: Rows
@@ -62,6 +64,7 @@ class Bench:
     alpha: float
     gains: Floats
     dphi: float
+    zero_mg: Floats
     has_surroundings: bool
     has_approach: bool
     in_steps: bool
@@ -140,6 +143,11 @@ def course(rng: np.random.Generator, time_s: Floats, kind: str) -> Floats:
     return np.zeros_like(x)
 
 
+def draw_zero(rng: np.random.Generator, axes: int) -> Floats:
+    """Zeros (axes,) of a part in mg; their stream is their own, so that `rng` goes on as without them."""
+    return rng.spawn(1)[0].normal(0, ZERO_MG, axes)
+
+
 def draw_bench(rng: np.random.Generator) -> Bench:
     """One plan with its surroundings, noise and hidden base parameters."""
     angles, order = _angles(rng)
@@ -193,6 +201,7 @@ def draw_bench(rng: np.random.Generator) -> Bench:
         alpha=float(rng.uniform(-np.pi, np.pi)),
         gains=1 + rng.normal(0, 0.005) + np.array([rng.normal(0, 0.01), 0.0]),
         dphi=float(np.deg2rad(rng.normal(0, 0.7))),
+        zero_mg=draw_zero(rng, 2),
         has_surroundings=bool(rng.random() < 0.9),
         has_approach=bool(rng.random() < 0.9),
         in_steps=bool(rng.random() < 0.25),

@@ -16,13 +16,12 @@ from numpy.typing import NDArray
 from tracing.blind import FOREIGN, KINDS, SEEN, SIZES, Blind, believable
 from tracing.lens import remainder
 from tracing.named_truth import Term, alternatives, draw_named
-from tracing.plans import G_MG, Floats, Rows, course
+from tracing.plans import G_MG, Floats, Rows, course, draw_zero
 from tracing.undeclared import BEYOND, GRAMMAR
 
 SPACE = "space "
 """Mark of a kind of session in space."""
 NAMES = (
-    "bias",
     "quadratic",
     "cubic",
     "asymmetry",
@@ -74,6 +73,8 @@ class SpaceBench:
         Directions of gravity in the frame of the part.
     matrix : (3, 3) float
         Gains and skews, lower triangular.
+    zero_mg : (3,) float
+        Zeros of the axes.
     u_mg : (3,) float
         Standard uncertainty of a reading.
     """
@@ -84,6 +85,7 @@ class SpaceBench:
     check: NDArray[np.bool_]
     unit: Floats
     matrix: Floats
+    zero_mg: Floats
     u_mg: Floats
     has_surroundings: bool
     setting: str
@@ -163,6 +165,7 @@ def draw_space(rng: np.random.Generator) -> SpaceBench:
         check,
         unit,
         matrix,
+        draw_zero(rng, 3),
         u_mg=rng.uniform(0.05, 0.3) * rng.uniform(0.8, 1.25, 3),
         has_surroundings=bool(rng.random() < 0.9),
         setting=f"{d - check.sum()} poses, temperature {thermal}, supply {electric}",
@@ -183,7 +186,8 @@ class SpaceLens:
         normal = np.linalg.solve(bench.matrix.T, bench.unit[fit].T).T * bench.u_mg
         self.row = normal / np.linalg.norm(normal, axis=1, keepdims=True) / bench.u_mg
         pairs = np.tril_indices(3)
-        base = np.zeros((6, len(self.ideal), 3))
+        base = np.zeros((9, len(self.ideal), 3))
+        base[6:] = np.eye(3)[:, None]
         for k, (i, j) in enumerate(zip(*pairs, strict=True)):
             base[k, :, i] = G_MG * bench.unit[fit, j]
         self.base_rows = self.whiten(base)
@@ -292,10 +296,10 @@ def _draw_terms(
 
 
 def _measure(bench: SpaceBench, terms: tuple[Term, ...], rng: np.random.Generator) -> Floats:
-    """Samples (n, 3) in mg: base model, terms, white noise."""
+    """Samples (n, 3) in mg: base model, zeros, terms, white noise."""
     count = np.diff(bench.starts)
     ideal = np.repeat(bench.ideal_mg, count, axis=0)
-    readings = ideal + sum((term.value(bench.samples, ideal) for term in terms), 0.0)
+    readings = ideal + sum((term.value(bench.samples, ideal) for term in terms), bench.zero_mg)
     noise = rng.normal(size=ideal.shape) * bench.u_mg * np.sqrt(np.repeat(count, count))[:, None]
     return np.round(readings + noise, 4)
 
@@ -332,8 +336,8 @@ def _squares(blind: Blind, fit: NDArray[np.bool_], out: NDArray[np.bool_]) -> Fl
     """Squares in mg² of the distance from the surface that the other dwells give."""
     bench: SpaceBench = blind.bench
     lens = SpaceLens(bench, np.ones(len(bench.check), bool))
-    truth = bench.ideal_mg + sum((term.value(bench.dwells, bench.ideal_mg) for term in blind.terms), 0.0)
-    left = lens.whiten((blind.readings_mg - truth)[None])[0]
+    added = sum((term.value(bench.dwells, bench.ideal_mg) for term in blind.terms), bench.zero_mg)
+    left = lens.whiten((blind.readings_mg - bench.ideal_mg - added)[None])[0]
     columns = np.concatenate(
         [lens.base_rows, *(lens.whiten(term.basis(lens.rows, lens.ideal)) for term in blind.terms)]
     ).T

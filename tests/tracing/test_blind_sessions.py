@@ -101,6 +101,7 @@ def test_sessions_are_as_varied_as_asked() -> None:
     assert {bench.setting.split(",")[1] for bench in benches} == {" 1 turns", " 2 turns", " 3 turns"}
     assert 0.003 <= min(b.fixture_deg for b in benches) < 0.004
     assert 0.015 < max(b.fixture_deg for b in benches) <= 0.02
+    assert np.std([b.zero_mg for b in benches]) == pytest.approx(10, rel=0.1)
     assert len(GRAMMAR) >= 12
     assert len(BEYOND) >= 10
 
@@ -139,19 +140,26 @@ def test_truth_is_right_and_another_name_is_wrong() -> None:
         assert good.exact
         assert not good.wrong
         assert not judge(blind, answer()).found
+        assert judge(blind, answer(NAMES[index], "bias")) == good  # every part has a zero
         assert not judge(blind, answer(NAMES[index], "supply_bias" if index != 9 else "cubic")).exact
         assert not judge(blind, answer(NAMES[index], unnamed={"covariates": ["time"], "form": ""})).exact
 
 
 def test_a_name_is_equivalent_only_where_the_session_cannot_tell() -> None:
-    pairs = {"quadratic": "asymmetry", "bias_drift": "warm_up", "position_slip": "outlier_dwell"}
+    pairs = {
+        "quadratic": "asymmetry",
+        "bias_drift": "warm_up",
+        "position_slip": "outlier_dwell",
+        "hysteresis": "backlash",
+    }
     verdicts: dict[str, list[bool]] = {name: [] for name in pairs}
     for index in range(200):
         name = NAMES[index % len(NAMES)]
         if name in pairs:
             verdicts[name].append(judge(draw("one", 3, index)[0], answer(pairs[name])).exact)
     assert 0 < np.mean(verdicts["quadratic"]) < 1
-    assert not any(verdicts["bias_drift"])  # a line from zero is no exponential without a bias besides
+    assert all(verdicts["bias_drift"])  # beside a zero, an exponential that lasts four sessions is a line
+    assert not any(verdicts["hysteresis"])  # a step of a reading is no turn
     assert all(verdicts["position_slip"])  # a slip is an outlier of the tangent
 
 

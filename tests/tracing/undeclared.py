@@ -299,7 +299,7 @@ def _periodic_draw(rng: np.random.Generator, width: float) -> Callable[[Floats],
 
 def _gp_angle_bias(rng: np.random.Generator, rows: Rows) -> Term:
     f = _periodic_draw(rng, rng.uniform(0.4, 0.7))
-    return _biased(rng, "smooth_of_angle", lambda r: f(r.angle_rad), "angle", "", "bias")
+    return _biased(rng, "smooth_of_angle", lambda r: f(r.angle_rad), "angle", "")
 
 
 def _gp_angle_turn(rng: np.random.Generator, rows: Rows) -> Term:
@@ -317,14 +317,14 @@ def _gp_temperature(rng: np.random.Generator, rows: Rows) -> Term:
         lambda r: f(r.temperature_c),
         "temperature",
         "",
-        "bias bias_temperature",
+        "bias_temperature",
         "surroundings",
     )
 
 
 def _gp_time(rng: np.random.Generator, rows: Rows) -> Term:
     f = _smooth_draw(rng, 0.0, rows.time_s[-1], rng.uniform(0.12, 0.25))
-    return _biased(rng, "smooth_of_time", lambda r: f(r.time_s), "time", "", "bias bias_drift warm_up")
+    return _biased(rng, "smooth_of_time", lambda r: f(r.time_s), "time", "", "bias_drift warm_up")
 
 
 def _chirp(rng: np.random.Generator, rows: Rows) -> Term:
@@ -336,7 +336,7 @@ def _chirp(rng: np.random.Generator, rows: Rows) -> Term:
         lambda r: np.sin(2 * np.pi * rate * (r.time_s / span) ** 2 + phase),
         "time",
         "",
-        "bias bias_drift warm_up",
+        "bias_drift warm_up",
     )
 
 
@@ -374,7 +374,7 @@ def _saturating_product(rng: np.random.Generator, rows: Rows) -> Term:
         course,
         "temperature|time",
         "",
-        "bias bias_temperature bias_drift warm_up",
+        "bias_temperature bias_drift warm_up",
         "surroundings",
     )
 
@@ -409,7 +409,7 @@ def _supply_sigmoid(rng: np.random.Generator, rows: Rows) -> Term:
         lambda r: np.tanh((r.supply_v - at) / width),
         "supply",
         "",
-        "bias supply_bias",
+        "supply_bias",
         "surroundings",
     )
 
@@ -431,7 +431,7 @@ def _one_sided(rng: np.random.Generator, rows: Rows) -> Term:
         "one_sided_bend",
         lambda a, p: np.maximum(a - edge, 0) ** 1.5,
         "",
-        "quadratic asymmetry cubic bias",
+        "quadratic asymmetry cubic",
     )
 
 

@@ -8,13 +8,15 @@ Right names
 Wrong names
     A claimed name is wrong unless it was put in, is the leading part of the same cause, or could stand in
     for one of the terms that were put in to within `TELLABLE` with the other terms beside it.
+Zero
+    Every part has one. A `bias` that is claimed is neither right nor wrong, and is left out of the claims.
 Covariate
     The one that drives the term, or one that is a one-to-one function of it in this session (rank
     correlation of at least 0.98: time and order; angle and time in one turn in order).
 Held-out error
     As FORMATS.md: reading minus model at the attitude that suits the dwell best within the fixture's
-    tolerance, rms over `check` dwells. The oracle fits base and true columns, shapes known, to the other
-    dwells by the same weighted least squares.
+    tolerance, rms over `check` dwells. The oracle fits base, zeros and true columns, shapes known, to the
+    other dwells by the same weighted least squares.
 """
 
 from __future__ import annotations
@@ -33,6 +35,8 @@ from tracing.lens import TELLABLE, Lens
 from tracing.named_truth import NAMES, Term
 from tracing.plans import G_MG, Floats
 
+ZERO = "bias"
+"""Name of the effect that every part has."""
 _ALIASES = (
     ("previous", r"prev|memory"),
     ("temperature", r"temp"),
@@ -69,7 +73,8 @@ class Verdict:
     heldout_ratio : float
         Held-out error after, over the oracle's on the same dwells; NaN without check dwells.
     worse, oracle_worse : float
-        Held-out error after over before, and the oracle's over before.
+        Held-out error after, and the oracle's, over the error with the zero alone (without it if `trace`
+        does not begin with the zero).
     covered : tuple of (str, bool, float)
         For an effect found by its own name: parameter, whether the truth lies within its 95 % interval, and
         the error in standard uncertainties.
@@ -131,7 +136,7 @@ def judge(blind: Blind, result: Mapping[str, Any], seconds: float = 0.0) -> Verd
     """Judge the JSON of `trace` of one session."""
     spatial = isinstance(blind.bench, space.SpaceBench)
     lens = space.SpaceLens(blind.bench) if spatial else Lens(blind.bench)
-    claimed = tuple(entry["effect"] for entry in result["found"])
+    claimed = tuple(entry["effect"] for entry in result["found"] if entry["effect"] != ZERO)
     unnamed = result["unnamed"] or _lasting_slip(result)
     nameless = blind.terms[:1] if blind.undeclared else ()
     named = blind.terms[len(nameless) :]
@@ -146,7 +151,7 @@ def judge(blind: Blind, result: Mapping[str, Any], seconds: float = 0.0) -> Verd
         exact = found and not wrong and unnamed is not None
     said = [] if unnamed is None else [covariate(word) for word in unnamed["covariates"]]
     form = "" if unnamed is None else str(unnamed["form"])
-    before, after = (result["error"][when]["heldout_rms_mg"] for when in ("before", "after"))
+    before, after = error_before(result), result["error"]["after"]["heldout_rms_mg"]
     oracle, by_folds = space.oracle_rms(blind) if spatial else oracle_rms(blind, lens)
     ratio = after / oracle if after is not None else np.nan
     alone = len(named) == 1 and not nameless and set(claimed) == blind.names
@@ -174,6 +179,13 @@ def judge(blind: Blind, result: Mapping[str, Any], seconds: float = 0.0) -> Verd
         confounded=any(blind.names & set(group) for group in groups),
         seconds=seconds,
     )
+
+
+def error_before(result: Mapping[str, Any]) -> float | None:
+    """Held-out error in mg with the zero alone; without it if `trace` does not begin with the zero."""
+    first = [step for step in result.get("steps", [])[:1] if step["effect"] == ZERO]
+    error: Mapping[str, Any] = [*first, result["error"]["before"]][0]
+    return error["heldout_rms_mg"]
 
 
 def _present(
@@ -296,9 +308,9 @@ def _heldout(blind: Blind, fit: np.ndarray, out: np.ndarray) -> float:
     bench, rows = blind.bench, blind.bench.dwells
     sizes = [len(term.coefficients) for term in blind.terms]
     truth = np.concatenate(
-        [[bench.alpha], bench.gains, [bench.dphi], *(term.coefficients for term in blind.terms)]
+        [[bench.alpha], bench.gains, [bench.dphi], bench.zero_mg, *(t.coefficients for t in blind.terms)]
     )
-    cuts = np.cumsum([4, *sizes])[:-1]
+    cuts = np.cumsum([6, *sizes])[:-1]
 
     def psi_of(values: Floats, ideal: Floats) -> Floats:
         psi = values[0] - rows.angle_rad
@@ -312,7 +324,7 @@ def _heldout(blind: Blind, fit: np.ndarray, out: np.ndarray) -> float:
         rough = bench.ideal_mg(values[0] - rows.angle_rad)
         psi = psi_of(values, rough)
         ideal = G_MG * gains * np.stack([np.cos(psi), np.sin(psi + dphi)], axis=-1)
-        total = ideal.copy()
+        total = ideal + values[4:6]
         for term, part in zip(blind.terms, np.split(values, cuts)[1:], strict=True):
             if not term.attitude:
                 total += np.tensordot(part, term.basis(rows, ideal), axes=1)

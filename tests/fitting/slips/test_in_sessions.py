@@ -184,9 +184,8 @@ def test_a_part_that_turns_by_and_by_is_no_periodic_error_of_the_stage(tmp_path)
     write(path, *draw("uncatalogued", 274912422, 187))
     result = trace(load_session(path))
     assert result.position_findings == ()
-    assert result.found == ()
-    assert result.unnamed.covariates == ("time",)
-    assert "misalignment" in result.unnamed.form
+    assert [one.effect for one in result.found] == ["bias"]
+    assert "misalignment[x]~t" in result.as_dict()["rivals"][0]["terms"]
 
 
 def test_a_dial_stays_where_it_was_when_the_part_has_slipped_on_it(tmp_path):
