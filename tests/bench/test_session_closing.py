@@ -25,7 +25,6 @@ from adis_gonio.bench.events import (
     Waiting,
 )
 from adis_gonio.bench.runner import SessionRunner
-from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.model.records import Session
 from adis_gonio.record.archive import ArchiveView
@@ -242,41 +241,13 @@ def test_the_last_dwell_can_be_repeated_at_the_offer(path):
 
 
 def test_what_was_skipped_cannot_be_reached_again(path):
-    wanted = (Position(45.0), Position(45.0, temperature_c=35.0))
+    wanted = (Position(45.0), Position(30.0))
     advisor = Scripted(wanted, wanted)
     run(path, advisor, answer=answering("accept", frozenset({5, 7})))
-    # A person can bring the part to 35 °C, until they say that they will not.
+    # A person can reach 30°, until they say that they will not.
     assert [seen[2] for seen in advisor.seen] == [[True, True], [True, False], []]
     with ArchiveView(path) as view:
-        assert view.plan().positions[5].temperature_c == 35.0
-
-
-def test_a_program_alone_cannot_heat_where_the_world_does_not_let_it(path, monkeypatch):
-    monkeypatch.setattr(SessionBench, "sets_conditions", False)
-    space = Position(None, 0, direction=(0.0, 0.0, 1.0))
-    advisor = Scripted(
-        (Position(45.0), Position(45.0, temperature_c=35.0), Position(45.0, supply_v=5.2), space)
-    )
-    run(path, advisor, until=lambda event: isinstance(event, Advised))
-    # The simulated stage turns in space as well.
-    assert advisor.seen[0][2] == [True, False, False, True]
-
-
-def test_the_simulator_brings_temperature_and_supply_to_what_is_wanted(path):
-    rounds = ((Position(45.0, temperature_c=40.0), Position(90.0, supply_v=5.2)), (Position(10.0),))
-    run(path, Scripted(*rounds))
-    dwells = read_session(path).dwells
-    warm = [float(dwell.temperature_c.mean()) for dwell in dwells]
-    supply = [float(dwell.supply_v.mean()) for dwell in dwells]
-    assert np.ptp(warm[:4]) < 0.5
-    assert warm[4] - warm[3] == pytest.approx(40.0 - 25.0, abs=1.0)
-    assert warm[5:] == pytest.approx([warm[4]] * 2, abs=0.5)
-    assert supply == pytest.approx([5.0] * 5 + [5.2] * 2, abs=0.01)
-    for cut in (4, 5):
-        other = path.with_name(f"{cut}.session")
-        run(other, Scripted(*rounds), until=lambda e, k=cut: isinstance(e, DwellDone) and e.place == k)
-        run(other, Scripted(*rounds[1:]), resume=True)
-        assert words(other) == words(path)
+        assert view.plan().positions[5].angle_deg == 30.0
 
 
 def test_attitudes_in_space_are_asked_for_too(path):
@@ -292,9 +263,7 @@ def test_attitudes_in_space_are_asked_for_too(path):
 
 
 def measurement(angle: float, **changes: object) -> NextDwell:
-    made = NextDwell(
-        angle, None, 1, 0.0, None, None, 5.0, 0.5, "decide", ("quadratic",), ("asymmetry",), "measure"
-    )
+    made = NextDwell(angle, None, 1, 0.0, 5.0, 0.5, "decide", ("quadratic",), ("asymmetry",), "measure")
     return replace(made, **changes)
 
 
@@ -335,12 +304,12 @@ def test_a_model_that_is_not_adequate_and_has_no_advice_left_says_so(monkeypatch
 
 
 def test_what_cannot_be_reached_is_named_at_the_end(monkeypatch):
-    warm = (measurement(45.0, temperature_c=35.0),)
-    said = advised(monkeypatch, warm, reach=lambda position: position.temperature_c is None)
+    late = (measurement(45.0, wait_s=600.0),)
+    said = advised(monkeypatch, late, reach=lambda position: position.wait_s == 0.0)
     assert said.positions == ()
-    assert "45°, with the part at 35 °C" in said.ended
-    (asked,) = advised(monkeypatch, warm).positions
-    assert asked.temperature_c == 35.0
+    assert "45°, after waiting 10 min" in said.ended
+    (asked,) = advised(monkeypatch, late).positions
+    assert asked.wait_s == 600.0
 
 
 def test_a_session_that_cannot_be_traced_ends_the_loop_in_one_line(path):

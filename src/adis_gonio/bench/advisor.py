@@ -141,8 +141,6 @@ def _position(measurement: NextDwell) -> Position:
         "fit",
         measurement.direction,
         measurement.wait_s,
-        measurement.temperature_c,
-        measurement.supply_v,
     )
 
 

@@ -248,9 +248,6 @@ MOST_RESTARTS = 5
 WINDOWS_TO_STILLNESS = 4
 """Number of windows before the stillness watch gives its first result; their time extends the time-out."""
 
-WARMING_S = 600.0
-"""Wait after the program has set another temperature, in s."""
-
 
 @dataclass(frozen=True)
 class _Broken:
@@ -329,20 +326,13 @@ class DwellRecorder(Recorder):
         return None if recording.timed_out else shock_guard(reason, restarts)
 
     def _go_to(self, recording: Recording) -> Generator[Event, None, bool]:
-        """Set temperature, supply and stage for a position; return False if the operator interrupted."""
-        place, position, bench = recording.place, recording.position, self._bench
-        if bench.sets_conditions and bench.wants_conditions(position):
-            wanted = {"temperature_c": position.temperature_c, "supply_v": position.supply_v}
-            # The change begins at the time of the record, so that no other call may come between.
-            self._ledger.note("conditions", wanted)
-            bench.set_conditions(**wanted)
-            if position.temperature_c is not None and (yield from self._questions.wait(place, WARMING_S)):
-                return False
-        move = bench.move_to(position)
+        """Move the stage to a position; return False if the operator interrupted."""
+        position = recording.position
+        move = self._bench.move_to(position)
         if move is not None:
             recording.moves.append(move)
             yield StageMoved(position)
-        if (yield from self._questions.wait(place, position.wait_s)):
+        if (yield from self._questions.wait(recording.place, position.wait_s)):
             # An attempt without scans keeps the move, which a resumed simulation has to repeat.
             yield self._interrupted(recording, self._questions.why_interrupted)
             return False

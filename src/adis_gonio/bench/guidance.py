@@ -116,19 +116,11 @@ def to_do(
     table : bool
         True if the sensor lies on a table, against a mark.
     """
-    first = []
-    if position.temperature_c is not None:
-        first.append(f"bring the part to {position.temperature_c:.0f} °C")
-    if position.supply_v is not None:
-        first.append(f"set the supply to {position.supply_v:.2f} V")
     if position.turned_deg is not None:
         return whole_turns_to_do(position.turned_deg, fastest_dps)
-    here = (
-        _hold(position, table=table)
-        if position.angle_deg is None
-        else _turn(position, before, reverse=reverse)
-    )
-    return ", ".join([*first, here])
+    if position.angle_deg is None:
+        return _hold(position, table=table)
+    return _turn(position, before, reverse=reverse)
 
 
 def _turn(position: Position, before: Position | None, *, reverse: bool) -> str:

@@ -14,7 +14,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import ChipError, SessionError, UsageError
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.record.archive import ArchiveView
-from adis_gonio.record.archive_tables import JsonDict, Move, Record, StoredAttempt, utc_now
+from adis_gonio.record.archive_tables import JsonDict, Move, StoredAttempt, utc_now
 from adis_gonio.record.plans import Plan, Position
 from adis_gonio.record.source import (
     LEAST_SAMPLES,
@@ -79,16 +79,6 @@ class TurnTable(MovableStage, Protocol):
 
     def begin_turn(self, angle_deg: float) -> float:
         """Start a turn in degrees, counter-clockwise positive; return the time in s at which it ends."""
-
-
-@runtime_checkable
-class ControlledWorld(SimulatedWorld, Protocol):
-    """Simulated surroundings with a temperature and a supply that the program can set."""
-
-    def bring_to(
-        self, time_s: float, temperature_c: float | None = None, supply_v: float | None = None
-    ) -> None:
-        """Change the sensor's temperature (°C) or supply (V) from `time_s` on; None leaves it unchanged."""
 
 
 class SessionBench:
@@ -174,27 +164,10 @@ class SessionBench:
             raise UsageError(f"plan '{plan.name}' needs an operator: this stage does not turn a table")
 
     def can_reach(self, position: Position) -> bool:
-        """Return True if the program can set a position and its conditions without an operator."""
-        if self.wants_conditions(position) and not self.sets_conditions:
-            return False
+        """Return True if the program can set a position without an operator."""
         if position.angle_deg is None:
             return isinstance(self.stage, SpatialStage)
         return self.stage is not None
-
-    @property
-    def sets_conditions(self) -> bool:
-        """True if the program can set the temperature and the supply of the sensor."""
-        return isinstance(self.world, ControlledWorld)
-
-    @staticmethod
-    def wants_conditions(position: Position) -> bool:
-        """Return True if a position requests a temperature or a supply."""
-        return position.temperature_c is not None or position.supply_v is not None
-
-    def set_conditions(self, temperature_c: float | None, supply_v: float | None) -> None:
-        """Set temperature (°C) and supply (V), if the program can; None leaves them unchanged."""
-        if isinstance(self.world, ControlledWorld):
-            self.world.bring_to(self.now_s, temperature_c, supply_v)
 
     def require_same_sensor(self, archive: ArchiveView) -> None:
         """Raise `SessionError` if a session was begun with another sensor."""
@@ -381,7 +354,7 @@ class SessionBench:
         self.source.sleep_s(CHECKPOINT_S)
 
     def bring_world_to(self, archive: ArchiveView, attempt: int) -> None:
-        """Repeat the archived moves and conditions in a new simulated world, at their archived times.
+        """Repeat the archived moves in a new simulated world, at their archived times.
 
         Parameters
         ----------
@@ -392,15 +365,9 @@ class SessionBench:
         """
         ends = {a.number: a.ended_bus_s for a in archive.attempts()}
         end_s = ends[attempt] if attempt else archive.records("noise")[0].bus_s
-        # Conditions at the time of a move were set before it; the stable sort keeps this order.
-        happened: list[Move | Record] = [*archive.conditions_before(attempt)]
-        happened += archive.moves_before(attempt)
-        for event in sorted(happened, key=lambda event: event.bus_s):
-            self._wait_until(event.bus_s)
-            if isinstance(event, Move):
-                self._carry_out(event)
-            else:
-                self.set_conditions(event.value["temperature_c"], event.value["supply_v"])
+        for move in archive.moves_before(attempt):
+            self._wait_until(move.bus_s)
+            self._carry_out(move)
         if attempt:
             # STATUS was read at the end of the dwell, which clears it; a remaining bit would show as EA.
             self._wait_until(end_s - CHECKPOINT_S / 2)

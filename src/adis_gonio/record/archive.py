@@ -570,20 +570,6 @@ class ArchiveView(Closing):
             if of_run.get(row["attempt"]) == last.run and row["attempt"] <= last.number
         ]
 
-    def conditions_before(self, attempt: int) -> list[Record]:
-        """Return the records of kind `conditions` up to the end of an attempt, in the order of writing.
-
-        Such a record has a temperature or a supply voltage that the program set. `attempt` is the number of
-        the attempt. Records that a resumed run does not build on are left out.
-        """
-        records = self.records("conditions")
-        return [
-            record
-            for last in self._line(attempt)
-            for record in records
-            if record.run == last.run and record.bus_s <= last.ended_bus_s
-        ]
-
     def close(self) -> None:
         """Close the file; may be called twice."""
         self._connection.close()

@@ -293,7 +293,6 @@ _APPROACH = choice(-1, 0, 1)
 _USE = choice("fit", "check")
 _VECTOR = list_of(number(-1e6, 1e6), 3, 3)
 _TEXTS = list_of(text, 0, 10_000)
-_TEMPERATURE, _SUPPLY = nullable(number(-273.15, 1000.0)), nullable(number(0.0, 100.0))
 _REGISTER_NUMBERS = mapping_of(whole(-0x8000, 0xFFFF))
 _OFFSETS = fields({}, {name: whole(*BY_NAME[name].range) for name in (*ACCEL_OFF, *GYRO_OFF)})
 _SCAN = list_of(choice(*BY_NAME, *UNITS), 0, len(BY_NAME))
@@ -302,7 +301,7 @@ _NUMBERING = {"smpl_prd": whole(0, 0xFF), "filter_m": whole(0, 6)}
 
 _POSITION = fields(
     {"angle_deg": nullable(_ANGLE), "approach": _APPROACH, "use": _USE, "direction": nullable(_VECTOR)},
-    {"wait_s": _LENGTH, "temperature_c": _TEMPERATURE, "supply_v": _SUPPLY, "turned_deg": nullable(_ANGLE)},
+    {"wait_s": _LENGTH, "turned_deg": nullable(_ANGLE)},
 )
 _PLAN = fields(
     {"name": text, "plane": choice("xy", "none"), "positions": list_of(_POSITION, 1, 10 * MOST_POSITIONS)},
@@ -411,7 +410,6 @@ RECORDS: Mapping[str, Shape] = {
     "dropped": fields({"attempt": _COUNT, "scans": _COUNT}),
     "doubt": fields({"attempt": _COUNT, **_DOUBT}),
     "contradiction": fields({"place": _COUNT, "dwells": list_of(_COUNT, 0, _MOST), **_DOUBT}),
-    "conditions": fields({"temperature_c": _TEMPERATURE, "supply_v": _SUPPLY}),
     "offsets": fields(
         {
             "number": _COUNT,

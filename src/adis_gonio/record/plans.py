@@ -61,7 +61,7 @@ DEFAULT_PLAN = "two-position"
 
 
 class Position(JsonRecord):
-    """One position of a plan: its angle or direction, approach, use and conditions.
+    """One position of a plan: its angle or direction, approach and use.
 
     Attributes
     ----------
@@ -77,9 +77,6 @@ class Position(JsonRecord):
         stage can follow if it turns in space; fits do not use it.
     wait_s : float
         Additional wait at the position before the dwell, in s.
-    temperature_c, supply_v : float or None
-        Temperature of the sensor (°C) and supply (V) to set first; None leaves them unchanged. Fits use the
-        measured values instead.
     turned_deg : float or None
         Turn of the sensor about the vertical on the way to this position, exact by a mark or a stop;
         positive counter-clockwise seen from above. None if the way does not matter.
@@ -90,8 +87,6 @@ class Position(JsonRecord):
     use: Use = "fit"
     direction: tuple[float, float, float] | None = None
     wait_s: float = 0.0
-    temperature_c: float | None = None
-    supply_v: float | None = None
     turned_deg: float | None = field(default=None, metadata=OPTIONAL)
 
     def __str__(self) -> str:

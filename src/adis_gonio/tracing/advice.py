@@ -68,15 +68,9 @@ def sentences(measurements: Sequence[NextDwell]) -> tuple[str, ...]:
 
 
 def place(measurement: NextDwell) -> str:
-    """Describe a proposed dwell with its conditions, such as `45° from above, after waiting 5 min`."""
-    words = [where(measurement)]
-    if measurement.temperature_c is not None:
-        words.append(f"with the part at {measurement.temperature_c:.0f} °C")
-    if measurement.supply_v is not None:
-        words.append(f"with a supply of {measurement.supply_v:.2f} V")
-    if measurement.wait_s:
-        words.append(f"after waiting {format_duration(measurement.wait_s)}")
-    return ", ".join(words)
+    """Describe a proposed dwell, such as `45° from above, after waiting 5 min`."""
+    waiting = f", after waiting {format_duration(measurement.wait_s)}" if measurement.wait_s else ""
+    return where(measurement) + waiting
 
 
 def where(measurement: NextDwell) -> str:

@@ -19,7 +19,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 
 import numpy as np
 
@@ -37,8 +36,6 @@ from adis_gonio.tracing.trace_result import NextDwell, Purpose
 MOST_RIVALS = 10
 COVERED = 0.9
 """Share of the posterior that the compared models have together."""
-WORTH_CONDITIONS = 0.2
-"""Posterior, as a share of the best model's, above which a model justifies heating or another supply."""
 UNSEEN = 0.03
 """Prior probability of an effect that the session could not have shown."""
 LEAST_SEPARATION = 3.0
@@ -56,15 +53,8 @@ Without a measurement these are known as well as sensors are alike."""
 FAR = 1e6
 """Limit of predictions in standard uncertainties, because they may overflow in an extrapolation."""
 
-_SUPPLY_V = (4.80, 5.20)
-"""Supply voltages that are proposed: inside the specified range (4.75 to 5.25 V) with a margin."""
-_WARMER_C = 10.0
-_WARMING_S = 600.0
-"""Time in s in which a part reaches another temperature."""
-_EFFORT_TEMPERATURE = 4.0
-_EFFORT_SUPPLY = 1.0
 _EFFORT_WAIT_S = 300.0
-"""Efforts in units of one additional position: another temperature, another supply, a wait of so many s."""
+"""Wait in s that is as much effort as one additional position."""
 
 
 @dataclass(frozen=True)
@@ -81,31 +71,17 @@ class ImaginedDwell:
         Direction from which the angle is to be reached: +1 from below, −1 from above, 0 from either.
     wait_s : float
         Waiting time in addition to the usual time between two dwells.
-    temperature_c, supply_v : float or None
-        Required temperature in °C and supply in V; None for no change.
     """
 
     angle_deg: float | None
     direction: tuple[float, float, float] | None
     approach: int = 0
     wait_s: float = 0.0
-    temperature_c: float | None = None
-    supply_v: float | None = None
 
     @property
     def effort(self) -> float:
         """Effort of measuring the dwell, in units of the effort for one additional position."""
-        return (
-            1.0
-            + self.wait_s / _EFFORT_WAIT_S
-            + _EFFORT_TEMPERATURE * (self.temperature_c is not None)
-            + _EFFORT_SUPPLY * (self.supply_v is not None)
-        )
-
-    @property
-    def conditions(self) -> bool:
-        """True if the dwell requires another temperature or supply."""
-        return self.temperature_c is not None or self.supply_v is not None
+        return 1.0 + self.wait_s / _EFFORT_WAIT_S
 
 
 @dataclass(frozen=True)
@@ -161,9 +137,7 @@ def propose(
         rivals = _rivals(selection)
     else:
         inflation, rivals = _explanations(selection, terms)
-    # A test of an adequate model does not use heating, which would introduce thermal effects.
-    heating = not selection.adequate
-    chosen, decided = _greedy(data, inflation, rivals, most, "decide", [], heating=heating)
+    chosen, decided = _greedy(data, inflation, rivals, most, "decide", [])
     if not decided and not selection.adequate:
         # With noise that no model explains, measurements separate little; report the best of them anyway.
         chosen, decided = _greedy(data, inflation, rivals, most, "decide", [], FAINT_SEPARATION)
@@ -403,7 +377,6 @@ def _greedy(
     purpose: Purpose,
     before: list[ImaginedDwell],
     least: float = LEAST_SEPARATION,
-    heating: bool = True,
 ) -> tuple[list[ImaginedDwell], list[NextDwell]]:
     """Choose dwells one by one; each adds the most information per effort to the dwells before it.
 
@@ -417,8 +390,6 @@ def _greedy(
         Dwells that were chosen already.
     least : float
         Least difference of two hypotheses in standard uncertainties that a dwell must show.
-    heating : bool
-        False to allow no dwell at another temperature or supply.
 
     Returns
     -------
@@ -440,18 +411,14 @@ def _greedy(
         predicted = _predict(data, inflation, hypotheses, options, places)
         gain = information_nats(weights, set_of, predicted) - known
         effort = np.array([place.effort for place in options])
-        # Another temperature or supply adds further effects: use it only if no position decides.
-        conditions = np.array([place.conditions for place in options])
-        ranked = np.argsort(-gain / effort)
         apart_before = expected_separations(set_of)
-        places_first = ranked[~conditions[ranked]][:20].tolist()
-        for k in (*places_first, *(ranked[conditions[ranked]][:20].tolist() if heating else ())):
+        for k in np.argsort(-gain / effort)[:20].tolist():
             # Skip gains near zero, whose ranking depends on the grid's order and on rounding.
             if gain[k] < LEAST_INFORMATION[purpose] * min(least / LEAST_SEPARATION, 1.0) ** 2:
                 continue
             with_it = predicted.of(k).after(set_of)
             apart = expected_separations(with_it) - apart_before
-            worth = _separated_pair(weights, apart, options[k].conditions, least)
+            worth = _separated_pair(weights, apart, least)
             if worth is not None:
                 break
         else:
@@ -479,22 +446,15 @@ def _greedy(
     return places, out
 
 
-def _separated_pair(
-    weights: Floats, apart: Floats, conditions: bool, least: float
-) -> tuple[int, int] | None:
+def _separated_pair(weights: Floats, apart: Floats, least: float) -> tuple[int, int] | None:
     """Return the two hypotheses that a dwell separates best; None if it separates no pair.
 
     The more probable hypothesis of the pair is first. `weights` (K,) are the probabilities of the
     hypotheses, the chosen model first; a pair with the chosen model has priority. `apart` (K, K) are the
     expected separations as χ², and a pair counts as separated from `least` standard uncertainties on.
-    `conditions` is True if the dwell needs another temperature or supply; both hypotheses must then have at
-    least the share `WORTH_CONDITIONS` of the largest probability.
     """
     both = np.maximum(apart, apart.T)
     likely = np.sqrt(np.outer(weights, weights)) * (both >= least**2)
-    if conditions:
-        low = WORTH_CONDITIONS * weights.max()
-        likely = likely * (np.minimum.outer(weights, weights) >= low)
     np.fill_diagonal(likely, 0.0)
     if likely[0].max() > 0:
         # The first question is whether the chosen model is right.
@@ -562,10 +522,7 @@ def expected_separations(dwells: PredictedDwells) -> Floats:
 
 
 def _options(data: Readings) -> list[ImaginedDwell]:
-    """Return the imagined dwells to choose from: all positions, and some with a changed condition.
-
-    A changed condition is a wait, another temperature or another supply.
-    """
+    """Return the imagined dwells to choose from: all positions, and some after a wait."""
     c = data.conditions
     if data.planar:
         sides = (1, -1) if c.approach is not None else (0,)
@@ -580,16 +537,8 @@ def _options(data: Readings) -> list[ImaginedDwell]:
                 fine.append(ImaginedDwell(None, (x, y, z)))
         coarse = [place for place in fine if place.direction and max(map(abs, place.direction)) == 1.0]
     length = float(np.ptp(c.time_s))
-    out = list(fine)
     wait = float(np.ceil(min(max(length, 30.0), 600.0) / 30) * 30)
-    out += [replace(place, wait_s=wait) for place in coarse]
-    if c.temperature_c is not None:
-        middle = float(c.temperature_c.mean())
-        for warmer in (-_WARMER_C, _WARMER_C):
-            out += [replace(place, temperature_c=float(round(middle + warmer))) for place in coarse]
-    if c.supply_v is not None:
-        out += [replace(place, supply_v=volts) for place in coarse for volts in _SUPPLY_V]
-    return out
+    return [*fine, *(replace(place, wait_s=wait) for place in coarse)]
 
 
 def _predict(
@@ -601,20 +550,10 @@ def _predict(
 ) -> PredictedDwells:
     """Predict by each hypothesis the whitened readings of the dwells `options`, if each follows `before`.
 
-    `before` are the dwells measured first; `inflation` is the factor on the noise variance.
+    `before` are the dwells measured first; `inflation` is the factor on the noise variance. Predictions are
+    cut off at ±`FAR`.
     """
-    pieces = [
-        _predict_rows(_imagined(data, list(group), before, warmth), inflation, hypotheses)
-        for warmth, group in itertools.groupby(options, key=lambda place: place.temperature_c)
-    ]
-    return reduce(lambda first, later: later.after(first), pieces)
-
-
-def _predict_rows(imagined: Readings, inflation: float, hypotheses: list[Hypothesis]) -> PredictedDwells:
-    """Predict the whitened readings of imagined dwells by each hypothesis, cut off at ±`FAR`.
-
-    `inflation` is the factor on the noise variance.
-    """
+    imagined = _imagined(data, options, before)
     fits = [_imagining(h.fit, imagined) for h in hypotheses]
     whiten = fits[0].whitener / np.sqrt(inflation)
     means, roots = [], []
@@ -634,20 +573,16 @@ def _imagining(fit: Fit, imagined: Readings) -> Fit:
     return Fit(imagined, fit.terms, Values(fit.values.base, attitude, fit.values.terms), fit.with_prior)
 
 
-def _imagined(
-    data: Readings, options: list[ImaginedDwell], before: list[ImaginedDwell], temperature_c: float | None
-) -> Readings:
-    """Return the readings of imagined dwells at one temperature, after the session and the dwells `before`.
+def _imagined(data: Readings, options: list[ImaginedDwell], before: list[ImaginedDwell]) -> Readings:
+    """Return the readings of the imagined dwells `options`, after the session and the dwells `before`.
 
-    `temperature_c` None means the last temperature before them. `options` are these dwells.
+    They have the last temperature of the session and its median supply.
     """
     c, n = data.conditions, len(options)
     end = float(c.time_s.max())
     step = float(np.median(np.diff(np.sort(c.time_s)))) if len(data) > 1 else 30.0
-    for place in before:
-        end += step + place.wait_s + (_WARMING_S if place.temperature_c is not None else 0.0)
-    warming = _WARMING_S if temperature_c is not None else 0.0
-    time = end + step + warming + np.array([place.wait_s for place in options])
+    end += sum(step + place.wait_s for place in before)
+    time = end + step + np.array([place.wait_s for place in options])
     angle = previous = approach = None
     if data.planar:
         assert c.angle_rad is not None
@@ -659,18 +594,11 @@ def _imagined(
         ideal = np.array([place.direction for place in options], dtype=float)
     if c.approach is not None:
         approach = np.array([float(place.approach) for place in options])
-    now = None if c.temperature_c is None else float(c.temperature_c[-1])
-    now = next((place.temperature_c for place in reversed(before) if place.temperature_c is not None), now)
-    wanted = now if temperature_c is None else temperature_c
-    volts = None
-    if c.supply_v is not None:
-        usual = float(np.median(c.supply_v))
-        volts = np.array([usual if place.supply_v is None else place.supply_v for place in options])
     history = c.temperature_history
-    if history is not None and wanted is not None and now is not None:
+    if history is not None and c.temperature_c is not None:
         times, temperatures = history
-        ends = max(end, float(times[-1])) + np.array([1.0, 1.0 + max(warming, 1.0), 1e5])
-        history = (np.append(times, ends), np.append(temperatures, [now, wanted, wanted]))
+        ends = max(end, float(times[-1])) + np.array([1.0, 1e5])
+        history = (np.append(times, ends), np.append(temperatures, [c.temperature_c[-1]] * 2))
     return from_means(
         data.model.size * (ideal if data.model.freedom else np.zeros((n, data.axes))),
         np.tile(data.covariance.mean(axis=0), (n, 1, 1)),
@@ -680,27 +608,16 @@ def _imagined(
             order=None if c.order is None else np.full(n, c.order.max() + 1 + len(before)),
             approach=approach,
             previous_angle_rad=None if c.previous_angle_rad is None else previous,
-            temperature_c=None if wanted is None else np.full(n, wanted),
-            supply_v=volts,
+            temperature_c=None if c.temperature_c is None else np.full(n, c.temperature_c[-1]),
+            supply_v=None if c.supply_v is None else np.full(n, np.median(c.supply_v)),
             temperature_history=history,
             load_history=c.load_history,
             variance_mg2=None if c.variance_mg2 is None else np.tile(c.variance_mg2.mean(axis=0), (n, 1)),
             force_g=None if c.force_g is None else ideal,
             rate_dps=None if c.rate_dps is None else np.zeros((n, 3)),
-            temperatures_c=_warmed(c, n, wanted),
+            temperatures_c=None if c.temperatures_c is None else np.tile(c.temperatures_c[-1], (n, 1)),
         ),
         gravity_mg=data.gravity_mg,
         fixture_rad=data.fixture_rad,
         measurement=data.measurement,
     )
-
-
-def _warmed(c: Conditions, n: int, wanted: float | None) -> Floats | None:
-    """Return the temperatures (n, 3) of the three dies after their mean has changed to `wanted` in °C.
-
-    The result is None if `wanted` is None, or if the session has no temperatures of the three dies. n is
-    the number of imagined dwells.
-    """
-    if c.temperatures_c is None or c.temperature_c is None or wanted is None:
-        return None
-    return np.tile(c.temperatures_c[-1] + wanted - c.temperature_c[-1], (n, 1))

@@ -172,8 +172,6 @@ class NextDwell(JsonRecord):
         Direction from which the angle is to be reached: +1 from below, -1 from above, 0 from either.
     wait_s : float
         Waiting time before the dwell, in addition to the usual time between two dwells.
-    temperature_c, supply_v : float or None
-        Required temperature in °C and supply in V; None for no change.
     separation : float
         Expected difference of the reading between the two hypotheses, in standard uncertainties of the
         measurement, beyond the difference that earlier proposed dwells show.
@@ -189,7 +187,7 @@ class NextDwell(JsonRecord):
     """
 
     document_keys = (
-        *("angle_deg", "direction", "approach", "wait_s", "temperature_c", "supply_v", "separation"),
+        *("angle_deg", "direction", "approach", "wait_s", "separation"),
         *("information", "purpose", "separates", "sentence"),
     )
 
@@ -197,8 +195,6 @@ class NextDwell(JsonRecord):
     direction: tuple[float, float, float] | None
     approach: int
     wait_s: float
-    temperature_c: float | None
-    supply_v: float | None
     separation: float
     information: float
     purpose: Purpose
