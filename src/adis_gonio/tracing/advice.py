@@ -52,7 +52,6 @@ def advise(
     groups = [c for c in confounded if c[0] in inside or not selection.adequate]
     lines += _by_hand(groups, decided, remedies, alone=not data.model.freedom)
     lines += _of_cycles(selection)
-    lines += _of_unnamed(selection.terms)
     lines += _not_recorded(selection.data)
     if not selection.adequate and not lines:
         lines.append(
@@ -86,17 +85,11 @@ def where(measurement: NextDwell) -> str:
 def _grouped(measurements: Sequence[NextDwell]) -> list[list[NextDwell]]:
     """Group proposed dwells by the question that they answer.
 
-    A group separates one pair of hypotheses, shows effects that are not yet visible, or consists of all
-    dwells that separate hypotheses only faintly.
+    A group separates one pair of hypotheses, or shows effects that are not yet visible.
     """
     groups: dict[object, list[NextDwell]] = {}
     for m in measurements:
-        key: object = (m.one, m.other)
-        if m.purpose == "cover":
-            key = "cover"
-        elif m.separation < LEAST_SEPARATION:
-            key = "faint"
-        groups.setdefault(key, []).append(m)
+        groups.setdefault("cover" if m.purpose == "cover" else (m.one, m.other), []).append(m)
     return list(groups.values())
 
 
@@ -107,27 +100,12 @@ def _sentence(group: Sequence[NextDwell]) -> str:
         names = list(dict.fromkeys(name for m in group for name in (*m.one, *m.other)))
         return f"measure at {what}: only then could {join_words(names)} be seen, if there"
     strongest = max(m.separation for m in group)
-    if strongest < LEAST_SEPARATION:
-        return _faint(group)
-    figure = f"more than {PLAIN:.0f}" if strongest > PLAIN else f"about {strongest:.0f}"
+    figure = f"more than {PLAIN:.0f}" if strongest > PLAIN else f"about {strongest:.{int(strongest < 1)}f}"
     apart = f"expected difference {figure} standard uncertainties"
     one, other = (join_words(names) for names in (first.one, first.other))
     if not one or not other:
         return f"measure at {what}: that shows whether {one or other} is there ({apart})"
     return f"measure at {what}: that tells {one} from {other} ({apart})"
-
-
-def _faint(group: Sequence[NextDwell]) -> str:
-    """Return the advice to repeat the positions of `group`, if no single dwell separates the hypotheses."""
-    where = _listed(list(dict.fromkeys(place(m) for m in group)))
-    # Effects that only one of the two compared models contains.
-    names = join_words(list(dict.fromkeys(name for m in group for name in sorted({*m.one} ^ {*m.other}))))
-    strongest = max(m.separation for m in group)
-    return (
-        f"no single position distinguishes {names}; the best positions are {where}, each several times in "
-        f"the course of the session (a dwell differs there by {strongest:.1f} standard uncertainties of "
-        "the residual)"
-    )
 
 
 def _listed(places: Sequence[str]) -> str:
@@ -183,31 +161,6 @@ def _of_cycles(selection: Selection) -> list[str]:
         f"to tell {cycles} cycles a turn from {join_words([str(n) for n in others])}: {BETWEEN}"
         for cycles, others in cycles_alike(selection)
     ]
-
-
-_FORM_SHOWS = {
-    "angle": BETWEEN,
-    "reading": BETWEEN,
-    "time": "repeat one position many times over a session of this length",
-    "order": "repeat one position many times over a session of this length",
-    "temperature": "repeat one position while the temperature goes slowly up and down",
-    "temperature_rate": "repeat one position while the temperature changes at different speeds",
-    "supply": "repeat one position at a dozen supply voltages",
-    "line_frequency": "find what moves the line, such as a temperature, and record it",
-    "approach": "approach one position from both sides several times",
-    "previous_angle": "approach one position from many others",
-    "variance": "repeat one position with a source of vibration of different strengths",
-    "force": "add poses between those of this session, with each axis along and against gravity",
-    "rotation": "turn the part slowly and briskly, to both sides",
-}
-"""Action that shows the form of an unnamed cause, by the covariate on which the cause depends."""
-
-
-def _of_unnamed(model: Sequence[Term]) -> list[str]:
-    """Return actions that show how the model's unnamed terms depend on covariates, one line each."""
-    covariates = dict.fromkeys(c for term in model if term.name is None for c in term.covariates)
-    to_do = dict.fromkeys(_FORM_SHOWS[name] for name in covariates if name in _FORM_SHOWS)
-    return [f"to see the form of the unnamed part: {what}" for what in to_do]
 
 
 def _not_recorded(data: Readings) -> list[str]:

@@ -141,8 +141,6 @@ def propose(
     if not decided and not selection.adequate:
         # With noise that no model explains, measurements separate little; report the best of them anyway.
         chosen, decided = _greedy(data, inflation, rivals, most, "decide", [], FAINT_SEPARATION)
-        everything = {name for h in rivals for name in h.labels}
-        decided = [replace(m, other=tuple(sorted(everything - set(m.one)))) for m in decided]
     known = {name for h in rivals for name in h.labels}
     unseen = _normalised(_extended(selection, terms, selection.inflation, known))
     _, covered = _greedy(data, selection.inflation, unseen, most, "cover", chosen)
