@@ -26,10 +26,8 @@ from adis_gonio.model.records import MG_PER_G
 from adis_gonio.tracing.within.samples import (
     Place,
     Samples,
-    View,
     WithinFinding,
     corrected,
-    neighbour_means,
 )
 
 Usable = NDArray[np.bool_]
@@ -41,7 +39,6 @@ _LONGEST = 0.5
 """Longest time constant in lengths of a dwell; a longer one would give nearly a straight line."""
 _BENT = 9.0
 """Least gain of an exponential over a line: decrease of the sum of squares in noise variances."""
-_POINTS = 120
 _ROUNDING_MG = 1e-9
 """Least standard deviation of a projection; constant samples project on their rounding errors."""
 
@@ -231,14 +228,13 @@ def _fit_course(
     covariance = inverse @ meat @ inverse * d / max(d - size, 1)
     u = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     finding = _finding(samples, fitted, u, axes, dwells)
-    view = _view(samples, fitted, axis, dwells)
-    return replace(finding, p_value=p_value, view=view), samples.with_values(values)
+    return replace(finding, p_value=p_value), samples.with_values(values)
 
 
 def _finding(
     samples: Samples, fitted: Course, u: Floats, axes: list[int], dwells: list[int]
 ) -> WithinFinding:
-    """Return the finding of a fitted course, without its p-value and its figure.
+    """Return the finding of a fitted course, without its p-value.
 
     `u` are the standard uncertainties of the amplitudes on these `axes`, then of the time constant if the
     course has one. `dwells` are the indices of the fitted dwells.
@@ -310,29 +306,3 @@ def _waiting_time(samples: Samples, amplitude: float, tau: float) -> float:
         sizes.append(amplitude * tau / max(length, tau) / max(noise / 3, 1e-12))
     excess = float(np.median(sizes))
     return tau * float(np.log(excess)) if excess > 1 else 0.0
-
-
-def _view(samples: Samples, fitted: Course, axis: int, dwells: list[int]) -> View:
-    """Return the figure of a course on one axis: mean over the dwells, in `_POINTS` points, and fit."""
-    weight = _regressor(samples, fitted.by_move)[:, axis]
-    length = min(len(samples.values[k]) for k in dwells)
-    norm = float((weight[dwells] ** 2).sum())
-    # Least-squares course: each dwell weighted by its regressor.
-    mean = sum(
-        weight[k] * (samples.values[k][:length, axis] - samples.values[k][:, axis].mean()) for k in dwells
-    ) / max(norm, 1e-300)
-    first = max(dwells, key=lambda k: len(samples.values[k]) == length)
-    x, y = neighbour_means(_POINTS, samples.elapsed_s(first)[:length], np.asarray(mean))
-    whole = _shape(samples.elapsed_s(first), fitted.tau)
-    model = fitted.slope[axis] * (_shape(x, fitted.tau) - whole.mean())
-    letter = samples.letters[axis]
-    unit = "mg/g" if fitted.by_move else "mg"
-    return View(
-        x,
-        y,
-        "time since the first sample / s",
-        f"{letter} about its mean / {unit}",
-        f"Mean course of {letter} over {len(dwells)} dwells, with what was fitted.",
-        model,
-        points=True,
-    )

@@ -28,11 +28,9 @@ from adis_gonio.tracing.within.samples import (
     SEARCHES,
     Place,
     Samples,
-    View,
     WithinFinding,
     axes_and_positions,
     deviation,
-    neighbour_means,
     positions_text,
 )
 
@@ -49,7 +47,6 @@ _LIVELY = 0.6
 _TAUS = 8
 _CLEAR = 4.0
 """Least size of a form (step, drift, settling), in standard uncertainties, to describe a dwell by it."""
-_POINTS = 300
 
 
 Form = Literal["step", "drift", "settling", "disturbance"]
@@ -177,10 +174,10 @@ def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFindin
     ]
     found = []
     for form in get_args(Form):
-        chosen = [(k, axis, place, model) for k, axis, own, place, model in described if own == form]
+        chosen = [(place, float(p[k, axis])) for k, axis, own, place in described if own == form]
         if chosen:
-            least = min(float(p[k, axis]) for k, axis, _, _ in chosen)
-            found.append(_finding(samples, form, chosen, least))
+            places, p_values = zip(*chosen, strict=True)
+            found.append(_finding(samples, form, places, min(p_values)))
     return found
 
 
@@ -281,8 +278,8 @@ def _independent(nominal: Floats, squares: Floats) -> Floats:
     return np.minimum(nominal, max(2 / max(spread, 1e-6) ** 2, 1.0))
 
 
-def _describe(samples: Samples, k: int, axis: int, looks: _Looks) -> tuple[Form, Place, Floats]:
-    """Return the form that describes a dwell best, its place, and its values (n,) about the dwell's mean.
+def _describe(samples: Samples, k: int, axis: int, looks: _Looks) -> tuple[Form, Place]:
+    """Return the form that describes a dwell best, and its place.
 
     If the form is not significant in the noise of its scale, the event is a disturbance of the length at
     which it was found. `k` and `axis` are the indices of dwell and axis.
@@ -314,17 +311,16 @@ def _describe(samples: Samples, k: int, axis: int, looks: _Looks) -> tuple[Form,
         if size**2 * energy > most:
             most, u = size**2 * energy, per_mg * looks.u_mg(k, axis, stretch)
             place = samples.place(k, axis, size, u, unit, at, size * shift)
-            chosen = form, place, size * centred, abs(size) > _CLEAR * u
+            chosen = form, place, abs(size) > _CLEAR * u
     assert chosen is not None
-    if chosen[-1]:
-        return chosen[:-1]
+    form, place, certain = chosen
+    if certain:
+        return form, place
     scale = int(looks.p_value[:, k, axis].argmin())
     at, height = int(looks.place[scale, k, axis]), float(looks.height_mg[scale, k, axis])
     stretch = float(looks.stretch[scale, k])
-    course = np.zeros(n)
-    course[at : at + int(stretch)] = height
     u = looks.u_mg(k, axis, stretch)
-    return "disturbance", samples.place(k, axis, height, u, at=at, shift=height * stretch / n), course
+    return "disturbance", samples.place(k, axis, height, u, at=at, shift=height * stretch / n)
 
 
 _WORDS: dict[Form, tuple[str, str, str]] = {
@@ -347,17 +343,11 @@ _WORDS: dict[Form, tuple[str, str, str]] = {
 }
 
 
-def _finding(
-    samples: Samples, kind: Form, chosen: list[tuple[int, int, Place, Floats]], p_value: float
-) -> WithinFinding:
-    """Return the finding of all events of one form; `p_value` is the smallest of their p-values.
-
-    `chosen` has for each event the indices of dwell and axis, its place, and the fitted form (n,).
-    """
+def _finding(samples: Samples, kind: Form, places: tuple[Place, ...], p_value: float) -> WithinFinding:
+    """Return the finding of all events of one form; `p_value` is the smallest of their p-values."""
     words, name, cause = _WORDS[kind]
-    places = tuple(place for _, _, place, _ in chosen)
     axes, positions = axes_and_positions(places)
-    k, axis, worst, model = max(chosen, key=lambda one: abs(one[2].shift_mg or 0.0))
+    worst = max(places, key=lambda place: abs(place.shift_mg or 0.0))
     assert worst.value is not None
     when = "" if worst.time_s is None or kind == "settling" else f" at {worst.time_s:.1f} s"
     where = positions_text(positions, len(samples))
@@ -376,22 +366,4 @@ def _finding(
         ),
         places=places,
         advice=f"repeat {positions_text(positions, 0)}: {cause} while the dwell was recorded",
-        view=_view(samples, k, axis, model, kind),
-    )
-
-
-def _view(samples: Samples, k: int, axis: int, model: Floats, kind: Form) -> View:
-    """Return the figure of an event in dwell `k`: averaged samples, and the fitted form `model` (n,)."""
-    rows = samples.values[k][:, axis] - samples.values[k][:, axis].mean()
-    time = samples.elapsed_s(k)
-    x, y, shown = neighbour_means(_POINTS, time, rows, model)
-    letter = samples.letters[axis]
-    return View(
-        x,
-        y,
-        "time since the first sample / s",
-        f"{letter} about its mean / mg",
-        f"{kind.capitalize()} in position {samples.position[k]}, {letter}: samples averaged, and the fit.",
-        shown,
-        points=True,
     )

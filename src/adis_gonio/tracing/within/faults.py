@@ -17,9 +17,7 @@ Saturation
 Quantization
     A converter step q that noise of standard deviation σ does not dither: the error of the means by
     quantization, q²/(2π²)·Σ exp(−4π²k²σ²/q²)/k², exceeds the error by noise, in all dwells together. The
-    p-value is the probability that noise with equal errors scatters as little as the samples. If only every
-    second, third, … code occurs, bits are lost. This is reported for any scatter, with the probability that
-    this many differences share a divisor by chance.
+    p-value is the probability that noise with equal errors scatters as little as the samples.
 """
 
 from __future__ import annotations
@@ -33,14 +31,12 @@ from scipy import ndimage, optimize, special
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import format_number
 from adis_gonio.base.uncertainty import FOUND_WITHIN, Value
-from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation.readings import Readings, quantization_variance
 from adis_gonio.model.records import Session
 from adis_gonio.tracing.within.samples import (
     SEARCHES,
     Place,
     Samples,
-    View,
     WithinFinding,
     axes_and_positions,
     corrected,
@@ -77,7 +73,7 @@ def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding
     total = int(samples.counts.sum()) * samples.axes
     limit = -float(special.ndtri(FOUND_WITHIN / (2 * total * SEARCHES)))
     values = list(samples.values)
-    found: list[tuple[Place, float, tuple[int, int, int]]] = []  # with p-value, and dwell, axis and sample
+    found: list[tuple[Place, float]] = []  # with p-value
     long = np.flatnonzero(samples.counts >= _LEAST_SAMPLES + 2 * reach).tolist()
     for axis in range(samples.axes):
         looks = {k: _from_neighbours(samples.values[k][:, axis], reach) for k in long}
@@ -97,7 +93,7 @@ def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding
                 shift = float((rows[low:high, axis] - middle[top]).sum() / len(rows))
                 place = samples.place(k, axis, away[top], spread, at=top, shift=shift)
                 p = corrected(2 * float(special.ndtr(-size[top])), total)
-                found.append((place, p, (k, axis, top)))
+                found.append((place, p))
     if not found:
         return None, samples
     return _spikes_finding(samples, found), samples.with_values(values)
@@ -135,14 +131,10 @@ def _groups(flags: NDArray[np.bool_], gap: int) -> list[tuple[int, int]]:
     return [(int(own[0]), int(own[-1]) + 1) for own in groups]
 
 
-def _spikes_finding(
-    samples: Samples, found: list[tuple[Place, float, tuple[int, int, int]]]
-) -> WithinFinding:
-    """Return the finding of spikes, each given as its place, p-value and indices (dwell, axis, sample)."""
-    places = [place for place, _, _ in found]
-    sizes = [abs(place.value.value) if place.value else 0.0 for place in places]
-    size = max(sizes)
-    k, axis, top = found[sizes.index(size)][2]
+def _spikes_finding(samples: Samples, found: list[tuple[Place, float]]) -> WithinFinding:
+    """Return the finding of spikes, each given as its place and p-value."""
+    places = [place for place, _ in found]
+    size = max(abs(place.value.value) if place.value else 0.0 for place in places)
     axes, positions = axes_and_positions(places)
     noise = {
         int(position): float(np.min(rows.std(axis=0))) / np.sqrt(len(rows))
@@ -152,28 +144,19 @@ def _spikes_finding(
     spoiled = tuple(sorted({p.position for p in places if abs(p.shift_mg or 0.0) > noise[p.position] / 3}))
     repeat = f"; repeat {positions_text(spoiled, 0)}, whose means they move" if spoiled else ""
     count = len(places)
-    low, high = max(0, top - 40), min(len(samples.values[k]), top + 41)
-    letter = samples.letters[axis]
     return WithinFinding(
         kind="spikes",
         effect=None,
         axes=axes,
         positions=positions,
         parameters={"count": Value(float(count), None, "1"), "largest": Value(size, None, "mg")},
-        p_value=min(p for _, p, _ in found),
+        p_value=min(p for _, p in found),
         sentence=(
             f"{count} spike{'' if count == 1 else 's'} in {positions_text(positions, len(samples))}, the "
             f"largest {format_number(size)} mg"
         ),
         places=tuple(places),
         advice=f"look for what makes the spikes (contacts, supply, a touch){repeat}",
-        view=View(
-            samples.elapsed_s(k)[low:high],
-            samples.values[k][low:high, axis],
-            "time since the first sample / s",
-            f"{letter} / mg",
-            f"The largest spike: {letter}, position {samples.position[k]}.",
-        ),
     )
 
 
@@ -289,10 +272,8 @@ def saturation(session: Session, data: Readings) -> WithinFinding | None:
     )
 
 
-def quantization(session: Session, samples: Samples, reach: int) -> WithinFinding | None:
+def quantization(samples: Samples, reach: int) -> WithinFinding | None:
     """Return the finding on axes with a converter step too coarse for the noise; None without such axes.
-
-    `session` gives the sensor and the unit of its samples.
 
     Parameters
     ----------
@@ -301,7 +282,7 @@ def quantization(session: Session, samples: Samples, reach: int) -> WithinFindin
     """
     found: dict[int, float] = {}
     for axis in range(samples.axes):
-        p = corrected(min(_coarse(samples, axis, reach), _lost_bits(session, samples, axis)), samples.axes)
+        p = corrected(_coarse(samples, axis, reach), samples.axes)
         if p < FOUND_WITHIN:
             found[axis] = p
     if not found:
@@ -350,17 +331,3 @@ def _coarse(samples: Samples, axis: int, reach: int) -> float:
     hiding = float(optimize.brentq(excess, 1e-3, 2.0))
     dof = float(np.sum(np.maximum(worth - 1, 1.0)))
     return float(special.chdtr(dof, dof * float(np.mean(variance)) / (step**2 * (hiding**2 + 1 / 12))))
-
-
-def _lost_bits(session: Session, samples: Samples, axis: int) -> float:
-    """Return the probability that all codes of an axis differ by multiples of a number above 1 by chance.
-
-    It is 1 if there is no such number, or if the sensor's codes are unknown.
-    """
-    if session.accel_unit != "lsb" or session.sensor not in VARIANTS:
-        return 1.0
-    words = round(float(samples.quantum[axis]) / VARIANTS[session.sensor].accel_mg_per_lsb)
-    if words < 2:
-        return 1.0
-    differences = sum(len(np.unique(values[:, axis])) - 1 for values in samples.values)
-    return float(words) ** -differences

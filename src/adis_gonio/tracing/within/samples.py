@@ -281,14 +281,6 @@ def axes_and_positions(places: Sequence[Place]) -> tuple[tuple[str, ...], tuple[
     return tuple(sorted({p.axis for p in places})), tuple(sorted({p.position for p in places}))
 
 
-def neighbour_means(most: int, *columns: Floats) -> list[Floats]:
-    """Average neighbouring values of each column (n,), so that at most `most` points remain."""
-    n = len(columns[0])
-    cuts = np.unique(np.linspace(0, n, min(n, most), endpoint=False).astype(np.intp))
-    counts = np.diff(np.append(cuts, n))
-    return [np.add.reduceat(np.asarray(rows, dtype=np.float64), cuts) / counts for rows in columns]
-
-
 def positions_text(positions: tuple[int, ...], dwells: int, most: int = 12) -> str:
     """Name positions in a text, such as `all 24 dwells`, `position 7` or `positions 3, 4, 9`.
 

@@ -51,7 +51,6 @@ from adis_gonio.tracing.within.samples import (
     SEARCHES,
     Samples,
     WithinFinding,
-    positions_text,
     samples_of,
     scatter,
 )
@@ -66,8 +65,6 @@ from adis_gonio.tracing.within.variances import (
 
 _CLAIMED_DWELLS = 4
 """Smallest number of dwells with a finding for it to count as found."""
-_MOST_OUT = 0.2
-"""Share of deviating dwells above which the model is assumed to be wrong, and not these dwells."""
 
 
 def with_second_pass(session: Session, data: Readings, result: TraceResult) -> TraceResult:
@@ -85,7 +82,7 @@ def with_second_pass(session: Session, data: Readings, result: TraceResult) -> T
     samples = samples_of(session, data)
     within, shown = ((), {}) if samples is None else look_within(samples)
     if samples is not None:
-        codes = (saturation(session, data), quantization(session, samples, correlation_reach(samples)))
+        codes = (saturation(session, data), quantization(samples, correlation_reach(samples)))
         within = (*(finding for finding in codes if finding is not None), *within)
     claimed = {finding.effect for finding in result.found}
     more = tuple(
@@ -93,15 +90,13 @@ def with_second_pass(session: Session, data: Readings, result: TraceResult) -> T
         for finding in _first_of_each(within)
         if counts_as_found(finding) and finding.effect not in claimed and not session.cut_by_stillness
     )
-    single, notes = _deviating_dwells(data, result)
-    advice = (*_of_single_dwells(data, result), *single, *(f.advice for f in within if f.advice))
+    advice = (*_of_single_dwells(data, result), *(f.advice for f in within if f.advice))
     return replace(
         result,
         found=(*result.found, *more),
         within=within,
         detectable={**result.detectable, **shown},
         advice=tuple(dict.fromkeys((*advice, *result.advice))),
-        notes=(*result.notes, *notes),
     )
 
 
@@ -170,35 +165,6 @@ def _of_single_dwells(data: Readings, result: TraceResult) -> list[str]:
                 f"was not dropped, {term.name} accounts for it"
             )
     return lines
-
-
-def _deviating_dwells(data: Readings, result: TraceResult) -> tuple[list[str], list[str]]:
-    """Return advice and notes on dwells that the final model fits far worse than the others.
-
-    The squared whitened residual of such a dwell is improbable for a χ² distribution that is scaled to the
-    median over all dwells, but at least to the measured noise. The probability of reporting any dwell by
-    chance is 1 %. Both lists are empty if the share of such dwells exceeds `_MOST_OUT`, since the model is
-    then not adequate.
-    """
-    if not result.fits or len(result.fits[-1].data) < _CLAIMED_DWELLS or not data.noise_known:
-        return [], []
-    residual, training = result.fits[-1].residual, result.fits[-1].data
-    squares = (residual**2).sum(axis=1)
-    rows = residual.shape[1]
-    usual = max(float(np.median(squares)) / float(special.chdtri(rows, 0.5)), 1.0)
-    far = squares > usual * float(special.chdtri(rows, FOUND_WITHIN / len(squares)))
-    # If many dwells deviate, the model is not adequate.
-    if not far.any() or far.mean() > _MOST_OUT:
-        return [], []
-    named = positions_text(tuple(int(p) for p in training.position[far]), 0)
-    size = float(np.sqrt(squares[far].max() / rows))
-    return (
-        [f"repeat {named}: far from the final model, the others are not"],
-        [
-            f"{named}: up to {size:.1f} standard uncertainties (rms over the axes) from the final model, "
-            "more than chance among its dwells; kept in the fit"
-        ],
-    )
 
 
 _CORRELATED = 0.2

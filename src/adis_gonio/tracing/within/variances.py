@@ -25,7 +25,7 @@ from scipy import special
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import format_number
 from adis_gonio.base.uncertainty import FOUND_WITHIN, INADEQUATE, Value
-from adis_gonio.tracing.within.samples import Place, Samples, View, WithinFinding, corrected, positions_text
+from adis_gonio.tracing.within.samples import Place, Samples, WithinFinding, corrected, positions_text
 from adis_gonio.tracing.within.tones import TAPER_LOSS, Density, without_line
 
 LEAST_DWELLS = 3
@@ -138,7 +138,6 @@ def noise_change(samples: Samples, density: Density | None) -> WithinFinding | N
             f"{finding.sentence}; variances differ by up to {format_number(spread)} mg², in which a "
             "vibration_rectification could show between the dwells"
         ),
-        view=_view(samples, density.dwells, levels),
     )
 
 
@@ -217,7 +216,7 @@ def _explained(own: Levels, cut: int) -> bool:
 
 
 def _joining(samples: Samples, density: Density, levels: dict[int, Levels], cut: int) -> WithinFinding:
-    """Return the finding for a single change of the noise, before dwell `cut`; without p-value and figure.
+    """Return the finding for a single change of the noise, before dwell `cut`; without its p-value.
 
     `levels` has the variances and levels of each axis that shows the change.
     """
@@ -231,7 +230,9 @@ def _joining(samples: Samples, density: Density, levels: dict[int, Levels], cut:
     extra = {
         samples.letters[axis]: _joined(density, axis, own, quiet, loud) for axis, own in levels.items()
     }
-    start = _start(samples, dwells, levels, cut, quiet, loud)
+    # The change is between the middles of the two dwells.
+    low, high = (float(np.mean(samples.time_s[k])) for k in dwells[cut - 1 : cut + 1])
+    start = Value((low + high) / 2, (high - low) / math.sqrt(12), "s")
     positions = tuple(samples.position[dwells[cut:]].tolist())
     return WithinFinding(
         kind="noise_change",
@@ -285,7 +286,7 @@ def _joined(
 
 
 def _varying(samples: Samples, dwells: NDArray[np.intp], levels: dict[int, Levels]) -> WithinFinding:
-    """Return the finding for variances that do not differ by a single change; without p-value and figure.
+    """Return the finding for variances that do not differ by a single change; without its p-value.
 
     `levels` has the variances and levels of each axis on which the variances differ between dwells.
     """
@@ -320,59 +321,4 @@ def _varying(samples: Samples, dwells: NDArray[np.intp], levels: dict[int, Level
             f"{positions_text(positions, len(samples))}"
         ),
         places=tuple(places),
-    )
-
-
-def _start(
-    samples: Samples,
-    dwells: NDArray[np.intp],
-    levels: dict[int, Levels],
-    cut: int,
-    quiet: NDArray[np.bool_],
-    loud: NDArray[np.bool_],
-) -> Value:
-    """Return the time of the change of the noise, from the posterior over all places of the change.
-
-    Squares of neighbouring samples are correlated, so the likelihood is scaled to the degrees of freedom.
-    `levels` has the variances and levels of each axis that shows the change; `cut` is the first dwell after
-    the change, and `quiet` and `loud` (d,) are the dwells before and after it.
-    """
-    before, after = int(dwells[cut - 1]), int(dwells[cut])
-    time = np.concatenate([samples.time_s[before], samples.time_s[after]])
-    loss = np.zeros(len(time) + 1)
-    for axis, own in levels.items():
-        # Log likelihood of a change before each sample: quiet variance before it, loud variance after it.
-        low, high = own.rows(quiet).common, own.rows(loud).common
-        rows = np.concatenate([without_line(samples.values[k])[:, axis] for k in (before, after)])
-        worth = float(np.median(own.dof / samples.counts[dwells]))
-        one = 0.5 * worth * (rows**2 / low + np.log(low))
-        two = 0.5 * worth * (rows**2 / high + np.log(high))
-        loss += np.concatenate([[0.0], np.cumsum(one)]) + np.concatenate(
-            [np.cumsum(two[::-1])[::-1], [0.0]]
-        )
-    # A change before sample k is within one period, or anywhere in the pause between the dwells.
-    edges = np.concatenate([[time[0] - samples.period_s], time, [time[-1] + samples.period_s]])
-    low_edge, high_edge = edges[:-1], edges[1:]
-    weight = np.exp(-(loss - loss.min())) * np.maximum(high_edge - low_edge, 1e-12)
-    weight /= weight.sum()
-    middle, width = (low_edge + high_edge) / 2, high_edge - low_edge
-    mean = float(weight @ middle)
-    variance = float(weight @ ((middle - mean) ** 2 + width**2 / 12))
-    return Value(mean, float(np.sqrt(variance)), "s")
-
-
-def _view(samples: Samples, dwells: NDArray[np.intp], levels: dict[int, Levels]) -> View:
-    """Return the figure of the scatter of each dwell over time, on the first axis in `levels`.
-
-    `dwells` are the indices of the dwells.
-    """
-    axis, own = next(iter(levels.items()))
-    letter = samples.letters[axis]
-    return View(
-        np.array([float(np.mean(samples.time_s[k])) for k in dwells.tolist()]) / 60,
-        np.sqrt(own.variance),
-        "time / min",
-        f"scatter of {letter} / mg",
-        f"Standard deviation of the samples of {letter} in each dwell.",
-        points=True,
     )
