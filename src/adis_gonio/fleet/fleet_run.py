@@ -297,5 +297,4 @@ def scan(store: Store, places: Sequence[str | Path], *, trace: bool = False) -> 
         True also traces the residual; records without a trace are then made again.
     """
     files = session_files(Path(place).resolve() for place in places)
-    store.mark_gone(places, map(Path, files))
     return run_fleet(files, Options(trace=trace), store)

@@ -5,7 +5,7 @@ The command `fleet` uses it as its journal.
 
 | table | a row is |
 |---|---|
-| `files` | a path with its length, times and digest; `gone` if it was not found again |
+| `files` | a path with its length, times and digest |
 | `records` | the record of a session as JSON, by the digest of its file, with the options that made it |
 
 Each record is written in a separate transaction, so that an interruption leaves whole records only. The
@@ -36,8 +36,7 @@ VERSION = 2
 IN_MEMORY = ":memory:"
 
 _CREATE = (
-    "CREATE TABLE files (path TEXT PRIMARY KEY, sha256 TEXT, stamp TEXT, gone INTEGER NOT NULL DEFAULT 0)"
-    " WITHOUT ROWID",
+    "CREATE TABLE files (path TEXT PRIMARY KEY, sha256 TEXT, stamp TEXT) WITHOUT ROWID",
     "CREATE INDEX files_by_digest ON files (sha256)",
     "CREATE TABLE records (sha256 TEXT PRIMARY KEY, serial TEXT, options TEXT, record TEXT NOT NULL)",
     "CREATE INDEX records_by_serial ON records (serial)",
@@ -46,7 +45,7 @@ _CREATE = (
 )
 _AT_PATH = (
     "INSERT INTO files (path, sha256, stamp) VALUES (?1, ?2, ?3) ON CONFLICT (path)"
-    " DO UPDATE SET sha256 = ?2, stamp = coalesce(?3, stamp), gone = 0"
+    " DO UPDATE SET sha256 = ?2, stamp = coalesce(?3, stamp)"
 )
 _REPLACED = (
     "DELETE FROM records WHERE sha256 = (SELECT sha256 FROM files WHERE path = ?1 AND sha256 <> ?2)"
@@ -197,7 +196,7 @@ class Store:
         now = Path(path).stat()
         stamp = f"{now.st_size} {now.st_mtime_ns} {now.st_ctime_ns}"
         known = self._connection.execute(
-            "SELECT sha256 FROM files WHERE path = ? AND stamp = ? AND NOT gone", (str(path), stamp)
+            "SELECT sha256 FROM files WHERE path = ? AND stamp = ?", (str(path), stamp)
         ).fetchone()
         if known is not None:
             return str(known[0])
@@ -205,7 +204,6 @@ class Store:
         self._write(
             [
                 (_REPLACED, (str(path), digest)),
-                ("DELETE FROM files WHERE sha256 = ? AND gone AND path <> ?", (digest, str(path))),
                 (_AT_PATH, (str(path), digest, stamp)),
             ]
         )
@@ -230,20 +228,6 @@ class Store:
                 todo.append(("INSERT OR REPLACE INTO records VALUES (?, ?, ?, ?)", values))
         self._write(todo)
 
-    def mark_gone(self, places: Sequence[str | Path], paths: Iterable[Path]) -> None:
-        """Mark the files in the given folders that no longer exist; their records remain in the store.
-
-        `places` are folders or files, `paths` the files in them that exist.
-        """
-        there = {str(path) for path in paths}
-        roots = [Path(place).resolve() for place in places]
-        held = self._connection.execute("SELECT path FROM files WHERE NOT gone").fetchall()
-        self._write(
-            ("UPDATE files SET gone = 1 WHERE path = ?", (path,))
-            for (path,) in held
-            if path not in there and any(Path(path).is_relative_to(root) for root in roots)
-        )
-
     # -- reading -----------------------------------------------------------------------------------
 
     def found(self, job: Job, options: Options) -> SessionRecord | None:
@@ -265,7 +249,7 @@ class Store:
     def rows(self, **wanted: str | None) -> list[dict[str, Any]]:
         """Return the records as flat rows, sorted by serial number, operator, stage and date.
 
-        Each row also has `copies` (other paths of equal files) and `gone` (True if no file remains).
+        Each row also has `copies` (other paths of equal files) and `gone` (True if no file is there now).
 
         Parameters
         ----------
@@ -273,8 +257,9 @@ class Store:
             Filters `serial`, `operator` and `stage`: only records with this value; None for all.
         """
         paths: dict[str, list[str]] = {}
-        for path, digest in self._connection.execute("SELECT path, sha256 FROM files WHERE NOT gone"):
-            paths.setdefault(digest, []).append(path)
+        for path, digest in self._connection.execute("SELECT path, sha256 FROM files"):
+            if Path(path).exists():
+                paths.setdefault(digest, []).append(path)
         rows = []
         for record in self._records(wanted.get("serial")):
             if all(text is None or getattr(record, name) == text for name, text in wanted.items()):
