@@ -449,6 +449,8 @@ class TwinComparison:
 @solvable
 def compare(measured: Session, twin: Session, traced: Fit) -> TwinComparison:
     """Fit the traced model to a session and to its twin, and compare their residuals and noise."""
+    from scipy.stats import ks_2samp
+
     sessions = (measured, twin)
     data = [readings_of(session) for session in sessions]
     ours, twins = (Fit.begin(one).with_terms(traced.terms, traced.values.terms).refit() for one in data)
@@ -466,7 +468,7 @@ def compare(measured: Session, twin: Session, traced: Fit) -> TwinComparison:
     ]
     return TwinComparison(
         residual,
-        _p_same_distribution(*residual),
+        float(ks_2samp(*residual).pvalue),
         _p_variance(ours, twins),
         tau_s[inside],
         (allan[inside], np.exp(np.stack(logs, axis=1))),
@@ -477,19 +479,6 @@ def _residual(fitted: Fit) -> Floats:
     rows = fitted.residual.ravel()
     # Directions that a free attitude absorbs have no residual.
     return np.asarray(rows[np.abs(rows) > 1e-9], np.float64)
-
-
-def _p_same_distribution(ours: Floats, twins: Floats) -> float:
-    """Return the p-value of the two-sided Kolmogorov-Smirnov test that two samples have one distribution.
-
-    The limiting distribution is used, with the correction for small samples by Stephens (1970).
-    """
-    from scipy.special import kolmogorov
-
-    joined = np.concatenate([ours, twins])
-    below = [np.searchsorted(np.sort(part), joined, side="right") / len(part) for part in (ours, twins)]
-    root = math.sqrt(len(ours) * len(twins) / len(joined))
-    return float(kolmogorov((root + 0.12 + 0.11 / root) * np.abs(below[0] - below[1]).max()))
 
 
 def _p_variance(ours: Fit, twins: Fit) -> float:
