@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections import Counter
 from dataclasses import replace
 from functools import cache
 
@@ -155,9 +154,7 @@ def test_several_files_are_judged_together_and_the_second_exercises_more_rows(re
     assert contradicted(both) == ["restore_zeroes"]
 
 
-def test_one_recording_of_truncated_autonulls_decides_the_coarse_step_and_counts_those_missing_for_the_fine(
-    tmp_path, capsys
-):
+def test_one_recording_of_truncated_autonulls_decides_the_coarse_step_and_not_the_fine(tmp_path):
     record_nulls(CHANGES["an autonull truncates to the output's LSB"], 3, tmp_path / "coarse.rec")
     record_nulls(CHANGES["an autonull truncates to its LSB"], 3, tmp_path / "fine.rec")
     coarse, fine = (
@@ -165,10 +162,7 @@ def test_one_recording_of_truncated_autonulls_decides_the_coarse_step_and_counts
         for name in ("coarse", "fine")
     )
     assert (coarse.outcome, coarse.best) == (Outcome.CONTRADICTS, "truncated to the output's LSB")
-    assert (fine.outcome, coarse.more_recordings) == (Outcome.OPEN, None)
-    assert 5 < fine.more_recordings < 40
-    assert main(["bringup", "--from", str(tmp_path / "fine.rec")]) == 0
-    assert f"{fine.more_recordings} more recordings like these would decide" in capsys.readouterr().out
+    assert fine.outcome is Outcome.OPEN
 
 
 def test_the_command_prints_80_columns_and_names_rows_that_are_not_exercised(recorded, capsys):
@@ -229,34 +223,7 @@ def test_two_of_eight_figures_off_contradict_the_table():
 
 def test_a_row_that_nothing_distinguishes_stays_open():
     figure = RowFigure(0.2, 5.0, {"one": (0.0, 0.0), "two": (0.0, 0.0)})
-    finding = row("one", "two").judge([figure])
-    assert (finding.outcome, finding.more_recordings) == (Outcome.OPEN, None)
-
-
-def test_as_many_recordings_as_stated_decide_the_row_in_19_of_20_cases():
-    dice, undecided = np.random.default_rng(3), row("one", "two", confidence="D")
-    predicted = {"one": (-0.5, 0.5), "two": (0.0, 1.0)}
-
-    def recordings(count: int, mean: float) -> list[RowFigure]:
-        """Twelve figures a recording, with a normal error around a value within the interval."""
-        x = mean + dice.uniform(-0.5, 0.5, 12 * count) + dice.normal(0, 1.3, 12 * count)
-        return [RowFigure(float(one), 1.3, predicted) for one in x]
-
-    decided, cases = Counter(), 100
-    for case in range(cases):
-        truth, name = ((0.0, "one"), (0.5, "two"))[case % 2]
-        first = recordings(1, truth)
-        more = undecided.judge(first).more_recordings
-        if more is None:  # the first recording has decided
-            decided[name] += 1
-            continue
-        finding = undecided.judge(first + recordings(more, truth), 1 + more)
-        decided[name] += finding.probabilities[name] > 0.99
-    assert decided["one"] > 45
-    assert decided["two"] > 45
-    # Half as many do not decide so often, so that the number is not simply large.
-    half = [undecided.judge(recordings(8, 0.5), 8).probabilities["two"] > 0.99 for _ in range(50)]
-    assert sum(half) < 40
+    assert row("one", "two").judge([figure]).outcome is Outcome.OPEN
 
 
 def test_long_rows_are_cut_to_the_width_of_the_table():

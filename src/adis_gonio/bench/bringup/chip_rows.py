@@ -110,11 +110,8 @@ class ChipRow:
     unit: str = ""
     logarithmic: bool = False
 
-    def judge(self, observed: Sequence[Observation], recordings: int = 1) -> RowFinding:
-        """Compute the probabilities of the alternatives after the observations `observed`.
-
-        `recordings` is the number of recordings from which they come.
-        """
+    def judge(self, observed: Sequence[Observation]) -> RowFinding:
+        """Compute the probabilities of the alternatives after the observations `observed`."""
         names = (*self.alternatives, ELSE)
         prior = PRIOR[self.question.confidence]
         priors = np.array([prior, *[(1 - prior) / len(self.alternatives)] * len(self.alternatives)])
@@ -135,11 +132,10 @@ class ChipRow:
             outcome = Outcome.CONTRADICTS
         elif table > 1 - DECIDED and likelihood[0] > likelihood[1:].max():
             outcome = Outcome.CONFIRMS
-        more = _more_recordings(names, logs, figures, recordings) if outcome is Outcome.OPEN else None
         return RowFinding(
             self.question.name, self.question.text, names[0], self.question.source,
             self.question.confidence, outcome, max(chances, key=lambda name: chances[name]),
-            len(observed), odds, alone, chances, self._described(labels, figures), more,
+            len(observed), odds, alone, chances, self._described(labels, figures),
             tuple(self._measured(number, figure) for number, figure in enumerate(figures, 1)),
         )  # fmt: skip
 
@@ -180,9 +176,6 @@ class RowFinding(JsonRecord):
         Probability of each alternative after the recordings.
     seen : str
         Summary of the observations.
-    more_recordings : int or None
-        Number of further recordings with figures like these that decide an open row with 95 %; None if the
-        row is not open, or if such figures do not distinguish the alternatives.
     measured : tuple of Measured
         The observed figures, in order.
     """
@@ -199,7 +192,6 @@ class RowFinding(JsonRecord):
     log10_evidence: float
     probabilities: dict[str, float]
     seen: str
-    more_recordings: int | None
     measured: tuple[Measured, ...] = ()
 
 
@@ -252,30 +244,6 @@ def _density(figure: RowFigure, name: str) -> float:
         return math.exp(-0.5 * float(z.mean()) ** 2) / figure.u / math.sqrt(2 * math.pi)
     below, above = (0.5 * math.erfc(-one / math.sqrt(2)) for one in z.tolist())
     return (below - above) / (high - low)
-
-
-def _more_recordings(
-    names: Sequence[str], logs: Floats, figures: Sequence[RowFigure], recordings: int
-) -> int | None:
-    """Return the number of further recordings that decide between the table and the other alternatives.
-
-    All densities are taken as normal. The logarithm of the odds is then a random walk: its drift g for a
-    recording is the sum of (difference of the means)² / 2 / variance over the figures, and its variance is
-    2 g. `logs` are the present logarithms of the probabilities of `names`.
-    """
-    needed = 0.0
-    for name, log in zip(names[1:-1], logs[1:-1], strict=True):
-        gain = 0.0
-        for figure in figures:
-            (low, high), (least, most) = figure.predicted[names[0]], figure.predicted[name]
-            variance = figure.u**2 + ((high - low) ** 2 + (most - least) ** 2) / 24
-            gain += (low + high - least - most) ** 2 / 8 / variance / recordings
-        if abs(logs[0] - log) < -math.log(DECIDED):
-            # The longer way, to the decision that is less probable now, with 95 % (1.645 sigma).
-            way = abs(logs[0] - log) - math.log(DECIDED)
-            root = 1.645 + math.sqrt(1.645**2 + 2 * way)
-            needed = max(needed, root**2 / 2 / gain if gain > 0.01 else math.inf)
-    return math.ceil(needed) if 0 < needed < math.inf else None
 
 
 # -- observers --------------------------------------------------------------------------------------------
@@ -805,11 +773,7 @@ def judge_recordings(paths: Iterable[str | Path], part: Variant) -> tuple[RowFin
     if any("lost" in chip.error_flags for chip in chips):
         for chip in chips:
             chip.attribute_to_reads()
-    findings = []
-    for row in ROWS:
-        observed = [found for chip in chips if (found := [*row.observe(chip, part)])]
-        findings.append(row.judge([one for found in observed for one in found], len(observed)))
-    return tuple(findings)
+    return tuple(row.judge([found for chip in chips for found in row.observe(chip, part)]) for row in ROWS)
 
 
 def findings_text(findings: Sequence[RowFinding]) -> str:
@@ -822,8 +786,6 @@ def findings_text(findings: Sequence[RowFinding]) -> str:
         odds = f"{odds}:1" if one.log10_evidence >= 0 else f"1:{odds}"
         lines.append(f"{one.name:20}{one.table[:17]:18}{one.best[:17]:18}{odds:>8}  {one.outcome}")
         lines.append(f"  {one.question} {one.seen}"[:80])
-        if one.more_recordings:
-            lines.append(f"  {one.more_recordings} more recordings like these would decide")
     lines += ["", "evidence: odds of the table against its best rival, by the recordings alone"]
     idle = ", ".join(one.name for one in findings if not one.observations)
     return "\n".join(
