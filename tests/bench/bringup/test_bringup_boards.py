@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.bench.bringup import STEPS, Outcome, Permission, Verdict, bring_up
-from adis_gonio.bench.bringup.bringup_step import MOST_TESTS, QUESTIONS
+from adis_gonio.bench.bringup.bringup_step import QUESTIONS
 from adis_gonio.device.bus import open_bus
 from adis_gonio.sim.sampling import SignalChain
 from fakes.boards import FAULTY, SOUND, Board, sound
@@ -32,7 +32,6 @@ def test_a_sound_board_is_not_accused_whatever_its_settings_and_its_bridge(seed)
     found = bring_up(bus, permission=ALL)
     assert not found.accused, [found.row(name).text for name in found.accused]
     assert found.sound
-    assert found.comparisons <= MOST_TESTS
     assert {name: bus.chip.memory[name] for name in before} == before
     assert bus.chip.memory["ENDURANCE"] == 1
 
@@ -47,8 +46,7 @@ def test_on_a_sound_board_every_row_that_a_step_answers_is_answered():
         "self_test_gyro", "self_test_accel", "over_range_falls", "alarm_stays", "flash_count",
         "offset_after_filter",
     }  # fmt: skip
-    measured = {name for name, outcome in outcomes.items() if outcome is Outcome.MEASURED}
-    assert measured == {"data_ready_pulse", "over_range_threshold"}
+    assert {*outcomes.values()} == {Outcome.CONFIRMS, Outcome.NOT_MEASURED}
     assert all(answer.text for answer in found.answers.values())
 
 
@@ -101,17 +99,11 @@ def test_an_axis_that_answers_to_the_self_test_unlike_the_others_is_a_fault(monk
 
 @pytest.mark.parametrize("width_us", [30, 150, 250, 400, 700, 1100])
 @pytest.mark.parametrize("leads", [False, True])
-def test_the_width_of_the_pulse_lies_within_what_is_said_of_it(width_us, leads):
+def test_the_edge_that_leads_is_found_whatever_the_width_of_the_pulse(width_us, leads):
     board = Board(pulse_s=1e-6 * width_us, lead_s=1e-6 * width_us * leads)
     found = bring_up(board.open(1), steps=only("link", "timing", "bit errors", "data-ready"))
-    (figure,) = found.answers["data_ready_pulse"].figures
-    if figure.u is None:
-        assert width_us <= figure.value or width_us >= 1220 - figure.value
-    else:
-        assert abs(figure.value - width_us) <= 3**0.5 * figure.u
-    late = leads and width_us > 20
     edge = found.answers["data_ready_edge"]
-    if late and width_us < 1100:  # so wide a pulse ends just before the next update
+    if leads and width_us < 1100:  # so wide a pulse ends just before the next update
         assert edge.outcome is Outcome.CONTRADICTS
         assert found.accused == ("data-ready",)
     elif not leads:
@@ -134,13 +126,6 @@ def test_an_offset_that_somebody_wrote_is_not_the_parts_bias():
     found = bring_up(board.open(9, bias_x_mg=0.0), steps=only("link", "bit errors", "variant"))
     assert found.row("variant").verdict is Verdict.OK
     assert found.row("variant").figures[0].value == pytest.approx(2140, rel=0.01)
-
-
-def test_the_threshold_of_over_range_is_found():
-    found = bring_up(SOUND.open(4), permission=ALL, steps=only("link", "status"))
-    (figure,) = found.answers["over_range_threshold"].figures
-    assert abs(figure.value - 1700) <= 2 * figure.u
-    assert figure.u < 20
 
 
 def test_above_a_clock_with_errors_nothing_is_clocked_faster():

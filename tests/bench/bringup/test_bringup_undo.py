@@ -71,15 +71,6 @@ def test_without_permission_nothing_but_data_ready_is_written():
     assert "--allow-writes" in found.row("offset").text
 
 
-def test_where_the_registers_are_to_be_left_no_write_frame_is_sent():
-    bus, _, writes = opened()
-    found = bring_up(bus, permission=Permission(lends=False))
-    assert not writes
-    assert found.row("data-ready").verdict is Verdict.NOT_MEASURED
-    assert found.row("noise").verdict is Verdict.OK
-    assert found.undone_ok
-
-
 def test_a_no_leaves_a_step_out_and_a_yes_to_the_next_one_does_it():
     bus, before, _ = opened()
     asked = []

@@ -186,7 +186,7 @@ def test_the_json_has_every_row_with_its_probabilities(recorded, capsys):
         assert ELSE in row["probabilities"]
 
 
-@pytest.mark.parametrize("other", ["sim:?seed=1", "--flash", "--yes", "--leave-registers"])
+@pytest.mark.parametrize("other", ["sim:?seed=1", "--flash", "--yes"])
 def test_from_excludes_all_that_concerns_a_board(recorded, capsys, other):
     assert main(["bringup", other, "--from", str(recorded("", 4))]) == 2
     assert "--from" in capsys.readouterr().err

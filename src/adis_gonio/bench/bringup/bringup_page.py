@@ -5,7 +5,6 @@ from __future__ import annotations
 from adis_gonio.base.numbers import format_fixed, format_number, with_unit
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.bench.bringup.bringup_step import (
-    MOST_TESTS,
     QUESTIONS,
     Bringup,
     Measured,
@@ -91,10 +90,9 @@ def _limits(found: Bringup) -> Section:
     return Section(
         "Limits and surroundings",
         words=(
-            f"A good board is accused with a probability below {found.false_alarm:g}, which is divided"
-            f" among {MOST_TESTS} comparisons; {found.comparisons} of them were made. Each limit is a"
-            " quantile of the figure's distribution on a good board: normal for means, chi-square for"
-            " variances, exponential for the bins of a spectrum. Faults that are not random have no limit.",
+            "A good board is accused with a probability below 1 in 10 000. Each limit is a quantile of the"
+            " figure's distribution on a good board: normal for means, chi-square for variances,"
+            " exponential for the bins of a spectrum. Faults that are not random have no limit.",
             "± is U (95 %).",
         ),
         notes=(f"Bridge: {bridge}.", f"Original registers: {held or 'not read'}."),

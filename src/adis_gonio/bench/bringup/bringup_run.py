@@ -12,9 +12,7 @@ from typing import Any
 from adis_gonio.base import __version__
 from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.bench.bringup.bringup_step import (
-    FALSE_ALARM,
     QUESTIONS,
-    AlarmBudget,
     Answer,
     Bringup,
     BringupBench,
@@ -66,15 +64,12 @@ class Permission:
         True if registers may be written; each step asks before.
     flash : bool
         True if the flash may be written once.
-    lends : bool
-        True if data-ready may be enabled while scans run, as a stream does.
     ask : callable
         Asks the operator a question before a write; returns True for yes.
     """
 
     writes: bool = False
     flash: bool = False
-    lends: bool = True
     ask: Callable[[str], bool] = lambda question: True
 
 
@@ -125,7 +120,6 @@ class _Run:
         self._variant = variant
         self._permission = permission
         self._tell = tell
-        self._budget = AlarmBudget()
         self._rows: list[StepResult] = []
         self._answers: dict[str, Answer] = {}
         self._bench: BringupBench | None = None
@@ -138,7 +132,7 @@ class _Run:
         with self._until_stopped():
             try:
                 sensor = Adis16354(self._bus, self._variant, check=False)
-                self._bench = BringupBench(self._bus, sensor, self._budget, lends=self._permission.lends)
+                self._bench = BringupBench(self._bus, sensor)
             except AdisGonioError as error:
                 failure = str(error)
         for step in steps:
@@ -225,8 +219,6 @@ class _Run:
             answers=answers,
             undone=undone,
             undone_ok=not unrestored,
-            comparisons=self._budget.spent,
-            false_alarm=FALSE_ALARM,
             stopped=self._stopped,
         )
 

@@ -1,11 +1,10 @@
 """Steps of a bring-up: base class, shared sensor and bus, results, and the document of all results.
 
-All limits follow from one probability of a false alarm for a whole board: a good board is to be accused
-less often than once in 10 000. The probability is divided by the largest number of comparisons of a run
-(Bonferroni), so that the comparisons need not be independent. Each limit is a quantile of the distribution
-of the compared figure on a good board: normal for means, chi-square for variances, exponential for the bins
-of a periodogram. A fault that is not random (a stuck line, a lost edge) has no limit: one occurrence is
-enough.
+Each limit is a quantile of the distribution of the compared figure on a good board: normal for means,
+chi-square for variances, exponential for the bins of a periodogram. One comparison accuses a good board
+with the probability `ALPHA`; a run makes less than 100 comparisons, so that a good board is accused less
+often than once in 10 000, even if the comparisons depend on each other (Bonferroni). A fault that is not
+random (a stuck line, a lost edge) has no limit: one occurrence is enough.
 """
 
 from __future__ import annotations
@@ -90,12 +89,10 @@ accel_nonlinearity | Nonlinearity of the accelerometers? | within 0.2 % of the r
 filter_gain | Noise gain of the filter steps M? | two boxcars of 2^M taps | DS | A
 sample_period | Period of the internal update? | 0.61035 or 18.921 ms × (N + 1) | DS | A
 data_ready_edge | Which edge of the data-ready pulse follows the update? | the first | inferred | C
-data_ready_pulse | Width of the data-ready pulse? | not given | – | ?
 self_test_gyro | Do the gyros answer to both signs of the manual self-test? | yes | DS | B
 self_test_accel | Do the accelerometers answer to the positive sign only? | yes | DS | B
 over_range_falls | Does the over-range bit clear automatically? | yes (DS, p. 20) | DS | A
 alarm_stays | Does an alarm's bit stay until STATUS is read? | yes (DS, p. 20) | DS | B
-over_range_threshold | Threshold of over-range? | not given | – | ?
 flash_count | Does ENDURANCE count a flash update by one? | yes | DS | A
 autonull_duration | Duration of the autonull? | not given | – | ?
     an autonull overwrites the gyros' offsets in flash, which cannot be undone without more writes
@@ -141,8 +138,6 @@ class Outcome(StrEnum):
 
     CONFIRMS = "confirms"
     CONTRADICTS = "contradicts"
-    MEASURED = "measured"
-    """The table has no value, and one was measured."""
     OPEN = "open"
     """The observations do not decide between the table's value and another value."""
     NOT_MEASURED = "not measured"
@@ -300,10 +295,6 @@ class Bringup:
         Sentence on the restored registers.
     undone_ok : bool
         True if every register was read back with its original number.
-    comparisons : int
-        Number of comparisons that were made.
-    false_alarm : float
-        Probability that a good board is accused of anything.
     stopped : bool
         True if the operator ended it early.
     """
@@ -318,8 +309,6 @@ class Bringup:
     answers: Mapping[str, Answer]
     undone: str
     undone_ok: bool
-    comparisons: int
-    false_alarm: float
     stopped: bool = False
 
     def row(self, name: str) -> StepResult:
@@ -364,7 +353,6 @@ class Bringup:
             "format": FORMAT,
             **{name: getattr(self, name) for name in _COPIED},
             "undone": {"verified": self.undone_ok, "text": self.undone},
-            "false_alarm": {"board": self.false_alarm, "comparisons": self.comparisons},
             "steps": [row.as_dict() for row in self.rows],
             "answers": answers,
         }
@@ -392,74 +380,26 @@ class BringupBus(ObservedBus):
         return super()._configure(replace(timing, clock_hz=min(timing.clock_hz, self.ceiling_hz)))
 
 
-FALSE_ALARM = 1e-4
-"""Probability that a good board is accused of anything by any comparison."""
-MOST_TESTS = 256
-"""Largest number of comparisons in a bring-up."""
+ALPHA = 1e-6
+"""Probability that one comparison accuses a good board."""
+Z = 4.9
+"""Largest deviation of a good board from an expected value, in standard uncertainties: by `ALPHA`."""
 
 
-class AlarmBudget:
-    """Divides `FALSE_ALARM` into equal parts, one for each of at most `MOST_TESTS` comparisons.
+def variance_ratio(dof: float) -> tuple[float, float]:
+    """Return the lower and the upper limit of a measured variance divided by the expected variance.
 
-    Attributes
-    ----------
-    spent : int
-        Number of comparisons so far.
+    The measured variance has `dof` degrees of freedom.
     """
+    from scipy.special import gammainccinv, gammaincinv
 
-    def __init__(self) -> None:
-        self.spent = 0
-
-    def alpha(self) -> float:
-        """Return the permitted probability of a false alarm in the next comparison.
-
-        Raises
-        ------
-        RuntimeError
-            All comparisons are used up, which is an error of the program.
-        """
-        if self.spent >= MOST_TESTS:
-            raise RuntimeError(f"more than {MOST_TESTS} comparisons: the false alarm rate does not hold")
-        self.spent += 1
-        return FALSE_ALARM / MOST_TESTS
-
-    def z(self) -> float:
-        """Return the largest permitted deviation from an expected value, in standard uncertainties.
-
-        It is for the next comparison. With normal errors, a good board exceeds it on either side with the
-        permitted probability of a false alarm.
-        """
-        from scipy.special import ndtri
-
-        return float(-ndtri(self.alpha() / 2))
-
-    def variance_ratio(self, dof: float) -> tuple[float, float]:
-        """Return the lower and the upper limit of a measured variance divided by the expected variance.
-
-        They are for the next comparison; the measured variance has `dof` degrees of freedom.
-        """
-        from scipy.special import gammainccinv, gammaincinv
-
-        tail, shape = self.alpha() / 2, dof / 2
-        return float(gammaincinv(shape, tail)) / shape, float(gammainccinv(shape, tail)) / shape
-
-    def highest_bin(self, bins: int) -> float:
-        """Return the limit of the largest of `bins` bins of a periodogram, divided by their mean.
-
-        It is for the next comparison: the largest bin of white noise exceeds it with the permitted
-        probability of a false alarm.
-        """
-        return math.log(bins / self.alpha())
+    tail, shape = ALPHA / 2, dof / 2
+    return float(gammaincinv(shape, tail)) / shape, float(gammainccinv(shape, tail)) / shape
 
 
-def at_most(errors: int, trials: int) -> float:
-    """Return the upper 95 % confidence limit of an error probability, from `errors` errors in `trials`.
-
-    Source: Clopper and Pearson.
-    """
-    from scipy.special import betaincinv
-
-    return 1.0 if errors >= trials else float(betaincinv(errors + 1, trials - errors, 0.95))
+def highest_bin(bins: int) -> float:
+    """Return the limit of the largest bin of a periodogram of white noise, divided by the bins' mean."""
+    return math.log(bins / ALPHA)
 
 
 Floats = NDArray[np.float64]
@@ -529,10 +469,6 @@ class BringupBench:
         The bus, which limits its clock and keeps the calls of the present step.
     sensor : Adis16354
         The sensor.
-    budget : AlarmBudget
-        Gives the limit of each comparison.
-    lends : bool
-        True if data-ready may be enabled.
     blocked : str
         Reason why no further step can measure; empty while steps can.
     clock : float
@@ -547,8 +483,6 @@ class BringupBench:
 
     bus: BringupBus
     sensor: Adis16354
-    budget: AlarmBudget = field(default_factory=AlarmBudget)
-    lends: bool = True
     blocked: str = ""
     clock: float = 1.0
     data_ready: bool = False
@@ -580,9 +514,9 @@ class BringupBench:
     def scans(self, count: int, names: Sequence[str]) -> tuple[ScanBlock, bool]:
         """Read at most `count` scans of the registers `names`; return them, and True if they have no gap.
 
-        Reading ends after `LONGEST_S`. The bridge streams if data-ready may be enabled and works, else it
-        polls. If there are gaps, the longest run without a gap is returned if it has at least half of
-        `count` scans. Otherwise all scans are returned, with False.
+        Reading ends after `LONGEST_S`. The bridge streams if data-ready works, else it polls. If there are
+        gaps, the longest run without a gap is returned if it has at least half of `count` scans. Otherwise
+        all scans are returned, with False.
         """
         blocks: list[ScanBlock] = []
         have, begin_s = 0, self.bus.now_s()
@@ -602,7 +536,7 @@ class BringupBench:
         return replace(scans, words=words, time_s=times, lost=0, missed=None), True
 
     def _stream(self, names: Sequence[str], block_scans: int) -> ScanStream:
-        if self.lends and self.data_ready:
+        if self.data_ready:
             return self.sensor.stream(names, block_scans=block_scans)
         # Data-ready may be enabled, but not wired; polling does not need it.
         now = self.sensor.configuration()

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.bench.bringup.bringup_step import FALSE_ALARM, QUESTIONS, Measured, Outcome, Question
+from adis_gonio.bench.bringup.bringup_step import QUESTIONS, Measured, Outcome, Question
 from adis_gonio.bench.bringup.recorded_chip import SELF_TEST, RecordedChip, RegisterSpan, RestStatistics
 from adis_gonio.device.bus.capture import LogicCapture
 from adis_gonio.device.bus.recording import BusRecording
@@ -50,7 +50,7 @@ from adis_gonio.device.sensor.settings import FAST_BASE_S, SLOW_BASE_S, white_no
 ELSE = "something else"
 PRIOR = {"A": 0.999, "B": 0.99, "C": 0.9, "D": 0.7}
 """Prior probability that a statement of the table is right, by its confidence."""
-ODD_EVENT = FALSE_ALARM
+ODD_EVENT = 1e-4
 """Probability of an event or a figure that contradicts the alternative that is true."""
 DECIDED = 0.01
 """Probability of the table's statement below which it is contradicted.

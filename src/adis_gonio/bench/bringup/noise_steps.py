@@ -9,13 +9,14 @@ from dataclasses import replace
 import numpy as np
 
 from adis_gonio.bench.bringup.bringup_step import (
-    LONGEST_S,
     BringupBench,
     BringupStep,
     Floats,
     Measured,
     SideEffect,
     StepResult,
+    highest_bin,
+    variance_ratio,
 )
 from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, Variant, registers
 from adis_gonio.device.sensor.settings import (
@@ -24,11 +25,9 @@ from adis_gonio.device.sensor.settings import (
     rounding_spectrum,
     scales,
     sens_avg_word,
-    white_noise_gain,
 )
 
 _SCANS = 4096
-_FEW = 512
 BANDS = 6
 HANN_WIDTH = 35 / 18
 """Number of bins of a periodogram with Hann's window that count as one independent bin in a mean."""
@@ -95,11 +94,7 @@ class Noise(BringupStep):
             return found.not_measured("SENS_AVG holds no valid range of the gyros")
         block, whole = bench.scans(_SCANS, names)
         if not whole:
-            block = block.first(_FEW)
-        if len(block) < _FEW // 4:
-            return found.not_measured(
-                f"{len(block)} scans in {LONGEST_S:g} s are too few; a faster SMPL_PRD gives more"
-            )
+            return found.not_measured("the scans have gaps on this bridge, so that they have no spectrum")
         m, rate = configuration.filter_m, configuration.sample_rate_hz
         lsb, _, units = scales(registers(names), sensor.variant, configuration.gyro_range_dps)
         expected = sensor.variant.performance.noise
@@ -107,11 +102,7 @@ class Noise(BringupStep):
         stuck = [name for name, column in zip(names, numbers.T, strict=True) if not np.ptp(column)]
         if stuck:
             return found.fault(f"{', '.join(stuck)} never changes: the axis does not work")
-        if whole:
-            judged = _by_spectrum(bench, numbers, m, rate, expected / lsb)
-        else:
-            spacing = float(np.mean(np.diff(block.time_s))) * rate
-            judged = _by_variance(bench, numbers, m, spacing, expected / lsb)
+        judged = _by_spectrum(sensor.variant, numbers, m, rate, expected / lsb)
         sigma, u = judged.sigma * lsb, judged.u * lsb
         for name, s, d, e, unit in zip(names, sigma, u, expected, units, strict=True):
             found.measure(f"noise of {name}, unfiltered", s, unit, d, e)
@@ -136,9 +127,10 @@ class Noise(BringupStep):
                 )
             )
         mean_mg, mean_dps = float(np.mean(sigma[:3])), float(np.mean(sigma[3:]))
-        tails = ("; spectrum not measured: scans have gaps on this bridge", ", white behind the filter")
-        text = f"{mean_mg:.2f} mg and {mean_dps:.3f} °/s rms unfiltered, as the table says"
-        return found.ok(text + tails[whole])
+        return found.ok(
+            f"{mean_mg:.2f} mg and {mean_dps:.3f} °/s rms unfiltered, as the table says, white behind the"
+            " filter"
+        )
 
 
 class _Judged:
@@ -175,34 +167,15 @@ def floors(part: Variant, expected: Floats) -> Floats:
     return np.asarray(part.performance.floor * expected / part.performance.noise)
 
 
-def _by_variance(bench: BringupBench, numbers: Floats, m: int, spacing: float, expected: Floats) -> _Judged:
-    """Judge the noise of scans with gaps by their variance.
-
-    `numbers` are the scans (n, 6) in LSB, `m` is the filter setting, `spacing` the mean number of periods
-    between scans, and `expected` the noise (6,) in LSB by the variant's figures.
-    """
-    # Over so few octaves the variance of flicker is about twice its floor squared.
-    extra = 2 * floors(bench.sensor.variant, expected) ** 2
-    variance = np.maximum(numbers.var(axis=0, ddof=1) - 1 / 12 - extra, 1e-9)
-    dof = degrees_of_freedom(len(numbers), m, spacing)
-    sigma = np.sqrt(variance) / white_noise_gain(m)
-    judged = _Judged(sigma, sigma / math.sqrt(2 * dof))
-    for k in range(len(sigma)):
-        low, high = bench.budget.variance_ratio(dof)
-        judged.level_off[k] = not low <= (sigma[k] / expected[k]) ** 2 <= high
-    return judged
-
-
-def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, expected: Floats) -> _Judged:
+def _by_spectrum(part: Variant, numbers: Floats, m: int, rate_hz: float, expected: Floats) -> _Judged:
     """Judge the noise of scans without gaps by their spectrum: level, shape and single tones.
 
     `numbers` are the scans (n, 6) in LSB, `m` is the filter setting, `rate_hz` the sample rate, and
-    `expected` the noise (6,) in LSB by the variant's figures. Only frequencies are used at which white
-    noise exceeds rounding and flicker noise.
+    `expected` the noise (6,) in LSB by the figures of the variant `part`. Only frequencies are used at
+    which white noise exceeds rounding and flicker noise.
     """
     cycles, power = spectrum(numbers)
     gain = filter_response(m, cycles)
-    part = bench.sensor.variant
     floor = floors(part, expected)
     # Frequency above which flicker adds at most `_MOST_FLICKER` to the white noise of every axis.
     lowest_hz = float(np.max(flicker(floor, np.ones(1), rate_hz)[0] / (_MOST_FLICKER * expected**2)))
@@ -223,17 +196,17 @@ def _by_spectrum(bench: BringupBench, numbers: Floats, m: int, rate_hz: float, e
     ratio = power[used] / model
     hz = cycles[used] * rate_hz
     for k in range(len(sigma)):
-        low, high = bench.budget.variance_ratio(2 * effective[k])
+        low, high = variance_ratio(2 * effective[k])
         judged.level_off[k] = not low <= level[k] / expected[k] ** 2 <= high
         highest = int(np.argmax(ratio[:, k]))
-        if ratio[highest, k] > bench.budget.highest_bin(len(ratio)):
+        if ratio[highest, k] > highest_bin(len(ratio)):
             # A line of rms r gives about n r² / 3 in its highest bin with Hann's window.
             rms = math.sqrt(3 * power[used][highest, k] / gain[used][highest] / len(numbers))
             judged.tones.append((k, float(hz[highest]), rms))
         # The shape is judged by the means over bands of the spectrum.
         bands = [band for band in np.array_split(ratio[:, k], BANDS) if len(band)]
         for band in bands:
-            low, high = bench.budget.variance_ratio(2 * len(band) / HANN_WIDTH)
+            low, high = variance_ratio(2 * len(band) / HANN_WIDTH)
             if not low <= float(np.mean(band)) <= high and k not in judged.shape_off:
                 judged.shape_off.append(k)
     judged.figures = (Measured("lowest frequency that is judged", float(hz[0]), "Hz"),)

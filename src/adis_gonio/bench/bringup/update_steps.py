@@ -13,14 +13,13 @@ from adis_gonio.base.numbers import signed
 from adis_gonio.bench.bringup.bringup_step import (
     BOARD_CLOCK_U,
     HOST_CLOCK_U,
-    Answer,
     BringupBench,
     BringupStep,
     Floats,
     Measured,
-    Outcome,
     SideEffect,
     StepResult,
+    Z,
 )
 from adis_gonio.device.bus import Capability, Words
 from adis_gonio.device.sensor.registers import BY_NAME, ND, read_frames, timing_for, write_frames
@@ -65,7 +64,10 @@ def measured_period(bench: BringupBench, expected_s: float, updates: int) -> Per
         )
     unbroken = bench.bus.unbroken_frames
     if unbroken is not None and unbroken * frame_s < _UNBROKEN_PERIODS * expected_s:
-        return _by_clock(bench, expected_s, updates)
+        return (
+            f"this bridge runs {unbroken} frames without a pause, too few for updates every"
+            f" {1e3 * expected_s:.2g} ms"
+        )
     spans, looked_s, periods, ends = 0.0, 0.0, 0, 0
     batch = math.ceil(min(updates, 256) * expected_s / frame_s)
     for _ in range(64 + 2 * updates):
@@ -86,34 +88,6 @@ def measured_period(bench: BringupBench, expected_s: float, updates: int) -> Per
     value = spans / periods
     clock_u = BOARD_CLOCK_U if bench.bus.unbroken_frames is not None else HOST_CLOCK_U
     return Period(value, math.hypot(frame_s * math.sqrt(ends / 6) / periods, clock_u * value))
-
-
-def _by_clock(bench: BringupBench, expected_s: float, updates: int) -> Period | str:
-    """Measure the period of the sample updates by many short reads, timed by the clock of the bus.
-
-    `expected_s` is the nominal period, `updates` the number of periods to measure. Each read finds at most
-    one update. If the period cannot be measured, the reason is returned as text.
-    """
-    first = last = 0.0
-    count, longest = -1, 0.0
-    end_s = bench.bus.now_s() + 3 * (updates + 3) * expected_s
-    before_s = bench.bus.now_s()
-    while count < updates:
-        words, _ = bench.repeated(_READ, 1)
-        now_s = bench.bus.now_s()
-        longest, before_s = max(longest, now_s - before_s), now_s
-        if longest > expected_s / 2.5:
-            return (
-                f"this bridge looks every {1e3 * longest:.2g} ms, an update takes {1e3 * expected_s:.2g} ms"
-            )
-        if words[0] & ND:
-            count += 1
-            last = now_s
-            first = first or now_s
-        elif now_s > end_s:
-            return "no update was seen: bit ND never came"
-    value = (last - first) / count
-    return Period(value, math.hypot(longest * math.sqrt(1 / 6) / count, HOST_CLOCK_U * value))
 
 
 def nearest_code(period_s: float) -> int:
@@ -139,7 +113,7 @@ class Rate(BringupStep):
         found.measure("period", 1e6 * period.value_s, "us", 1e6 * period.u_s, 1e6 * expected)
         bench.clock = period.value_s / expected
         off = abs(period.value_s - expected)
-        if off <= bench.budget.z() * period.u_s:
+        if off <= Z * period.u_s:
             return found.ok(f"{rate:.2f} updates a second, as SMPL_PRD says")
         code = nearest_code(period.value_s)
         if sample_period_s(code) != expected:
@@ -227,7 +201,7 @@ class DataReady(BringupStep):
     name = "data-ready"
     does = "enables data-ready, counts edges, starts scans at both edges of the pulse and finds the ND"
     effect = SideEffect.LENDS
-    settles = ("data_ready_edge", "data_ready_pulse")
+    settles = ("data_ready_edge",)
     _scans = 256
     _lists = (16, 8)
     """Numbers of reads in a scan that are tried: 16 is the limit of the firmware, 8 is usual."""
@@ -240,8 +214,6 @@ class DataReady(BringupStep):
             return found.not_measured(
                 "this bridge has no data-ready input (neither streams nor an event counter)"
             )
-        if not bench.lends:
-            return found.not_measured("it would enable data-ready, which --leave-registers forbids")
         configuration = bench.sensor.configuration()
         period = configuration.sample_period_s * bench.clock
         before = bench.sensor.read(_MISC)
@@ -251,7 +223,7 @@ class DataReady(BringupStep):
                 expected, edges = self._count(bench, period)
                 found.measure("edges counted", edges, expected=expected)
                 # Two edges may lie on either side of the span; the bridge's clock is off by so much.
-                slack = 2 + bench.budget.z() * BOARD_CLOCK_U * expected
+                slack = 2 + Z * BOARD_CLOCK_U * expected
                 if edges == 0:
                     return found.not_measured(_NO_EDGE)
                 if abs(edges - expected) > slack:
@@ -375,8 +347,6 @@ class DataReady(BringupStep):
             return found.fault(f"{missed} of {2 * self._scans + missed} edges were missed")
         bench.data_ready = True
         late_us = _delay_us(first, period_s, bench)
-        if second.locked == 1:
-            found.answers["data_ready_pulse"] = _pulse(first, second, period_s, bench)
         if first.usual > 0:
             late = f"the update comes {late_us[0]:.0f} to {late_us[1]:.0f} µs after the pulse's first edge"
             u_us = first.frame_us / math.sqrt(12)
@@ -427,25 +397,6 @@ def _delay_us(edges: _Edges, period_s: float, bench: BringupBench) -> tuple[floa
     if edges.usual > 0:
         return (edges.usual - 1) * edges.frame_us + taken_us, edges.usual * edges.frame_us + taken_us
     return (edges.reads - 1) * edges.frame_us + taken_us - 1e6 * period_s, taken_us
-
-
-def _pulse(first: _Edges, second: _Edges, period_s: float, bench: BringupBench) -> Answer:
-    """Return the width of the data-ready pulse, by the delay of the update after each of its two edges.
-
-    `first` and `second` are scans that start at the first and at the second edge; `period_s` is the sample
-    period.
-    """
-    one, two = (_delay_us(edges, period_s, bench) for edges in (first, second))
-    low, high = one[0] - two[1], one[1] - two[0]
-    if first.usual == second.usual:
-        text = f"pulse or pause below {high:.0f} µs: scans at either edge find the update in one place"
-        return Answer(Outcome.MEASURED, text, (Measured("pulse, upper limit", high, "us"),))
-    width = (low + high) / 2 % (1e6 * period_s)
-    half = (high - low) / 2
-    figure = Measured("pulse", width, "us", half / math.sqrt(3))
-    low, high = max(width - half, 0), width + half
-    text = f"{low:.0f} to {high:.0f} µs, from the position of ND in scans at either edge"
-    return Answer(Outcome.MEASURED, text, (figure,))
 
 
 class SamplePeriods(BringupStep):

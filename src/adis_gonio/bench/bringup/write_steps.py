@@ -14,6 +14,7 @@ from adis_gonio.bench.bringup.bringup_step import (
     Outcome,
     SideEffect,
     StepResult,
+    Z,
 )
 from adis_gonio.device.sensor import registers as table
 from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, BY_NAME, GYRO_OUT
@@ -114,7 +115,7 @@ class SelfTests(BringupStep):
         plus, minus = up - (zero + between) / 2, down - (between + end) / 2
         range_scale = np.array([1.0] * 3 + [0.07326 / lsb[3]] * 3)
         u = _mean_u(bench, _SCANS // 2) * math.sqrt(1.5) * range_scale
-        limit = np.array([bench.budget.z() for _ in names]) * u
+        limit = Z * u
         for sign, values in (("positive", plus), ("negative", minus)):
             for name, value, s, size, unit in zip(names, values, u, lsb, units, strict=True):
                 found.measure(f"{name}, {sign} stimulus", value * size, unit, s * size)
@@ -133,14 +134,13 @@ class SelfTests(BringupStep):
 
 
 class StatusBits(BringupStep):
-    """Tests if bits of STATUS clear when their condition ends, and measures the over-range threshold."""
+    """Tests if bits of STATUS clear when their condition ends."""
 
     name = "status"
     does = "raises an alarm and over-range by registers alone, ends them, and looks at EA and STATUS"
     effect = SideEffect.WRITES
     question = "Write ALM_MAG1, ALM_CTRL and an accelerometer's offset (a second each)?"
-    settles = ("alarm_stays", "over_range_falls", "over_range_threshold")
-    _halvings = 9
+    settles = ("alarm_stays", "over_range_falls")
 
     def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Test if the alarm bit stays until STATUS is read, and if the over-range bit clears."""
@@ -164,7 +164,7 @@ class StatusBits(BringupStep):
         return found.differs("an alarm's bit is not cleared by a read of STATUS") if kept else found
 
     def _over_range(self, bench: BringupBench, found: StepResult) -> None:
-        """Drive one axis over its range by its offset register, and find the threshold by bisection.
+        """Drive one axis over its range by its offset register and back, twice.
 
         The axis is the one along which gravity is largest.
         """
@@ -179,11 +179,10 @@ class StatusBits(BringupStep):
         rest = float(mean[axis]) - held
         reached_mg = abs(rest + end) * part.accel_mg_per_lsb
         # The condition has to be true in every sample, even with the largest noise.
-        needed_mg = 1000 * part.accel_range_g + bench.budget.z() * part.performance.noise_mg
+        needed_mg = 1000 * part.accel_range_g + Z * part.performance.noise_mg
 
         def unknown(why: str) -> None:
-            for question in ("over_range_falls", "over_range_threshold"):
-                found.answer(question, Outcome.NOT_MEASURED, f"not measured: {why}")
+            found.answer("over_range_falls", Outcome.NOT_MEASURED, f"not measured: {why}")
 
         if reached_mg < needed_mg:
             unknown(
@@ -203,24 +202,8 @@ class StatusBits(BringupStep):
         if not over(end):
             unknown(f"{reached_mg:.0f} mg by the offset raise no over-range: it is judged without")
             return
-        bench.wait_updates()
-        bench.alarm_stands()
-        sensor.write(name, held)
-        bench.wait_updates(8)
-        bench.alarm_stands()
-        bench.status()
-        inside, outside = held, end
-        for _ in range(self._halvings):
-            middle = (inside + outside) // 2
-            inside, outside = (inside, middle) if over(middle) else (middle, outside)
-        over(held)
-        threshold = abs(rest + (inside + outside) / 2) * part.accel_mg_per_lsb
-        # One sample over the limit is enough: noise raises the bit some standard deviations below it.
-        u = math.hypot(2 * part.performance.noise_mg, abs(outside - inside) * part.accel_mg_per_lsb)
-        figure = found.measure("over-range threshold", threshold, "mg", u, 1000 * part.accel_range_g)
-        text = f"{threshold:.0f} mg on {ACCEL_OUT[axis]}, judged with its offset; the range is"
-        text += f" {1000 * part.accel_range_g:.0f} mg"
-        found.answer("over_range_threshold", Outcome.MEASURED, text, figure)
+        for number in (held, end, held):
+            over(number)
 
 
 class FlashCount(BringupStep):

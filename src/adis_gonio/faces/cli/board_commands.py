@@ -36,7 +36,6 @@ def _report_files(output: Path) -> tuple[Path, Path]:
 @option.flag("--allow-writes", "--writes", help="Also run the steps that write registers.")
 @option.flag("--flash", help="With --allow-writes: also write the flash once.")
 @option.flag("--yes", help="Answer yes to the question of each step that writes.")
-@option.flag("--leave-registers", help="Write nothing, not even data-ready during the scans.")
 @option.variant
 @option.json
 def bringup_command(
@@ -47,7 +46,6 @@ def bringup_command(
     allow_writes: bool,
     flash: bool,
     yes: bool,
-    leave_registers: bool,
     variant: str,
     as_json: bool,
 ) -> int:
@@ -62,11 +60,11 @@ def bringup_command(
     With --from, and without a URL, files of record: or VCD captures are compared with the rows of the
     register table instead: bringup --from run.rec --from capture.vcd. All files must be of one part.
     """
-    if recordings and not (url or output or allow_writes or flash or yes or leave_registers):
+    if recordings and not (url or output or allow_writes or flash or yes):
         return _judge(recordings, variant, as_json=as_json)
     if recordings or url is None:
         raise UsageError("give the URL of a board, or --from FILE with at most --variant and --json")
-    _check_permission(allow_writes, flash or yes, yes, leave_registers)
+    _check_permission(allow_writes, flash or yes, yes)
     files = () if output is None else _report_files(output)
     from adis_gonio.bench.bringup import Permission, bring_up
     from adis_gonio.device.bus import open_bus
@@ -82,7 +80,7 @@ def bringup_command(
         say(f"{row.verdict:13} {row.name:15} {row.text}", err=as_json, hang=30)
 
     part = find_variant(variant)
-    permission = Permission(allow_writes, flash, not leave_registers, ask)
+    permission = Permission(allow_writes, flash, ask)
     with open_bus(url) as bus:
         found = bring_up(bus, variant=part, permission=permission, tell=tell)
     if files:
@@ -97,11 +95,9 @@ def bringup_command(
     return 0 if found.sound else 1
 
 
-def _check_permission(writes: bool, more: bool, yes: bool, leave_registers: bool) -> None:
+def _check_permission(writes: bool, more: bool, yes: bool) -> None:
     if not writes and more:
         raise UsageError(f"--{'yes' if yes else 'flash'} goes with --allow-writes")
-    if writes and leave_registers:
-        raise UsageError("--leave-registers writes nothing, so it excludes --allow-writes")
     if writes and not (yes or on_terminal()):
         raise UsageError(
             "--allow-writes asks before each step, and standard input is no terminal: add --yes"
