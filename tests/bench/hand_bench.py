@@ -107,10 +107,11 @@ def by_hand(
     path: Path,
     plan_name: str = "four-position",
     positions: int | None = None,
+    settings: Settings = QUICK,
     **hand: object,
 ) -> tuple[list[Event], Hand]:
     """Run a session by hand to its end."""
-    runner = SessionRunner.begin(sensor, path, plan(plan_name, positions), QUICK, fixture_sigma_deg=0.02)
+    runner = SessionRunner.begin(sensor, path, plan(plan_name, positions), settings, fixture_sigma_deg=0.02)
     operator = Hand(sensor, **hand)
     events = []
     for event in runner.run():

@@ -467,7 +467,6 @@ class DwellRecorder(Recorder):
         doubted = self._note_doubts(number)
         ledger.use_attempt(place, number)
         self._knowledge.learn(place, recording.position, scans, doubted=doubted)
-        self._note_turn(number)
         mean = vector(scans.accel_mg.mean(axis=0))
         yield DwellDone(
             place, recording.position, number, len(scans), scans.lost, mean, count_alarms(scans)
@@ -479,20 +478,6 @@ class DwellRecorder(Recorder):
         running = self._knowledge.running()
         if running is not None and ledger.done.get(place) == number:
             yield running
-
-    def _note_turn(self, number: int) -> None:
-        """Record the turn of the sensor since the previous dwell, as integrated from the gyros.
-
-        `number` is the attempt of the dwell after the turn. The turn cannot be computed from the archive,
-        which lacks the samples during questions.
-        """
-        judge, done = self._knowledge.judge, self._ledger.done
-        watched = None if judge is None else judge.last_turn()
-        if watched is not None and watched[0] in done:
-            since, turn = watched
-            angle = [float(angle) for angle in turn.angle_deg]
-            kept = {"attempt": number, "since": done[since], "angle_deg": angle, "u_deg": turn.zero_u_deg}
-            self._ledger.note("turned", kept)
 
     # -- guards ---------------------------------------------------------------------------------------
 

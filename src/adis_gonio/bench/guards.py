@@ -20,7 +20,7 @@ from adis_gonio.base.numbers import counted, format_uncertain, signed
 from adis_gonio.base.uncertainty import NORMAL_95
 from adis_gonio.bench.events import GuardKind, TurnMeasured
 from adis_gonio.fitting.slips import Angles, Diagnosis, Increments, PositionFinding, diagnose
-from adis_gonio.fitting.slips.session_positions import LARGEST, MEANINGS, UNMOVED
+from adis_gonio.fitting.slips.session_positions import LARGEST, MEANINGS
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.record.blocks import Block, session_columns, session_series
@@ -569,8 +569,6 @@ def _diagnosis_text(
     names = " or ".join(
         dict.fromkeys(_AT_BENCH.get(named.name, MEANINGS[named.name]) for named in found.names)
     )
-    if found.unmoved:
-        names = UNMOVED
     if found.finding == "gravity_wrong":
         return f"the gyro turned as requested, but gravity does not agree: {names}"
     if found.finding == "swapped":
@@ -680,14 +678,6 @@ class Judge:
         self._turned = (None, None)
         self._learn(self._taken[-1])
         self.turning.rest(scans)
-
-    def last_turn(self) -> tuple[int, GyroIntegral] | None:
-        """Return the place where the turn before the newest dwell began, and this turn by the gyros.
-
-        Returns None if the turn was not followed.
-        """
-        last = self._taken[-1] if self._taken else None
-        return None if last is None or last.turn is None or last.since is None else (last.since, last.turn)
 
     def forget_turn(self) -> None:
         """Discard the turn since the last dwell, because it was not followed completely."""

@@ -403,7 +403,6 @@ RECORDS: Mapping[str, Shape] = {
         {"round": _COUNT, "positions": _COUNT, "reasons": _TEXTS},
         others=anything,
     ),
-    "turned": fields({"attempt": _COUNT, "since": _COUNT, "angle_deg": _VECTOR, "u_deg": _ANGLE}),
     "reversed": truth_value,
     "skipped": _COUNT,
     "withdrawn": _COUNT,

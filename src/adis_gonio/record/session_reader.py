@@ -184,7 +184,6 @@ def read_session(path: str | Path) -> Session:
         joined = [join(view.blocks(attempt, "dwell")) for attempt in stored]
         facts = _facts(view) | {
             "advised": [record.value for record in view.records("advised")],
-            "turned": [record.value for record in view.records("turned")],
             "reversed": bool(view.last("reversed")),
             "doubts": view.doubts() + _changed_registers(view),
             "complete": not pending,

@@ -60,8 +60,6 @@ MEANINGS: dict[Name, str] = {
     "gyro_wrong": "the gyro lost this turn",
 }
 
-UNMOVED = "the part was not moved"
-
 SIZED: frozenset[Name] = frozenset({"mistyped", "misset", "slipped"})
 """Names of faults that have one free size: an error of one position, or of a position and all later
 ones."""
@@ -116,8 +114,6 @@ class PositionFinding:
     names : tuple of Named
         The smallest set of names with 95 % of that probability, the most probable first. An error of the
         first or the last position has the same effect as a slip next to it.
-    unmoved : bool
-        True if the reading equals the one at the position before, which has another declared angle.
     """
 
     position: int
@@ -131,7 +127,6 @@ class PositionFinding:
     others: tuple[int, ...]
     probability: float
     names: tuple[Named, ...]
-    unmoved: bool = False
 
     @property
     def correction(self) -> str | None:
@@ -190,8 +185,6 @@ class PositionFinding:
     @property
     def _named(self) -> str:
         """Text with the most probable cause, then the other possible causes at this or another position."""
-        if self.unmoved:
-            return f"{UNMOVED}: its reading equals the one at the position before"
         # If one angle differs from all others, all others differ from it by the opposite.
         by = f"by {_signed((-self.error_deg[0], self.error_deg[1]))}"
         own, elsewhere = [_meaning(self.finding, self.position)], dict[int, list[str]]()
@@ -496,19 +489,7 @@ class _Account:
             tuple(others),
             probability,
             names,
-            name in SIZED and not others and self._unmoved(k),
         )
-
-    def _unmoved(self, k: int) -> bool:
-        """Return True if positions k and k − 1 have equal readings and different declared angles."""
-        rows = self.rows
-        if not k:
-            return False
-        here = slice(k - 1, k + 1)
-        u = math.sqrt(float(np.diag(rows.noise)[here].sum()) + 2 * self.scatter.reading**2)
-        turned = wrap_radians(np.diff(rows.seen_rad[here] - rows.declared_rad[here]))
-        declared = wrap_radians(np.diff(rows.declared_rad[here]))
-        return abs(float(turned[0])) <= 3 * u < abs(float(declared[0]))
 
     def _intended(self, k: int, name: Name, declared: float, actual: Angle) -> float | None:
         """Return the angle in degrees that the operator probably meant to enter; None if unknown.
@@ -659,9 +640,8 @@ def angles_of(session: Session) -> Angles | None:
 
 
 def _increments(session: Session, readings: Readings) -> Increments | None:
-    noted = _noted(session)
     turns = {(turn.before, turn.position): turn for turn in session.turns if turn.gyro is not None}
-    if session.accel_unit == "counts" or not (turns or noted):
+    if session.accel_unit == "counts" or not turns:
         return None
     try:
         rests = session.once(gyro_dwells_of)
@@ -679,24 +659,7 @@ def _increments(session: Session, readings: Readings) -> Increments | None:
             found = None if path is None else _turned(path, rests)
             rows[k] = np.nan if found is None else found
             halts[k] = None if path is None or found is None else halts_of(path, rests.sampling)
-        if not np.isfinite(rows[k, 0]) and pair in noted:
-            rows[k] = (*noted[pair], 0.0, 0.0)
     return Increments(np.radians(rows[:, 0]), np.radians(rows[:, 1]), rows[:, 2:], tuple(halts))
-
-
-def _noted(session: Session) -> dict[tuple[int, int], tuple[float, float]]:
-    """Return the turns about z that the program measured while the session ran: angle and u in degrees.
-
-    They serve for turns without recorded samples. The keys are the indices of the dwells before and
-    after a turn. The u includes the effect of the g-sensitivity.
-    """
-    dwells = session.facts.get("dwells") or []
-    number = {entry["attempt"]: k for k, entry in enumerate(dwells)}
-    return {
-        (number[entry["since"]], number[entry["attempt"]]): (entry["angle_deg"][2], entry["u_deg"])
-        for entry in session.facts.get("turned") or []
-        if entry["since"] in number and entry["attempt"] in number
-    }
 
 
 def _turned(path: turn_integration.Path, rests: GyroDwells) -> tuple[float, float, float, float] | None:
