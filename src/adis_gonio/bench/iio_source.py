@@ -11,7 +11,6 @@ import re
 import time
 from collections.abc import Mapping
 from dataclasses import field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,12 +19,10 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import AdisGonioError, CannotOpenError, ProtocolError, UsageError
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.bench.iio_devices import (
+    LOCAL,
     PORT,
     TIMESTAMP,
-    BufferLayout,
     IioDevice,
-    LocalDevice,
-    NetworkDevice,
     choose_channels,
     local_accelerometers,
 )
@@ -47,13 +44,10 @@ PATIENCE_S = 5.0
 RATES_HZ = (1e-3, 1e6)
 """Sample rates in Hz that a device may state: a sample each 17 minutes to one each microsecond."""
 
-BUFFER_BLOCKS = 4
-"""Size of the device's buffer in blocks of samples."""
-
 NO_FAULTS = "the sensor reports no errors or alarms, so a fault within a dwell is not detected"
 """Text for the user: IIO has no common interface for errors and alarms."""
 
-_OPTIONS = ("poll", "rate", "root")
+_OPTIONS = ("poll", "rate")
 _NETWORK = re.compile(r"ip:(?P<host>\[[^]]+\]|[^:/]+)(?::(?P<port>\d{1,5}))?(?:/(?P<device>.*))?")
 
 
@@ -116,22 +110,21 @@ class IioSource(SampleSource):
         self.url = url
         self._device = device
         self._zero_s = time.monotonic()
-        facts = device.facts()
-        self.channels = choose_channels(facts.channels, url)
-        self._time = next((c for c in facts.channels if c.id == TIMESTAMP and c.format), None)
-        if poll_hz is None and any(channel.format is None for channel in self.channels):
-            raise CannotOpenError(f"{url}: {facts.name} has no buffer for all of its axes: add ?poll=HZ")
-        rate = poll_hz or rate_hz or facts.rate_hz
+        self.channels = choose_channels(device.channels, url)
+        self._time = next((c for c in device.channels if c.id == TIMESTAMP and c.dtype), None)
+        if poll_hz is None and any(channel.dtype is None for channel in self.channels):
+            raise CannotOpenError(f"{url}: {device.name} has no buffer for all of its axes: add ?poll=HZ")
+        rate = poll_hz or rate_hz or device.rate_hz
         if rate is None:
-            raise CannotOpenError(f"{url}: {facts.name} lacks sampling_frequency: add ?rate=HZ")
+            raise CannotOpenError(f"{url}: {device.name} lacks sampling_frequency: add ?rate=HZ")
         low, high = RATES_HZ
         if not low <= rate <= high:
             raise CannotOpenError(
-                f"{url}: {facts.name} states {rate:g} samples a second; {low:g} to {high:g} can be read"
+                f"{url}: {device.name} states {rate:g} samples a second; {low:g} to {high:g} can be read"
             )
         self.measuring = IioMeasuring(
             rate,
-            facts.name,
+            device.name,
             poll_hz is None,
             {channel.id: channel.scale for channel in self.channels},
             {channel.id: channel.offset for channel in self.channels},
@@ -209,27 +202,21 @@ class BufferedSamples(IioStream):
     def __init__(self, source: IioSource, block_samples: int) -> None:
         super().__init__(source, block_samples)
         stamp = source._time
-        self._layout = BufferLayout([*source.channels, *([stamp] if stamp else [])])
         self._stamped = stamp is not None
         self.how = "scans by the device's own clock; " + (
             "lost ones show in their times" if stamp else "it gives no times, so lost ones cannot be seen"
         )
-        self._rest = b""
         self._first_ns: int | None = None
         self._last_ns: int | None = None
         self._begin_s = 0.0
         self._count = 0
-        self._device.open_buffer(self._layout.channels, BUFFER_BLOCKS * block_samples)
+        self._patience_s = max(PATIENCE_S, 3 * block_samples * self._period_s)
+        channels = [*source.channels, *([stamp] if stamp else [])]
+        self._device.open_buffer(channels, block_samples, self._patience_s)
 
     def _next(self) -> ValueBlock:
-        size, patience_s = self._layout.size, max(PATIENCE_S, 3 * self._block * self._period_s)
-        while len(self._rest) < self._block * size:
-            missing = self._block * size - len(self._rest)
-            # Whole scans are requested, but a device node may still split one.
-            self._rest += self._device.read_buffer(-(-missing // size) * size, patience_s)
-        data, self._rest = self._rest[: self._block * size], self._rest[self._block * size :]
-        numbers = self._layout.numbers(data)
-        count = self._block
+        numbers = self._device.read_buffer(self._patience_s)
+        count = len(numbers[self._source.channels[0].id])
         if self._count == 0:
             self._begin_s = self._source.now_s() - count * self._period_s
         if self._stamped:
@@ -305,14 +292,13 @@ def open_from_url(url: BusUrl) -> IioSource:
     """
     UrlOptions(url, _OPTIONS)  # refuses other options
     poll_hz, rate_hz = (_hertz(url, name) for name in ("poll", "rate"))
-    device: IioDevice
+    context, name = LOCAL, url.place
     if url.place.startswith("ip:"):
         found = _NETWORK.fullmatch(url.place)
         if found is None or not 0 < int(found["port"] or PORT) < 1 << 16:
             raise UsageError(f"'{url.text}': write iio:ip:HOST/DEVICE or iio:ip:HOST:PORT/DEVICE")
-        device = NetworkDevice(found["host"].strip("[]"), int(found["port"] or PORT), found["device"] or "")
-    else:
-        device = LocalDevice(url.place, Path(url.options.get("root", "/")))
+        context, name = f"ip:{found['host']}:{found['port'] or PORT}", found["device"] or ""
+    device = IioDevice(f"iio:{url.place}", context, name)
     try:
         return IioSource(url.text, device, poll_hz=poll_hz, rate_hz=rate_hz)
     except AdisGonioError:
@@ -320,14 +306,11 @@ def open_from_url(url: BusUrl) -> IioSource:
         raise
 
 
-def find_devices(root: Path = Path("/")) -> list[Device]:
-    """List the accelerometers of this machine; devices of other machines have to be named by address.
-
-    `root` is the folder with /sys and /dev.
-    """
+def find_devices() -> list[Device]:
+    """List the accelerometers of this machine; devices of other machines have to be named by address."""
     return [
         Device(f"iio:{name.removeprefix('iio:')}", f"IIO accelerometer {label}: samples, no registers")
-        for name, label in local_accelerometers(root)
+        for name, label in local_accelerometers()
     ]
 
 

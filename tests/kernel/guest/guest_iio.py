@@ -33,9 +33,9 @@ def sensor() -> Iterator[HidAccelerometer]:
 
 
 def state() -> dict[str, str]:
-    """What a reader may change."""
+    """What a reader changes and libiio sets back."""
     (device,) = DEVICES.glob("iio:device*")
-    files = [*(device / "scan_elements").glob("*_en"), device / "buffer/enable", device / "buffer/length"]
+    files = [*(device / "scan_elements").glob("*_en"), device / "buffer/enable"]
     return {str(file.relative_to(device)): file.read_text() for file in files}
 
 

@@ -31,7 +31,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.errors import AdisGonioError, SilentChipError, UsageError
-from adis_gonio.bench.iio_devices import aligned_dtype
 from adis_gonio.device.sensor import Adis16354, ScanBlock, registers as register_table
 from adis_gonio.device.sensor.settings import Configuration, low_pass_3db_hz, sample_period_s, scales
 from adis_gonio.faces.serve.iiod_protocol import Errno, Refused
@@ -668,7 +667,7 @@ def _text(value: float) -> str:
 
 @dataclass(frozen=True)
 class ScanFormat:
-    """The channels that a client has enabled, and the layout of its scans (`aligned_dtype`).
+    """The channels that a client has enabled, and the layout of its scans.
 
     Attributes
     ----------
@@ -694,8 +693,19 @@ class ScanFormat:
 
     @cached_property
     def dtype(self) -> np.dtype[np.void]:
-        """Numpy type of one scan, with a field for each channel."""
-        return aligned_dtype({channel.id: channel.dtype for channel in self.channels})
+        """Numpy type of one scan, with a field for each channel, in the layout of the kernel and libiio.
+
+        Each sample begins at a multiple of its size, and the size of a scan is a multiple of its largest
+        sample.
+        """
+        formats = [np.dtype(channel.dtype) for channel in self.channels]
+        offsets, end = [], 0
+        for one in formats:
+            offsets.append(end + -end % one.itemsize)
+            end = offsets[-1] + one.itemsize
+        size = end + -end % max(one.itemsize for one in formats)
+        names = [channel.id for channel in self.channels]
+        return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
 
     def pack(self, numbers: NDArray[np.int32], time_ns: NDArray[np.int64]) -> NDArray[np.void]:
         """Pack `numbers` (n, registers of the device) and times (n,) into scans (n,) of this format."""
