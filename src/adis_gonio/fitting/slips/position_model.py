@@ -13,10 +13,7 @@ The rows are linear around a calibration of the session that is near the truth:
 δ are gains, misalignment, biases and every other effect of the catalogue that may be in the readings, each
 with its prior. s and the g-sensitivity belong to the gyro. Effects that turn the part act on e.
 
-A change that lasts from a position on may have happened during the move before it, or after the stage had
-arrived. In the second case the part rested at the declared angle and then turned on by exactly the error
-(`Halts`). For an error of the first or of the last position only this separates a slip from a wrong entry,
-because the angles themselves are equal.
+An error of the first or of the last position has the same angles as a slip next to it.
 
 | name | the part is at θ + e with |
 |---|---|
@@ -35,7 +32,7 @@ names predict the same readings, the priors alone decide, and the set of names r
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -44,95 +41,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats, cumulative_integral, wrap_radians
+from adis_gonio.base.arrays import Floats, wrap_radians
 from adis_gonio.fitting.estimation.terms import typical_terms
-from adis_gonio.fitting.gyros.turn_integration import Path, Sampling
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import PlanarTurn
-
-SLOW_DPS = 3.0
-"""Mean rate over a tenth of a second, in °/s, below which a turning hand rests: its tremor is one or two
-degrees per second."""
-LEAST_S = 0.15
-"""Shortest rest in s; a hand that changes its grip, or looks at a mark, rests longer."""
-AFTERWARDS = 0.5
-"""Prior probability that a slip happens after the stage has stopped, so that the sensor rests before it
-slips."""
-NEAR_MARK, ASTRAY = 0.05, 0.1
-"""Distance from the mark within which hands rest to correct themselves, and the farthest overshoot, both as
-a share of the move."""
-ORDINARY = (0.5, 0.45, 0.05)
-"""Shares of the rests in a move without a slip that are near its end, anywhere on its way, anywhere at
-all.
-"""
-REST_GAIN, LEAST_RAD = 0.02, math.radians(0.1)
-"""Standard uncertainty of the angle from a rest to the end of a turn by a gyro: as a share of the angle,
-and its minimum in rad."""
-
-
-@dataclass(frozen=True)
-class Halts:
-    """Rests of the sensor during one turn from a position to the next.
-
-    Attributes
-    ----------
-    left_rad : (m,) float
-        Rotation of the sensor from each rest to the end of the turn, in the direction of declared angles.
-    turned_rad : float
-        Rotation of the sensor over the whole turn.
-    """
-
-    left_rad: Floats
-    turned_rad: float
-
-    def log_odds(self, error_rad: Floats, u_rad: Floats) -> Floats:
-        """Return the log likelihood ratio (g,) of a slip in this turn to no slip, given the rests in it.
-
-        Parameters
-        ----------
-        error_rad, u_rad : (g,) float
-            Possible sizes of the slip, and their standard uncertainties.
-        """
-        m = len(self.left_rad)
-        if not m:
-            return np.full(len(error_rad), math.log(1 - AFTERWARDS))
-        # Density of each rest if it is the arrival before a slip of this size.
-        spread = np.sqrt(2 * u_rad**2 + LEAST_RAD**2 + (REST_GAIN * error_rad) ** 2)
-        off = (self.left_rad[:, None] - error_rad) / spread
-        arrived = np.exp(-0.5 * off**2) / (spread * math.sqrt(2 * math.pi))
-        ratio = (arrived / self._ordinary()[:, None]).sum(axis=0) / m
-        return np.asarray(np.log(1 - AFTERWARDS + AFTERWARDS * ratio))
-
-    def _ordinary(self) -> Floats:
-        """Return the probability density (m,) per rad of each rest's angle, in a move without a slip."""
-        size = max(abs(self.turned_rad), LEAST_RAD)
-        left = self.left_rad * np.sign(self.turned_rad) if self.turned_rad else self.left_rad
-        sd = math.hypot(NEAR_MARK * size, LEAST_RAD)
-        # Mixture: near the end of the move, anywhere on its way, anywhere at all.
-        near = np.exp(-0.5 * (left / sd) ** 2) / (sd * math.sqrt(2 * math.pi))
-        on_its_way = (left > -ASTRAY * size) & (left < (1 + ASTRAY) * size)
-        even = on_its_way / ((1 + 2 * ASTRAY) * size)
-        a, b, c = ORDINARY
-        return np.asarray(a * near + b * even + c / (2 * math.pi))
-
-
-def halts_of(path: Path, sampling: Sampling) -> Halts:
-    """Return the rests of the sensor between its first and last movement in a recorded turn about z."""
-    rate = path.rate_dps[:, 2] - path.zero_dps[:, 2].mean()
-    turned = cumulative_integral(rate, path.time_s)
-    width = min(sampling.window, len(rate))
-    slow = np.abs(np.convolve(rate, np.full(width, 1 / width), mode="same")) < SLOW_DPS
-    moving = np.flatnonzero(~slow)
-    if not moving.size:
-        return Halts(np.zeros(0), math.radians(float(turned[-1])))
-    least = max(1, round(LEAST_S / sampling.period_s))
-    inner = slow[moving[0] : moving[-1] + 1]
-    # Begin and end of each run of slow samples between the first and the last motion.
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], inner, [False]]).astype(np.int8)))
-    begins, ends = edges[::2], edges[1::2]
-    # The end of a rest counts, because a hand's corrections after the arrival are slow as well.
-    at = moving[0] + ends[ends - begins >= least] - (least + 1) // 2
-    return Halts(np.radians(turned[-1] - turned[at]), math.radians(float(turned[-1])))
 
 
 @dataclass(frozen=True)
@@ -150,15 +62,11 @@ class Increments:
     force_gs : (n - 1, 2) float
         Integral over the turn of the readings of X and Y minus their mean at rest, in g·s: a g-sensitivity
         of 1 rad/s/g changes the angle by this.
-    halts : tuple of (Halts or None)
-        Rests during each turn; None for a turn of which only the whole angle is known. Empty if no turn has
-        rests.
     """
 
     angle_rad: Floats
     u_rad: Floats
     force_gs: Floats
-    halts: tuple[Halts | None, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -262,8 +170,6 @@ class Rows:
         Declared angle θ of each dwell; the angle by gravity for a dwell without one.
     declared : (n,) bool
         True for dwells with a declared angle.
-    halts : mapping of int to Halts
-        Rests in the turn before a dwell, by index of the dwell, if known.
     """
 
     seen_rad: Floats
@@ -280,7 +186,6 @@ class Rows:
     course: Floats
     declared_rad: Floats
     declared: NDArray[np.bool_]
-    halts: Mapping[int, Halts]
 
     def __len__(self) -> int:
         return len(self.declared)
@@ -290,7 +195,7 @@ class Rows:
         n = 2 * len(self)
         return replace(
             self, gyro_rad=self.gyro_rad[:0], turn=self.turn[:0], design=self.design[:n],
-            by_error=self.by_error[:n], noise=self.noise[:n, :n], reading=self.reading[:n], halts={},
+            by_error=self.by_error[:n], noise=self.noise[:n, :n], reading=self.reading[:n],
         )  # fmt: skip
 
     def observed(self, error_rad: Floats, zero_rad: float) -> Floats:
@@ -420,7 +325,6 @@ def rows_at(angles: Angles, calibration: Floats) -> Rows:
             noise[own + a * n, own + b * n] = pairs[:, a, b]
     noise[2 * n + np.arange(g), 2 * n + np.arange(g)] = gyro_u**2
     gone = angles.conditions.time_s - angles.conditions.time_s.min()
-    halts = () if angles.turns is None else angles.turns.halts
     return Rows(
         wrap_radians(seen_by + theta),
         (near.across * near.left_mg).sum(axis=1),
@@ -436,7 +340,6 @@ def rows_at(angles: Angles, calibration: Floats) -> Rows:
         gone / max(float(gone.max()), 1e-300),
         theta,
         declared,
-        {k: one for k, one in enumerate(halts, 1) if one is not None},
     )
 
 
@@ -643,10 +546,7 @@ def _slipped(rows: Rows, seen: Floats) -> Iterator[Pattern]:
         zero = common_zero(seen[declared & ~later])
         amplitude = -float(wrap_radians(np.array(common_zero(seen[declared & later]) - zero)))
         unit = later.astype(float)
-        halts = rows.halts.get(k)
-        names: Names = {
-            "slipped": (prior, _any_size if halts is None else partial(_slip_after_rests, halts))
-        }
+        names: Names = {"slipped": (prior, _any_size)}
         yield Pattern((k,), amplitude * unit, rows.by_error @ unit[:, None], unit, amplitude, names, zero)
 
 
@@ -717,11 +617,6 @@ def _any_size(estimate: Floats, u: Floats) -> Floats:
     size = np.maximum(np.maximum(np.abs(wrap_radians(estimate)), u), LEAST_SLIP_RAD)
     density = 1 / (2 * size * (1 + math.log(math.pi / LEAST_SLIP_RAD)))
     return np.asarray(np.log(density * u * math.sqrt(2 * math.pi)))
-
-
-def _slip_after_rests(halts: Halts, estimate: Floats, u: Floats) -> Floats:
-    """Return the log likelihood (g,) of a slip as `_any_size` does, given also the rests in the turn."""
-    return _any_size(estimate, u) + halts.log_odds(wrap_radians(estimate), u)
 
 
 def _typing_error(listed_rad: Floats, declared_deg: float, estimate: Floats, u: Floats) -> Floats:

@@ -34,13 +34,11 @@ from adis_gonio.fitting.slips.position_model import (
     ACCUSED,
     BASE,
     Angles,
-    Halts,
     Increments,
     Name,
     Pattern,
     Rows,
     calibrate_by_length,
-    halts_of,
     patterns_of,
     possible_entries,
     rows_at,
@@ -651,15 +649,13 @@ def _increments(session: Session, readings: Readings) -> Increments | None:
     pairs = list(zip(readings.position[:-1].tolist(), readings.position[1:].tolist(), strict=True))
     # Angle, u and both forces of each turn; NaN without a record.
     rows = np.full((len(pairs), 4), np.nan)
-    halts: list[Halts | None] = [None] * len(pairs)
     for k, pair in enumerate(pairs):
         if pair in turns and by_position.keys() >= set(pair):
             ends = [rests.dwells[by_position[position]] for position in pair]
             path = turn_integration.path_between(session, turns[pair], *ends)
             found = None if path is None else _turned(path, rests)
             rows[k] = np.nan if found is None else found
-            halts[k] = None if path is None or found is None else halts_of(path, rests.sampling)
-    return Increments(np.radians(rows[:, 0]), np.radians(rows[:, 1]), rows[:, 2:], tuple(halts))
+    return Increments(np.radians(rows[:, 0]), np.radians(rows[:, 1]), rows[:, 2:])
 
 
 def _turned(path: turn_integration.Path, rests: GyroDwells) -> tuple[float, float, float, float] | None:
