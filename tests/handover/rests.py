@@ -30,7 +30,7 @@ def rests(count: int, seconds: float, *, gyros: bool = True, noisy: Case = NOISY
 def rests_csv(path: Path) -> Path:
     """A CSV of two long rests, written to a path."""
     head = (
-        "# accel_unit: mg\n# gyro_unit: dps\n# reading_u_mg: 0.1\n"
+        "# accel_unit: mg\n# gyro_unit: dps\n# reading_u_mg: 0.1\n# filter_m: 0\n"
         "time_s,position,angle_deg,ax,ay,az,gx,gy,gz"
     )
     rows = [

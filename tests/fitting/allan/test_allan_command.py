@@ -32,7 +32,7 @@ def run(capsys, *words):
 
 
 def test_the_table_fits_80_columns_and_names_value_u_and_limits(recording, capsys):
-    status, out, _ = run(capsys, "allan", recording)
+    status, out, _ = run(capsys, "allan", recording, "--filter", 2)
     assert status == 0
     assert max(map(len, out.splitlines())) <= 80
     assert "Noise at rest of the gyros of left alone (adis16354)" in out
@@ -62,7 +62,7 @@ def test_the_json_is_one_document_and_nothing_else(recording, capsys):
 
 
 def test_the_page_stands_alone(recording, capsys, tmp_path):
-    status, _, err = run(capsys, "allan", recording, "-o", tmp_path / "noise.html")
+    status, _, err = run(capsys, "allan", recording, "--filter", 2, "-o", tmp_path / "noise.html")
     assert status == 0
     assert "noise.html, " in err
     page = (tmp_path / "noise.html").read_text("utf-8")
@@ -76,6 +76,7 @@ def test_the_page_stands_alone(recording, capsys, tmp_path):
     ("words", "status", "told"),
     [
         (["no.csv"], 1, "there is no such file"),
+        (["rest.csv"], 1, "add '# filter_m: M' or give --filter M"),
         (["rest.csv", "--sensor-part", "mag"], 2, "'gyro', 'accelerometer'"),
         (["accel.csv"], 1, "there are no gyros (gx, gy, gz): give --sensor-part accelerometer"),
         (["short.csv"], 1, "noise needs 128"),

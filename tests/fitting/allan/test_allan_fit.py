@@ -82,15 +82,17 @@ def test_the_random_walk_is_allantools_deviation_at_one_second():
         assert axis["white"].value.value == pytest.approx(deviation[0], rel=4 / math.sqrt(2 * dof))
 
 
-def test_a_filter_that_the_file_does_not_say_is_told_by_the_spectrum():
+def test_a_filter_that_the_file_does_not_say_is_asked_for():
     case = Case({"white": 0.05, "flicker": 0.01}, 1 << 14, 3)
     gyro = samples(case, 9)
-    blind, told = fit_allan(still(gyro)), known(case, gyro)
-    assert (blind.filter_m, blind.filter_known) == (3, False)
+    told = known(case, gyro)
     assert (told.filter_m, told.filter_known) == (3, True)
-    assert "M = 3 by the spectrum" in blind.notes[0]
-    assert blind["x"]["white"].value == told["x"]["white"].value
     assert fit_allan(still(gyro), filter_m=3)["x"]["white"].value == told["x"]["white"].value
+    with pytest.raises(DataError, match="does not state the chip's filter"):
+        fit_allan(still(gyro))
+    other = fit_allan(replace(still(gyro), sensor="generic", gyro_unit="dps"))
+    assert (other.filter_m, other.filter_known) == (0, False)
+    assert "no filter is known" in other.notes[0]
 
 
 def test_rounding_to_a_coarse_step_is_no_random_walk():

@@ -244,8 +244,6 @@ _BANDS = ((0.04, 0.3), (0.3, 1.0))
 """Bands in which the noise of records is compared, as shares of the highest fitted frequency; the slow
 noise is below them."""
 _LOUDER = 1.1
-_TRIAL = 1 << 16
-"""Largest number of samples used to find a filter setting that the file does not state."""
 
 
 @solvable
@@ -266,30 +264,29 @@ def fit_allan(session: Session, part: Part = "gyro", *, filter_m: int | None = N
     part : {"gyro", "accelerometer"}
         Sensors to fit the noise of.
     filter_m : int, optional
-        Parameter M of the chip's filter, 0 to 6. By default it is the value that the session states. If the
-        session states none, it is the value that the spectrum shows for an ADIS1635x, and 0 (no filter) for
-        any other sensor.
+        Parameter M of the chip's filter, 0 to 6. By default it is the value that the session states, or 0
+        (no filter) for a sensor other than an ADIS1635x.
 
     Raises
     ------
     UsageError
         No such part or filter.
     DataError
-        Nothing at rest, or too short.
+        Nothing at rest, too short, or the filter of an ADIS1635x is unknown.
     """
     if filter_m is not None and not 0 <= filter_m <= MOST_M:
         raise UsageError(f"filter M is {filter_m}: give 0 to {MOST_M}")
     rests = rests_of(session, part)
     stated = rests.filter_m if filter_m is None else filter_m
-    chip = session.sensor in VARIANTS
-    m, notes = stated, list(rests.notes)
-    if m is None:
-        m = _filter_seen(rests) if chip else 0
-        notes.append(
-            f"the file does not state the chip's filter: M = {m} by the spectrum; --filter states it"
-            if chip
-            else "no filter is known: fitted in the band that these noises explain"
-        )
+    notes = list(rests.notes)
+    if stated is None:
+        if session.sensor in VARIANTS:
+            where = session.source or session.title or "session"
+            raise DataError(
+                f"{where}: does not state the chip's filter: add '# filter_m: M' or give --filter M"
+            )
+        notes.append("no filter is known: fitted in the band that these noises explain")
+    m = stated or 0
     share = current().share
     found = []
     for axis in range(rests.axes):
@@ -349,22 +346,6 @@ def _highest(m: int) -> float:
         return 0.5
     grid = np.linspace(0.0, 0.5**m, 2049)
     return float(grid[filter_response(m, grid) >= _PASSED].max())
-
-
-def _filter_seen(rests: Rests) -> int:
-    """Return the parameter M of the chip's filter under which the samples are most likely."""
-    record = max(rests.records, key=len)[:_TRIAL]
-    losses = np.zeros(MOST_M + 1)
-    for axis in range(rests.axes):
-        flat = _flat(record[:, axis])
-        for m in range(MOST_M + 1):
-            if 8 << m > len(record):
-                losses[m] = np.inf
-                continue
-            rounding, _ = _rounding([flat], float(rests.step[axis]), m)
-            data = ordinates(flat, m, rests.period_s, rounding, np.zeros(0, np.intp))
-            losses[m] += Likelihood(data, (0,)).best()[1]
-    return int(losses.argmin())
 
 
 @dataclass(frozen=True)
