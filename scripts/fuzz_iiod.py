@@ -38,7 +38,7 @@ PLACES = (
     "voltage0",
     "timestamp",
 )
-NAMES = ("raw", "scale", "calibbias", "sampling_frequency", "filter_low_pass_3db_frequency", "clients")
+NAMES = ("raw", "scale", "calibbias", "sampling_frequency", "filter_low_pass_3db_frequency")
 NUMBERS = (
     "000001ff",
     "00000001",

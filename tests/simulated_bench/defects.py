@@ -302,7 +302,7 @@ def _published(self: iio_device.Sampler, block: Any, since_1970_ns: int) -> None
     numbers = block.numbers()[:, 1:-1]
     self.newest = dict(zip(self.names, numbers[-1].tolist(), strict=True))
     time_ns = np.rint(block.time_s * 1e9).astype(np.int64) + since_1970_ns
-    self._on_scans(iio_device.FreshScans(numbers, time_ns, block.lost))
+    self._on_scans(numbers, time_ns)
 
 
 DEFECTS: dict[str, Defect] = {

@@ -10,20 +10,16 @@ from adis_gonio.faces.serve.iiod_protocol import (
     Close,
     Errno,
     Exit,
-    GetTrigger,
     Malformed,
     Open,
     Parser,
     Print,
     ReadAttribute,
     ReadBuffer,
-    SetBuffers,
-    SetTrigger,
     Target,
     Timeout,
     Version,
     WriteAttribute,
-    WriteBuffer,
 )
 
 LINES = [
@@ -35,26 +31,19 @@ LINES = [
         b"READ iio:device0 sampling_frequency\r\n",
         ReadAttribute(Target("iio:device0"), "sampling_frequency"),
     ),
-    (b"READ iio:device0 \r\n", ReadAttribute(Target("iio:device0"), "")),
     (
         b"READ iio:device0 INPUT accel_x raw\r\n",
-        ReadAttribute(Target("iio:device0", "input", "accel_x"), "raw"),
+        ReadAttribute(Target("iio:device0", "accel_x"), "raw"),
     ),
-    (b"READ iio:device0 DEBUG clients\r\n", ReadAttribute(Target("iio:device0", "debug"), "clients")),
-    (b"READ iio:device0 BUFFER length\r\n", ReadAttribute(Target("iio:device0", "buffer"), "length")),
     (
         b"WRITE iio:device0 INPUT accel_x calibbias 4\r\n-12\0",
-        WriteAttribute(Target("iio:device0", "input", "accel_x"), "calibbias", b"-12\0"),
+        WriteAttribute(Target("iio:device0", "accel_x"), "calibbias", b"-12\0"),
     ),
     (b"WRITE d a 3\nX\nY", WriteAttribute(Target("d"), "a", b"X\nY")),
     (b"OPEN iio:device0 256 000001ff\r\n", Open("iio:device0", 256, "000001ff")),
-    (b"OPEN iio:device0 256 000001ff CYCLIC\r\n", Open("iio:device0", 256, "000001ff", cyclic=True)),
     (b"READBUF iio:device0 6144\r\n", ReadBuffer("iio:device0", 6144)),
-    (b"WRITEBUF iio:device0 6144\r\n", WriteBuffer("iio:device0", 6144)),
-    (b"GETTRIG iio:device0\r\n", GetTrigger("iio:device0")),
-    (b"SETTRIG iio:device0 trigger0\r\n", SetTrigger("iio:device0", "trigger0")),
-    (b"SETTRIG iio:device0\r\n", SetTrigger("iio:device0", None)),
-    (b"SET iio:device0 BUFFERS_COUNT 4\r\n", SetBuffers("iio:device0", 4)),
+    (b"WRITEBUF iio:device0 6144\r\n", protocol._NEVER["WRITEBUF"]),
+    (b"GETTRIG iio:device0\r\n", protocol._NEVER["GETTRIG"]),
     (b"CLOSE iio:device0\r\n", Close("iio:device0")),
     (b"EXIT\r\n", Exit()),
 ]
@@ -82,11 +71,13 @@ def test_it_does_not_matter_where_the_network_cuts(cuts):
         b"OPEN iio:device0",
         b"OPEN iio:device0 many 000001ff",
         b"OPEN iio:device0 256 xyz",
-        b"OPEN iio:device0 256 000001ff CYCLE",
+        b"OPEN iio:device0 256 000001ff CYCLIC",
         b"READBUF iio:device0 -1",
         b"READBUF iio:device0 1e9",
         b"READ",
-        b"READ iio:device0 INPUT",
+        b"READ iio:device0",
+        b"READ iio:device0 DEBUG clients",
+        b"READ iio:device0 INPUT accel_x",
         b"READ iio:device0 INPUT accel_x raw more",
         b"WRITE iio:device0 a x",
         b"TIMEOUT",
@@ -127,7 +118,3 @@ def test_200_kb_of_noise_neither_raises_nor_is_held():
         for _ in range(8):
             parser.feed(noise.randbytes(512))
             assert len(parser._held) <= max(protocol.LINE_LIMIT, protocol.VALUE_LIMIT)
-
-
-def test_all_values_pad_to_four_bytes():
-    assert protocol.all_values([b"12345", b""]) == b"16\n\0\0\0\x0512345\0\0\0\0\0\0\0\n"

@@ -58,7 +58,6 @@ def test_readings_have_the_units_that_they_claim():
             5000, rel=0.02
         )
         assert float(client.text("READ iio:device0 sampling_frequency")) == pytest.approx(819.2, rel=1e-4)
-        assert client.text("READ iio:device0 DEBUG clients") == "1"
 
 
 @pytest.mark.parametrize("level", ["high", "low"])
@@ -79,27 +78,17 @@ def test_a_reading_is_refused_while_the_data_line_is_stuck(level):
         assert norm_lsb(client) == pytest.approx(2140, rel=0.1)
 
 
-def test_all_attributes_at_once_are_those_one_by_one():
-    with served() as server, server.client() as client:
-        length = client.ask("READ iio:device0 ")
-        content, values = client.file.read(length + 1)[:-1], []
-        while content:
-            (size,) = struct.unpack(">i", content[:4])
-            values.append(content[4 : 4 + size].decode())
-            content = content[4 + size + -size % 4 :]
-        names = ("sampling_frequency", "sampling_frequency_available", "current_timestamp_clock")
-        assert values == [client.text(f"READ iio:device0 {name}") for name in names]
-
-
 @pytest.mark.parametrize(
     ("line", "errno"),
     [
         ("BINARY", EINVAL),
         ("READ iio:device9 sampling_frequency", ENODEV),
         ("READ iio:device0 no_such", ENOENT),
-        ("READ iio:device0 BUFFER length", ENOENT),
+        ("READ iio:device0 ", EINVAL),
+        ("READ iio:device0 BUFFER length", EINVAL),
+        ("READ iio:device0 DEBUG clients", EINVAL),
         ("READ iio:device0 INPUT accel_w raw", ENXIO),
-        ("READ iio:device0 OUTPUT accel_x raw", ENXIO),
+        ("READ iio:device0 OUTPUT accel_x raw", EINVAL),
         ("READ iio:device0 INPUT timestamp raw", ENOENT),
         ("OPEN iio:device0 256 00000000", EINVAL),
         ("OPEN iio:device0 256 ffffffff", EINVAL),
@@ -112,7 +101,8 @@ def test_all_attributes_at_once_are_those_one_by_one():
         ("WRITEBUF iio:device0 64", EPERM),
         ("GETTRIG iio:device0", ENOENT),
         ("SETTRIG iio:device0 trigger0", ENOENT),
-        ("SET iio:device0 BUFFERS_COUNT 0", EINVAL),
+        ("SET iio:device0 BUFFERS_COUNT 4", EINVAL),
+        ("HELP", EINVAL),
         ("WRITE iio:device0 INPUT accel_x calibbias 99999", -7),
     ],
 )
@@ -195,9 +185,6 @@ def test_five_clients_each_with_a_mask_of_its_own_lose_nothing():
         _, mine, theirs = np.intersect1d(accel["time_ns"], full["time_ns"], return_indices=True)
         assert len(mine) > 100
         assert (accel["v"][mine] == full["values"][theirs, :3]).all()
-        with server.client() as asking:
-            assert asking.text("READ iio:device0 DEBUG scans_lost_by_sensor") == "0"
-            assert asking.text("READ iio:device0 DEBUG scans_lost_by_clients") == "0"
         for client in clients:
             client.close()
         wait_until(lambda: len(server.told) == 5)
@@ -210,28 +197,21 @@ def test_a_client_that_does_not_read_loses_its_own_oldest_scans_and_nobody_elses
         assert slow.open(ALL, 16) == 0
         slow.send(b"READBUF iio:device0 240000000\r\n")
         assert quick.open(ALL) == 0
-        lost, scans = 0, 0
-        while not lost:
-            assert_gapless(quick.scans(24, 800))
-            scans += 800
-            lost = int(quick.text("READ iio:device0 DEBUG scans_lost_by_clients"))
-            assert scans < 400_000, "the slow one has no end of room"
-        assert quick.text("READ iio:device0 DEBUG scans_lost_by_sensor") == "0"
+        assert_gapless(quick.scans(24, 8000))  # the queue, and what the kernel takes, have less room
         slow.close()
         wait_until(lambda: any(" 0 lost" not in line for line in server.told))
 
 
 def test_a_client_that_dies_in_the_middle_leaves_no_trace():
-    with served("sim:?seed=1&realtime=1") as server, server.client() as asking:
+    with served("sim:?seed=1&realtime=1") as server:
         for goodbye in (b"", b"WRITE iio:device0 INPUT accel_x calibbias 4\r\n1", b"READBUF iio:dev"):
             dying = server.client()
             assert dying.open(ALL) == 0
             dying.send(goodbye or b"READBUF iio:device0 2400000\r\n")
-            wait_until(lambda: asking.text("READ iio:device0 DEBUG clients") == "2")
+            wait_until(lambda: server.sensor.bus.chip.memory["MSC_CTRL"] == 4)
             dying.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             dying.close()  # a reset, not a goodbye
-            wait_until(lambda: asking.text("READ iio:device0 DEBUG clients") == "1")
-        wait_until(lambda: server.sensor.bus.chip.memory["MSC_CTRL"] == 0)  # nobody listens: set back
+            wait_until(lambda: server.sensor.bus.chip.memory["MSC_CTRL"] == 0)  # nobody listens: set back
         with server.client() as next_one:
             assert next_one.open(ALL) == 0
             assert_gapless(next_one.scans(24, 100))

@@ -51,26 +51,6 @@ _LONGEST_UNSOUND_S = 1.0
 """Time in s without a sound scan after which the stream has failed."""
 
 
-@dataclass(frozen=True)
-class FreshScans:
-    """New scans of the sensor for the clients.
-
-    Attributes
-    ----------
-    numbers : (n, k) int32
-        Decoded content of each of the k registers.
-    time_ns : (n,) int64
-        Time of each scan in ns since 1970, by the host's clock at the begin of the stream and by the bus's
-        clock after it.
-    lost : int
-        Number of updates of the sensor that were missed before and between these scans.
-    """
-
-    numbers: NDArray[np.int32]
-    time_ns: NDArray[np.int64]
-    lost: int
-
-
 class Sampler:
     """Thread that alone uses the sensor while it is served; it streams scans and runs jobs.
 
@@ -80,9 +60,12 @@ class Sampler:
         The open sensor, which stays open afterwards.
     names : sequence of str
         Output registers of a scan.
-    on_scans, on_failure : callable
-        Called with new scans, and with the error that ends the thread; both run in the thread of the
-        sampler.
+    on_scans : callable
+        Called in the thread of the sampler with new scans: the decoded contents (n, k) of the k registers,
+        and the times (n,) in ns since 1970, by the host's clock at the begin of the stream and by the bus's
+        clock after it.
+    on_failure : callable
+        Called in the thread of the sampler with the error that ends it.
 
     Attributes
     ----------
@@ -96,7 +79,7 @@ class Sampler:
         self,
         sensor: Adis16354,
         names: Sequence[str],
-        on_scans: Callable[[FreshScans], object],
+        on_scans: Callable[[NDArray[np.int32], NDArray[np.int64]], object],
         on_failure: Callable[[Exception], object],
     ) -> None:
         self.names = tuple(names)
@@ -234,7 +217,7 @@ class Sampler:
                 return
 
     def _publish(self, block: ScanBlock, since_1970_ns: int) -> None:
-        """Publish the scans of a block in which both words of SENS_AVG are right; count the others as lost.
+        """Publish the scans of a block in which both words of SENS_AVG are right.
 
         `since_1970_ns` is the time in ns since 1970 at which the clock of the bus was 0.
         """
@@ -249,7 +232,7 @@ class Sampler:
         if len(numbers):
             self.newest = dict(zip(self.names, numbers[-1].tolist(), strict=True))
         time_ns = np.rint(block.time_s[sound] * 1e9).astype(np.int64) + since_1970_ns
-        self._on_scans(FreshScans(numbers, time_ns, block.lost + int((~sound).sum())))
+        self._on_scans(numbers, time_ns)
 
 
 def state_of(sensor: Adis16354) -> SensorState:
@@ -283,14 +266,13 @@ class ScanQueue:
     def __len__(self) -> int:
         return self._held
 
-    def put(self, scans: NDArray[np.void]) -> int:
-        """Append scans; return the number of old scans that were dropped for them."""
+    def put(self, scans: NDArray[np.void]) -> None:
+        """Append scans, and drop the oldest ones that have no room."""
         self._blocks.append(scans)
         self._held += len(scans)
         dropped = max(0, self._held - self._capacity)
         self._remove(dropped)
         self.lost += dropped
-        return dropped
 
     def take(self, most: int) -> bytes:
         """Remove the oldest scans from the queue, at most `most`, and return them as bytes."""
@@ -335,7 +317,7 @@ class Buffer:
 
 
 class Hub:
-    """Distributes scans to the open buffers, in the thread of the event loop, and counts lost scans.
+    """Distributes scans to the open buffers, in the thread of the event loop.
 
     Parameters
     ----------
@@ -348,18 +330,13 @@ class Hub:
     ----------
     failure : Exception or None
         Error that ended the sampling, after which buffers get no more scans; None while it works.
-    clients : int
-        Number of connections, set by the server.
     """
 
     def __init__(self, want: Callable[[bool], object], queue_s: float = QUEUE_S) -> None:
         self.failure: Exception | None = None
-        self.clients = 0
         self._want = want
         self._queue_s = queue_s
         self._buffers: set[Buffer] = set()
-        self._lost_by_sensor = 0
-        self._lost_by_clients = 0
 
     def open(self, scan_format: ScanFormat, samples: int, rate_hz: float) -> Buffer:
         """Open a buffer for a client; it gets all scans from now on.
@@ -379,12 +356,10 @@ class Hub:
         if not self._buffers:
             self._want(False)
 
-    def publish(self, scans: FreshScans) -> None:
+    def publish(self, numbers: NDArray[np.int32], time_ns: NDArray[np.int64]) -> None:
         """Append new scans to the queue of every buffer, in the format of the buffer."""
-        self._lost_by_sensor += scans.lost
         for buffer in self._buffers:
-            packed = buffer.format.pack(scans.numbers, scans.time_ns)
-            self._lost_by_clients += buffer.queue.put(packed)
+            buffer.queue.put(buffer.format.pack(numbers, time_ns))
             buffer.news.set()
 
     def fail(self, error: Exception) -> None:
@@ -392,17 +367,6 @@ class Hub:
         self.failure = error
         for buffer in self._buffers:
             buffer.news.set()
-
-    def counts(self) -> Mapping[str, int]:
-        """Return the values of the debug attributes.
-
-        They are the number of clients, and the numbers of scans lost by sensor and clients.
-        """
-        return {
-            "clients": self.clients,
-            "scans_lost_by_sensor": self._lost_by_sensor,
-            "scans_lost_by_clients": self._lost_by_clients,
-        }
 
 
 DEVICE_ID = "iio:device0"
@@ -524,7 +488,6 @@ class Channel:
 
 
 DEVICE_ATTRIBUTES = ("sampling_frequency", "sampling_frequency_available", "current_timestamp_clock")
-DEBUG_ATTRIBUTES = ("clients", "scans_lost_by_sensor", "scans_lost_by_clients")
 WRITABLE = ("calibbias", "filter_low_pass_3db_frequency", "sampling_frequency")
 """Names of the attributes that a client may write if writes are allowed."""
 
@@ -637,7 +600,6 @@ class ServedDevice:
             )
             lines.append(f'<channel id="{channel.id}"{named} type="input" >{element}{attributes}</channel>')
         lines += [f'<attribute name="{name}" />' for name in DEVICE_ATTRIBUTES]
-        lines += [f'<debug-attribute name="{name}" />' for name in DEBUG_ATTRIBUTES]
         lines.append("</device></context>")
         return "".join(lines)
 

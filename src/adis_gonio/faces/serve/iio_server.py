@@ -9,10 +9,13 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from adis_gonio.base import __version__
 from adis_gonio.base.errors import AdisGonioError, CannotOpenError, UsageError
@@ -47,14 +50,11 @@ class AttributePort:
     ----------
     allow_writes : bool
         If False, every write is refused with EPERM.
-    debug : callable
-        Returns the values of the debug attributes.
     """
 
     device: iio_device.ServedDevice
     sampler: iio_device.Sampler
     allow_writes: bool
-    debug: Callable[[], Mapping[str, int]]
 
     def names(self, target: Target) -> tuple[str, ...]:
         """Return the names of the attributes of the device or channel `target`.
@@ -63,12 +63,9 @@ class AttributePort:
         """
         if not self.device.knows(target.device):
             raise Refused(Errno.ENODEV, f"no device {target.device}")
-        if target.kind == "output":
-            raise Refused(Errno.ENXIO, "a sensor has no outputs")
-        if target.kind == "input":
+        if target.channel:
             return self.device.channel(target.channel).attributes
-        kinds = {"device": iio_device.DEVICE_ATTRIBUTES, "debug": iio_device.DEBUG_ATTRIBUTES}
-        return kinds.get(target.kind, ())
+        return iio_device.DEVICE_ATTRIBUTES
 
     async def read(self, target: Target, name: str) -> str:
         """Read an attribute as text; raise `Refused` if there is none, or the sensor fails.
@@ -77,9 +74,7 @@ class AttributePort:
         """
         if name not in self.names(target):
             raise Refused(Errno.ENOENT, f"no attribute {name}")
-        if target.kind == "debug":
-            return str(self.debug()[name])
-        if target.kind == "device":
+        if not target.channel:
             return self.device.device_value(name, self.sampler.state)
         channel = self.device.channel(target.channel)
         row = channel.register
@@ -247,8 +242,6 @@ class ClientSession:
         match request:
             case iiod_protocol.Version():
                 return iiod_protocol.version(*VERSION)
-            case iiod_protocol.Help():
-                return iiod_protocol.HELP
             case iiod_protocol.Print():
                 return iiod_protocol.counted(self._device.xml(self._port.sampler.state).encode())
             case iiod_protocol.Timeout():
@@ -256,26 +249,16 @@ class ClientSession:
                 return iiod_protocol.integer(0)
             case iiod_protocol.Malformed():
                 raise Refused(request.errno, request.why)
-            case iiod_protocol.ReadAttribute() | iiod_protocol.WriteAttribute():
-                return await self._answer_attribute(request)
+            case iiod_protocol.ReadAttribute(target, name):
+                return iiod_protocol.counted((await self._port.read(target, name)).encode() + b"\0")
+            case iiod_protocol.WriteAttribute(target, name, value):
+                await self._port.write(target, name, value)
+                return iiod_protocol.integer(len(value))
             case iiod_protocol.BufferRequest():
                 self._require_device(request.device)
                 return await self._answer_buffer(request)
             case _:
                 raise Refused(Errno.EINVAL)
-
-    async def _answer_attribute(self, request: Request) -> bytes:
-        match request:
-            case iiod_protocol.ReadAttribute(target, ""):
-                values = [await self._port.read(target, name) for name in self._port.names(target)]
-                return iiod_protocol.all_values([value.encode() for value in values])
-            case iiod_protocol.ReadAttribute(target, name):
-                return iiod_protocol.counted((await self._port.read(target, name)).encode() + b"\0")
-            case iiod_protocol.WriteAttribute(target, name, value) if name:
-                await self._port.write(target, name, value)
-                return iiod_protocol.integer(len(value))
-            case _:
-                raise Refused(Errno.ENOSYS, "attributes are written one at a time")
 
     async def _answer_buffer(self, request: Request) -> bytes:
         match request:
@@ -288,12 +271,8 @@ class ClientSession:
                 return iiod_protocol.integer(0)
             case iiod_protocol.ReadBuffer():
                 return await self._send_scans(self._require_buffer(), request.size)
-            case iiod_protocol.WriteBuffer():
-                raise Refused(Errno.EPERM, "a sensor has no outputs")
-            case iiod_protocol.SetBuffers():
-                return iiod_protocol.integer(0) if request.count else iiod_protocol.error(Errno.EINVAL)
             case _:
-                raise Refused(Errno.ENOENT, "there are no triggers: the sensor's own updates drive it")
+                raise Refused(Errno.EINVAL)
 
     def _require_device(self, device: str) -> None:
         if not self._device.knows(device):
@@ -307,8 +286,8 @@ class ClientSession:
     def _open(self, request: iiod_protocol.Open) -> None:
         if self._buffer is not None:
             raise Refused(Errno.EBUSY, "a buffer is open")
-        if request.cyclic or not request.samples:
-            raise Refused(Errno.EINVAL, "a buffer has samples, and a sensor's is not cyclic")
+        if not request.samples:
+            raise Refused(Errno.EINVAL, "a buffer has samples")
         if self._hub.failure is not None:
             raise Refused(Errno.EIO, str(self._hub.failure))
         scan_format = iio_device.ScanFormat.of_mask(self._device, request.mask)
@@ -415,7 +394,7 @@ class IioServer:
         names = [row.name for row in self._device.table]
         self._sampler = iio_device.Sampler(sensor, names, self._scans_came, self._sensor_failed)
         self._hub = iio_device.Hub(self._sampler.want, settings.queue_s)
-        self._port = AttributePort(self._device, self._sampler, settings.allow_writes, self._hub.counts)
+        self._port = AttributePort(self._device, self._sampler, settings.allow_writes)
         self._clients: dict[ClientSession, asyncio.Task[None]] = {}
         self._loop: asyncio.AbstractEventLoop | None = None
         self._end = asyncio.Event()
@@ -487,14 +466,12 @@ class IioServer:
         _prepare(writer)
         client = ClientSession(reader, writer, self._device, self._port, self._hub)
         self._clients[client] = task
-        self._hub.clients += 1
         begin_s = time.monotonic()
         try:
             # The end of the server cancels the task; asyncio would log a cancelled connection as an error.
             with contextlib.suppress(asyncio.CancelledError):
                 await client.run()
         finally:
-            self._hub.clients -= 1
             self._clients.pop(client, None)
             if client.sent or client.lost:
                 self._tell(
@@ -515,8 +492,8 @@ class IioServer:
 
     # -- from the sampler's thread ------------------------------------------------------------------
 
-    def _scans_came(self, scans: iio_device.FreshScans) -> None:
-        self._call(lambda: self._hub.publish(scans))
+    def _scans_came(self, numbers: NDArray[np.int32], time_ns: NDArray[np.int64]) -> None:
+        self._call(lambda: self._hub.publish(numbers, time_ns))
 
     def _sensor_failed(self, error: Exception) -> None:
         def fail() -> None:

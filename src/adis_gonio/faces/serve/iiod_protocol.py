@@ -6,16 +6,17 @@ negative number is `-errno` of Linux on every operating system.
 
 | request | answer |
 |---|---|
-| `VERSION`, `HELP` | a line, or text |
+| `VERSION` | a line |
 | `PRINT` | length of the XML, the XML, a line feed |
-| `TIMEOUT ms`, `SET dev BUFFERS_COUNT n` | 0 |
-| `OPEN dev samples mask [CYCLIC]`, `CLOSE dev` | 0 |
-| `READ dev [DEBUG \| BUFFER \| INPUT chn \| OUTPUT chn] [attr]` | length, value, a line feed |
-| `WRITE dev [as above] [attr] length` and so many bytes | number of bytes taken |
+| `TIMEOUT ms` | 0 |
+| `OPEN dev samples mask`, `CLOSE dev` | 0 |
+| `READ dev [INPUT chn] attr` | length, value, a line feed |
+| `WRITE dev [INPUT chn] attr length` and so many bytes | number of bytes taken |
 | `READBUF dev bytes` | length, the mask once, the bytes; repeated until all were sent |
-| `WRITEBUF dev bytes` | refused: a sensor has no output |
-| `GETTRIG dev`, `SETTRIG dev [trigger]` | no such thing |
+| `WRITEBUF dev bytes`, `GETTRIG dev`, `SETTRIG dev [trigger]` | refused: no outputs, no triggers |
 | `EXIT` | the connection ends |
+
+Other requests of iiod, and attributes for debugging, of a buffer or of an output, are refused.
 
 Source: iiod's grammar (`iiod/parser.y`, `iiod/ops.c`) and the client's side of it (`iiod-client.c`).
 """
@@ -25,7 +26,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Literal
 
 LINE_LIMIT = 1024
 """Longest request line in bytes, the size of libiio's own buffer."""
@@ -65,19 +65,15 @@ class Refused(Exception):  # noqa: N818 - an answer, not a failure of this progr
         self.errno = errno
 
 
-Kind = Literal["device", "debug", "buffer", "input", "output"]
-
-
 @dataclass(frozen=True)
 class Target:
     """The device or channel to which a requested attribute belongs.
 
-    `device` is the id or name of the device, `kind` the kind of attribute. `channel` is the id of the
-    channel; it is empty for an attribute of the device.
+    `device` is the id or name of the device. `channel` is the id of the channel; it is empty for an
+    attribute of the device.
     """
 
     device: str
-    kind: Kind = "device"
     channel: str = ""
 
 
@@ -89,11 +85,6 @@ class Request:
 @dataclass(frozen=True)
 class Exit(Request):
     """Request to end the connection."""
-
-
-@dataclass(frozen=True)
-class Help(Request):
-    """Request for a list of the commands."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +106,7 @@ class Timeout(Request):
 
 @dataclass(frozen=True)
 class BufferRequest(Request):
-    """Base class of the requests on the buffer or the trigger of a device."""
+    """Base class of the requests on the buffer of a device."""
 
     device: str
 
@@ -129,7 +120,6 @@ class Open(BufferRequest):
 
     samples: int
     mask: str
-    cyclic: bool = False
 
 
 @dataclass(frozen=True)
@@ -139,7 +129,7 @@ class Close(BufferRequest):
 
 @dataclass(frozen=True)
 class ReadAttribute(Request):
-    """Request to read an attribute; an empty name reads all attributes of the target."""
+    """Request to read the attribute `name` of the target."""
 
     target: Target
     name: str
@@ -162,34 +152,8 @@ class ReadBuffer(BufferRequest):
 
 
 @dataclass(frozen=True)
-class WriteBuffer(BufferRequest):
-    """Request to put out `size` bytes of scans; the server refuses it, since a sensor has no outputs."""
-
-    size: int
-
-
-@dataclass(frozen=True)
-class GetTrigger(BufferRequest):
-    """Request for the name of a device's trigger."""
-
-
-@dataclass(frozen=True)
-class SetTrigger(BufferRequest):
-    """Request to set the trigger of a device; a trigger of None removes it."""
-
-    trigger: str | None
-
-
-@dataclass(frozen=True)
-class SetBuffers(BufferRequest):
-    """Request to set the number of kernel buffers; it has no effect on this server."""
-
-    count: int
-
-
-@dataclass(frozen=True)
 class Malformed(Request):
-    """Bytes of a client that are no request of this protocol.
+    """Bytes of a client that are no request of this protocol, or a request that this server never fulfils.
 
     Attributes
     ----------
@@ -270,8 +234,6 @@ class _Announced(Request):
 _NOTHING = Request()
 """Result of parsing an empty line, which has no answer."""
 
-_KINDS: dict[str, Kind] = {"DEBUG": "debug", "BUFFER": "buffer", "INPUT": "input", "OUTPUT": "output"}
-
 
 def parse_line(line: bytes) -> Request:
     """Parse one line of the protocol, given without its line feed, as a request."""
@@ -289,37 +251,29 @@ def parse_line(line: bytes) -> Request:
         return Malformed(f"{words[0][:16]}: {error}")
 
 
-_ALONE: dict[str, Callable[[], Request]] = {
-    "EXIT": Exit,
-    "QUIT": Exit,
-    "HELP": Help,
-    "VERSION": Version,
-    "PRINT": Print,
-}
-_OF_DEVICE: dict[str, Callable[[str], Request]] = {"CLOSE": Close, "GETTRIG": GetTrigger}
-_OF_SIZE: dict[str, Callable[[str, int], Request]] = {"READBUF": ReadBuffer, "WRITEBUF": WriteBuffer}
-"""Request classes with a device and a number of bytes, by their verb.
+_ALONE: dict[str, Callable[[], Request]] = {"EXIT": Exit, "QUIT": Exit, "VERSION": Version, "PRINT": Print}
+"""Classes of the requests without arguments, by their verb."""
 
-Other tables have the requests without arguments and those with a device alone.
-"""
+_NEVER = {
+    "WRITEBUF": Malformed("a sensor has no outputs", Errno.EPERM),
+    **dict.fromkeys(("GETTRIG", "SETTRIG"), Malformed("the sensor's own updates drive it", Errno.ENOENT)),
+}
 
 
 def _parse(verb: str, words: list[str]) -> Request:
     match verb, words:
         case _, [] if verb in _ALONE:
             return _ALONE[verb]()
-        case _, [device] if verb in _OF_DEVICE:
-            return _OF_DEVICE[verb](device)
-        case _, [device, size] if verb in _OF_SIZE:
-            return _OF_SIZE[verb](device, _count(size))
+        case _, _ if verb in _NEVER:
+            return _NEVER[verb]
+        case "CLOSE", [device]:
+            return Close(device)
+        case "READBUF", [device, size]:
+            return ReadBuffer(device, _count(size))
         case "TIMEOUT", [number]:
             return Timeout(_count(number))
-        case "OPEN", [device, samples, mask, *rest] if [word.upper() for word in rest] in ([], ["CYCLIC"]):
-            return Open(device, _count(samples), _hexadecimal(mask), cyclic=bool(rest))
-        case "SETTRIG", ([device] | [device, _]):
-            return SetTrigger(device, words[1] if len(words) > 1 else None)
-        case "SET", [device, name, count] if name.upper() == "BUFFERS_COUNT":
-            return SetBuffers(device, _count(count))
+        case "OPEN", [device, samples, mask]:
+            return Open(device, _count(samples), _hexadecimal(mask))
         case "READ", [device, *rest]:
             return ReadAttribute(*_attribute(device, rest))
         case "WRITE", [device, *rest, size]:
@@ -338,18 +292,15 @@ def _announce(device: str, words: Sequence[str], size: int) -> Request:
 def _attribute(device: str, words: Sequence[str]) -> tuple[Target, str]:
     """Return target and name of an attribute from the words of a request.
 
-    `device` is the id or name of the device. The name is empty if the request has none.
+    `device` is the id or name of the device.
     """
-    kind: Kind = _KINDS.get(words[0].upper(), "device") if words else "device"
-    rest = list(words[1:] if kind != "device" else words)
-    channel = ""
-    if kind in ("input", "output"):
-        if not rest:
-            raise ValueError("a channel is missing")
-        channel = rest.pop(0)
-    if len(rest) > 1:
-        raise ValueError(f"{len(rest)} words instead of the name of an attribute")
-    return Target(device, kind, channel), rest[0] if rest else ""
+    match words:
+        case [kind, channel, name] if kind.upper() == "INPUT":
+            return Target(device, channel), name
+        case [name]:
+            return Target(device), name
+        case _:
+            raise ValueError("'[INPUT channel] attribute' is expected")
 
 
 def _count(text: str) -> int:
@@ -382,23 +333,6 @@ def counted(content: bytes) -> bytes:
     return integer(len(content)) + content + b"\n"
 
 
-def all_values(values: Sequence[bytes]) -> bytes:
-    """Format several values as one answer.
-
-    Each value has its length before it (big-endian, 32 bits) and is padded to 4 bytes.
-    """
-    parts = []
-    for value in values:
-        parts.append(len(value).to_bytes(4, "big") + value + b"\0" * (-len(value) % 4))
-    return counted(b"".join(parts))
-
-
 def version(major: int, minor: int, tag: str) -> bytes:
     """Format the version `major.minor` as an answer; the tag is cut or padded to seven characters."""
     return f"{major}.{minor}.{tag:7.7}\n".encode()
-
-
-HELP = (
-    b"VERSION, PRINT, TIMEOUT ms, OPEN dev samples mask, CLOSE dev, READ dev [INPUT chn] attr,\n"
-    b"WRITE dev [INPUT chn] attr length, READBUF dev bytes, EXIT; see libiio's iiod\n"
-)
