@@ -124,11 +124,14 @@ def dwells_at_limit(dwells: Sequence[Dwell], limits: Sequence[Limit], gravity: f
 
 def longest_runs(accel: Floats) -> Floats:
     """Return the largest number (axes,) of successive equal samples on each axis of samples (n, axes)."""
-    runs = []
-    for axis in range(accel.shape[1]):
-        change = np.flatnonzero(np.diff(accel[:, axis]))
-        runs.append(np.diff(np.concatenate([[-1], change, [len(accel) - 1]])).max())
-    return np.array(runs, dtype=float)
+    return np.array([run_lengths(column).max() for column in accel.T], dtype=float)
+
+
+def run_lengths(column: Floats) -> NDArray[np.intp]:
+    """Return the lengths (m,) of the runs of equal samples of one axis (n,)."""
+    # Distances between the positions at which the value changes.
+    change = np.flatnonzero(np.diff(column))
+    return np.diff(np.concatenate([[-1], change, [len(column) - 1]])).astype(np.intp)
 
 
 def dwells_too_still(dwells: Sequence[Dwell]) -> list[int]:
@@ -172,7 +175,7 @@ _PILE, _STEEP = 20, 5
 next to it, that show a limit of the range."""
 _LEAST_VALUES = 20
 """Least number of different values of an axis for evidence of a limit: a coarse converter gives few."""
-_LIVELY = 0.6
+LIVELY = 0.6
 """Standard deviation of the noise, in steps of the converter, below which samples pile up at any value (0.5
 at an edge between codes)."""
 _HARMLESS = 0.1
@@ -242,12 +245,12 @@ def _limits(dwells: Sequence[Dwell], steps: Floats) -> tuple[Limit, ...]:
 
 
 def is_lively(dwells: Sequence[Floats], steps: Floats) -> NDArray[np.bool_]:
-    """Return a mask (axes,) of the axes with noise of at least `_LIVELY` steps of the converter.
+    """Return a mask (axes,) of the axes with noise of at least `LIVELY` steps of the converter.
 
     `dwells` are the samples (n, axes) of each dwell, `steps` (axes,) the steps of the converter.
     """
     deviation = np.median([rows.std(axis=0) for rows in dwells], axis=0)
-    return np.asarray((steps > 0) & (deviation >= _LIVELY * steps))
+    return np.asarray((steps > 0) & (deviation >= LIVELY * steps))
 
 
 def piles(samples: Sequence[Floats], lively: NDArray[np.bool_]) -> Iterator[tuple[int, float, int]]:

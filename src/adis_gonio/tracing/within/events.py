@@ -24,6 +24,7 @@ from scipy import special
 from adis_gonio.base.arrays import MAD_TO_SD, Floats
 from adis_gonio.base.numbers import format_number
 from adis_gonio.base.uncertainty import FOUND_WITHIN
+from adis_gonio.fitting.estimation.screening import LIVELY
 from adis_gonio.tracing.within.samples import (
     SEARCHES,
     Place,
@@ -43,7 +44,6 @@ _RARE, _FEW = 1e-3, 0.15
 _LEAST_DWELLS = 6
 _EFFICIENCY = 0.37
 """Efficiency of the median absolute deviation relative to the standard deviation."""
-_LIVELY = 0.6
 _TAUS = 8
 _CLEAR = 4.0
 """Least size of a form (step, drift, settling), in standard uncertainties, to describe a dwell by it."""
@@ -120,7 +120,7 @@ class _Looks:
         )
         # If the noise is below the converter's step, a mean may be wrong by half a step.
         scatter = np.array([rows.std(axis=0) for rows in samples.values])
-        coarse = np.where(scatter < _LIVELY * samples.quantum, 0.5 * samples.quantum / unit, 0.0)
+        coarse = np.where(scatter < LIVELY * samples.quantum, 0.5 * samples.quantum / unit, 0.0)
         tests = sum(len(rows) for scale in scales for rows in scale.differences) * samples.axes
         for k, scale in enumerate(scales):
             own, half = scale.dwells, np.sqrt(scale.stretch / 2)[:, None]

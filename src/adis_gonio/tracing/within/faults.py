@@ -10,7 +10,7 @@ Stuck values
     stationary noise have an exponential tail with a rate that depends on filter and converter; the session
     shows the rate, without the longest run of each dwell. Slow noise may also stay within one step for
     its correlation time, depending on its scatter; this probability is computed separately. If the noise is
-    below `_LIVELY` steps of the converter, constant values are normal and no test is made.
+    below `LIVELY` steps of the converter, constant values are normal and no test is made.
 Saturation
     Samples that accumulate at an extreme value (`Readings.converter`). The p-value is the probability of
     this many samples at the extreme rather than one value inside, if both were equally probable.
@@ -32,6 +32,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import format_number
 from adis_gonio.base.uncertainty import FOUND_WITHIN, Value
 from adis_gonio.fitting.estimation.readings import Readings, quantization_variance
+from adis_gonio.fitting.estimation.screening import LIVELY, run_lengths
 from adis_gonio.model.records import Session
 from adis_gonio.tracing.within.samples import (
     SEARCHES,
@@ -47,8 +48,6 @@ from adis_gonio.tracing.within.samples import (
 _NEIGHBOURS = 15
 _LEAST_SAMPLES = 2 * _NEIGHBOURS
 _LEAST_RUN = 8
-_LIVELY = 0.6
-"""Noise in steps of the converter below which runs of equal values are normal."""
 _LONG_QUANTILE = 0.9
 _LEAST_LONG = 20
 _SAFETY = 1.5
@@ -176,10 +175,10 @@ def stuck(samples: Samples, scatter: Floats, reach: int) -> WithinFinding | None
     least_p = 1.0
     tests = len(samples) * samples.axes
     for axis in range(samples.axes):
-        lengths = [_run_lengths(rows[:, axis]) for rows in samples.values]
+        lengths = [run_lengths(rows[:, axis]) for rows in samples.values]
         kept = [np.delete(own, int(own.argmax())) for own in lengths]
         typical = float(np.median(scatter[:, axis]))
-        if typical < _LIVELY * samples.quantum[axis]:
+        if typical < LIVELY * samples.quantum[axis]:
             continue
         start, common = _tail(np.concatenate(kept))
         for k, own in enumerate(lengths):
@@ -220,12 +219,6 @@ def stuck(samples: Samples, scatter: Floats, reach: int) -> WithinFinding | None
         places=tuple(places),
         advice=f"check wiring and the reading of the sensor, then repeat {positions_text(positions, 0)}",
     )
-
-
-def _run_lengths(column: Floats) -> NDArray[np.intp]:
-    # Distances between the positions at which the value changes.
-    change = np.flatnonzero(np.diff(column))
-    return np.diff(np.concatenate([[-1], change, [len(column) - 1]])).astype(np.intp)
 
 
 def _tail(lengths: NDArray[np.intp]) -> tuple[float, float]:

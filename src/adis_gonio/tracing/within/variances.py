@@ -25,13 +25,11 @@ from scipy import special
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import format_number
 from adis_gonio.base.uncertainty import FOUND_WITHIN, INADEQUATE, Value
+from adis_gonio.fitting.estimation.screening import LIVELY
 from adis_gonio.tracing.within.samples import Place, Samples, WithinFinding, corrected, positions_text
 from adis_gonio.tracing.within.tones import TAPER_LOSS, Density, without_line
 
 LEAST_DWELLS = 3
-_LIVELY = 0.6
-"""Noise in steps of the converter below which no test is made.
-With smaller noise the variance depends only on the mean's position between two codes."""
 TESTS = 4
 """Number of tests per axis that share the error probability of the axis."""
 
@@ -119,7 +117,7 @@ def noise_change(samples: Samples, density: Density | None) -> WithinFinding | N
     p = {
         axis: _p_value(own, samples.axes)
         for axis, own in levels.items()
-        if np.sqrt(np.median(own.variance)) >= _LIVELY * samples.quantum[axis]
+        if np.sqrt(np.median(own.variance)) >= LIVELY * samples.quantum[axis]
     }
     levels = {axis: levels[axis] for axis in p if p[axis] < FOUND_WITHIN}
     if not levels:
