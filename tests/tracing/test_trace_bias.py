@@ -123,7 +123,8 @@ def test_a_fold_without_a_face_keeps_the_bias_as_every_part_has_one():
     for seed in range(2):
         result = adis_gonio.trace(twin(seed))
         on_z = any(one.effect == "bias" and "z" in one.axes for one in result.found)
-        kept += on_z and result.after.heldout_rms < 0.3 * result.before.heldout_rms
+        anew, with_effects = result.after.heldout_rms, result.after.heldout_kept
+        kept += on_z and anew <= 1.5 * (with_effects or anew) and anew < 0.3 * result.before.heldout_rms
     assert kept == 2
 
 

@@ -345,8 +345,9 @@ def test_as_dict_is_the_document_of_the_formats_and_is_json(slipped: TraceResult
     keys = {"adequate", "found", "steps", "confounded", "unnamed", "error", "detectable", "next"}
     assert keys <= set(document)
     errors = {"residual_rms_mg", "heldout_rms_mg", "angle_rms_deg", "chi2_per_dof"}
-    assert set(document["error"]["before"]) == set(document["error"]["after"]) == errors
-    assert {"effect", *errors} == set(document["steps"][-1])
+    assert set(document["error"]["before"]) == errors
+    assert set(document["error"]["after"]) == errors | {"heldout_kept_mg"}
+    assert {"effect", *errors, "heldout_kept_mg"} == set(document["steps"][-1])
     assert {"effect", "axes", "parameters", "p_value", "explains"} <= set(document["found"][0])
     assert document["steps"][-1]["residual_rms_mg"] == document["error"]["after"]["residual_rms_mg"]
     json.dumps(document, allow_nan=False)

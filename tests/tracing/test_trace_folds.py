@@ -339,21 +339,26 @@ class TestErrors:
         assert not fold.asked
 
     @pytest.mark.parametrize("averaged", [None, "an average"])
-    def test_the_final_error_is_of_effects_chosen_anew(self, averaged: Any) -> None:
+    def test_the_final_error_is_of_effects_chosen_anew_and_with_them_kept_it_stands_beside(
+        self, averaged: Any
+    ) -> None:
         fold: Any = Answering(self.data, averaged, unknown=(2, 5))
         figures, design = error_figures(self.selection, self.data, None, self.fits, fold)
         assert [one.heldout_rms for one in figures] == pytest.approx([1.0, 2.0, 9.0])
+        assert [one.heldout_kept for one in figures] == [None, None, 3.0 if averaged is None else None]
+        said = ", 3 mg with those found kept" if averaged is None else ""
         assert design == (
             f"whole dwells (5 folds, {len(self.data) - 2} of {len(self.data)} dwells); effects chosen again"
-            " in each fold; a dwell counts if every model predicts it: the base model's error"
+            f" in each fold{said}; a dwell counts if every model predicts it: the base model's error"
             " depends on the others"
         )
 
     def test_without_effects_nothing_is_chosen_anew(self) -> None:
         fold: Any = Answering(self.data, unknown=(2, 5))
-        _, design = error_figures(self.selection, self.data, None, self.fits[:1], fold)
+        (figure,), design = error_figures(self.selection, self.data, None, self.fits[:1], fold)
         assert fold.asked == [0]
         assert design == "whole dwells (5 folds)"
+        assert figure.heldout_kept is None
 
     @pytest.mark.parametrize(("values", "few"), [(12, False), (13, True)])
     def test_dwells_are_few_where_all_but_one_have_less_readings_than_there_are_parameters(

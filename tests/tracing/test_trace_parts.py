@@ -705,6 +705,7 @@ class TestNestedModels:
             solved = np.linalg.lstsq(rows[rest].reshape(-1, 6), away[rest].ravel(), rcond=None)[0]
             left.append(away[k] - rows[k] @ solved)
         assert figures[-1].heldout_rms == pytest.approx(math.sqrt(np.mean(np.square(left))), rel=0.02)
+        assert figures[-1].heldout_kept is None
 
     def test_where_the_others_do_not_determine_the_model_no_dwell_is_left_out(self) -> None:
         c = turn(4)
@@ -716,7 +717,7 @@ class TestNestedModels:
         assert "the model has 7 parameters: 3 dwells do not determine it" in design
         assert [one.heldout_rms for one in figures] == [None] * len(fits)
 
-    def test_in_folds_effects_are_chosen_anew(self) -> None:
+    def test_in_folds_effects_are_chosen_anew_and_with_them_kept_the_error_is_said_too(self) -> None:
         data = biased()
         terms = labelled(data, "bias[xy]", "quadratic[x]")
         selection = chosen(data, terms, ((0,), 1.0))
@@ -724,6 +725,8 @@ class TestNestedModels:
         figures, design = error_figures(selection, data, None, fits, Fold(terms, None, 1))
         assert "whole dwells (5 folds)" in design
         assert "effects chosen again in each fold" in design
+        # The bias is chosen in every fold, so that it does not matter whether it was kept.
+        assert figures[-1].heldout_kept == pytest.approx(figures[-1].heldout_rms, rel=0.01)
         assert figures[-1].heldout_rms == pytest.approx(U * math.sqrt(1 + 6 / 38), rel=0.25)
         assert figures[0].heldout_rms is not None
         assert figures[0].heldout_rms > math.sqrt((25 + 9) / 2), "a fit without these dwells errs by more"
@@ -748,8 +751,7 @@ class TestNestedModels:
         figures, _ = error_figures(selection, data, None, fits, fold)
         assert sorted(refitted) == [0] * 5 + [1] * 5
         assert guard[0] == figures[0].heldout_rms
-        # The bias is chosen in every fold, so that it does not matter whether it was kept.
-        assert guard[1] == pytest.approx(figures[1].heldout_rms, rel=0.01)
+        assert guard[1] == figures[1].heldout_kept
 
     def test_of_gyros_errors_are_said_axis_by_axis(self) -> None:
         rng = np.random.default_rng(48)

@@ -58,6 +58,10 @@ class ErrorFigures(JsonRecord):
     heldout_by_axis : mapping of str to float or None
         Held-out error of each axis, for a single pose traced sample by sample and for gyros (no common
         attitude of their axes); None for other sessions.
+    heldout_kept : float or None
+        Held-out error of the final model if its effects are kept in each fold and only their values are
+        fitted again; None if not computed. `heldout_rms` then refers to effects that were chosen again in
+        each fold.
     unit : str
         Unit of the readings, which ends the JSON names (`residual_rms_mg`).
     """
@@ -67,6 +71,7 @@ class ErrorFigures(JsonRecord):
     angle_rms_deg: float | None
     chi2_per_dof: float | None
     heldout_by_axis: dict[str, float] | None = field(default=None, metadata=NAMED_BY_UNIT | OPTIONAL)
+    heldout_kept: float | None = field(default=None, metadata=NAMED_BY_UNIT | OPTIONAL)
     unit: str = field(default="mg", metadata=HIDDEN)
 
 

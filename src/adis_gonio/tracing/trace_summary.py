@@ -316,11 +316,15 @@ def gains(result: TraceResult) -> str:
         f"{format_reduction(before.residual_rms, after.residual_rms)}"
     ]
     if before.heldout_rms is not None and after.heldout_rms is not None:
+        left, kept = format_number(after.heldout_rms), format_number(after.heldout_kept)
         parts.append(
-            f"on held-out data from {format_number(before.heldout_rms)} to"
-            f" {format_number(after.heldout_rms)} {unit}"
+            f"on held-out data from {format_number(before.heldout_rms)} to {left} {unit}"
             f"{format_reduction(before.heldout_rms, after.heldout_rms)}"
         )
+        if after.heldout_kept is not None and kept != left:
+            parts[-1] += (
+                f", effects chosen again each time, or to {kept} {unit} with the effects of this model kept"
+            )
     else:
         parts.append("there were too few data to hold any out, so this is not verified on other data")
     if before.angle_rms_deg is not None and after.angle_rms_deg is not None:

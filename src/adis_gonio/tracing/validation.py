@@ -416,12 +416,13 @@ def error_figures(
     data = selection.data
     if checking is not None:
         return without_folds(fits, measured, checking)
+    again: float | None = None
     if leaves_too_few(fits[-1]):
         lefts, design = leave_each_out(fits)
     else:
         several = len(fits) > 1
-        # The effects of the final model are chosen again in each fold.
-        models = [*fits[:-1], None] if several else fits
+        # The effects of the final model are chosen again, and also kept if no average replaces them.
+        models = [*fits[:-1], None, *([fits[-1]] if fold.averaged is None else [])] if several else fits
         lefts, counts = held_out_alike(
             [(fold, data, fit) for fit in models], selection.terms, [len(fits) - 1] if several else []
         )
@@ -431,11 +432,15 @@ def error_figures(
         design = "; ".join(f"{name} ({len(designs[name])} folds{text})" for name, text in shown.items())
         if several:
             design += "; effects chosen again in each fold"
+        if len(lefts) > len(fits):
+            again = _heldout(lefts.pop(), data)
+            design += f", {again:.3g} {data.model.unit} with those found kept"
         if any(shown.values()):
             design += (
                 "; a dwell counts if every model predicts it: the base model's error depends on the others"
             )
-    return [figures_of_fit(fit, measured, left) for fit, left in zip(fits, lefts, strict=True)], design
+    figures = [figures_of_fit(fit, measured, left) for fit, left in zip(fits, lefts, strict=True)]
+    return [*figures[:-1], replace(figures[-1], heldout_kept=again)], design
 
 
 def without_folds(

@@ -360,5 +360,6 @@ def _errors(free: TraceRun, asked: TraceRun) -> list[ErrorFigures]:
     models = [(run.fold, run.selection.data, fit) for run, fit in ((free, free.fits[0]), *searched)]
     lefts, _ = held_out_alike(models, free.selection.terms, (1, 2))
     return [
-        replace(figure, **heldout_errors(data, left)) for figure, left in zip(figures, lefts, strict=True)
+        replace(figure, heldout_kept=None, **heldout_errors(data, left))
+        for figure, left in zip(figures, lefts, strict=True)
     ]
