@@ -37,7 +37,7 @@ from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.methods import fit_of
 from adis_gonio.model.records import Session, Turn
 from adis_gonio.sim import World, WorldSettings
-from adis_gonio.sim.gyros import realistic_gyros
+from typical_gyros import draw_gyros
 
 POSES = (4, 5, 6, 9, 14, 24)
 FALSE_POSES = 9
@@ -69,7 +69,7 @@ class Bench(hands.Table):
 def session_of(seed: int, poses: int, part: str) -> tuple[Session, World]:
     """One session, and its world."""
     rng = np.random.default_rng(seed)
-    settings = WorldSettings(hand_moves=1.0, **realistic_gyros(rng))
+    settings = WorldSettings(hand_moves=1.0, **draw_gyros(rng))
     bench = Bench(World(settings, part=part, seed=seed))
     for direction in rng.standard_normal((poses, 3)):
         bench.pose(direction / np.linalg.norm(direction))

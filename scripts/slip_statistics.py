@@ -35,10 +35,10 @@ from adis_gonio.fitting.slips.position_model import Name, possible_entries
 from adis_gonio.fitting.slips.session_positions import angles_of, positions_of, search_faults
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.sim import World, WorldSettings
-from adis_gonio.sim.gyros import realistic_gyros
 from adis_gonio.sim.sampling import bartlett_sums
 from detectable_slips import detectable_deg
 from slip_oracle import Law, Mistakes, answer
+from typical_gyros import draw_gyros
 
 PERIOD_S = 1 / 819.2
 FILTER_M = 2
@@ -64,7 +64,7 @@ class Truth:
 
 def gyros_of(rng: np.random.Generator) -> dict[str, float]:
     """Faults of one part's gyros and of the hand that moves it."""
-    return realistic_gyros(rng) | {
+    return draw_gyros(rng) | {
         "hand_moves": 1.0,
         "hand_tremor_dps": rng.uniform(0.3, 2.0),
         "hand_vibration_mg": rng.uniform(1.0, 6.0),

@@ -11,8 +11,7 @@ from adis_gonio.device.sensor import Adis16354
 from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, TEMP_OUT
 from adis_gonio.model.effects import parse_effect
 from adis_gonio.sim import SimBus, World, WorldSettings
-from adis_gonio.sim.gyros import FIGURES, realistic_gyros, stream_of
-from adis_gonio.sim.testing import open_simulated
+from typical_gyros import draw_gyros
 
 SCAN = (*GYRO_OUT, *ACCEL_OUT, *TEMP_OUT)
 FACES = [sign * row for row in np.eye(3) for sign in (1, -1)]
@@ -347,43 +346,13 @@ def test_an_effect_of_the_gain_shows_in_turns():
     assert turned(sensor, 720.0)[2] == pytest.approx(720.0 * 1.01, abs=0.2)
 
 
-# -- the draw -------------------------------------------------------------------------------------------
-
-
-def test_realistic_gyros_are_settings_with_sources_and_depend_on_the_seed_alone():
-    drawn = [realistic_gyros(np.random.default_rng(seed)) for seed in range(300)]
-    assert drawn[5] == realistic_gyros(np.random.default_rng(5))
-    WorldSettings(**drawn[0])
-    for figure in FIGURES:
-        assert figure.source
-        values = np.array([one[figure.setting.format(axis)] for one in drawn for axis in figure.axes])
-        spread = figure.size / np.sqrt(3) if figure.law == "uniform" else figure.size
-        assert values.mean() == pytest.approx(figure.middle, abs=0.2 * spread), figure.setting
-        assert values.std() == pytest.approx(spread, rel=0.15), figure.setting
-
-
-def test_the_url_draws_them_from_a_stream_of_its_own_and_what_is_given_stands():
-    with (
-        open_simulated("sim:?seed=4") as ideal,
-        open_simulated("sim:?seed=4&gyros=realistic&gyro_scale_z=1.5") as real,
-    ):
-        drawn = realistic_gyros(stream_of(4))
-        assert real.world.settings.gyro_scale_x == drawn["gyro_scale_x"]
-        assert real.world.settings.gyro_scale_z == 1.5
-        for name in ("delta_k", "delta_phi", "bias_x", "alpha"):
-            assert real.truth()[name] == ideal.truth()[name]
-        assert rest(real, 500)[1] == pytest.approx(rest(ideal, 500)[1], abs=0.1)
-
-
-def test_no_other_word_draws_gyros_and_no_axis_leans_beyond_ninety_degrees():
-    with pytest.raises(UsageError, match="ideal, realistic"):
-        open_simulated("sim:?gyros=reel")
+def test_no_axis_leans_beyond_ninety_degrees():
     with pytest.raises(UsageError, match="gyro_misalignment_y"):
         World(WorldSettings(gyro_misalignment_yx_deg=80.0, gyro_misalignment_yz_deg=60.0))
 
 
-def test_realistic_gyros_in_pieces_equal_those_at_once():
-    settings = WorldSettings(**realistic_gyros(np.random.default_rng(2)), hand_moves=1.0, powered_s=1.0)
+def test_gyros_in_pieces_equal_those_at_once():
+    settings = WorldSettings(**draw_gyros(np.random.default_rng(2)), hand_moves=1.0, powered_s=1.0)
     worlds = [World(settings) for _ in range(2)]
     for world in worlds:
         end = world.stage.orient(0.5, np.array([0.0, 0.0, -1.0]))
@@ -397,7 +366,7 @@ def test_realistic_gyros_in_pieces_equal_those_at_once():
 
 
 def test_the_truth_of_a_time_is_what_the_gyros_read_at_rest_then():
-    given = realistic_gyros(np.random.default_rng(8)) | {"earth_rate_up_dps": 0.0}
+    given = draw_gyros(np.random.default_rng(8)) | {"earth_rate_up_dps": 0.0}
     given |= {"gyro_rate_walk_dps_per_rt_s": 0.0, "powered_s": 20.0, "ambient_c": 40.0, "supply_v": 5.1}
     given["gyro_noise_dps"] = 0.3
     sensor = part(**given)

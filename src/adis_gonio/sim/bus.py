@@ -36,7 +36,6 @@ from adis_gonio.device.bus.host import SAFE_TIMING, UrlOptions
 from adis_gonio.device.bus.opening import BusUrl, Device
 from adis_gonio.model.effects import parse_effect
 from adis_gonio.sim.chip import SimulatedChip
-from adis_gonio.sim.gyros import realistic_gyros, stream_of
 from adis_gonio.sim.memory import FlashFile
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.stage import Stage
@@ -44,7 +43,7 @@ from adis_gonio.sim.world import World
 
 _POWERED_BEFORE_S = 0.5
 _TRIGGER_S = 2e-6
-_OPTIONS = ("seed", "day", "variant", "stream", "realtime", "effects", "flash", "gyros")
+_OPTIONS = ("seed", "day", "variant", "stream", "realtime", "effects", "flash")
 
 
 class SimBus(SpiBus):
@@ -310,8 +309,7 @@ def open_from_url(url: BusUrl) -> SimBus:
 
     Options of the URL are `seed`, `day` (another session of the same part), `variant`, `stream` (0 or 1),
     `realtime` (0 or 1), `effects` (of the catalogue, such as `quadratic:k2_x=2.5;cubic`), `flash` (a file
-    that stores the sensor's flash between two openings), `gyros` (`realistic` draws their errors from the
-    seed, but keeps values given by name), and every name of `WorldSettings`.
+    that stores the sensor's flash between two openings), and every name of `WorldSettings`.
 
     Raises
     ------
@@ -324,10 +322,8 @@ def open_from_url(url: BusUrl) -> SimBus:
         raise UsageError(f"'{url.text}': only calibrate and write know hands=free; leave it out")
     options = UrlOptions(url, tuple(url.options))  # `WorldSettings.from_options` refuses unknown names
     seed = options.number("seed", 0, 0, 2**63 - 1)
-    realistic = options.one_of("gyros", ("ideal", "realistic")) == "realistic"
-    drawn = realistic_gyros(stream_of(seed)) if realistic else {}
     world = World(
-        WorldSettings.from_options(url.options, others=_OPTIONS, drawn=drawn),
+        WorldSettings.from_options(url.options, others=_OPTIONS),
         part=options.text("variant", "adis16354"),
         seed=seed,
         day=options.number("day", 0, 0, 2**63 - 1),

@@ -1,27 +1,21 @@
-"""Three gyros with their errors: readings, true parameters, die temperatures, realistic draws.
+"""Three gyros with their errors: readings, true parameters, die temperatures.
 
 The convention is defined in `settings.GyroSettings`. The axis of a gyro is misaligned towards the axes of
 the gyros' frame (`gyro_misalignment_…`), and that frame is rotated against the frame of the accelerometers
 (`gyro_triad_…`). `GyroTriad.truth` has the sum of both rotations, relative to the accelerometers' frame, in
 which a fit finds them.
-
-The sources of the drawn errors have a confidence. Figures with confidence B are in the data sheet (DS) of
-the related sensors ADIS16350 and ADIS16355 and are used as the size of the error. Figures with confidence D
-are estimates for parts of this class.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, rotation_matrices
 from adis_gonio.base.errors import UsageError
-from adis_gonio.device.sensor.registers import Confidence, Performance
+from adis_gonio.device.sensor.registers import Performance
 from adis_gonio.model.effects.base import AXES, lagged
 from adis_gonio.sim.noise import RateWalk
 from adis_gonio.sim.sampling import Electronics
@@ -226,112 +220,6 @@ def _sensitivity(settings: WorldSettings) -> Floats:
     sensitivity = gains[:, None] * (misalignment + np.diag(own))
     turned = np.radians([getattr(settings, f"gyro_triad_{axis}_deg") for axis in AXES])
     return np.asarray(sensitivity @ rotation_matrices(turned).T if turned.any() else sensitivity)
-
-
-_OTHERS = tuple(a + b for a, b in itertools.permutations(AXES, 2))
-_STREAM = 10
-"""Number of the random stream from which the errors of the gyros are drawn.
-
-The stream is spawned from a world's seed.
-"""
-
-
-@dataclass(frozen=True)
-class DrawnFault:
-    """Distribution from which one kind of gyro error is drawn.
-
-    Attributes
-    ----------
-    setting : str
-        Name of the setting in `WorldSettings`, with {} in place of the axes.
-    axes : tuple of str
-        Names that replace {}, one for each drawn value.
-    law : {"normal", "uniform"}
-        Shape of the distribution.
-    size : float
-        Standard deviation of the normal law, or half the width of the uniform law.
-    source, confidence : str
-        Source of the size, and confidence from A to D that it is valid.
-    middle : float
-        Mean of the distribution.
-    most : float
-        Largest deviation of a normal value from the mean; 0 means three times `size`.
-    """
-
-    setting: str
-    axes: tuple[str, ...]
-    law: Literal["normal", "uniform"]
-    size: float
-    source: str
-    confidence: Confidence
-    middle: float = 0.0
-    most: float = 0.0
-
-    def draw(self, rng: np.random.Generator) -> dict[str, float]:
-        """Draw a value of this property for each axis; return the values by the name of their setting."""
-        n = len(self.axes)
-        if self.law == "uniform":
-            drawn = self.size * rng.uniform(-1.0, 1.0, n)
-        else:
-            most = self.most or 3 * self.size
-            drawn = np.clip(self.size * rng.standard_normal(n), -most, most)
-        return {
-            self.setting.format(axis): self.middle + float(value)
-            for axis, value in zip(self.axes, drawn, strict=True)
-        }
-
-
-_ONE = ("",)
-_PART = "parts of this class"
-FIGURES: tuple[DrawnFault, ...] = (
-    DrawnFault("gyro_bias_{}_dps", AXES, "normal", 1.0, _PART, "D"),
-    DrawnFault("gyro_bias_tempco_{}_dps_per_c", AXES, "normal", 0.02, _PART, "D"),
-    DrawnFault("gyro_warm_up_{}_dps", AXES, "normal", 0.1, _PART, "D"),
-    DrawnFault("gyro_warm_up_tau_s{}", _ONE, "uniform", 90.0, _PART, "D", middle=150.0),
-    DrawnFault("gyro_scale_{}", AXES, "normal", 0.008, "DS: sensitivity ±2 %", "B", middle=1.0, most=0.02),
-    DrawnFault("gyro_scale_tempco_{}_ppm_per_c", AXES, "normal", 100.0, "DS: 100 / 40 ppm/°C", "B"),
-    DrawnFault("gyro_asymmetry_{}", AXES, "normal", 5e-4, "DS: nonlinearity ±0.2 % FS allows it", "D"),
-    DrawnFault("gyro_misalignment_{}_deg", _OTHERS, "uniform", 0.25, "DS: non-orthogonality ±0.25°", "B"),
-    DrawnFault("gyro_triad_{}_deg", AXES, "uniform", 0.5, "DS: axis to frame ±0.5°", "B"),
-    DrawnFault("gyro_g_sensitivity_{}_dps_per_g", PAIRS, "normal", 0.05, "DS: 0.05 °/s/g", "B"),
-    DrawnFault("gyro_g2_sensitivity_{}_dps_per_g2", PAIRS, "normal", 0.01, _PART, "D"),
-    DrawnFault("gyro_supply_{}_dps_per_v", AXES, "normal", 0.25, "DS: 0.25 °/s/V", "B"),
-    DrawnFault("gyro_rate_walk_dps_per_rt_s{}", _ONE, "uniform", 5e-4, _PART, "D", middle=5e-4),
-    DrawnFault("gyro_range_gain_{}", ("150", "75"), "normal", 1e-3, _PART, "D", middle=1.0),
-    DrawnFault("gyro_g_compensation{}", _ONE, "uniform", 0.1, _PART, "D", middle=0.9),
-    DrawnFault("accel_place_{}_mm", PAIRS, "normal", 2.0, _PART, "D"),
-    DrawnFault("die_gradient_{}_c", AXES, "normal", 0.5, _PART, "D"),
-    DrawnFault("die_lag_{}_s", AXES, "uniform", 15.0, _PART, "D", middle=20.0),
-    DrawnFault("earth_rate_up_dps{}", _ONE, "uniform", 0.0036, "the earth, up to 60° of latitude", "A"),
-)
-"""Errors of the gyros in the order in which they are drawn.
-
-Noise and bias instability are missing, because they are figures of the variant.
-"""
-
-
-def realistic_gyros(rng: np.random.Generator) -> dict[str, float]:
-    """Draw settings for three gyros with all their typical errors.
-
-    Parameters
-    ----------
-    rng : Generator
-        Random generator that draws the settings.
-
-    Returns
-    -------
-    dict of str to float
-        Values by name of the setting, for `WorldSettings(**realistic_gyros(rng))`.
-    """
-    drawn: dict[str, float] = {}
-    for figure in FIGURES:
-        drawn |= figure.draw(rng)
-    return drawn
-
-
-def stream_of(seed: int) -> np.random.Generator:
-    """Return the random generator of the gyro errors that belong to a seed of a simulated sensor."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAM,)))
 
 
 _STEP_S = 1.0

@@ -295,7 +295,6 @@ class WorldSettings(GyroSettings):
         options: Mapping[str, str],
         *,
         others: tuple[str, ...] = (),
-        drawn: Mapping[str, float] | None = None,
     ) -> Self:
         """Create settings from texts, such as the options of a URL.
 
@@ -306,8 +305,6 @@ class WorldSettings(GyroSettings):
         others : tuple of str
             Names of other options, which the caller reads itself; they are skipped, and offered as nearest
             matches.
-        drawn : mapping of str to float, optional
-            Values of settings that the options omit.
 
         Raises
         ------
@@ -315,7 +312,7 @@ class WorldSettings(GyroSettings):
             A name is unknown (the message has the nearest one), a value is no number or not possible.
         """
         known = cls.names()
-        values: dict[str, float] = dict(drawn or {})
+        values: dict[str, float] = {}
         for name, text in options.items():
             if name in others:
                 continue

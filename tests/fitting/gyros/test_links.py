@@ -33,8 +33,8 @@ from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import sensitivity
 from adis_gonio.model.records import Session
 from adis_gonio.sim import World, WorldSettings
-from adis_gonio.sim.gyros import realistic_gyros
 from fitting.gyros.simulated import Recorder
+from typical_gyros import draw_gyros
 
 NOISE = 0.05 * np.eye(3)
 
@@ -447,7 +447,7 @@ def test_the_covariance_of_all_links_has_blocks_of_neighbours_that_share_a_dwell
 
 def _session(poses: int, seed: int) -> tuple[Session, World]:
     rng = np.random.default_rng(seed)
-    world = World(WorldSettings(hand_moves=1.0, **realistic_gyros(rng)), seed=seed)
+    world = World(WorldSettings(hand_moves=1.0, **draw_gyros(rng)), seed=seed)
     recorder = Recorder(world)
     for k, direction in enumerate(rng.standard_normal((poses, 3))):
         unit = direction / np.linalg.norm(direction)

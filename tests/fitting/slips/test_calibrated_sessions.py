@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
+
 from adis_gonio.faces.cli import main
+from typical_gyros import draw_gyros
 
 SLIP_DEG, FROM = 4.0, 3
-REALISTIC = "sim:?seed=5&gyros=realistic&delta_k=0.012&delta_phi_deg=0.2"
+GYROS = "&".join(f"{name}={value}" for name, value in draw_gyros(np.random.default_rng(5)).items())
+REALISTIC = f"sim:?seed=5&delta_k=0.012&delta_phi_deg=0.2&{GYROS}"
 SLIPPING = f"{REALISTIC}&part_slip_deg={SLIP_DEG}&part_slip_position={FROM}"
 
 
