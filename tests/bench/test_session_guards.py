@@ -277,7 +277,7 @@ def test_a_part_the_other_way_up_than_drawn_may_stay_because_any_start_angle_ser
         assert right(sensor, path)
 
 
-def test_a_guard_that_stops_again_and_again_says_that_a_dwell_before_may_be_wrong(sensor, path):
+def test_a_first_dwell_at_a_wrong_place_can_be_undone_when_right_turns_look_wrong(sensor, path):
     """The first dwell was made at 90°: every right turn then looks wrong, until it is undone."""
     wrong_first = lambda event, times: 90.0 if event.place == 0 and times == 0 else event.position.angle_deg  # noqa: E731
     runner = SessionRunner.begin(sensor, path, plan("four-position"), QUICK, fixture_sigma_deg=0.02)
@@ -288,13 +288,7 @@ def test_a_guard_that_stops_again_and_again_says_that_a_dwell_before_may_be_wron
             runner.undo()
         else:
             hand.see(runner, event)
-    stops = hand.guards
-    assert {guard.kind for guard in stops} == {"not_moved"}
-    assert "undo the earlier dwell" not in stops[0].message
-    assert "stopped here 2 times: if" in stops[1].message
-    assert "undo the earlier dwell" in stops[1].message
-    assert stops[2].message.endswith("; stopped here 3 times")
-    assert "undo the earlier dwell" not in stops[2].message
+    assert {guard.kind for guard in hand.guards} == {"not_moved"}
     assert event.complete
     assert not read_session(path).facts["doubts"]
     assert right(sensor, path)

@@ -286,17 +286,14 @@ class Questions:
         mean, spread = newest.mean(axis=0), newest.std(axis=0, ddof=1)
         return view.watching("idle", mean, spread, target_deg, "an answer")
 
-    def ask_guard(
-        self, guard: Guard, place: int, shown: Guard | None = None
-    ) -> Generator[Event, None, Reply]:
+    def ask_guard(self, guard: Guard, place: int) -> Generator[Event, None, Reply]:
         """Ask the question of a guard, record the answer and return it.
 
-        `place` is the index of the position in the plan; `shown` is a guard whose message is displayed
-        instead of the message of `guard`, None for the same message.
+        `place` is the index of the position in the plan.
         """
-        shown, position = shown or guard, self.ledger.plan.positions[place]
+        position = self.ledger.plan.positions[place]
         raised = GuardRaised(
-            guard.kind, shown.message, place, position, shown.values, guard.answers, guard.default
+            guard.kind, guard.message, place, position, guard.values, guard.answers, guard.default
         )
         allowed = {Reply(name) for name in guard.answers}
         answer = yield from self.ask(raised, allowed, Reply(guard.default), place)

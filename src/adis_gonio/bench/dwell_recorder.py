@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections import Counter
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
@@ -29,7 +28,6 @@ from adis_gonio.bench.guards import (
     judge_dwell,
     judge_shift,
     shock_guard,
-    shorten_repeated,
     stuck_guard,
 )
 from adis_gonio.bench.recorder import BROKEN_STREAM, Recorder, why_broken_off
@@ -268,8 +266,6 @@ class DwellRecorder(Recorder):
         # Of the present dwell: kinds of guards that the operator overruled, and doubts about the result.
         self._kept_kinds: set[str] = set()
         self._doubts: list[Guard] = []
-        self._stops: Counter[int] = Counter()
-        self._said: set[str] = set()  # words of the questions of guards so far
 
     def take(self, place: int) -> Iterator[Event]:
         """Record the dwell of the position at index `place` of the plan; a disturbed dwell is restarted.
@@ -485,7 +481,6 @@ class DwellRecorder(Recorder):
         """Record the guards that the operator overruled at the dwell of attempt `number`; True if any."""
         for guard in self._doubts:
             self._ledger.note("doubt", {"attempt": number, "kind": guard.kind, "message": guard.message})
-        self._stops.clear()
         return bool(self._doubts)
 
     def _ask(self, guard: Guard, place: int) -> Generator[Event, None, bool]:
@@ -494,9 +489,7 @@ class DwellRecorder(Recorder):
         `place` is the index in the plan of the position that the guard questions.
         """
         ledger = self._ledger
-        self._stops[place] += 1
-        shown = shorten_repeated(guard, self._stops[place] if ledger.done else 1, self._said)
-        answer = yield from self._questions.ask_guard(guard, place, shown)
+        answer = yield from self._questions.ask_guard(guard, place)
         if answer is Reply.KEEP:
             self._keep(guard)
         elif answer is Reply.REVERSE:

@@ -94,27 +94,6 @@ class Guard:
         return self.kind in ("not_moved", "reversed", "wrong_axis", "wrong_angle")
 
 
-def shorten_repeated(guard: Guard, times: int, said: set[str]) -> Guard:
-    """Return a guard with the message that the operator sees, shortened if it was shown before.
-
-    `said` has the messages shown so far, without their numbers; this message is added to it. If it is there
-    already, only its first clause is shown. `times` counts the questions about this position since the last
-    dwell. From the second on, the message mentions this number if the guard contradicts earlier dwells; at
-    the second it adds that an earlier dwell may be wrong.
-    """
-    words = "".join(filter(str.isalpha, guard.message))
-    message = guard.message.split("; ")[0] if words in said else guard.message
-    said.add(words)
-    if times >= 2 and guard.contradicts:
-        message += f"; stopped here {times} times"
-        if times == 2:
-            message += (
-                ": if the part is right now, an earlier dwell is wrong, or the part has slipped since; take"
-                " the position again and undo the earlier dwell"
-            )
-    return replace(guard, message=message)
-
-
 def judge_turn(
     *,
     asked_deg: float,
