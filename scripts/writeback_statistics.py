@@ -29,7 +29,7 @@ from adis_gonio.sim import SimBus, World
 
 @dataclass
 class Part:
-    """One part: true biases (2,) in LSB before and after, what the dwell after showed, flash writes.
+    """One part: true biases (2,) in LSB before and after, and flash writes.
 
     `u` is that of the fit and of what wanders between the session and now, in LSB.
     """
@@ -37,7 +37,6 @@ class Part:
     before: np.ndarray
     after: np.ndarray
     u: np.ndarray
-    off: np.ndarray
     endurance: int
 
 
@@ -56,10 +55,9 @@ def write_back(seed: int, folder: Path, variant: str, plan_name: str, dwell_s: f
     bias = np.array([truth["bias_x"], truth["bias_y"]])
     left = bias + lsb * np.array([axis.new for axis in made.axes])
     path.unlink()
-    off = (np.array(outcome.bias) - left) / np.array(outcome.bias_u)
     wander = np.sqrt(2) * sensor.variant.performance.bias_instability_mg
     u = np.hypot([axis.u for axis in made.axes], wander)
-    return Part(bias / lsb, left / lsb, u / lsb, off, outcome.endurance_after)
+    return Part(bias / lsb, left / lsb, u / lsb, outcome.endurance_after)
 
 
 def main() -> None:
@@ -90,10 +88,6 @@ def main() -> None:
         )
     near = np.mean(after <= 1 + 2 * np.array([p.u for p in parts]))
     print(f"after, within 1 LSB and 2 u of fit and wander: {100 * near:.1f} %")
-    off = np.array([p.off for p in parts])
-    inside = np.mean(np.abs(off) <= 1.96)
-    print(f"bias by the dwell after, less the truth, over its u: rms {np.sqrt(np.mean(off**2)):.2f};")
-    print(f"  within 1.96 u: {100 * inside:.1f} %")
     print(f"flash writes: {dict(Counter(p.endurance for p in parts))}")
     print(f"refused or set back: {sum(refused.values())}")
     for text, count in refused.items():

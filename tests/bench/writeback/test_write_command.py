@@ -84,8 +84,6 @@ def test_json_of_a_write_and_status_and_undo(bus, path, capsys):
         "text": "",
     }
     assert all(check["agrees"] for check in document["checks"])
-    for value, u in zip(*document["bias_after"].values(), strict=True):
-        assert abs(value) < 0.4672 + 3 * u
     assert main(["write", str(path), URL, "--status"]) == 0
     assert "new offsets, saved" in capsys.readouterr().out
     assert main(["write", str(path), URL, "--undo", "--yes", "--json"]) == 0

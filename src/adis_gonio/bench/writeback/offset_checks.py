@@ -347,17 +347,6 @@ class _FittedSensor:
         what = "gravity's length by the session's calibration"
         return Agreement(what, ("|g|",), value, np.array([gravity]), u)
 
-    def bias_found(self, angle_rad: float) -> tuple[Floats, Floats]:
-        """Return the biases (2,) of X and Y in mg by the dwell alone, and their standard uncertainties.
-
-        `angle_rad` is the declared angle of the dwell. Gains and misalignment come from the fit.
-        """
-
-        def left(values: Floats, mean: Floats) -> Floats:
-            return np.asarray(mean[:2] - self._ideal_mg(values, angle_rad))
-
-        return self._propagated(left, self._fixture_u(angle_rad))
-
     def _base(self, values: Floats) -> Floats:
         """Convert values of the fitted parameters to the parameters of the model.
 
@@ -441,7 +430,7 @@ class Accelerometers:
         Declared angle of the sensor now; None if it is not known.
     """
 
-    registers, others, unit = ACCEL_OFF, GYRO_OFF, "mg"
+    registers, others = ACCEL_OFF, GYRO_OFF
     remarks: tuple[str, ...] = ()
 
     def __init__(self, session: Session, method: str | None, angle_deg: float | None) -> None:
@@ -486,15 +475,6 @@ class Accelerometers:
         moved = (after.mean_mg - before.mean_mg)[rows]
         return Agreement("the write moved the outputs by", names, moved, planned, u)
 
-    def found(self, plan: WritePlan, rest: Rest) -> tuple[Floats, Floats] | None:
-        """Return the biases (2,) in mg by a dwell at the declared angle, and their standard uncertainties.
-
-        Returns None without a declared angle.
-        """
-        if self._angle_rad is None:
-            return None
-        return _FittedSensor(self.session, self.result, plan, rest).bias_found(self._angle_rad)
-
     @property
     def _angle_rad(self) -> float | None:
         """Declared angle in rad; None if it or the start angle of the plane is not known."""
@@ -506,7 +486,7 @@ class Accelerometers:
 class Gyros:
     """Checks and plans the offsets of a session's gyros."""
 
-    registers, others, unit = GYRO_OFF, ACCEL_OFF, "dps"
+    registers, others = GYRO_OFF, ACCEL_OFF
 
     def __init__(self, session: Session) -> None:
         self.session = session
@@ -556,15 +536,6 @@ class Gyros:
         u = np.sqrt(u_first**2 + u_second**2 + wander**2)
         planned = np.array([axis.effect for axis in plan.axes])
         return Agreement("the write moved the gyros by", GYRO_NAMES, second - first, planned, u, "dps")
-
-    def found(self, plan: WritePlan, rest: Rest) -> tuple[Floats, Floats] | None:
-        """Return the zero rates (3,) in °/s by a dwell, with their standard uncertainties (3,).
-
-        The effect of force is removed. `plan` is not used, and the result is never None.
-        """
-        mean, u = rest.of_gyros
-        force, of_force = self.by_force(rest)
-        return mean - force, np.hypot(u, of_force)
 
     def compare_autonull(
         self, plan: WritePlan, rest: Rest, nulled: Numbers, samples: float | None

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 from adis_gonio.base.errors import AdisGonioError, ChipError, SessionError, UsageError, VerifyError
-from adis_gonio.base.numbers import signed
 from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.bench.writeback.offset_checks import (
     PRECISE_S,
@@ -28,7 +27,7 @@ from adis_gonio.bench.writeback.offset_checks import (
     measure,
     part_of,
 )
-from adis_gonio.bench.writeback.offset_plan import UNITS, WritePlan, recorded_offsets
+from adis_gonio.bench.writeback.offset_plan import WritePlan, recorded_offsets
 from adis_gonio.device.sensor.driver import FLASH_LIFE, FLASH_UPDATE_S, Adis16354, Undo
 from adis_gonio.device.sensor.registers import registers
 from adis_gonio.model.records import Session
@@ -150,11 +149,6 @@ class WriteResult:
         Content of ENDURANCE, the counter of flash updates, before and after the write-back.
     checks : tuple of Agreement
         Comparisons, which all agree.
-    bias, bias_u : tuple of float
-        Biases (x, y) by the dwell after the write alone, and their standard uncertainties; of gyros zero
-        rates (x, y, z). Empty if the angle is not known or no such dwell was recorded.
-    unit : str
-        Unit of the biases: `mg` or `dps`.
     autonull : Agreement or None
         Comparison of the chip's autonull with the session; None without an autonull.
     nulled : dict of str to int
@@ -165,9 +159,6 @@ class WriteResult:
     endurance_before: int
     endurance_after: int
     checks: tuple[Agreement, ...] = ()
-    bias: tuple[float, ...] = ()
-    bias_u: tuple[float, ...] = ()
-    unit: str = "mg"
     autonull: Agreement | None = None
     nulled: dict[str, int] = field(default_factory=dict)
 
@@ -178,7 +169,6 @@ class WriteResult:
             "state": self.standing.as_dict(),
             "endurance": {"before": self.endurance_before, "after": self.endurance_after},
             "checks": [check.as_dict() for check in self.checks],
-            "bias_after": {f"value_{self.unit}": list(self.bias), f"u_{self.unit}": list(self.bias_u)},
             **null,
         }
 
@@ -317,7 +307,6 @@ class OffsetWriter:
         held = {name: now[name] for name in plan.new}
         old = earlier.old if earlier else held
         found = old if standing.registers == "half" else held
-        bias: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
         operation = Operation(0, "write", old, plan.new, found, saves, ())
         with self._journal(operation, plan=plan.as_dict()) as journal, self._reporting_state():
             try:
@@ -325,7 +314,7 @@ class OffsetWriter:
                     self._put(plan)
                 journal.note(WriteStep.WRITTEN)
                 if plan.changes:
-                    bias = self._verify(plan)
+                    self._verify(plan)
                 journal.note(WriteStep.VERIFIED, checks=[check.as_dict() for check in self._checks])
                 if in_flash:
                     journal.note(WriteStep.SAVED, endurance=endurance, endurance_after=endurance)
@@ -335,7 +324,7 @@ class OffsetWriter:
             except BaseException as error:
                 self._restore(journal, str(error) or type(error).__name__)
                 raise
-        return self._outcome(endurance, bias)
+        return self._outcome(endurance)
 
     def undo(self) -> WriteResult:
         """Restore the old offsets; save them to flash if the new ones are there or saving was requested.
@@ -368,7 +357,7 @@ class OffsetWriter:
             if saves:
                 self._save(journal, earlier.old)
             journal.note(WriteStep.DONE)
-        return self._outcome(endurance, ((), ()))
+        return self._outcome(endurance)
 
     def autonull(self, *, precise: bool = False) -> WriteResult:
         """Run the chip's autonull of its gyros; undo it if it disagrees with the session.
@@ -418,7 +407,7 @@ class OffsetWriter:
                 f"the chip's autonull is not kept: it differs from the session by {found.excess};"
                 f" {undone.standing.text}"
             )
-        return replace(self._outcome(endurance, ((), ())), autonull=found, nulled=nulled)
+        return replace(self._outcome(endurance), autonull=found, nulled=nulled)
 
     # -- steps ----------------------------------------------------------------------------------------
 
@@ -433,10 +422,8 @@ class OffsetWriter:
         self._tell(f"written and read back: {_format_numbers(plan.new)}")
         self.sensor.bus.sleep_s(self.sensor.configuration().settling_s)
 
-    def _verify(self, plan: WritePlan) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    def _verify(self, plan: WritePlan) -> None:
         """Compare a dwell after the write with the dwell before it and with the session.
-
-        Returns the remaining biases or zero rates and their u; both are empty without a declared angle.
 
         Raises
         ------
@@ -453,18 +440,6 @@ class OffsetWriter:
             if not check.agrees:
                 raise VerifyError(f"{check}: not as planned")
         self._checks += checks
-        found = self._part.found(done, after)
-        if found is None:
-            return (), ()
-        value, u = found
-        unit, places = UNITS[self._part.unit], 2 if self._part.unit == "mg" else 3
-        each = zip("XYZ", value, u, strict=False)
-        text = ", ".join(f"{axis} {signed(v, places)} {unit} (u {s:.2g} {unit})" for axis, v, s in each)
-        lsb = plan.axes[0].lsb
-        near = "zero" if (abs(value) <= lsb + 2 * u).all() else "not zero"
-        what = "bias" if self._part.unit == "mg" else "zero rate"
-        self._tell(f"{what} by this dwell alone: {text}: {near} within an LSB ({lsb:.4g} {unit}) and 2 u")
-        return tuple(value.tolist()), tuple(u.tolist())
 
     def _save(self, journal: Logbook, numbers: dict[str, int]) -> None:
         """Save the registers to flash; check before and after it that they have these numbers."""
@@ -523,11 +498,11 @@ class OffsetWriter:
 
     # -- inside ---------------------------------------------------------------------------------------
 
-    def _outcome(self, endurance: int, bias: tuple[tuple[float, ...], tuple[float, ...]]) -> WriteResult:
+    def _outcome(self, endurance: int) -> WriteResult:
         self.session = load(self.path)
         now, after = self._read()
         standing = held_offsets(self.known, now, after, self.others)
-        return WriteResult(standing, endurance, after, tuple(self._checks), *bias, self._part.unit)
+        return WriteResult(standing, endurance, after, tuple(self._checks))
 
     def _state_text(self) -> str:
         """Return a text on the present state of the sensor's offsets, or that it cannot be read."""
