@@ -342,10 +342,6 @@ class TurnProgress(Event):
         (measured by the gyros).
     turn, turns : int
         Number of the present full turn, from 1, and number of full turns.
-    rest_s : float
-        Duration of the present rest in s, if whole turns are followed by the gyros; else 0.
-    peak_dps : float
-        Largest rate of any gyro so far, if the gyros are followed; else 0.
     """
 
     state: Literal["rest", "turn", "after"]
@@ -357,8 +353,6 @@ class TurnProgress(Event):
     rate_dps: float
     turn: int = 1
     turns: int = 1
-    rest_s: float = 0.0
-    peak_dps: float = 0.0
 
 
 class TurnDone(Event):

@@ -58,34 +58,19 @@ def whole_turns_to_do(turned_deg: float, fastest_dps: float) -> str:
 
     `turned_deg` is the turn, counter-clockwise positive, and `fastest_dps` the largest rate.
     """
+    turns = round(abs(turned_deg) / 360)
+    times = "once" if turns == 1 else f"{turns} times"
     return (
-        f"leave the part at the mark; 1 s after Enter turn it {turns_text(turned_deg)}, seen from above,"
-        f" flat on the table and back to the mark, at {fastest_dps:.0f} °/s at most"
+        f"leave the part at the mark; 1 s after Enter turn it {times} {turn_sense(turned_deg)}, seen from"
+        f" above, flat on the table and back to the mark, at {fastest_dps:.0f} °/s at most"
         f" ({360 / fastest_dps:.0f} s a turn; stops to change your grip do no harm), and let it rest:"
         " get ready"
     )
 
 
-def turns_text(turned_deg: float) -> str:
-    """Return number and sense of whole turns as text, such as `5 times clockwise`.
-
-    `turned_deg` is the turn, counter-clockwise positive.
-    """
-    turns = round(abs(turned_deg) / 360)
-    return f"{'once' if turns == 1 else f'{turns} times'} {turn_sense(turned_deg)}"
-
-
 def turn_sense(angle_deg: float) -> str:
     """Return the sense of a turn seen from above: `counter-clockwise` (`angle_deg` > 0) or `clockwise`."""
     return "counter-clockwise" if angle_deg > 0 else "clockwise"
-
-
-def face(position: Position | None) -> str:
-    """Return the axis that points up or down, such as `X arrow up`; empty without a direction."""
-    if position is None or position.direction is None:
-        return ""
-    along, axis = max(zip(position.direction, "XYZ", strict=True), key=lambda pair: abs(pair[0]))
-    return f"{axis} arrow {'up' if along < 0 else 'down'}"
 
 
 def drawing(plan: Plan) -> tuple[str, ...]:

@@ -155,7 +155,6 @@ class GyroTurn(FollowedTurn):
     def see(self, block: Block) -> None:
         """Integrate the rates of a block and update the turn."""
         shown, time = _rates_and_force(block)[0], block.time_s
-        self.peak_dps = max(self.peak_dps, float(np.abs(shown).max()))
         if self._last_s is None:
             self._last_s = float(time[0])
         span = float(time[-1]) - self._last_s

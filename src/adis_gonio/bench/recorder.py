@@ -59,9 +59,8 @@ class FollowedTurn(ABC):
         Number of full turns so far.
     travelled_deg : float
         Sum of the turns in both directions, each counted as positive.
-    rest_s, peak_dps : float
-        Duration of the present rest in s, and largest rate of any gyro so far in °/s; 0 if the gyros are
-        not followed.
+    rest_s : float
+        Duration of the present rest in s; 0 if the gyros are not followed.
     samples, lost, length_s : int, int, float
         Number of samples so far, of scans lost, and time since the beginning in s.
     """
@@ -78,7 +77,7 @@ class FollowedTurn(ABC):
         self.moves: list[Move] = []
         self.began = began
         self.samples = self.lost = self.turns_made = 0
-        self.length_s = self.written_s = self.rest_s = self.peak_dps = 0.0
+        self.length_s = self.written_s = self.rest_s = 0.0
         self.turned_deg = self.rate_dps = self.travelled_deg = 0.0
         self._first_s: float | None = None
 
@@ -125,8 +124,6 @@ class FollowedTurn(ABC):
             self.rate_dps,
             min(self.turns_made + 1, self.turns),
             self.turns,
-            self.rest_s,
-            self.peak_dps,
         )
 
     def done(self, number: int) -> TurnDone:

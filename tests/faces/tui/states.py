@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from adis_gonio.bench import events
-from adis_gonio.bench.gyro_turns import gyro_turns_plan
 from adis_gonio.record.plans import blindness, extension, plan
 
 PLAN = plan("tumble", 6)
@@ -95,33 +94,6 @@ EXTENSION = events.ExtensionOffered(extension(TWO, 2), blindness(TWO, 50.0))
 LONG = plan("mmpm", 36)
 POSES = plan("poses")
 
-TABLE = gyro_turns_plan(5)
-ON_TABLE = [
-    events.Started("gyros.session", "serial:/dev/ttyACM0", "adis16354", TABLE, False, 0),
-    events.Configured({"sample_rate_hz": 819.2, "gyro_range_dps": 300}, {}, ""),
-    OPEN[2],
-]
-LAID = [*ON_TABLE, asked(0, TABLE), look(angle=None, target=None), done(0, TABLE), asked(1, TABLE)]
-
-
-def turning(
-    state: str, turned: float, rate: float, turn: int = 1, rest: float = 0.0, peak: float = 241.0
-) -> events.TurnProgress:
-    return events.TurnProgress(state, 14.2, 300.0, 11632, 0, turned, rate, turn, 5, rest, peak)
-
-
-TURNED = events.TurnDone(3, 1803.4, 32.1, 26297, 0, 5, 1803.9)
-NOT_WHOLE = events.GuardRaised(
-    "wrong_angle",
-    "the gyro turned +1653°, −147° off a whole number of turns (its gain explains 55° at most): bring the"
-    " part back to the mark and turn again",
-    1,
-    TABLE.positions[1],
-    {"asked_deg": 1800.0, "gyro_deg": 1653.0, "off_deg": -147.0, "limit_deg": 54.6},
-    ("retake", "keep", "skip"),
-    "retake",
-)
-
 STATES: dict[str, tuple[list[events.Event], tuple[str, ...]]] = {
     "opening": ([], ()),
     "measuring": (
@@ -170,24 +142,6 @@ STATES: dict[str, tuple[list[events.Event], tuple[str, ...]]] = {
     "quit": ([*THREE, asked(3), look(angle=180.0, target=180.0)], ("q",)),
     "note": ([*THREE, asked(3), look(angle=180.0, target=180.0)], ("n", *"door")),
     "help": ([*THREE, asked(3), look(angle=180.0, target=180.0)], ("question_mark",)),
-    "table_face": ([*ON_TABLE, asked(0, TABLE), look(angle=None, target=None)], ("x",)),
-    "table_turn_asked": ([*LAID, look(angle=None, target=None)], ("x",)),
-    "table_at_rest": ([*LAID, turning("rest", 0.02, 0.1, rest=0.6, peak=2.4)], ()),
-    "table_turning": ([*LAID, turning("turn", 827.4, 93.2, 3)], ()),
-    "table_too_fast": ([*LAID, turning("turn", 1127.4, 193.2, 4, peak=300.0)], ()),
-    "table_let_rest": ([*LAID, turning("after", 1803.4, 0.3, 5, 0.7)], ()),
-    "table_guard": ([*LAID, turning("after", 1653.0, 0.3, 5, 1.0), NOT_WHOLE], ()),
-    "table_dwell": (
-        [
-            *LAID, turning("after", 1803.4, 0.3, 5, 1.0), TURNED,
-            events.DwellProgress(
-                1, 4.2, 10.0, 3440, 0, (-1000.0, 3.0, -8.0), (1.9, 2.3, 2.0), None, None, LIMIT,
-                "the dwell to end", 25.1,
-            ),
-        ],
-        (),
-    ),
-    "table_help": ([*LAID, look(angle=None, target=None)], ("x", "question_mark")),
     "nothing_to_answer": ([*THREE, DWELL], ("enter",)),
 }  # fmt: skip
 STATES["long_plan"][0][0] = events.Started(

@@ -96,6 +96,12 @@ OPTIONS = ["--plan", "four-position", "--dwell", "1", "--settle", "0.1", "--fixt
 OPTIONS += ["--operator", "A. Nonymous", "--serial", "17", "--stage", "hand"]
 
 
+def test_whole_turns_on_a_table_are_asked_for_by_lines(operator):
+    operator.start("--plan", "gyro-turns", "--turns", "1", *OPTIONS[2:])
+    operator.sees(r"1 of 12 .*: lay the part flat on the table")
+    assert "▶ now" not in operator.terminal.screen()
+
+
 def test_from_start_to_result_with_wrong_moves_a_retake_a_quit_and_a_resume(operator):
     terminal = operator.terminal
     operator.start(*OPTIONS)

@@ -132,8 +132,8 @@ def calibrate_command(
     Scans start at the sensor's data-ready edges if the line is wired and the bridge can use it; otherwise,
     or with --poll, they are polled.
 
-    A terminal of at least 80 × 24 shows the session on a screen with the live angle (extra: bench); with
-    --plain, in a log or on a smaller terminal the prompts are lines.
+    A terminal of at least 80 × 24 shows the session on a screen with the live angle (extra: bench); for a
+    plan of turns, with --plain, in a log or on a smaller terminal the prompts are lines.
 
     --plan free-turn records slow continuous turns between two rests, without declared angles: two in a
     minute, in one direction or forth and back; or --turns N.
@@ -206,7 +206,7 @@ def _run(
                 options["rate_hz"] = FREE_RATE_HZ
         runner = _runner(sensor, output, resume=resume, advisor=advisor, **options)
         prompts = PlainBench(runner, auto=options["auto"], hands=hands)
-        plain = plain or options["auto"] or runner.one_recording  # the screen shows positions
+        plain = plain or options["auto"] or not runner.judges_places  # the screen shows positions
         face = choose_face(runner, prompts, plain=plain, resume_by=resume_by, hands=hands)
         complete = False
         try:

@@ -604,8 +604,6 @@ class BenchApp(App[None]):
 
 
 def _still_style(state: BenchState) -> str:
-    if state.whole is not None:
-        return "bold red" if screen_text.too_fast(state) else "green"
     if state.spread_mg is None or state.limit_mg is None:
         return "dim"
     return "green" if state.spread_mg <= state.limit_mg else "bold red"

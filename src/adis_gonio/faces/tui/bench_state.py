@@ -12,7 +12,7 @@ from adis_gonio.base.numbers import counted
 from adis_gonio.bench import events
 from adis_gonio.faces import bench_words as words
 from adis_gonio.faces.bench_words import Level, Question
-from adis_gonio.record.plans import GYRO_TURNS, Plan, Position
+from adis_gonio.record.plans import Plan, Position
 
 MOST_MESSAGES = 100
 LEAST_SIZE = (80, 24)
@@ -95,11 +95,6 @@ class BenchState:
         Event for which the session waits, as text.
     turn : TurnMeasured or None
         The last turn between positions; None before the first.
-    whole, turned : TurnProgress or None, TurnDone or None
-        Progress of the present whole turns on a table, and result of the last completed ones; None if there
-        are none.
-    range_dps : float
-        Range of the gyros in °/s.
     running : Running or None
         Parameters from the dwells so far; None before the first fit.
     temperature_c, began_c : float or None
@@ -146,9 +141,6 @@ class BenchState:
         self.limit_mg: float | None = None
         self.waits_for = ""
         self.turn: events.TurnMeasured | None = None
-        self.whole: events.TurnProgress | None = None
-        self.turned: events.TurnDone | None = None
-        self.range_dps = 300.0
         self.running: events.Running | None = None
         self.temperature_c: float | None = None
         self.began_c: float | None = None
@@ -165,11 +157,6 @@ class BenchState:
         self.reversed = False
         self.messages: list[Message] = []
         self.finished: events.Finished | None = None
-
-    @property
-    def on_table(self) -> bool:
-        """True in a session of whole turns on a table, in which the gyros show the angle."""
-        return self.plan is not None and self.plan.name == GYRO_TURNS
 
     @property
     def position(self) -> Position | None:
@@ -247,7 +234,6 @@ class BenchState:
     @_take.register
     def _(self, event: events.Configured) -> None:
         self.rate_hz = float(event.configuration["sample_rate_hz"])
-        self.range_dps = float(event.configuration.get("gyro_range_dps") or self.range_dps)
         self.link = event.why_polled and f"polled: {event.why_polled}"
         self.link = self.link or "at the data-ready edges"
         for name, (before, after) in event.changed.items():
@@ -324,19 +310,6 @@ class BenchState:
 
     def _go_on(self) -> None:
         self.question, self.span, self.paused, self.quiet = None, None, False, False
-        self.whole = None
-
-    @_take.register
-    def _(self, event: events.TurnProgress) -> None:
-        self._go_on()
-        self.whole, self.angle_deg, self.lost = event, event.turned_deg, event.lost
-        self.spread_mg = None
-        self.doing = "turning"
-
-    @_take.register
-    def _(self, event: events.TurnDone) -> None:
-        self._go_on()
-        self.turned = event
 
     @_take.register
     def _(self, event: events.Waiting) -> None:

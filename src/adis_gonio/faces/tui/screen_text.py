@@ -1,16 +1,10 @@
-"""The text of the bench screen for a `BenchState`; nothing in here draws on a screen.
-
-In a session of whole turns on a table (plan `gyro-turns`) gravity does not show the turn. There the angle
-is the integral of the gyro, and the screen shows the rate against the gyros' range instead of the
-stillness.
-"""
+"""The text of the bench screen for a `BenchState`; nothing in here draws on a screen."""
 
 from __future__ import annotations
 
 from adis_gonio.base.numbers import DASH, counted, format_duration, signed, use_minus
 from adis_gonio.bench import events
-from adis_gonio.bench.guidance import face, to_do, turns_text
-from adis_gonio.bench.runner import SHARE_OF_RANGE
+from adis_gonio.bench.guidance import to_do
 from adis_gonio.faces import bench_words as words
 from adis_gonio.faces.tui.bench_state import BenchState, Mark
 from adis_gonio.record.plans import Position, describe_direction
@@ -24,9 +18,6 @@ _UNITS = {
 _BY_GRAVITY = """\
 The angle comes from gravity, with an error of a degree or two until
 biases and gains are known: set each position by the stage's scale."""
-_BY_GYROS = """\
-The angle is the integral of the gyro since the last rest, positive
-counter-clockwise seen from above; it has the error of the gyro's gain."""
 _SIGNS = "▶ now   ✓ done   – skipped   ! fault   ↶ again   · to do"
 _DIGITS = {
     "0": ("████", "█  █", "█  █", "█  █", "████"),
@@ -75,18 +66,11 @@ def title(state: BenchState) -> str:
     return f"{state.plan.name}: {settled} of {total} done{remaining} · {state.variant} · {state.path}"
 
 
-def _place_name(position: Position, *, on_table: bool) -> str:
+def _place_name(position: Position) -> str:
     """Return the short name of a position in the list, such as `90° from above check`.
 
     ` from above` is added if the position is approached from above, and ` check` if it is a check dwell.
-
-    `on_table` is True in a session of whole turns on a table.
     """
-    if on_table:
-        if position.turned_deg is None:
-            return face(position)
-        turns = counted(round(abs(position.turned_deg) / 360), "turn")
-        return f"{signed(position.turned_deg, 0)}°, {turns}"
     if position.angle_deg is not None:
         where = f"{position.angle_deg:g}°"
     elif position.direction is None:
@@ -107,7 +91,7 @@ def plan_rows(state: BenchState, height: int) -> list[tuple[str, str]]:
     rows = []
     for place, position in enumerate(state.plan.positions):
         mark = state.mark(place)
-        name = _place_name(position, on_table=state.on_table)
+        name = _place_name(position)
         rows.append((f"{mark.sign} {mark.word:<7} {name}", mark.name.lower()))
     if len(rows) <= height:
         return rows
@@ -127,15 +111,9 @@ def task(state: BenchState) -> str:
     question = state.question
     if isinstance(question, events.PositionAsked):
         count = f"{question.number} of {question.total}"
-        if state.on_table:
-            return f"{count}: {_table_task(question.position)}"
         return f"{count}: {to_do(question.position, state.here, reverse=state.reversed)}, then press Enter"
     if isinstance(question, events.GuardRaised):
         return question.message
-    if state.whole is not None:
-        turning = f"turn {state.whole.turn} of {state.whole.turns}"
-        resting = {"rest": "leave it at the mark", "after": "back at the mark? let it rest"}
-        return f"{state.position}: {resting.get(state.whole.state, turning)}"
     if state.span is not None and state.span.what == "dwell":
         return f"{state.position}: hands off, recording" if state.position else "recording"
     if state.position is not None:
@@ -143,17 +121,8 @@ def task(state: BenchState) -> str:
     return state.doing[:1].upper() + state.doing[1:]
 
 
-def _table_task(position: Position) -> str:
-    if position.turned_deg is None:
-        return f"lay the part flat on the table against the mark, {face(position)}, then press Enter"
-    turns = turns_text(position.turned_deg)
-    return f"press Enter, 1 s later turn it {turns}, seen from above, back to the mark"
-
-
 def target(state: BenchState) -> str:
     """Return the line with the requested angle and the remaining turn."""
-    if state.on_table:
-        return _table_target(state)
     if state.target_deg is None:
         free = state.position is not None and state.position.angle_deg is None
         return "free attitude: no angle to reach" if free else ""
@@ -171,33 +140,11 @@ def target(state: BenchState) -> str:
     return f"{goal}   {arrow} turn {signed(more, 1)}° {way}"
 
 
-def _table_target(state: BenchState) -> str:
-    position = state.position
-    if position is None:
-        return ""
-    if position.turned_deg is None:
-        return face(position)
-    goal = f"asked {signed(position.turned_deg, 0)}°"
-    if state.whole is None:
-        fastest = SHARE_OF_RANGE * state.range_dps
-        return f"{goal} at {fastest:.0f} °/s at most ({360 / fastest:.0f} s a turn)"
-    turns = signed(state.whole.turned_deg / 360.0, 2)
-    more = signed(position.turned_deg - state.whole.turned_deg, 0)
-    return f"{goal}   {turns} turns so far   {more}° to go"
-
-
 def stillness(state: BenchState, width: int) -> str:
     """Return the line that shows if the sensor is still: spread, limit and a bar.
 
-    The line is at most `width` characters long. During a turn on a table it shows the rate of turn against
-    the gyros' range instead.
+    The line is at most `width` characters long.
     """
-    if state.whole is not None:
-        beyond = "TOO FAST  " if too_fast(state) else ""
-        now = signed(state.whole.rate_dps, 0)
-        peak = state.whole.peak_dps
-        text = f"{beyond}{now} °/s, largest {peak:.0f} of {state.range_dps:.0f} "
-        return text + _bar(peak / state.range_dps, width - len(text))
     if state.spread_mg is None:
         return "no samples yet"
     if state.limit_mg is None:
@@ -205,11 +152,6 @@ def stillness(state: BenchState, width: int) -> str:
     still = state.spread_mg <= state.limit_mg
     text = f"{'still' if still else 'MOVING'}  {state.spread_mg:.2f} of at most {state.limit_mg:.2f} mg "
     return text + _bar(state.spread_mg / state.limit_mg, width - len(text))
-
-
-def too_fast(state: BenchState) -> bool:
-    """Return True if the current whole turn on a table has exceeded the range of the gyros."""
-    return state.whole is not None and state.whole.peak_dps >= state.range_dps
 
 
 def waiting(state: BenchState, silence_s: float = 0.0) -> str:
@@ -222,11 +164,6 @@ def waiting(state: BenchState, silence_s: float = 0.0) -> str:
     """
     if state.paused:
         return "paused"
-    if state.whole is not None:
-        if state.whole.state == "after" or state.whole.rest_s > 0.5:
-            return f"waits for rest: {state.whole.rest_s:.1f} s so far"
-        ends = {"rest": "for your turn to begin", "turn": "for the turns to end at the mark"}
-        return f"waits {ends[state.whole.state]}"
     if state.quiet and silence_s >= 1:
         return f"for {format_duration(silence_s)} so far"
     return f"waits for {state.waits_for}" if state.waits_for else state.doing
@@ -258,24 +195,7 @@ def _bar(share: float, width: int) -> str:
 
 def facts(state: BenchState) -> list[tuple[str, str]]:
     """Return the rows (name, value) that the screen shows below the angle."""
-    if not state.on_table:
-        return [("last turn", words.turn_text(state.turn)), ("result", _running(state.running))]
-    faces = []
-    if state.plan is not None and state.place is not None:
-        # The face up at the current place, or at the nearest place before it that states one.
-        faces = [face(position) for position in reversed(state.plan.positions[: state.place + 1])]
-    return [("face", next(filter(None, faces), DASH)), ("last turn", _whole_turn(state.turned))]
-
-
-def _whole_turn(turn: events.TurnDone | None) -> str:
-    if turn is None:
-        return DASH
-    off = turn.turned_deg - 360.0 * round(turn.turned_deg / 360.0)
-    lost = f", {turn.lost} scans lost" if turn.lost else ""
-    return (
-        f"gyro {signed(turn.turned_deg, 1)}° in {turn.length_s:.0f} s,\n"
-        f"{signed(off, 1)}° off {counted(turn.turns, 'whole turn')}{lost}"
-    )
+    return [("last turn", words.turn_text(state.turn)), ("result", _running(state.running))]
 
 
 def _running(running: events.Running | None) -> str:
@@ -342,6 +262,5 @@ def keys(state: BenchState) -> list[tuple[str, str]]:
 
 def help_text(state: BenchState) -> str:
     """Return the help on keys and signs, and on the origin of the displayed angle."""
-    origin = _BY_GYROS if state.on_table else _BY_GRAVITY
     listed = words.help_lines(hands=state.hands)
-    return "\n".join([*listed, "", _SIGNS, origin, "No question has a time limit."])
+    return "\n".join([*listed, "", _SIGNS, _BY_GRAVITY, "No question has a time limit."])
