@@ -1,7 +1,7 @@
 """The smoothed angle in turns of which the truth is known: shaking, gaps, ends of ranges, hours."""
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -140,20 +140,6 @@ def test_a_gyro_at_the_end_of_its_range_is_said_and_gravity_carries_the_angle():
         assert np.abs(z_of(turning, angles)[during(angles, 3, 8)]).max() < 4.5
         assert abs(errors(turning, angles)[-1]) < 0.2
         assert angles[-1].notes == ()
-
-
-def test_after_a_restart_the_angle_is_gravitys_and_the_zero_is_kept():
-    first = Turning(turn_deg=0.0, zero_dps=2.0, seconds=20.0)
-    smoother = AngleSmoother(sensing(first), lag_s=0.1)
-    known = told(smoother, first.drawn(6))[-1]
-    smoother.restart()
-    second = replace(first, start_deg=-150.0, seconds=1.5)  # its clock begins at 0 again
-    angles = told(smoother, second.drawn(7))
-    fresh = angles[-1]
-    assert abs(errors(second, angles)[-1]) < 4 * fresh.u_deg
-    assert fresh.zero_dps == pytest.approx(2.0, abs=4 * fresh.zero_u_dps)
-    assert known.zero_u_dps < fresh.zero_u_dps < 0.3
-    assert "gap" in angles[0].notes
 
 
 def test_a_turn_out_of_the_plane_is_said_and_one_in_it_is_not():

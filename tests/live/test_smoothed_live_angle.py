@@ -1,13 +1,12 @@
-"""The smoothed angle of an open sensor: calibration, other parts' files, broken links, the bench screen."""
+"""The smoothed angle of an open sensor: calibration, other files, a broken link, the bench screen."""
 
 import math
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from adis_gonio.base.errors import BusTimeoutError, CannotOpenError
+from adis_gonio.base.errors import BusTimeoutError
 from adis_gonio.bench.guards import Judge, PriorKnowledge
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.bench.session_state import LiveView
@@ -15,7 +14,7 @@ from adis_gonio.calibrate import Calibration, Coefficient
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.device.sensor.settings import Configuration
-from adis_gonio.live.live_angle import LiveBlocks, LiveSource, calibration_for, live_angles, open_live
+from adis_gonio.live.live_angle import LiveSource, calibration_for, live_angles, open_live
 from adis_gonio.live.smoothed_meter import SmoothedMeter, sensing_of
 from adis_gonio.record.blocks import ValueBlock
 from adis_gonio.record.plans import plan
@@ -109,122 +108,21 @@ def test_another_parts_calibration_is_said_and_widens_u(calibration, tmp_path):
 def one_reading(calibration: Calibration):
     """What is shown of the sensor `HIDDEN` at rest."""
     with open_live(HIDDEN) as source:
-        readings = live_angles(still_open(source), calibration, lag_s=0.1)
+        readings = live_angles(source, calibration, lag_s=0.1)
         return next(reading for reading in readings if reading.time_s > 2).smoothed
 
 
-def still_open(source: LiveSource) -> LiveBlocks:
-    @contextmanager
-    def opened():
-        yield source
+def test_a_link_that_breaks_ends_the_angles_with_its_error():
+    def blocks():
+        for k in range(10):
+            time_s = np.arange(82 * k, 82 * (k + 1)) / 819.2
+            yield ValueBlock(NAMES, np.tile([1000.0, 0, 0, 0, 0, 0], (82, 1)), time_s)
+        raise BusTimeoutError("no answer")
 
-    return LiveBlocks(opened, 0.0, lambda error: None, lambda seconds: None)
-
-
-# -- links that break ------------------------------------------------------------------------------------
-
-
-@dataclass
-class Link:
-    """Opens sensors whose link breaks as told; each is a recording of numpy's."""
-
-    angles_deg: list[float]
-    measuring: list[Configuration]
-    refuses: int = 0
-    opened: int = 0
-    closed: int = 0
-
-    @contextmanager
-    def __call__(self):
-        if self.opened and self.refuses:
-            self.refuses -= 1
-            raise CannotOpenError("not there yet")
-        k = self.opened
-        self.opened += 1
-        try:
-            blocks = self.blocks(self.angles_deg[k], last=k == len(self.angles_deg) - 1)
-            yield LiveSource(self.measuring[k], _Stream(blocks), 2.0, 0.4672, "generic", None)
-        finally:
-            self.closed += 1
-
-    def blocks(self, angle_deg: float, *, last: bool):
-        rng = np.random.default_rng(int(angle_deg) % 97)
-        psi = math.radians(angle_deg)
-        for k in range(60):
-            time_s = np.arange(82 * k, 82 * (k + 1)) / 819.2  # the clock begins anew
-            accel = 1000 * np.array([math.cos(psi), -math.sin(psi), 0]) + 2 * rng.standard_normal((82, 3))
-            gyro = np.array([0, 0, 1.5]) + 0.25 * rng.standard_normal((82, 3))
-            yield ValueBlock(NAMES, np.hstack([accel, gyro]), time_s)
-        if not last:
-            raise BusTimeoutError("no answer")
-
-
-class _Stream:
-    how, caveat = "made up", ""
-
-    def __init__(self, blocks) -> None:
-        self._blocks = blocks
-
-    def __iter__(self):
-        return self._blocks
-
-
-def shown_by(link: Link, patience_s: float, slept: list[float], said: list[str]) -> list:
-    blocks = LiveBlocks(link, patience_s, lambda error: said.append(str(error)), slept.append)
-    return list(live_angles(blocks, lag_s=0.1))
-
-
-def test_a_link_that_breaks_is_opened_again_and_the_angle_goes_on():
-    link = Link([20.0, -100.0], [RATE, RATE], refuses=2)
-    slept, said = [], []
-    shown = shown_by(link, 10.0, slept, said)
-    assert said == ["no answer"]
-    assert slept == [1.0, 1.0, 1.0]
-    assert link.opened == 2
-    times = [reading.time_s for reading in shown]
-    assert (np.diff(times) > 0).all(), "times count on where the sensor's clock began anew"
-    with_angle = [reading.smoothed for reading in shown if reading.smoothed is not None]
-    assert with_angle[40].smoothed_deg == pytest.approx(20, abs=0.1)
-    assert with_angle[-1].smoothed_deg == pytest.approx(-100, abs=0.1)
-    assert with_angle[-1].gyro_zero_dps == pytest.approx(1.5, abs=0.2)
-    assert any("gap" in smoothed.notes for smoothed in with_angle)
-
-
-def test_a_sensor_that_came_back_with_other_settings_is_smoothed_anew():
-    shown = shown_by(Link([20.0, -100.0], [RATE, replace(RATE, filter_m=4)]), 10.0, [], [])
-    assert (np.diff([reading.time_s for reading in shown]) > 0).all()
-    last = shown[-1].smoothed
-    assert last.smoothed_deg == pytest.approx(-100, abs=0.1)
-    assert last.lag_s > 15 / 819.2 + 0.1, "the other filter's delay"
-
-
-def test_a_sensor_that_does_not_come_back_ends_with_the_breaks_error():
-    link = Link([20.0, -100.0], [RATE, RATE], refuses=99)
-    slept = []
+    shown, seen = live_angles(LiveSource(RATE, blocks(), 2.0, 0.4672, "generic"), lag_s=0.1), []
     with pytest.raises(BusTimeoutError, match="no answer"):
-        shown_by(link, 5.0, slept, [])
-    assert sum(slept) == 5.0
-    assert link.closed == 1
-
-
-def test_a_link_may_break_any_number_of_times_before_a_block_arrives():
-    breaks = 2000
-
-    class Flapping(Link):
-        def blocks(self, angle_deg, *, last):
-            if not last:
-                raise BusTimeoutError("no answer")
-            yield from super().blocks(angle_deg, last=True)
-
-    link = Flapping([20.0] * (breaks + 1), [RATE] * (breaks + 1))
-    blocks = LiveBlocks(link, 10.0, lambda error: None, lambda seconds: None)
-    assert len(next(blocks)) == 82
-    assert blocks.breaks == breaks
-
-
-def test_without_patience_a_break_is_the_end():
-    with pytest.raises(BusTimeoutError):
-        shown_by(Link([20.0, 0.0], [RATE, RATE]), 0.0, [], [])
+        seen.extend(shown)
+    assert [reading.angle_deg for reading in seen] == [0.0] * len(seen)
 
 
 def test_a_sensor_without_gyros_has_no_smoothed_angle():

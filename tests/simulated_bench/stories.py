@@ -426,7 +426,7 @@ class Play:
             return None
         return {
             "fit": ["fit", SESSION, "--json"],
-            "angle": ["angle", URL, "--cal", SESSION, "--json", "--seconds", "1", "--reconnect", "2"],
+            "angle": ["angle", URL, "--cal", SESSION, "--json", "--seconds", "1"],
             "export": ["export", SESSION, "--format", "json", "-o", "cal.json", "--force"],
             "write": ["write", SESSION, URL, "--yes", "--dwell", "1", "--json"],
             "write --save": ["write", SESSION, URL, "--yes", "--save", "--dwell", "1", "--json"],

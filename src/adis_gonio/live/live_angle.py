@@ -8,15 +8,15 @@ is 0 if X reads +1 g.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees
-from adis_gonio.base.errors import BusError, ChipError, UsageError
+from adis_gonio.base.errors import UsageError
 from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, GYRO_OFF, GYRO_OUT, TEMP_OUT
 from adis_gonio.device.sensor.settings import Configuration, white_noise_gain
 from adis_gonio.live.smoothed_meter import Smoothed, SmoothedMeter, corrected_angle, sensing_of
@@ -135,7 +135,6 @@ class AngleMeter:
         self._kept = np.empty((0, 3))
         self._first_s: float | None = None
         self._lost = 0
-        self._resume_s = self._last_s = 0.0
 
     def feed(self, block: Block) -> LiveAngle | None:
         """Add a block of samples; return a reading if the block completes a span, else None."""
@@ -145,27 +144,12 @@ class AngleMeter:
         if self._smoother is not None:
             self._smoother.feed(block)
         if self._first_s is None:
-            self._first_s = float(block.time_s[0]) - self._resume_s
+            self._first_s = float(block.time_s[0])
         self._waiting.append(block)
         if sum(map(len, self._waiting)) < self._least:
             return None
         blocks, self._waiting = self._waiting, []
         return self._reading(blocks, self._first_s)
-
-    def restart(self) -> None:
-        """Start again after a break of the link, which may have changed the angle and the sensor's clock.
-
-        The times of the readings continue. If the sensor's clock started again, they do not include the
-        duration of the break.
-        """
-        self._waiting, self._kept = [], np.empty((0, 3))
-        self._resume_s, self._first_s = self._last_s, None
-        if self._smoother is not None:
-            self._smoother.restart()
-
-    def continue_from(self, before: AngleMeter) -> None:
-        """Continue the time and the count of lost samples of `before`, a meter that this one replaces."""
-        self._resume_s, self._lost = before._last_s, before._lost
 
     def _reading(self, blocks: list[Block], first_s: float) -> LiveAngle:
         accel = np.concatenate([block.accel_mg for block in blocks])
@@ -183,7 +167,6 @@ class AngleMeter:
             # Only the upper limit is tested: a stuck axis is reported by `bringup`.
             still = bool((spread_mg <= self._limits.upper).all())
         end_s = float(blocks[-1].time_s[-1])
-        self._last_s = end_s - first_s
         smoothed, off_deg = None, 0.0
         if self._smoother is not None:
             if still:
@@ -195,7 +178,7 @@ class AngleMeter:
             corrected_deg, u_deg = corrected_angle(self._calibration, mean, temperature_c, u_mg)
             u_deg = None if u_mg is None or u_deg is None else math.hypot(u_deg, off_deg)
         return LiveAngle(
-            self._last_s,
+            end_s - first_s,
             raw_deg,
             corrected_deg,
             u_deg,
@@ -315,120 +298,28 @@ def open_live(
         yield LiveSource(measuring, stream, noise_mg, part.step_mg, part.name, *offsets)
 
 
-Opener = Callable[[], AbstractContextManager[LiveSource]]
-
-
-class LiveBlocks:
-    """Iterator over the blocks of samples of a sensor; after a break of its link it is opened again.
-
-    Parameters
-    ----------
-    opener : callable
-        Function that opens the sensor, at the start and after each break.
-    patience_s : float
-        Time for which opening is attempted again after a break; 0 raises the error at once.
-    broken : callable
-        Function that is called with the error of each break, before the first attempt.
-    sleep : callable
-        Function that waits for a given number of seconds between two attempts.
-
-    Attributes
-    ----------
-    source : LiveSource
-        The open source.
-    breaks : int
-        Number of times that the link was opened again.
-    """
-
-    EVERY_S = 1.0
-
-    def __init__(
-        self,
-        opener: Opener,
-        patience_s: float,
-        broken: Callable[[Exception], None],
-        sleep: Callable[[float], None],
-    ) -> None:
-        self._opener, self._patience_s, self._broken, self._sleep = opener, patience_s, broken, sleep
-        self._stack = ExitStack()
-        self.breaks = 0
-        self._open()
-
-    def _open(self) -> None:
-        self.source = self._stack.enter_context(self._opener())
-        self._blocks = iter(self.source.stream)
-
-    def __iter__(self) -> Iterator[Block]:
-        return self
-
-    def __next__(self) -> Block:
-        """Return the next block; if the link breaks and does not return in time, raise its error."""
-        while True:
-            try:
-                return next(self._blocks)
-            except (BusError, ChipError) as error:
-                if not self._patience_s:
-                    raise
-                self._broken(error)
-                self._again(error)
-
-    def _again(self, error: Exception) -> None:
-        self.close()
-        waited_s = 0.0
-        while True:
-            self._sleep(self.EVERY_S)
-            waited_s += self.EVERY_S
-            try:
-                self._open()
-            except (BusError, ChipError):
-                self.close()
-                if waited_s >= self._patience_s:
-                    raise error from None
-                continue
-            self.breaks += 1
-            return
-
-    def close(self) -> None:
-        """Restore the sensor's settings and close it; if the link is lost they cannot be restored."""
-        stack, self._stack = self._stack, ExitStack()
-        with suppress(BusError, ChipError):
-            stack.close()
-
-
 def live_angles(
-    blocks: LiveBlocks, calibration: Calibration | None = None, *, lag_s: float
+    source: LiveSource, calibration: Calibration | None = None, *, lag_s: float
 ) -> Iterator[LiveAngle]:
-    """Yield the angles of a running sensor; after a break of its link it is opened again.
+    """Yield the angles of a running sensor.
 
-    `calibration` is None for raw angles, `lag_s` the delay of the smoothed angle. The estimated errors of
-    the gyro are kept after a break if the settings and offsets of the sensor are unchanged.
+    `calibration` is None for raw angles, `lag_s` the delay of the smoothed angle.
 
     Raises
     ------
     UsageError
         The calibration belongs to another part; the lag `lag_s` is negative or above 10 s.
+    BusError, ChipError
+        The link broke, or the sensor does not answer.
     """
-    breaks, source = blocks.breaks, blocks.source
-    meter = _meter(source, calibration, lag_s)
-    for block in blocks:
-        if blocks.breaks != breaks:
-            breaks, before, source = blocks.breaks, source, blocks.source
-            kept = ("measuring", "offsets_lsb", "gyro_offsets_lsb")
-            if all(getattr(before, name) == getattr(source, name) for name in kept):
-                meter.restart()
-            else:
-                ended, meter = meter, _meter(source, calibration, lag_s)
-                meter.continue_from(ended)
-        reading = meter.feed(block)
-        if reading is not None:
-            yield reading
-
-
-def _meter(source: LiveSource, calibration: Calibration | None, lag_s: float) -> AngleMeter:
     now = None if calibration is None else calibration_for(calibration, source)
     sensing = sensing_of(source.measuring, source.part, source.noise_mg)
     smoother = SmoothedMeter(sensing, now, lag_s=lag_s)
-    return AngleMeter(source.measuring, source.noise_mg, source.step_mg, now, smoother=smoother)
+    meter = AngleMeter(source.measuring, source.noise_mg, source.step_mg, now, smoother=smoother)
+    for block in source.stream:
+        reading = meter.feed(block)
+        if reading is not None:
+            yield reading
 
 
 def _block_samples(measuring: Measuring) -> int:

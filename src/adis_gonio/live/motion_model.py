@@ -917,7 +917,7 @@ class AngleSmoother:
         self._done = 0
         """Number of steps in `_seen` that are older than the lag."""
         self._phase_rad, self._segment = 0.0, 0
-        self._restarted = self._doubted = False
+        self._doubted = False
 
     # -- taking samples ------------------------------------------------------------------------------
 
@@ -927,16 +927,6 @@ class AngleSmoother:
         """Add samples: increasing times (n,), readings (n, 3), rates (n, 3), temperatures (n,) or None."""
         for increment in self._stepper.feed(time_s, accel_mg, gyro_dps, temperature_c):
             self._arrive(increment)
-
-    def restart(self) -> None:
-        """Start again after a break of the link, when the sensor may have been turned or switched off.
-
-        The estimated errors of the gyro are kept. The angle starts from gravity again, since the sensor's
-        clock may have been reset too.
-        """
-        self._stepper = Stepper(self._sensing)
-        self._waiting = None
-        self._restarted = True
 
     def _arrive(self, increment: Increment) -> None:
         """Process the time step before `increment`, which is complete only when `increment` is known.
@@ -993,8 +983,7 @@ class AngleSmoother:
         return StateEstimate(state.mean, covariance)
 
     def _turned(self, present: Increment, before: Increment | None, after: Increment) -> Turned:
-        lost = self._restarted or present.unseen_deg2 > (OPEN_DEG / 2) ** 2
-        self._restarted = False
+        lost = present.unseen_deg2 > (OPEN_DEG / 2) ** 2
         warm = present.temperature_c
         accel = present.accel_mg
         gravity = accel if self._corrected is None else self._corrected(accel, warm)

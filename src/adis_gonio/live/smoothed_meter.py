@@ -139,10 +139,6 @@ class SmoothedMeter:
         gyro = np.column_stack([columns[name] for name in ("gx", "gy", "gz")])
         self._smoother.feed(block.time_s, block.accel_mg, gyro, columns.get("temp_c"))
 
-    def restart(self) -> None:
-        """Start again after the link to the sensor broke; the estimated errors of the gyro are kept."""
-        self._smoother.restart()
-
     def take_rest(self, mean_mg: Floats, temperature_c: float | None) -> None:
         """Check the calibration at rest: compare the length of the reading `mean_mg` with local gravity.
 

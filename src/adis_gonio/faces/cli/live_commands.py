@@ -25,7 +25,7 @@ from adis_gonio.device.sensor.registers import registers
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import say
 from adis_gonio.faces.cli.terminal import Interrupt
-from adis_gonio.live.live_angle import LiveAngle, LiveBlocks, LiveSource, live_angles, open_live
+from adis_gonio.live.live_angle import LiveAngle, live_angles, open_live
 from adis_gonio.live.motion_model import LAG_S
 from adis_gonio.record.blocks import Block, count_alarms
 from adis_gonio.record.source import SampleStream, Settings, has_frames, open_source, refuse_chip_options
@@ -362,10 +362,6 @@ class Columns:
     help="Delay of the smoothed angle; 0: the smallest possible.",
 )  # fmt: skip
 @option.flag("--no-gyro", help="Use gravity alone: fewer registers to read, no smoothed angle.")
-@option.with_default(
-    "--reconnect", "patience_s", type=float, default=30.0, metavar="SECONDS",
-    help="Time to try to open a sensor again after its link broke; 0: end.",
-)  # fmt: skip
 @option.poll
 @option.flag("--json", "as_json", help="Write one JSON object per line, ten per second.")
 @option.variant
@@ -377,7 +373,6 @@ def angle_command(
     seconds: float | None,
     lag_s: float,
     no_gyro: bool,
-    patience_s: float,
     poll: bool,
     as_json: bool,
     variant: str,
@@ -395,30 +390,23 @@ def angle_command(
     The sensor's settings are unchanged; data-ready is enabled only during the stream.
     """
     _check_positive("--seconds", seconds)
-    if not patience_s >= 0:
-        raise UsageError(f"--reconnect is {patience_s:g}: take 0 or more")
     calibration = None
     if calibration_path is not None:  # before the sensor is opened, because a fit takes a moment
         from adis_gonio.tracing.trace_calibrations import load_calibration
 
         calibration = load_calibration(calibration_path)
 
-    def reopen() -> contextlib.AbstractContextManager[LiveSource]:
-        data_ready = False if poll else None
-        return open_live(url, variant=variant, check=not no_check, data_ready=data_ready, gyros=not no_gyro)
-
-    def report_break(error: Exception) -> None:
-        click.echo(f"{error}; trying again for {patience_s:g} s", err=True)
-
-    with contextlib.closing(LiveBlocks(reopen, patience_s, report_break, time.sleep)) as blocks:
-        source = blocks.source
+    data_ready = False if poll else None
+    with open_live(
+        url, variant=variant, check=not no_check, data_ready=data_ready, gyros=not no_gyro
+    ) as source:
         rate = f"{source.measuring.sample_rate_hz:.4g} samples/s"
         say(f"{url.removesuffix(':')}: {rate}, {source.stream.how}; angles ± U (95 %)")
         last_s = math.inf if seconds is None else seconds - source.measuring.sample_period_s
         line = _AngleLine(as_json=as_json)
         try:
             ended = _show_angles(
-                live_angles(blocks, calibration, lag_s=lag_s), line, last_s, calibration_path
+                live_angles(source, calibration, lag_s=lag_s), line, last_s, calibration_path
             )
         finally:
             line.end()
