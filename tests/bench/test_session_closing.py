@@ -303,11 +303,11 @@ def test_a_model_that_is_not_adequate_and_has_no_advice_left_says_so(monkeypatch
     assert advised(monkeypatch, (), adequate=False).ended.startswith("the advice is exhausted")
 
 
-def test_what_cannot_be_reached_is_named_at_the_end(monkeypatch):
+def test_what_cannot_be_reached_ends_the_loop_without_calling_the_model_adequate(monkeypatch):
     late = (measurement(45.0, wait_s=600.0),)
     said = advised(monkeypatch, late, reach=lambda position: position.wait_s == 0.0)
     assert said.positions == ()
-    assert "45°, after waiting 10 min" in said.ended
+    assert said.ended.startswith("the advice is exhausted: no position that can be reached")
     (asked,) = advised(monkeypatch, late).positions
     assert asked.wait_s == 600.0
 
@@ -319,25 +319,6 @@ def test_a_session_that_cannot_be_traced_ends_the_loop_in_one_line(path):
     assert said.ended.startswith("the session cannot be traced: ")
     assert "\n" not in said.ended
     assert events[-1].complete
-
-
-def test_what_no_position_decides_is_named_at_the_end(monkeypatch):
-    def with_pair(confounded):
-        steps = (SimpleNamespace(effect="quadratic"),)
-        result = SimpleNamespace(
-            adequate=True,
-            tested=True,
-            after=SimpleNamespace(chi2_per_dof=1.0, as_dict=dict),
-            found=(),
-            steps=steps,
-            confounded=confounded,
-            measurements=(),
-        )
-        monkeypatch.setattr(TRACE, "trace", lambda session: result)
-        return TraceAdvisor().advise(Session(()), 0, lambda position: True).ended
-
-    assert "decide between quadratic and cross_quadratic:" in with_pair([("quadratic", "cross_quadratic")])
-    assert "decide anything more" in with_pair([("position_slip", "cubic"), ("quadratic", "unnamed: x")])
 
 
 # -- the loop as a whole --------------------------------------------------------------------------------

@@ -152,40 +152,11 @@ def _reason_to_end(
     `wanted` are the useful measurements, `within` the reachable measurements among them, and `visited` is
     the number of positions that were added so far.
     """
-    from adis_gonio.tracing.advice import sentences
-
     if within:
         return f"the limit of further positions is reached ({visited} were added); not all is decided"
-    if wanted:
-        return (
-            "further positions would not help; the open questions need another measurement: "
-            + "; ".join(sentences(wanted))
-        )
-    if result.adequate:
-        if not _open_names(result):
-            return "the model is adequate, and no further position would decide anything more"
-        return (
-            f"the model is adequate; no further position would decide between {_open_names(result)}: "
-            "see what to measure next"
-        )
+    if result.adequate and not wanted:
+        return "the model is adequate, and no further position would decide anything more"
     return (
-        "the advice is exhausted: no further position is expected to explain the residual; "
-        "see what to measure next"
+        "the advice is exhausted: no position that can be reached is expected to explain the residual;"
+        " see what to measure next"
     )
-
-
-def _open_names(result: TraceResult) -> str:
-    """Return the pairs of effects that the session cannot tell apart, as text; empty if there are none.
-
-    A pair is an effect in the model and the most probable known effect that could replace it.
-    """
-    from adis_gonio.model.effects import catalogue
-
-    known = catalogue().keys() - {step.effect for step in result.steps}
-    inside = {step.effect for step in result.steps}
-    pairs: dict[str, str] = {}
-    for names in result.confounded:
-        others = [name for name in names[1:] if name in known]
-        if names[0] in inside and others:
-            pairs.setdefault(names[0], others[0])
-    return ", and between ".join(f"{name} and {other}" for name, other in pairs.items())

@@ -9,7 +9,7 @@ import re
 import pytest
 
 from adis_gonio.faces.cli import main
-from adis_gonio.faces.cli.trace_commands import loop_lines
+from adis_gonio.faces.cli.trace_commands import loop_line
 from adis_gonio.record.loading import load_session
 
 URL = "sim:?seed=3&bias_instability_mg=0&fixture_sigma_deg=0.002&effects=quadratic:k2_x=3"
@@ -36,14 +36,15 @@ def test_json_is_one_document_with_the_trace_and_every_round(capsys, path):
     assert "tracing 4 dwells" in err
 
 
-def test_the_screen_ends_with_before_and_after(capsys, path):
+def test_the_screen_ends_with_the_reason_for_the_end(capsys, path):
     assert main([*SHORT, "--auto", "--max-extra", "2", "-o", str(path)]) == 0
     out, err = capsys.readouterr()
     assert "Measure at " in err
-    tail = out[out.index("Closing the loop") :]
-    assert "after the plan" in tail
-    for row in ("model", "found", "not told apart", "residual / mg", "χ² / dof"):
-        assert f"   {row}" in tail
+    assert "With 4 dwells: " in err
+    heading, ended = out[out.index("Closing the loop") :].splitlines()[:2]
+    assert heading == "Closing the loop"
+    assert ended.strip() == load_session(path).facts["advised"][-1]["ended"]
+    assert "Error before and after" in out
     assert "What to measure next" in out
 
 
@@ -70,12 +71,8 @@ def test_a_limit_without_a_loop_is_wrong_use(capsys, path):
     assert not path.exists()
 
 
-def test_where_it_stands_is_said_in_two_lines():
-    summary = {"dwells": 9, "adequate": True, "tested": True, "found": ["bias"], "uncertain": ["cubic"]}
-    assert loop_lines(summary) == [
-        "With 9 dwells: the model is adequate; found: bias",
-        "Not certain: cubic",
-    ]
-    untested = loop_lines({**summary, "tested": False, "found": [], "uncertain": []})
-    assert untested == ["With 9 dwells: no readings remain to test the model; found: –"]
-    assert loop_lines({}) == []
+def test_where_the_model_stands_is_told_in_a_line():
+    summary = {"dwells": 9, "adequate": True, "tested": True, "found": ["bias"]}
+    assert loop_line(summary) == "With 9 dwells: the model is adequate; found: bias"
+    untested = loop_line({**summary, "tested": False, "found": []})
+    assert untested == "With 9 dwells: no readings remain to test the model; found: –"

@@ -256,7 +256,7 @@ def _show_result(
     if traced is not None:
         click.echo()
         print_trace([session], traced)
-        print_loop(session, traced)
+        print_loop(session)
 
 
 def _status(session: Session, *, complete: bool) -> int:

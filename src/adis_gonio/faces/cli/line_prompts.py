@@ -26,7 +26,7 @@ from adis_gonio.bench.guidance import drawing, to_do, turn_to_do
 from adis_gonio.faces import bench_words as words
 from adis_gonio.faces.cli.show import console, print_indented
 from adis_gonio.faces.cli.terminal import on_terminal
-from adis_gonio.faces.cli.trace_commands import loop_lines
+from adis_gonio.faces.cli.trace_commands import loop_line
 from adis_gonio.faces.tui.bench_state import LEAST_SIZE
 from adis_gonio.record.plans import GYRO_TURNS
 
@@ -317,7 +317,8 @@ class PlainBench:
                 self._hide()
             case events.Advised():
                 self._hide()
-                self._say("\n".join(["", *loop_lines(event.summary)]))
+                if event.summary:
+                    self._say(f"\n{loop_line(event.summary)}")
             case _:
                 pass
         for line, level in [

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from adis_gonio.base.errors import AdisGonioError, UsageError
-from adis_gonio.base.numbers import counted, format_number, format_percent
+from adis_gonio.base.numbers import counted, format_percent
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import (
     WIDTH,
@@ -208,93 +208,33 @@ def _plain(text: str, style: str = "") -> Text:
 
 # -- the closed loop of `calibrate --trace` ----------------------------------------------------------
 
-_MOST_GROUPS = 3
-_ERRORS = {
-    "residual_rms_mg": "residual / mg",
-    "heldout_rms_mg": "left out / mg",
-    "angle_rms_deg": "error of the angle / °",
-    "chi2_per_dof": "χ² / dof",
-}
 
-
-def loop_lines(summary: Mapping[str, Any]) -> list[str]:
-    """Return at most two lines about the model after a round of positions that the trace had proposed.
+def loop_line(summary: Mapping[str, Any]) -> str:
+    """Return a line about the model after a round of positions that the trace had proposed.
 
     Parameters
     ----------
     summary : mapping
-        Summary of a trace by `bench.advisor.summarise_trace`; empty if no trace was possible.
+        Summary of a trace by `bench.advisor.summarise_trace`.
     """
-    if not summary:
-        return []
-    state = f"the model is {_adequacy(summary)}"
-    if not summary["tested"]:
-        state = "no readings remain to test the model"
-    lines = [f"With {counted(summary['dwells'], 'dwell')}: {state}; found: {_join(summary['found'])}"]
-    if summary["uncertain"]:
-        lines.append(f"Not certain: {_join(summary['uncertain'])}")
-    return lines
+    state = "adequate" if summary["adequate"] else "not adequate"
+    state = f"the model is {state}" if summary["tested"] else "no readings remain to test the model"
+    found = ", ".join(summary["found"]) or "–"
+    return f"With {counted(summary['dwells'], 'dwell')}: {state}; found: {found}"
 
 
-def print_loop(session: Session, result: TraceResult) -> None:
-    """Show the trace before and after the positions that it proposed, and why no more were measured.
-
-    Nothing is printed if the trace proposed no position.
-    """
-    from adis_gonio.bench.advisor import summarise_trace
-
+def print_loop(session: Session) -> None:
+    """Print why no more positions of the trace were measured; nothing if the trace was not asked."""
     rounds = session.facts.get("advised", [])
-    if not rounds or not rounds[0]["summary"]:
+    if not rounds:
         return
-    screen = console(most=WIDTH)
-    planned = len(session.facts["plan"]["positions"])
-    extra = planned - rounds[0]["planned"]
-    before, after = rounds[0]["summary"], summarise_trace(result, len(session.dwells))
-    _print_heading(screen, "Closing the loop")
-    if extra:
-        head = ("", "after the plan", f"with {extra} more" if extra > 1 else "with one more")
-        rows = [
-            ("model", _adequacy(before), _adequacy(after)),
-            ("found", _join(before["found"]), _join(after["found"])),
-            ("not certain", _join(before["uncertain"]), _join(after["uncertain"])),
-            ("not told apart", _confounded_groups(before), _confounded_groups(after)),
-        ]
-        for key, name in _ERRORS.items():
-            rows.append((name, format_number(before["error"][key]), format_number(after["error"][key])))
-        print_table(screen, head, rows, range(3), indent=3)
     ended = rounds[-1]["ended"]
     if not ended:
-        declined = planned == rounds[-1]["planned"]
+        declined = len(session.facts["plan"]["positions"]) == rounds[-1]["planned"]
         ended = "further positions were declined" if declined else "not ended: go on with --resume --trace"
+    screen = console(most=WIDTH)
+    _print_heading(screen, "Closing the loop")
     screen.print(f"   {ended}")
-
-
-def _adequacy(summary: Mapping[str, Any]) -> str:
-    if not summary["tested"]:
-        return "cannot be tested: no readings to spare"
-    return "adequate" if summary["adequate"] else "not adequate"
-
-
-def _join(names: list[str]) -> str:
-    return ", ".join(names) or "–"
-
-
-def _confounded_groups(summary: Mapping[str, Any]) -> str:
-    """Return the groups of effects that the session cannot distinguish, one group per line.
-
-    `summary` is a summary of a trace. At most `_MOST_GROUPS` groups are listed, and the number of the
-    others.
-    """
-    from adis_gonio.model.effects import catalogue
-
-    known = catalogue()
-    seen: dict[str, list[str]] = {}
-    for names in summary["confounded"]:
-        others = seen.setdefault(names[0], [])
-        others += [name for name in names[1:] if name not in others and name in known]
-    lines = [f"{first} or {', '.join(others[:_MOST_GROUPS])}" for first, others in seen.items() if others]
-    more = [f"and {len(lines) - _MOST_GROUPS} more"] if len(lines) > _MOST_GROUPS else []
-    return "\n".join([*lines[:_MOST_GROUPS], *more]) or "–"
 
 
 @option.command("report", "--output --time-limit", {"Conformity": "--tolerance --rule --risk", **_WHAT_IF})
