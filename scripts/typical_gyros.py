@@ -1,8 +1,8 @@
 """Draws the errors of three gyros as settings of a simulated world.
 
 The sizes with "DS" are in the data sheet of the ADIS16350 and ADIS16355 (confidence B); the others are
-estimates for parts of this class (confidence D). Noise and bias instability are missing: they are figures of
-the variant.
+estimates for parts of this class (confidence D). Noise and bias instability are missing, which are figures
+of the variant.
 """
 
 import itertools

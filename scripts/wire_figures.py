@@ -30,6 +30,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from adis_gonio.device.bus import BusUrl, SpiTiming
 from adis_gonio.device.bus.serial import open_from_url, open_port
 from adis_gonio.device.bus.serial.bus import ClockMap, SerialBus, SerialStream
+from adis_gonio.device.bus.wire import load_cobs
 from adis_gonio.device.bus.wire.protocol import CRC_SIZE, HEADER_SIZE, Scans
 from adis_gonio.device.sensor.registers import registers
 from adis_gonio.device.sensor.scanning import ScanLayout, StreamedScans
@@ -129,11 +130,7 @@ def host_cpu(packets: list[tuple[float, bytes]]) -> tuple[float, int, int]:
 
 
 def _unstuffed(data: bytes) -> bytes:
-    from adis_gonio.sim.testing.firmware import unstuff
-
-    raw = unstuff(data.rstrip(b"\0"))
-    assert raw is not None
-    return raw
+    return load_cobs().decode(data.rstrip(b"\0"))
 
 
 class _Listener(SerialBus):

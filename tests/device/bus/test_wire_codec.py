@@ -11,7 +11,6 @@ from hypothesis import example, given, strategies as st
 
 from adis_gonio.base.errors import NotInstalledError, ProtocolError
 from adis_gonio.device.bus.wire import Body, Packet, Receiver, crc32, encode, load_cobs, protocol as wire
-from adis_gonio.sim.testing.firmware import stuff, unstuff
 
 VECTORS = Path(__file__).parents[3] / "firmware_proto" / "vectors.txt"
 BYTES = st.binary(max_size=700) | st.lists(st.sampled_from([0, 1, 254, 255]), max_size=700).map(bytes)
@@ -66,6 +65,34 @@ def test_what_vectors_of_bytes_are_counted_as(data, result):
 # -- against other implementations ------------------------------------------------------------
 
 
+def stuff(data: bytes) -> bytes:
+    """Encode bytes by COBS, so that the result has no zero byte."""
+    out, run = bytearray(), bytearray()
+    for k, byte in enumerate(data):
+        if byte:
+            run.append(byte)
+        if not byte or len(run) == 254:
+            out += bytes([len(run) + 1]) + run
+            run.clear()
+            if byte and k == len(data) - 1:
+                return bytes(out)
+    return bytes(out + bytes([len(run) + 1]) + run)
+
+
+def unstuff(data: bytes) -> bytes | None:
+    """Decode bytes encoded by COBS; None if they are invalid."""
+    out, k = bytearray(), 0
+    while k < len(data):
+        size = data[k]
+        if not size or k + size > len(data):
+            return None
+        out += data[k + 1 : k + size]
+        k += size
+        if size < 255 and k < len(data):
+            out.append(0)
+    return bytes(out)
+
+
 def decoded(data: bytes) -> bytes | None:
     """By the library; None where it refuses."""
     try:
@@ -75,7 +102,7 @@ def decoded(data: bytes) -> bytes | None:
 
 
 @given(BYTES)
-def test_the_librarys_cobs_is_that_of_the_firmwares_model(data):
+def test_the_librarys_cobs_is_that_of_the_protocol(data):
     assert load_cobs().encode(data) == stuff(data)
     assert decoded(stuff(data)) == data
 
@@ -90,7 +117,7 @@ def test_cobs_at_the_ends_of_its_runs(length, end):
 
 @given(BYTES.map(lambda data: data.replace(b"\0", b"\x02")))
 @example(b"\x03\x01")
-def test_the_library_refuses_what_the_firmwares_model_refuses(data):
+def test_the_library_refuses_what_the_protocol_refuses(data):
     assert decoded(data) == unstuff(data)
 
 

@@ -1,6 +1,8 @@
 """The project's firmware as a device model, byte by byte, written from firmware_proto/PROTOCOL.md alone.
 
-It shares no code with the package or with the C core: framing, CRC and bodies are implemented here again.
+It shares no code with the package or with the C core: the bodies are implemented here again; the packages
+cobs and zlib do framing and CRC.
+A stream takes a scan at each edge of data-ready: the period and the decimation of PROTOCOL.md are refused.
 In `SimulatedFirmware`, `feed` takes the bytes that arrive now, `run` simulates until a time, `out` contains
 the packets that it sends, each with the time at which its last byte is ready.
 """
@@ -13,50 +15,18 @@ import zlib
 from collections import deque
 from dataclasses import KW_ONLY, InitVar, dataclass
 
+from adis_gonio.device.bus.wire import load_cobs
 from adis_gonio.sim.testing.pins import ChipPins
 
 VERSION = 1
 NO_SESSION, UNKNOWN, BAD_LENGTH, BUSY, BAD_FRAME, WRITE_COUNT, BAD_VALUE, ID_REUSED, OTHER_VERSION = range(
     1, 10
 )
-RISING, FALLING, PERIOD = 0, 1, 2
+RISING, FALLING = 0, 1
 CLOCKS = (2_000_000, 1_000_000, 500_000, 250_000, 125_000, 0)
 MAX_FRAMES, MAX_LIST, MAX_SCAN_BYTES, MAX_WAIT = 100, 32, 230, 65_000
 DEFAULTS = (250_000, 75, 160)
 TRIGGER_S = 4e-6
-
-
-def crc(data: bytes) -> int:
-    """Return the CRC-32 of the bytes (CRC-32/ISO-HDLC, as in zlib)."""
-    return zlib.crc32(data)
-
-
-def stuff(data: bytes) -> bytes:
-    """Encode bytes by COBS, so that the result has no zero byte."""
-    out, run = bytearray(), bytearray()
-    for k, byte in enumerate(data):
-        if byte:
-            run.append(byte)
-        if not byte or len(run) == 254:
-            out += bytes([len(run) + 1]) + run
-            run.clear()
-            if byte and k == len(data) - 1:
-                return bytes(out)
-    return bytes(out + bytes([len(run) + 1]) + run)
-
-
-def unstuff(data: bytes) -> bytes | None:
-    """Decode bytes encoded by COBS; None if they are invalid."""
-    out, k = bytearray(), 0
-    while k < len(data):
-        size = data[k]
-        if not size or k + size > len(data):
-            return None
-        out += data[k + 1 : k + size]
-        k += size
-        if size < 255 and k < len(data):
-            out.append(0)
-    return bytes(out)
 
 
 class _RefusalError(Exception):
@@ -190,7 +160,8 @@ class SimulatedFirmware:
     def _packed(kind: int, request_id: int, body: bytes) -> bytes:
         raw = struct.pack("<BH", kind, request_id) + body
         assert len(raw) + 4 <= 252
-        return stuff(raw + struct.pack("<I", crc(raw))) + b"\0"
+        stuffed: bytes = load_cobs().encode(raw + struct.pack("<I", zlib.crc32(raw)))
+        return stuffed + b"\0"
 
     def _put(self, data: bytes, ready_s: float | None = None) -> None:
         start = max(self.pins.clock.now_s() if ready_s is None else ready_s, self._line_free_s)
@@ -198,12 +169,14 @@ class SimulatedFirmware:
         self.out.append((self._line_free_s, data))
 
     def _packet(self, stuffed: bytes) -> None:
-        raw = unstuff(stuffed)
-        if raw is None:
+        try:
+            raw: bytes = load_cobs().decode(stuffed)
+        except load_cobs().DecodeError:
             self.counters["cobs"] += 1
-        elif not 7 <= len(raw) <= 252:
+            return
+        if not 7 <= len(raw) <= 252:
             self.counters["length"] += 1
-        elif crc(raw[:-4]) != struct.unpack("<I", raw[-4:])[0]:
+        elif zlib.crc32(raw[:-4]) != struct.unpack("<I", raw[-4:])[0]:
             self.counters["crc"] += 1
         else:
             self.counters["packets"] += 1
@@ -325,12 +298,12 @@ class SimulatedFirmware:
         bad = [k for k, frame in enumerate(frames) if frame & 0xC000]
         _require(not bad, BAD_FRAME, bad[0] if bad else 0)
         _require(len(frames) <= MAX_LIST, BAD_LENGTH)
-        _require(trigger <= PERIOD, BAD_VALUE, 0)
+        _require(trigger <= FALLING, BAD_VALUE, 0)
         _require(scans and scans * 2 * len(frames) <= MAX_SCAN_BYTES, BAD_VALUE, 1)
-        _require(decimation, BAD_VALUE, 2)
-        _require((trigger == PERIOD) == bool(period_us), BAD_VALUE, 4)
+        _require(decimation == 1, BAD_VALUE, 2)
+        _require(not period_us, BAD_VALUE, 4)
         now = self.pins.clock.now_s()
-        self._stream = _Stream(self, request_id, trigger, scans, decimation, period_us, frames, now)
+        self._stream = _Stream(self, request_id, trigger == RISING, scans, frames, now)
         return struct.pack("<I", self.now_us(now))
 
     def _stop(self, body: bytes) -> bytes:
@@ -359,7 +332,7 @@ class SimulatedFirmware:
 
 @dataclass(eq=False)
 class _Stream:
-    """A running stream of scans, each started by a trigger (an edge of data-ready, or a period of time).
+    """A running stream of scans, each started by an edge of data-ready.
 
     The fields have the content of the request that started the stream; `begun_s` is the time of its start
     in s.
@@ -367,18 +340,13 @@ class _Stream:
 
     firmware: SimulatedFirmware
     id: int
-    trigger: int
+    rising: bool
     scans: int
-    decimation: int
-    period_us: int
     frames: tuple[int, ...]
     begun_s: InitVar[float]
 
     def __post_init__(self, begun_s: float) -> None:
         self.sent = self.lost = 0
-        self._period_s = None
-        if self.trigger == PERIOD:
-            self._period_s = self.period_us * 1e-6 / (1 + self.firmware.drift)
         self._after_s = begun_s
         self._words: list[int] = []
         self._times: list[float] = []
@@ -387,13 +355,10 @@ class _Stream:
 
     def next_trigger_s(self) -> float | None:
         """Return the time in s of the next trigger that starts a scan; None if no edge follows."""
-        if self._period_s is not None:
-            return self._after_s + self._period_s * self.decimation
         chip = self.firmware.pins.chip
         if not chip.data_ready_enabled:
             return None
-        first = chip.next_edge_s(max(self._after_s, chip.time_s), rising=self.trigger == RISING)
-        return None if first is None else first + (self.decimation - 1) * chip.update_period_s
+        return chip.next_edge_s(max(self._after_s, chip.time_s), rising=self.rising)
 
     def scan(self, trigger_s: float) -> None:
         """Make the scan that a trigger starts, and count the triggers that are missed during it.
@@ -414,9 +379,9 @@ class _Stream:
             self._first_lost = self.lost
         self._times.append(trigger_s)
         self._words += words
-        period = self._period_s or firmware.pins.chip.update_period_s
-        missed = int((end_s - trigger_s) / (period * self.decimation))
-        self._after_s = trigger_s + missed * period * self.decimation + (0 if self._period_s else 1e-9)
+        period = firmware.pins.chip.update_period_s
+        missed = int((end_s - trigger_s) / period)
+        self._after_s = trigger_s + missed * period + 1e-9
         if missed or len(self._times) == self.scans:
             self.flush(end_s)
         self._lose(missed)
