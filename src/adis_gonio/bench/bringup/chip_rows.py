@@ -447,8 +447,6 @@ def _offset_steps(
     """
 
     def observe(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
-        rates = [rest.slope[columns] ** 2 - 4 * rest.slope_u[columns] ** 2 for rest in chip.rests]
-        drift = np.array([rate[np.isfinite(rate)].max(initial=0.0) for rate in rates]).max(initial=0.0)
         for one, two in pairwise(chip.rests):
             if one.span.settings("SENS_AVG", "MSC_CTRL") != two.span.settings("SENS_AVG", "MSC_CTRL"):
                 continue
@@ -458,28 +456,15 @@ def _offset_steps(
                     continue
                 row = BY_NAME[name]
                 step = (row.number(now) - row.number(then)) / (one.dps / 75 if columns.start else 1)
-                drifted, drift_u = _drift(one, two, columns.start + k, drift)
-                moved = two.mean[columns][k] - one.mean[columns][k] - drifted
+                moved = two.mean[columns][k] - one.mean[columns][k]
                 u = _mean_u(part, min(one, two, key=lambda rest: rest.count), columns)
-                u = math.hypot(u, drift_u)
+                drift = float(max(abs(rest.slope[columns][k]) for rest in (one, two)))
+                u = math.hypot(u, (two.middle_s - one.middle_s) * drift)
                 if abs(step) > 10 * u and math.isfinite(moved):
                     predicted = {key: (value - 0.01, value + 0.01) for key, value in rivals.items()}
                     yield RowFigure(moved / step, u / abs(step), predicted)
 
     return observe
-
-
-def _drift(one: RestStatistics, two: RestStatistics, axis: int, rate2: float) -> tuple[float, float]:
-    """Return the drift of an axis between two rests in LSB, and its standard uncertainty.
-
-    The slopes of both rests measure it. `rate2` is the square of the largest slope of the recording in
-    (LSB/s)², which is the prior variance of the slope.
-    """
-    weights = np.array([rest.slope_u[axis] ** -2 for rest in (one, two)])
-    slope = float(weights @ [one.slope[axis], two.slope[axis]] / weights.sum())
-    u2, gap_s = 1 / float(weights.sum()), two.middle_s - one.middle_s
-    share = rate2 / (rate2 + u2)
-    return gap_s * share * slope, gap_s * math.sqrt(share * u2)
 
 
 def _after_filter(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
@@ -608,11 +593,6 @@ def _self_test(columns: slice, alike: str) -> Observer:
                     yield "to the positive" if abs(plus) > limit else ELSE
 
     return observe
-
-
-def _never(chip: RecordedChip, _: Variant) -> Iterator[str]:
-    """Yield nothing, because no command of this package sends frames that show this property."""
-    yield from ()
 
 
 def _edge(chip: RecordedChip, _: Variant) -> Iterator[str]:
@@ -744,10 +724,6 @@ ROWS: tuple[ChipRow, ...] = (
            "to both", "the same way", "to the positive"),
     _entry("self_test_accel", _self_test(_ACCELS, "to both"), "to the positive", "to both"),
     _entry("data_ready_edge", _edge, "the first", "the second"),
-    _entry("stall | Effect of too short a pause between frames? | later parts | C", _never, "silence"),
-    _entry("idle_ones | Is a frame of ones a write to COMMAND? | code | C", _never, "a write"),
-    _entry("reserved_read | Reply to a read of COMMAND or 0x18? | estimate | D", _never, "zeros"),
-    _entry("self_test_outputs | Outputs during the self-test? | estimate | D", _never, "zero, ND 0"),
 )
 # fmt: on
 """Rows of the table in the order of the report."""

@@ -168,8 +168,8 @@ class RestStatistics:
         The span.
     mean, rms : (6,) float
         Mean and standard deviation of each axis in LSB of the outputs; NaN for gyros that were not read.
-    slope, slope_u : (6,) float
-        Change of each axis in LSB/s, and its standard uncertainty by the axis's own noise.
+    slope : (6,) float
+        Change of each axis in LSB/s.
     middle_s : float
         Mean time of the updates in s.
     sigma : (6,) float
@@ -189,7 +189,6 @@ class RestStatistics:
     mean: Floats
     rms: Floats
     slope: Floats
-    slope_u: Floats
     middle_s: float
     sigma: Floats
     color: tuple[float, float]
@@ -355,7 +354,7 @@ class RecordedChip:
             begin, end = _longest_run(times)
             spacing = max(float(times[end - 1] - times[begin]) / (end - begin - 1) / span.period_s, 1.0)
             dof = degrees_of_freedom(end - begin, span.m, spacing)
-            mean, rms, slope, slope_u, sigma = np.full((5, 6), math.nan)
+            mean, rms, slope, sigma = np.full((4, 6), math.nan)
             powers, lined = [], False
             for k, (at, values) in enumerate(columns):
                 if len(values) < 16:
@@ -364,7 +363,6 @@ class RecordedChip:
                 begin, end = _longest_run(at)
                 at = at - at.mean()
                 slope[k] = at @ values / (at @ at)
-                slope_u[k] = math.sqrt((rms[k] ** 2 + 1 / 12) * len(at) / dof / (at @ at))
                 level, power, lines = remove_lines(values[begin:end])
                 sigma[k], lined = level if lines else rms[k], lined or lines
                 powers.append(power)
@@ -372,7 +370,7 @@ class RecordedChip:
             dps = settings.Configuration.from_words(1, span.image["SENS_AVG"], 0).gyro_range_dps or 300
             dof /= HANN_WIDTH if lined else 1
             found.append(RestStatistics(
-                span, mean, rms, slope, slope_u, float(times.mean()), sigma, color, count, dof, span.m, dps
+                span, mean, rms, slope, float(times.mean()), sigma, color, count, dof, span.m, dps
             ))  # fmt: skip
         return found
 
