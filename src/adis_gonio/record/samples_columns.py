@@ -298,13 +298,6 @@ def _curve_text(curve: StageCurve) -> str:
     return " / ".join([curve.name, *(" ".join(map(number_text, one)) for one in numbers)])
 
 
-def _mark(text: str) -> str:
-    marks = {".": ".", "point": ".", ",": ",", "comma": ","}
-    if text.lower() not in marks:
-        raise ValueError("expected 'point' or 'comma'")
-    return marks[text.lower()]
-
-
 KEYS: dict[str, Key] = {
     **dict.fromkeys(("title", *METADATA), Key()),
     "sensor": _choice(SENSORS),
@@ -316,9 +309,8 @@ KEYS: dict[str, Key] = {
     "stage_curve": Key(_curve, _curve_text),
     "reading_u_mg": Key(_positive, number_text),
     "filter_m": Key(_filter, str),
-    "decimal": Key(_mark),
 }
-"""Keys of the lines `# key: value` in the order of writing: fields of `Session`, and the decimal mark."""
+"""Keys of the lines `# key: value` in the order of writing: fields of `Session`."""
 
 _BEGINS = r"(?=[=+\-@＝＋－＠])"
 _FORMULA = re.compile(r"""([,;|][\s"']*)""" + _BEGINS)

@@ -6,8 +6,8 @@ digits are the same in both encodings.
 
 The delimiter between cells is the one with which most names of the header are known. In a file separated by
 commas a fraction has a point, as the format requires. In other files the numbers have to prove the decimal
-mark (point or comma): `0,5` or `1234,5` can only have a decimal comma and `1.2345` only a decimal point,
-while `1,234` may have either. A file without proof is refused, and so is a file that proves both.
+mark (point or comma): `0,5` or `1234,5` can only have a decimal comma, while the comma of `1,234` may also
+separate thousands. A file without proof is refused, and so is a number with another mark.
 """
 
 from __future__ import annotations
@@ -192,16 +192,11 @@ DELIMITERS = {"\t": "tab", ";": "semicolon", ",": "comma", SPACE: "space"}
 """Delimiters that are recognised, with their names for messages."""
 
 # Possessive quantifiers (++) prevent backtracking, which takes hours in a cell of thousands of digits.
-_NUMBER = r"[+-]?(?:\d++{0}?\d*+|{0}\d+)(?:[eE][+-]?\d+)?"
-_GROUPED = r"[+-]?[1-9]\d{{0,2}}(?:{1}\d{{3}})+(?:{0}\d*)?"
-_FORMS = {
-    mark: (
-        re.compile(_NUMBER.format(re.escape(mark))),
-        re.compile(_GROUPED.format(re.escape(mark), re.escape(other))),
-    )
-    for mark, other in ((".", ","), (",", "."))
-}
-_UNDECIDED = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
+_NUMBER = re.compile(r"[+-]?(?:\d++\.?\d*+|\.\d+)(?:[eE][+-]?\d+)?")
+UNDECIDED = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
+"""Pattern of a number with a mark that may be the decimal mark or separate thousands."""
+SWAPPED = str.maketrans(",.", ".,")
+"""Exchange of point and comma, after which only a number with a decimal comma is one of Python's."""
 _TOKENS = re.compile(r"\s+(?![\[(])")
 
 
@@ -215,13 +210,10 @@ class Dialect:
         One of `DELIMITERS`, or a delimiter that the file states.
     decimal : str
         Decimal mark, `.` or `,`.
-    grouped : bool
-        True if the decimal mark is proved, so that the other mark may separate thousands.
     """
 
     delimiter: str
     decimal: str = "."
-    grouped: bool = False
 
     def cells(self, line: str) -> list[str]:
         """Split a line into its cells, without quotation marks.
@@ -250,12 +242,11 @@ class Dialect:
             The cell has no number in this dialect.
         """
         text = cell.strip().replace("−", "-")
-        plain, grouped = _FORMS[self.decimal]
-        if self.grouped and grouped.fullmatch(text):
-            text = text.replace("," if self.decimal == "." else ".", "")
-        elif not plain.fullmatch(text) and text.lower().lstrip("+-") not in ("nan", "inf", "infinity"):
-            raise ValueError(text)
-        return float(text.replace(",", "."))
+        if self.decimal == ",":
+            text = text.translate(SWAPPED)
+        if not _NUMBER.fullmatch(text) and text.lower().lstrip("+-") not in ("nan", "inf", "infinity"):
+            raise ValueError(cell)
+        return float(text)
 
 
 def header_cells(line: str, delimiter: str) -> list[str]:
@@ -269,19 +260,6 @@ def header_cells(line: str, delimiter: str) -> list[str]:
     while cells and not cells[-1]:
         cells.pop()
     return cells
-
-
-def find_decimal_mark(text: str) -> str:
-    """Return the decimal mark (`.` or `,`) that a cell without blanks proves; empty if it is ambiguous."""
-    if ("." not in text and "," not in text) or _UNDECIDED.fullmatch(text):
-        return ""
-    for mark, other in ((".", ","), (",", ".")):
-        plain, grouped = _FORMS[mark]
-        # Two equal marks can only separate thousands.
-        joined = (mark in text or text.count(other) > 1) and grouped.fullmatch(text)
-        if joined or (mark in text and plain.fullmatch(text)):
-            return mark
-    return ""
 
 
 _SEPARATORS = ("\t", ";", ",", "|", ":", "^", "~")
@@ -311,7 +289,7 @@ class Head:
     width : int
         Number of cells in the header.
     dialect : Dialect
-        Delimiter; the decimal mark is still to be found in the rows, unless `keys` states it.
+        Delimiter; the decimal mark is still to be found in the rows.
     columns : dict of str to CsvColumn
         Columns to read, by the format's names.
     keys : dict of str to object
@@ -338,7 +316,7 @@ class Head:
         DataError
             Header and key state different units, and the user has not given the unit.
         """
-        values = {name: value for name, value in self.keys.items() if name not in ("decimal", "filter_m")}
+        values = {name: value for name, value in self.keys.items() if name != "filter_m"}
         if "filter_m" in self.keys:
             values["facts"] = {"configuration": {"filter_m": self.keys["filter_m"]}}
         for key, axes, table in (("accel_unit", AXES, "accelerations"), ("gyro_unit", GYROS, "rates")):

@@ -78,8 +78,6 @@ class SamplesTable:
         self._began: datetime | None = None
         """Time of the first row; None unless the file has times of the wall clock."""
         self._repeated, self._first_repeated = 0, 0
-        self._joined = ""
-        """Note on marks between thousands; empty if there are none."""
         self._waiting: tuple[int, str, str] | None = None
         """Line allowed only at the end: its number, the error elsewhere, the note at the end; or None."""
 
@@ -228,9 +226,11 @@ class SamplesTable:
         ):
             return np.array([self._since_beginning(*one) for one in each])
         text = "\n".join(cells)
-        if "_" not in text and ("." if self.dialect.decimal == "," else ",") not in text:
+        if "_" not in text:
             with suppress(ValueError):
-                plain = cells if self.dialect.decimal == "." else text.replace(",", ".").split("\n")
+                plain = cells
+                if self.dialect.decimal == ",":
+                    plain = text.translate(samples_header.SWAPPED).split("\n")
                 values = np.fromiter(map(float, plain), dtype=np.float64, count=len(cells))
                 if (np.abs(values) <= COLUMNS[name].largest).all():
                     return values
@@ -255,24 +255,15 @@ class SamplesTable:
         try:
             value = self.dialect.number(cell)
         except ValueError:
-            wrong = self._not_a_number(cell)
+            other, own = (".", "comma") if self.dialect.decimal == "," else (",", "point")
+            wrong = f"'{cell}' is not a number" if cell else "empty"
+            wrong += f" in a file with decimal {own}s" if other in cell else ""
         else:
             if abs(value) <= COLUMNS[name].largest:
-                if not self._joined and ("." if self.dialect.decimal == "," else ",") in cell:
-                    example = f"'{cell}' = {value:.12g}"
-                    self._joined = f"marks between thousands were left out, as in {example}"
                 return value
             kind = "too large for a measurement" if math.isfinite(value) else "not a finite number"
             wrong = f"{cell} is {kind}; leave such rows out"
         raise self._fail_line(line, f"column '{name}': {wrong}")
-
-    def _not_a_number(self, cell: str) -> str:
-        own, other = ("comma", ".") if self.dialect.decimal == "," else ("point", ",")
-        try:
-            replace(self.dialect, decimal=other, grouped=True).number(cell)
-        except ValueError:
-            return f"'{cell}' is not a number" if cell else "empty"
-        return f"'{cell}' is not a number in a file with decimal {own}s"
 
     def finish(self) -> None:
         """Make the arrays after the last chunk, and add remarks on the rows.
@@ -284,7 +275,7 @@ class SamplesTable:
         """
         if not len(self):
             raise DataError(f"{self.file}: the header in row {self.head.line} is followed by no sample")
-        self.notes += [note for note in (*(self._waiting or ())[2:], self._joined) if note]
+        self.notes += [note for note in (self._waiting or ())[2:] if note]
         if self._began is not None:
             self.notes.append(f"time_s is counted from {self._began.isoformat(' ')}")
         if self._repeated:
@@ -330,28 +321,24 @@ def read_table(path: Path, wanted: dict[str, str]) -> SamplesTable:
 
 
 def _with_decimal_mark(head: samples_header.Head) -> samples_header.Dialect:
-    """Return the file's dialect with the decimal mark that a key states or that some number proves."""
-    if "decimal" in head.keys:
-        return replace(head.dialect, decimal=head.keys["decimal"], grouped=True)
+    """Return the file's dialect with the decimal mark that some number proves."""
     undecided: tuple[int, str] | None = None
     for line, cell in _marked_cells(head):
-        mark = samples_header.find_decimal_mark(cell)
-        if mark:
-            return replace(head.dialect, decimal=mark, grouped=True)
-        if undecided is None and not _WALL_CLOCK.fullmatch(cell):
-            undecided = (line, cell)
+        if not samples_header.UNDECIDED.fullmatch(cell):
+            return replace(head.dialect, decimal="," if "," in cell else ".")
+        undecided = undecided or (line, cell)
     if undecided is None:
         return head.dialect
     line, cell = undecided
     bare, as_fraction = cell.replace(".", "").replace(",", ""), cell.replace(",", ".")
     raise DataError(
         f"{head.path.name}, row {line}: '{cell}' may be {as_fraction} or {bare}, and no number of the file "
-        "decides it; put a line '# decimal: comma' or '# decimal: point' at the top"
+        "decides it; save it with decimal points, and with commas between the cells"
     )
 
 
 def _marked_cells(head: samples_header.Head) -> Iterator[tuple[int, str]]:
-    """Yield the cells that may prove a decimal mark, each with its line number.
+    """Yield the numbers with a point or a comma, which may prove a decimal mark, each with its line number.
 
     In a file separated by commas these are only cells in lines with quotation marks.
     """
@@ -364,7 +351,8 @@ def _marked_cells(head: samples_header.Head) -> Iterator[tuple[int, str]]:
             with suppress(ValueError):
                 cells = head.dialect.cells(line)
                 own = (cells[k].strip() for k in places if k < len(cells))
-                yield from ((number, cell) for cell in own if "." in cell or "," in cell)
+                marked = (cell for cell in own if "." in cell or "," in cell)
+                yield from ((number, cell) for cell in marked if not _WALL_CLOCK.fullmatch(cell))
 
 
 MOST_DWELLS = MOST_POSITIONS
