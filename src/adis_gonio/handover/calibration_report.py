@@ -35,7 +35,7 @@ from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.slips import PositionFinding
 from adis_gonio.fitting.slips.session_positions import Angle
 from adis_gonio.model.records import METADATA, Session
-from adis_gonio.page.document import Figure, KeyFigure, Role, Section, Series, Style, Table, plot, render
+from adis_gonio.page.document import Figure, KeyFigure, Role, Section, Series, Table, plot, render
 from adis_gonio.record.provenance import digest_of_file
 from adis_gonio.tracing import trace_summary as words
 from adis_gonio.tracing.further_terms import bought_by_terms, next_term
@@ -318,20 +318,15 @@ def within_section(traced: TraceResult) -> Section:
     for finding in traced.within:
         view = finding.view
         if view is not None:
-            # The role "before" has dashed lines; if the samples are a line, it is used for the fit.
-            seen, fit = _ROLES if view.points else _ROLES[::-1]
-            style: Style = "points" if view.points else "line"
-            series = [Series(view.x, view.y, "samples", role=seen, style=style)]
-            if view.model is not None:
-                series.append(Series(view.x, view.model, view.model_label, role=fit, style="line"))
-            drawn = plot(
-                series,
-                view.x_label,
-                view.y_label,
-                title=view.caption,
-                y_log=view.y_log,
-                zero=view.points and view.model is not None,
-            )
+            series = [Series(view.x, view.y, "samples", role="before", style="points")]
+            if view.noise is not None:
+                # The role "before" has dashed lines.
+                series = [
+                    Series(view.x, view.y, "samples", role="after", style="line"),
+                    Series(view.x, view.noise, "noise", role="before", style="line"),
+                ]
+            spectrum = view.noise is not None
+            drawn = plot(series, view.x_label, view.y_label, title=view.caption, y_log=spectrum)
             figures.append(Figure(drawn, view.caption))
         rows += [_place(finding, place) for place in finding.places[:_MOST_PLACES]]
         left_out = len(finding.places) - _MOST_PLACES

@@ -284,6 +284,5 @@ def _finding(line: MovingLine, alike: Sequence[MovingLine], samples: Samples) ->
             "time / s",
             "frequency / Hz",
             f"Frequency of a spectral line of {join_words(letters)} in each dwell.",
-            points=True,
         ),
     )

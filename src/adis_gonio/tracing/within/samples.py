@@ -194,7 +194,7 @@ class Place(JsonRecord):
 
 @dataclass(frozen=True)
 class View:
-    """Data of a finding's figure.
+    """Data of the figure of a spectral line: a spectrum, or the frequency of a moving line in each dwell.
 
     Attributes
     ----------
@@ -202,14 +202,9 @@ class View:
         Points of the measured curve.
     x_label, y_label, caption : str
         Labels of the axes, and caption of the figure.
-    model : (n,) float or None
-        Fitted curve at the points; None without a fit.
-    model_label : str
-        Name of the fitted curve.
-    y_log : bool
-        True for a logarithmic y axis.
-    points : bool
-        True to draw single points instead of a line.
+    noise : (n,) float or None
+        Density of the noise of a spectrum, which has a logarithmic y axis; None for frequencies, which are
+        single points.
     """
 
     x: Floats
@@ -217,10 +212,7 @@ class View:
     x_label: str
     y_label: str
     caption: str
-    model: Floats | None = None
-    model_label: str = "fitted"
-    y_log: bool = False
-    points: bool = False
+    noise: Floats | None = None
 
 
 class WithinFinding(JsonRecord):
@@ -251,7 +243,7 @@ class WithinFinding(JsonRecord):
     aliases_hz : tuple of float or None
         Other frequencies in Hz that sampling would show at the frequency of a tone; None for other kinds.
     view : View or None
-        Data of the figure, neither in the document nor compared; None without a figure.
+        Data of the figure of a tone, neither in the document nor compared; None without a figure.
     """
 
     kind: Kind

@@ -309,8 +309,6 @@ def _view(density: Density, period: float, axis: int, letter: str, frequency: fl
         f"density of {letter} / mg/√Hz",
         f"Spectrum of {letter} inside the dwells, with a line at {format_number(frequency, 4)} Hz.",
         model,
-        model_label="noise",
-        y_log=True,
     )
 
 
