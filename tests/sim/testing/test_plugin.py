@@ -89,7 +89,7 @@ def test_a_mistake_in_a_mark_fails_in_one_line(tmp_path, mark, says):
 
 def test_the_mark_and_the_fixtures_explain_themselves(tmp_path):
     shown = run(tmp_path, "", "--markers").stdout
-    assert "@pytest.mark.adis_gonio(url, check, bus_faults, line_faults, transport, boot_s)" in shown
+    assert "@pytest.mark.adis_gonio(url, check, bus_faults, line_faults, boot_s)" in shown
     fixtures = run(tmp_path, "", "--fixtures").stdout
     assert "simulated_sensor" in fixtures
     assert "driver of a simulated chip" in fixtures

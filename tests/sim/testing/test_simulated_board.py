@@ -1,11 +1,13 @@
 """The fixture `simulated_board`: any program can open it, and it moves while the host looks."""
 
-import socket
+import contextlib
+import os
 import struct
 import subprocess
 import sys
 import threading
 import zlib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +17,8 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.sim.testing import Faults, SimulatedBoard, open_board, open_simulated
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
 from adis_gonio.sim.testing.pins import ChipPins, VirtualClock
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="a pty needs POSIX")
 
 FAST = "sim:?seed=4&move_speed_dps=720&delta_k=0.01"
 
@@ -62,31 +66,36 @@ def unstuffed(data: bytes) -> bytes:
     return b"\0".join(parts)
 
 
-def asked(line: socket.socket, kind: int, request_id: int, body: bytes) -> bytes:
-    """Reply of the board, by nothing but a socket and the protocol's text."""
+def asked(line: int, kind: int, request_id: int, body: bytes) -> bytes:
+    """Reply of the board, by nothing but its port and the protocol's text."""
     raw = struct.pack("<BH", kind, request_id) + body
-    line.sendall(stuffed(raw + struct.pack("<I", zlib.crc32(raw))))
+    os.write(line, stuffed(raw + struct.pack("<I", zlib.crc32(raw))))
     data = b""
     while not data.endswith(b"\0"):
-        data += line.recv(4096)
+        data += os.read(line, 4096)
     reply = unstuffed(data[:-1])
     assert zlib.crc32(reply[:-4]) == struct.unpack("<I", reply[-4:])[0]
     assert struct.unpack("<BH", reply[:3]) == (kind | 0x80, request_id)
     return reply[3:-4]
 
 
-@pytest.mark.adis_gonio(transport="tcp")
-def test_a_host_with_a_plain_socket_reads_a_register_and_the_next_host_too(simulated_board):
+@contextlib.contextmanager
+def opened(path):
+    line = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    yield line
+    os.close(line)
+
+
+def test_a_host_without_a_driver_reads_a_register_and_the_next_host_too(simulated_board):
     for nonce in (7, 8):
-        with socket.create_connection((simulated_board.host, simulated_board.port), timeout=60) as line:
+        with opened(simulated_board.path) as line:
             asked(line, 1, 100, struct.pack("<BI", 1, nonce))
             words = asked(line, 3, 101, struct.pack("<BHH", 0, 0x3800, 0))
             assert struct.unpack("<HH", words)[1] == 0x0402, "SENS_AVG's default"
 
 
-@pytest.mark.adis_gonio(transport="tcp")
-def test_a_board_behind_tcp_streams_to_the_driver_without_a_loss(simulated_board):
-    assert simulated_board.url == f"serial:socket://{simulated_board.host}:{simulated_board.port}"
+def test_a_board_streams_to_the_driver_without_a_loss(simulated_board):
+    assert simulated_board.url == f"serial:{simulated_board.path}"
     with open_sensor(simulated_board.url) as sensor:
         sensor.configure(sample_rate_hz=100)  # a busy machine keeps up with it
         with sensor.stream(block_scans=16) as stream:
@@ -104,7 +113,6 @@ def test_flipped_bits_on_the_line_never_become_a_wrong_word(simulated_board):
     assert simulated_board.faults.seen["flip"] > 0
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="a pty needs POSIX")
 def test_another_program_opens_the_pty_by_its_path(simulated_board):
     command = [sys.executable, "-m", "adis_gonio", "registers", simulated_board.url, "SENS_AVG", "--json"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=True)
@@ -113,29 +121,27 @@ def test_another_program_opens_the_pty_by_its_path(simulated_board):
 
 def test_boards_of_one_mark_have_dice_of_their_own():
     faults = Faults(seed=2, flip=0.5)
-    with open_board(transport="tcp", line_faults=faults) as one, open_board(line_faults=faults) as other:
+    with open_board(line_faults=faults) as one, open_board(line_faults=faults) as other:
         one.faults.happens("flip")
         assert one.faults.dice.getstate() != faults.dice.getstate() == other.faults.dice.getstate()
 
 
 def test_the_end_of_the_board_ends_its_thread_and_may_come_twice():
     before = threading.active_count()
-    board = open_board(transport="tcp")
+    board = open_board()
     board.close()
     board.close()
     assert threading.active_count() == before
-    with pytest.raises(ConnectionRefusedError):
-        socket.create_connection((board.host, board.port), timeout=5)
+    assert not Path(board.path).exists()
 
 
 def test_a_host_that_goes_away_and_one_that_never_reads_do_not_stop_the_board():
-    with open_board(transport="tcp") as board:
-        deaf = socket.create_connection((board.host, board.port), timeout=60)
+    with open_board() as board:
         hello = struct.pack("<BH", 1, 1) + struct.pack("<BI", 1, 5)
         packet = stuffed(hello + struct.pack("<I", zlib.crc32(hello)))
-        for _ in range(100):
-            deaf.sendall(packet)
-        deaf.close()
+        with opened(board.path) as deaf:
+            for _ in range(100):
+                os.write(deaf, packet)
         with open_sensor(board.url) as sensor:
             assert sensor.read("SMPL_PRD") == 1
 
@@ -145,7 +151,6 @@ def test_a_host_that_goes_away_and_one_that_never_reads_do_not_stop_the_board():
     [
         (lambda: open_board("serial:/dev/ttyUSB0"), "a test double is simulated"),
         (lambda: open_board("sim:?sede=1"), "seed"),
-        (lambda: open_board(transport="udp"), "no transport 'udp': pty or tcp"),
         (
             lambda: SimulatedBoard(SimulatedFirmware(ChipPins(open_simulated().chip, VirtualClock()))),
             "WorkClock",

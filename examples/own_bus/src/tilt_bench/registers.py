@@ -5,7 +5,8 @@ Written from firmware_proto/PROTOCOL.md with the standard library alone; yours m
 
 from __future__ import annotations
 
-import socket
+import os
+import select
 import struct
 import zlib
 
@@ -14,10 +15,11 @@ VERSION = 1
 
 
 class Board:
-    """A board that is reached by TCP."""
+    """A board at a serial port such as /dev/ttyACM0, which is already set to raw bytes."""
 
-    def __init__(self, host: str, port: int, timeout_s: float = 30.0) -> None:
-        self._line = socket.create_connection((host, port), timeout=timeout_s)
+    def __init__(self, path: str, timeout_s: float = 30.0) -> None:
+        self._line = os.open(path, os.O_RDWR | os.O_NOCTTY)
+        self._timeout_s = timeout_s
         self._id = 0
         try:
             self._ask(HELLO, struct.pack("<BI", VERSION, 12345))
@@ -31,15 +33,17 @@ class Board:
         return int(struct.unpack("<HH", words)[1])
 
     def close(self) -> None:
-        self._line.close()
+        os.close(self._line)
 
     def _ask(self, kind: int, body: bytes) -> bytes:
         self._id += 1
         raw = struct.pack("<BH", kind, self._id) + body
-        self._line.sendall(_stuffed(raw + struct.pack("<I", zlib.crc32(raw))) + b"\0")
+        os.write(self._line, _stuffed(raw + struct.pack("<I", zlib.crc32(raw))) + b"\0")
         data = b""
         while not data.endswith(b"\0"):
-            data += self._line.recv(4096)
+            if not select.select([self._line], [], [], self._timeout_s)[0]:
+                raise TimeoutError("the board does not answer")
+            data += os.read(self._line, 4096)
         reply = _unstuffed(data[:-1])
         if zlib.crc32(reply[:-4]) != struct.unpack("<I", reply[-4:])[0]:
             raise OSError("the reply's checksum is wrong")

@@ -2,11 +2,11 @@
 
 A sensor is the driver over a simulated chip, with access to its stage and world. A board has the project's
 firmware and a chip behind a serial port that any program can open: it speaks the wire protocol of
-`firmware_proto/PROTOCOL.md` on a pseudo-terminal or a TCP port of this machine, in real time, so that a
+`firmware_proto/PROTOCOL.md` on a pseudo-terminal of this machine (POSIX), in real time, so that a
 host program in any language can use it like a real board.
 
 Not simulated
-    The modem lines (a pty and a socket have none: opening the port does not reset the board), the baud rate
+    The modem lines (a pty has none: opening the port does not reset the board), the baud rate
     (bytes leave at the rate of `SimulatedFirmware`, whatever the host sets), USB.
 """
 
@@ -15,12 +15,11 @@ from __future__ import annotations
 import contextlib
 import os
 import select
-import socket
 import threading
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Literal, cast, get_args
+from typing import cast
 
 from adis_gonio.base import Closing
 from adis_gonio.base.errors import CannotOpenError, UsageError
@@ -120,8 +119,6 @@ def open_simulated(
     return sensor
 
 
-Transport = Literal["pty", "tcp"]
-
 _BUFFER = 65536
 _LONGEST_WAIT_S = 0.05
 _END_S = 60.0
@@ -133,7 +130,7 @@ Serial adapters have such a limit.
 
 
 class SimulatedBoard(Closing):
-    """A simulated board: firmware that a thread runs behind a pseudo-terminal or a TCP port.
+    """A simulated board: firmware that a thread runs behind a pseudo-terminal.
 
     Use it as a context manager.
 
@@ -143,25 +140,18 @@ class SimulatedBoard(Closing):
         Firmware on a `WorkClock`; `open_board` makes the firmware from a URL.
     faults : Faults
         Faults of the line: `drop`, `duplicate`, `flip`, `delay`, `chunk` and `hang`.
-    transport : {"pty", "tcp"}
-        A pseudo-terminal needs POSIX.
     world : World
         World of the chip; None if no test uses the stage or the true parameters.
 
     Attributes
     ----------
     path : str
-        Name of the port that a program opens: a device such as `/dev/pts/3`, or a URL of pyserial such as
-        `socket://127.0.0.1:41234`.
-    host, port : str, int
-        Address for plain sockets; empty and 0 for a pty.
+        Name of the port that a program opens: a device such as `/dev/pts/3`.
 
     Raises
     ------
-    UsageError
-        The transport is unknown.
     CannotOpenError
-        The machine has no free pseudo-terminal or port.
+        The machine has no free pseudo-terminal.
     """
 
     def __init__(
@@ -169,11 +159,8 @@ class SimulatedBoard(Closing):
         firmware: SimulatedFirmware,
         faults: Faults | None = None,
         *,
-        transport: Transport = "pty",
         world: World | None = None,
     ) -> None:
-        if transport not in get_args(Transport):
-            raise UsageError(f"no transport '{transport}': {' or '.join(get_args(Transport))}")
         if not isinstance(firmware.pins.clock, WorkClock):
             raise UsageError("a board runs in real time: give its firmware a WorkClock")
         self.firmware = firmware
@@ -181,12 +168,10 @@ class SimulatedBoard(Closing):
         self._world = world
         self._clock = firmware.pins.clock
         try:
-            self._line: _Pty | _Tcp = _Pty() if transport == "pty" else _Tcp()
+            self._line = _Pty()
         except (OSError, ImportError) as error:
-            raise CannotOpenError(
-                f"no {transport} on this machine for a simulated board: {error}"
-            ) from None
-        self.path, self.host, self.port = self._line.path, self._line.host, self._line.port
+            raise CannotOpenError(f"no pty on this machine for a simulated board: {error}") from None
+        self.path = self._line.path
         self.lock = threading.Lock()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._pump, name="simulated board", daemon=True)
@@ -297,7 +282,6 @@ class BoardStage(SimStage):
 def open_board(
     url: str = DEFAULT_URL,
     *,
-    transport: Transport | None = None,
     line_faults: Faults | None = None,
     boot_s: float = 0.0,
 ) -> SimulatedBoard:
@@ -308,8 +292,6 @@ def open_board(
     url : str
         URL of the simulator, such as `sim:?seed=3&delta_k=0.01&move_speed_dps=360`; the same URL gives
         `open_simulated` a sensor with the same hidden parameters.
-    transport : {"pty", "tcp"}
-        Kind of port; None takes a pseudo-terminal if the system has them, else TCP.
     line_faults : Faults
         Faults of the serial line (None: no faults), see `SimulatedBoard`; each board draws from its own
         copy, because one pytest mark may give them to many tests.
@@ -319,21 +301,17 @@ def open_board(
     Raises
     ------
     UsageError, CannotOpenError
-        The URL or the transport is not possible, or the machine has no free port.
+        The URL is not possible, or the machine has no free pseudo-terminal.
     """
     bus = simulated_bus(url)
     firmware = SimulatedFirmware(ChipPins(bus.chip, WorkClock()), boot_s=boot_s)
     if line_faults is not None:
         line_faults = replace(line_faults, seen=Counter())
-    if transport is None:
-        transport = "pty" if hasattr(os, "openpty") else "tcp"
-    return SimulatedBoard(firmware, line_faults, transport=transport, world=bus.world)
+    return SimulatedBoard(firmware, line_faults, world=bus.world)
 
 
 class _Pty:
     """The board's end of a pseudo-terminal; its methods raise `OSError` if the terminal was closed."""
-
-    host, port = "", 0
 
     def __init__(self) -> None:
         import tty
@@ -365,51 +343,3 @@ class _Pty:
             with contextlib.suppress(OSError):
                 os.close(end)
         self._slave = self._master = -1
-
-
-class _Tcp:
-    """The board's end of a TCP port on this machine, which serves one host after another."""
-
-    def __init__(self) -> None:
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.host, self.port = self._listener.getsockname()[:2]
-        self.path = f"socket://{self.host}:{self.port}"
-        self._client: socket.socket | None = None
-
-    def receive(self, wait_s: float, *, writes: bool) -> bytes:
-        asked = self._client or self._listener
-        readable, _, _ = select.select([asked], [asked] if writes and self._client else [], [], wait_s)
-        if not readable:
-            return b""
-        if self._client is None:
-            self._client, _ = self._listener.accept()
-            self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._client.setblocking(False)
-            return b""
-        try:
-            data = self._client.recv(4096)
-        except OSError:
-            data = b""
-        if not data:
-            self._hang_up()
-        return data
-
-    def send(self, data: bytes) -> int:
-        if self._client is None:
-            return len(data)  # no host is connected
-        try:
-            return self._client.send(data) if data else 0
-        except BlockingIOError:
-            return 0
-        except OSError:
-            self._hang_up()
-            return len(data)
-
-    def close(self) -> None:
-        self._hang_up()
-        self._listener.close()
-
-    def _hang_up(self) -> None:
-        if self._client is not None:
-            self._client.close()
-            self._client = None

@@ -23,7 +23,6 @@ OPTIONS = {
     "check": "prove on opening that |a| is 1 g",
     "bus_faults": "BusFaults of the sensor's frames",
     "line_faults": "Faults of the board's serial line",
-    "transport": "of the board: pty or tcp",
     "boot_s": "silence of the board at first",
 }
 """Options of the mark `adis_gonio`, each with its meaning."""
@@ -50,13 +49,10 @@ def simulated_sensor(request: pytest.FixtureRequest) -> Iterator[SimulatedSensor
 
 @pytest.fixture
 def simulated_board(request: pytest.FixtureRequest) -> Iterator[SimulatedBoard]:
-    """Fixture: a simulated board with the project's firmware, in real time.
-
-    Open it by its serial port `path`, or by `host` and `port`.
-    """
+    """Fixture: a simulated board with the project's firmware, in real time, at its serial port `path`."""
     from adis_gonio.sim.testing.doubles import open_board
 
-    with _made(open_board, request, ("url", "line_faults", "transport", "boot_s")) as board:
+    with _made(open_board, request, ("url", "line_faults", "boot_s")) as board:
         yield board
 
 
