@@ -919,14 +919,10 @@ def checked_readings(accel: ArrayLike, calibration: Calibration) -> tuple[Floats
 def _refuse_other_units(readings: Floats, calibration: Calibration) -> None:
     if calibration.provenance.counts or not len(readings):
         return
-    length = float(np.median(np.linalg.norm(readings, axis=1))) / calibration.gravity_mg
-    if length < LEAST_LENGTH:
+    length_mg = float(np.median(np.linalg.norm(readings, axis=1)))
+    length = length_mg / calibration.gravity_mg
+    if length < LEAST_LENGTH or (length > MOST_LENGTH and len(readings) >= MANY):
         raise UsageError(
-            f"readings are {length * calibration.gravity_mg:.3g} long, but gravity is about 1000: give mg "
-            "(1 g = 1000, 1 m/s² = 101.97)"
-        )
-    if length > MOST_LENGTH and len(readings) >= MANY:
-        raise UsageError(
-            f"readings are {length * calibration.gravity_mg:.4g} long, but gravity is about 1000: give "
-            "mg, not words of the sensor (ScanBlock.accel_mg)"
+            f"readings are {length_mg:.4g} long, but gravity is about 1000: give mg (1 g = 1000, 1 m/s² ="
+            " 101.97), not words of the sensor (ScanBlock.accel_mg)"
         )
