@@ -85,11 +85,13 @@ WITHIN = 0.8
 """Share of the tolerance to which an error has to conform for the calibration interval to grow."""
 ROUTINE = 0.8
 """Share of the calibration interval that must have passed before a calibration can lengthen it."""
+LONGER, SHORTER = 1.5, 0.5
+"""Factors of the calibration interval after a calibration that was still good, or failed."""
 SHORTEST_DAYS, LONGEST_DAYS = 30.0, 5 * YEAR_DAYS
 
 
 class Rules(JsonRecord):
-    """Limits and factors of the rules for the calibration interval, as the user chose them.
+    """Limits of the rules for the calibration interval, as the user chose them.
 
     Attributes
     ----------
@@ -99,8 +101,6 @@ class Rules(JsonRecord):
         True if the tolerance is the default.
     first_days : float
         Calibration interval in days after the first calibration.
-    longer, shorter : float
-        Factors by which the staircase rule lengthens and shortens the interval.
     """
 
     document_keys = ("tolerance", "assumed")
@@ -108,12 +108,10 @@ class Rules(JsonRecord):
     tolerance: Tolerance = field(default=DEFAULT_TOLERANCE, metadata=INLINE)
     assumed: bool = field(default=True, metadata=key("tolerance_assumed"))
     first_days: float = YEAR_DAYS
-    longer: float = 1.5
-    shorter: float = 0.5
 
     def __post_init__(self) -> None:
-        if not (self.first_days > 0 and self.longer >= 1 and 0 < self.shorter <= 1):
-            raise UsageError("the first interval must be above 0, longer ≥ 1 and 0 < shorter ≤ 1")
+        if not self.first_days > 0:
+            raise UsageError(f"the first interval is {self.first_days:g} d: take a number above 0")
 
 
 class Stair(JsonRecord):
@@ -165,7 +163,7 @@ class Due(JsonRecord):
     by : str
         Name of the method that gives this date; empty without a date.
     limits : Rules
-        Tolerance and factors that were used.
+        Tolerance and first interval that were used.
     rules : tuple of Rule
         Date by each method.
     stairs : tuple of Stair
@@ -183,7 +181,7 @@ class Due(JsonRecord):
 def due_of(history: History, limits: Rules | None = None) -> Due:
     """Determine the date of the next calibration of a sensor from its history.
 
-    `limits` are the tolerance and the factors; None takes the defaults.
+    `limits` are the tolerance and the first interval; None takes the defaults.
     """
     limits = limits or Rules()
     if not len(history.sessions):
@@ -204,17 +202,17 @@ def step(
     the error of the angle by the previous calibration. An error that does not conform to the tolerance
     shortens the interval (or the elapsed time if that is shorter). An error that conforms to the share
     `WITHIN` of the tolerance lengthens the interval, if the share `ROUTINE` of the interval has passed.
-    Otherwise the interval is kept. `Stair` explains response and verdict. `limits` has the tolerance and
-    the factors.
+    Otherwise the interval is kept. `Stair` explains response and verdict. `limits` has the
+    tolerance.
     """
     verdict, _ = limits.tolerance.verdict(error)
     if verdict == "fail":
-        return max(min(interval_days, elapsed_days) * limits.shorter, SHORTEST_DAYS), "shorter", verdict
+        return max(min(interval_days, elapsed_days) * SHORTER, SHORTEST_DAYS), "shorter", verdict
     if elapsed_days < ROUTINE * interval_days:
         return interval_days, "early", verdict
     closer = replace(limits.tolerance, limit_deg=WITHIN * limits.tolerance.limit_deg)
     if closer.verdict(error)[0] == "pass":
-        return min(interval_days * limits.longer, LONGEST_DAYS), "longer", verdict
+        return min(interval_days * LONGER, LONGEST_DAYS), "longer", verdict
     return interval_days, "kept", verdict
 
 
@@ -222,7 +220,7 @@ def staircase_of(history: History, limits: Rules) -> list[Stair]:
     """List the changes of the calibration interval so far, one for each session from the second on.
 
     A session that shares no parameter with the last used session gives none. `limits` has the tolerance and
-    the factors.
+    the first interval.
     """
     days, sessions = history.days, history.sessions
     interval, stairs = limits.first_days, []
@@ -259,8 +257,8 @@ def _staircase(history: History, limits: Rules, stairs: tuple[Stair, ...]) -> Ru
     interval = stairs[-1].interval_days if stairs else limits.first_days
     share = f"{100 * WITHIN:.0f} % of the tolerance"
     assumes = (
-        f"first interval {limits.first_days:.0f} d, ×{limits.longer:g} if the error conforms to {share}, "
-        f"×{limits.shorter:g} if it fails; every session replaced the calibration in use"
+        f"first interval {limits.first_days:.0f} d, ×{LONGER:g} if the error conforms to {share}, "
+        f"×{SHORTER:g} if it fails; every session replaced the calibration in use"
     )
     date = date_of(history.days[-1] + interval)
     if not stairs:

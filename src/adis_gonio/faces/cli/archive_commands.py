@@ -183,14 +183,6 @@ def history_command(
     "--first", "first_days", type=option.POSITIVE, default=365.25, metavar="DAYS",
     help="Interval of a sensor without a known history.",
 )  # fmt: skip
-@option.with_default(
-    "--longer", type=click.FloatRange(min=1), default=1.5, metavar="FACTOR",
-    help="Factor after a calibration that was still good.",
-)  # fmt: skip
-@option.with_default(
-    "--shorter", type=click.FloatRange(0, 1, min_open=True), default=0.5, metavar="FACTOR",
-    help="Factor after a calibration outside the tolerance.",
-)  # fmt: skip
 @option.index
 @option.json
 def due_command(
@@ -198,10 +190,10 @@ def due_command(
     serial: str,
     places: tuple[Path, ...],
     tolerance: Tolerance | None,
+    first_days: float,
     index_path: Path | None,
     trace: bool,
     as_json: bool,
-    **factors: Any,
 ) -> None:
     """Compute when a sensor's next calibration is due, with the rule and the reason (ILAC-G24 / OIML D 10).
 
@@ -212,7 +204,7 @@ def due_command(
     from adis_gonio.fleet.calibration_due import DEFAULT_TOLERANCE, Rules, due_of
     from adis_gonio.fleet.sensor_history import history_of
 
-    limits = Rules(tolerance or DEFAULT_TOLERANCE, tolerance is None, **factors)
+    limits = Rules(tolerance or DEFAULT_TOLERANCE, tolerance is None, first_days)
     with _indexed(places, index_path, trace=trace) as (store, _):
         found = due_of(history_of(serial, _records_of(store, serial)), limits)
     if as_json:
