@@ -12,7 +12,7 @@ from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.fleet.session_evidence import SessionEvidence, evidence_of
 from adis_gonio.model.effects import effect
-from fleet.units import evidence_with, session_with
+from fleet.units import estimate, evidence_with, session_with
 from tracing.named_truth import catalogued_term
 from tracing.plans import draw_bench
 
@@ -28,7 +28,7 @@ def test_an_estimate_is_that_of_the_full_nonlinear_fit() -> None:
         NamedTerm(name, (), 0.0, effect(name, axes)) for name, axes in (("bias", "xy"), ("hysteresis", "x"))
     )
     fit = Fit.begin(data).with_terms(terms, (np.zeros(2), np.zeros(1))).refit()
-    value, u = evidence.estimate(HYSTERESIS)
+    value, u = estimate(evidence, HYSTERESIS)
     assert value == pytest.approx(float(fit.values.terms[1][0]), abs=0.05 * u)
     assert u == pytest.approx(float(np.sqrt(fit.covariance[-1, -1])), rel=0.01)
 

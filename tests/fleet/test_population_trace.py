@@ -10,7 +10,7 @@ from scipy.special import logsumexp
 from adis_gonio.base.errors import UsageError
 from adis_gonio.fleet.population_likelihood import Block, grid_of, inflations, log_factor
 from adis_gonio.fleet.population_trace import PopulationResult, trace_population
-from fleet.units import drawn, evidence_with
+from fleet.units import drawn, estimate, evidence_with
 from tracing.named_truth import catalogued_term
 
 HYSTERESIS = "hysteresis||x|hysteresis_x|mg"
@@ -135,7 +135,7 @@ def test_the_amplitude_is_that_of_the_affected_sessions_where_these_are_the_nois
         replace(one, stage="A", length=one.length / 10) if i < 20 else replace(one, stage="B")
         for i, one in enumerate(every)
     ]
-    planted = 4.0 * np.median([one.estimate(key)[1] for one in every[:20]])
+    planted = 4.0 * np.median([estimate(one, key)[1] for one in every[:20]])
     (found,) = trace_population(every).found
     assert (found.effects, found.value) == (("stage_eccentricity",), "A")
     value = found.mean["ecc_sin"]
@@ -169,9 +169,7 @@ def test_a_ratio_that_the_common_noise_cannot_explain_is_taken_as_it_is() -> Non
     assert np.median(factors[1:]) < 1.2
 
 
-def test_too_few_sessions_and_unknown_groupings_are_refused() -> None:
+def test_too_few_sessions_are_refused() -> None:
     every = drawn(np.random.default_rng(2), 4)
     with pytest.raises(UsageError, match="at least 5"):
         trace_population(every)
-    with pytest.raises(UsageError, match="moon"):
-        trace_population(every, by=("moon",))

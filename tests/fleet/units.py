@@ -67,3 +67,9 @@ def drawn(
             replace(one, z=white @ one.directions, scatter=scatter, digest=f"{i:05d}", source=f"{i}.csv")
         )
     return out
+
+
+def estimate(evidence: SessionEvidence, key: str) -> tuple[float, float]:
+    """Amplitude of one column by least squares without others, and its standard uncertainty."""
+    k = evidence.keys.index(key)
+    return float(evidence.z[k] / evidence.length[k]), float(1 / evidence.length[k])

@@ -125,6 +125,8 @@ FOLDS = 5
 """Number of folds into which the sessions are divided for cross-validation."""
 LEAST_UNITS = 5
 """Smallest number of sessions of a population or a group."""
+GROUPINGS = ("stage", "operator", "serial", "sensor")
+"""Groupings of the sessions; a cause may be common to all sessions with one value of a grouping."""
 WHOLE = 0.5
 """Prior share of causes that act in all sessions.
 
@@ -156,15 +158,15 @@ class Membership:
     log_prior: float
 
 
-def memberships(units: Units, by: Sequence[str]) -> list[Membership]:
+def memberships(units: Units) -> list[Membership]:
     """List the groups of sessions in which a cause may act.
 
-    These are all sessions, and the sessions of each value of the groupings `by` if they are at least
+    These are all sessions, and the sessions of each value of `GROUPINGS` if they are at least
     `LEAST_UNITS`.
     """
     n = len(units)
     found: list[list[tuple[str, str, NDArray[np.bool_]]]] = []
-    for name in by:
+    for name in GROUPINGS:
         values = np.array([getattr(one, name) for one in units.evidence])
         masks = [(name, str(value), values == value) for value in sorted(set(values.tolist()) - {""})]
         kept = [group for group in masks if LEAST_UNITS <= group[2].sum() < n]
@@ -253,13 +255,12 @@ class Population:
         folds = self.fold[None, :] == np.arange(FOLDS)[:, None]
         self._sums = (inside[:, None, :] & folds[None, :, :]).reshape(-1, len(units)).astype(float)
 
-    def given(self, parts: Sequence[ChosenCause], index: Sequence[int], *, relative: bool = False) -> Given:
-        """Return the evidence on some columns, with the amplitudes of other causes averaged out.
+    def given(self, parts: Sequence[ChosenCause], candidate: Candidate, *, relative: bool = False) -> Given:
+        """Return the evidence on a candidate, with the amplitudes of other causes averaged out.
 
-        The causes `parts` may each be present or absent in a session. `index` are the columns, `relative`
-        is true for amplitudes in each session's standard uncertainty.
+        The causes `parts` may each be present or absent in a session. `relative` is true for amplitudes in
+        each session's standard uncertainty.
         """
-        own = self.units.joint(index, relative)
         weights, blocks = [], []
         # Every combination of present and absent parts, with its probability in each unit.
         for present in itertools.product((False, True), repeat=len(parts)):
@@ -271,7 +272,7 @@ class Population:
                     inside, np.log(share if there else 1 - share), -np.inf if there else 0.0
                 )
             chosen = [part for part, there in zip(parts, present, strict=True) if there]
-            weight, block = self._block_given(chosen, index, own, log_prior, relative)
+            weight, block = self._block_given(chosen, candidate.index, log_prior, relative)
             weights.append(weight)
             blocks.append(block)
         every = np.stack(weights)
@@ -279,33 +280,28 @@ class Population:
 
     def given_others(self, parts: Sequence[ChosenCause], part: ChosenCause) -> Given:
         """Return the evidence on the amplitudes of the cause `part`, averaged over the causes `parts`."""
-        return self.given(parts, part.candidate.index, relative=part.amplitudes.relative)
+        return self.given(parts, part.candidate, relative=part.amplitudes.relative)
 
     def _block_given(
-        self,
-        chosen: Sequence[ChosenCause],
-        index: Sequence[int],
-        own: Block,
-        log_prior: Floats,
-        relative: bool,
+        self, chosen: Sequence[ChosenCause], index: Sequence[int], log_prior: Floats, relative: bool
     ) -> tuple[Floats, Block]:
         """Return score and information of the columns `index` if the causes `chosen` are present.
 
-        The amplitudes of these causes are averaged out. `own` has the score and information without other
-        causes, and `log_prior` (n,) is the log prior of the combination. Returned with the block is the log
-        probability (n,) of the combination, not normalised. `relative` is true for amplitudes in each
-        session's standard uncertainty.
+        The amplitudes of these causes are averaged out. `log_prior` (n,) is the log prior of the
+        combination. Returned with the block is the log probability (n,) of the combination, not normalised.
+        `relative` is true for amplitudes in each session's standard uncertainty.
         """
+        held = [k for part in chosen for k in part.candidate.index]
+        in_own = [part.amplitudes.relative for part in chosen for _ in part.candidate.index]
+        both = self.units.joint([*held, *index], [*in_own, *([relative] * len(index))])
+        a = len(held)
+        own = Block(both.score[:, a:], both.information[:, a:, a:])
         if not chosen:
             return log_prior, own
-        held = [k for part in chosen for k in part.candidate.index]
         mean = np.concatenate([part.amplitudes.mean for part in chosen])
         spread = np.concatenate(
             [np.full(len(part.candidate.index), part.amplitudes.spread) for part in chosen]
         )
-        in_own = [part.amplitudes.relative for part in chosen for _ in part.candidate.index]
-        both = self.units.joint([*held, *index], [*in_own, *([relative] * len(index))])
-        a = len(held)
         first = Block(both.score[:, :a], both.information[:, :a, :a])
         across = both.information[:, :a, a:]
         # Schur complement: the chosen amplitudes are integrated over their distribution.
@@ -322,11 +318,9 @@ class Population:
         `parts` are the causes that are already in the model. There is one column for each distribution of
         the candidate's grid. The log Bayes factor of a session is limited to `most`.
         """
-        grid, index = grid_of(len(candidate.index)), candidate.index
-        kinds = (False, True)
-        return np.concatenate(
-            [self.given(parts, index, relative=relative).gains(grid, most) for relative in kinds], axis=1
-        )
+        grid = grid_of(len(candidate.index))
+        both = [self.given(parts, candidate, relative=relative) for relative in (False, True)]
+        return np.concatenate([given.gains(grid, most) for given in both], axis=1)
 
     def scores(self, parts: Sequence[ChosenCause], only: Sequence[Candidate] | None = None) -> Scores:
         """Return the evidence for adding each candidate, in every group, to the present model.

@@ -180,8 +180,6 @@ class PopulationResult(JsonRecord):
         return tuple(lines)
 
 
-GROUPINGS = ("stage", "operator", "serial", "sensor")
-"""Groupings of the sessions; a cause may be common to all sessions with one value of a grouping."""
 MOST_PARTS = 4
 """Largest number of causes that are searched for in a population."""
 FOREMOST = 0.02
@@ -191,37 +189,30 @@ They are the sessions that favour the cause most; it must also be likely without
 """
 
 
-def trace_population(
-    evidence: Sequence[SessionEvidence], *, by: Sequence[str] = GROUPINGS
-) -> PopulationResult:
+def trace_population(evidence: Sequence[SessionEvidence]) -> PopulationResult:
     """Find the causes that sessions have in common, even if each is too weak in one session.
 
     Parameters
     ----------
     evidence : sequence of SessionEvidence
         Evidence of each session, in any order; sessions with equal digests count once.
-    by : sequence of str
-        Groupings in which a cause is searched for: `stage`, `operator`, `serial`, `sensor`.
 
     Raises
     ------
     UsageError
-        Fewer than five different sessions, or an unknown grouping.
+        Fewer than five different sessions.
     """
-    wrong = [name for name in by if name not in GROUPINGS]
-    if wrong:
-        raise UsageError(f"sessions cannot be grouped by '{wrong[0]}'; use {', '.join(GROUPINGS)}")
     once = list({one.digest or f"{k}": one for k, one in enumerate(evidence)}.values())
     if len(once) < LEAST_UNITS:
         raise UsageError(
             f"a population trace needs at least {LEAST_UNITS} different sessions, here are {len(once)}"
         )
     units = units_of(once)
-    population = Population(units, candidates_of(units.columns), memberships(units, by))
+    population = Population(units, candidates_of(units.columns), memberships(units))
     steps, open_ = _chosen(population)
     steps, dropped = _keep_supported(population, steps)
     open_ |= dropped
-    commons = _merged(population, steps)
+    commons = [_common(population, [one.part for one in steps if one is not step], step) for step in steps]
     notes = []
     if len(once) < len(evidence):
         notes.append(f"{len(evidence) - len(once)} sessions occur twice and count once")
@@ -286,14 +277,11 @@ def _keep_supported(
     """
     kept = list(steps)
     dropped: dict[str, str] = {}
-    for step in list(steps)[:-1]:
+    for step in steps[:-1]:
         others = [one.part for one in kept if one is not step]
-        if not others or step not in kept:
-            continue
-        own = population.scores(others, [step.part.candidate]).log_evidence
-        least = -math.log(limits.adequate)
-        group = population.groups.index(step.part.group)
-        if own[0, group] + step.part.candidate.log_prior + step.part.group.log_prior < least:
+        candidate, place = step.part.candidate, step.part.group
+        own = population.scores(others, [candidate]).log_evidence[0, population.groups.index(place)]
+        if own + candidate.log_prior + place.log_prior < -math.log(limits.adequate):
             kept = [one for one in kept if one is not step]
             dropped[_label(step.part.candidate.kind)] = "causes that were found later explain it"
     return kept, dropped
@@ -301,31 +289,6 @@ def _keep_supported(
 
 def _label(kind: Kind) -> str:
     return kind[0] if kind[1] else f"unnamed: {kind[0]}"
-
-
-def _merged(population: Population, steps: Sequence[SelectionStep]) -> list[Common]:
-    """Convert selection steps to causes of the result; steps of one cause on several axes are merged."""
-    commons: dict[tuple[str, str, str], Common] = {}
-    for k, step in enumerate(steps):
-        others = [one.part for j, one in enumerate(steps) if j != k]
-        common = _common(population, others, step)
-        key = (
-            common.effects[0] if common.effects else f"unnamed: {common.depends_on}",
-            common.by,
-            common.value,
-        )
-        first = commons.get(key)
-        if first is None:
-            commons[key] = common
-        else:
-            axes = tuple(sorted({*first.axes, *common.axes}))
-            commons[key] = replace(
-                first,
-                axes=axes,
-                mean={**common.mean, **first.mean},
-                spread={**common.spread, **first.spread},
-            )
-    return list(commons.values())
 
 
 def _common(population: Population, others: Sequence[ChosenCause], step: SelectionStep) -> Common:

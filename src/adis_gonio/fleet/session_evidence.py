@@ -1,7 +1,7 @@
 """The evidence of one session for every effect: a quadratic form of the log likelihood, a few kB.
 
-With readings whitened by the session's own noise, and the base model, bias and effects of single dwells
-projected out, let X be the columns of all candidates and r the residual of the readings. Then
+With readings whitened by the session's own noise, and the base model and bias projected out, let X be the
+columns of all candidates and r the residual of the readings. Then
 
     ln L(a) − ln L(0) = aᵀ Xᵀr − ½ aᵀ XᵀX a
 
@@ -37,7 +37,6 @@ from adis_gonio.record.provenance import provenance_of
 from adis_gonio.tracing.linear_problem import reduced
 from adis_gonio.tracing.named_candidates import cycles_shown
 from adis_gonio.tracing.session_blocks import project_off_base
-from adis_gonio.tracing.trace_result import TraceResult
 
 TAUS_S = tuple(float(f"{tau:.3g}") for tau in np.geomspace(10.0, 3160.0, 11))
 """Time constants in s for which a session gives evidence, a quarter of a decade apart.
@@ -260,17 +259,6 @@ class SessionEvidence:
     stage: str = ""
     sensor: str = ""
 
-    def estimate(self, key: str) -> tuple[float, float]:
-        """Estimate one amplitude by least squares, without other amplitudes.
-
-        `key` is the key of its column. Returns the amplitude and its standard uncertainty, in the unit of
-        the column. `KeyError` if the session does not determine the column.
-        """
-        if key not in self.keys:
-            raise KeyError(key)
-        k = self.keys.index(key)
-        return float(self.z[k] / self.length[k]), float(1 / self.length[k])
-
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON document of the evidence.
 
@@ -328,35 +316,19 @@ class SessionEvidence:
 _TEXTS = ("digest", "source", "serial", "operator", "stage", "sensor")
 
 
-def evidence_of(session: Session, result: TraceResult | None = None) -> SessionEvidence:
+def evidence_of(session: Session) -> SessionEvidence:
     """Compute the evidence of a session by one fit of base model and bias; takes milliseconds.
-
-    Parameters
-    ----------
-    session : Session
-        The session.
-    result : TraceResult, optional
-        Trace of the session; None without a trace. Dwells that the trace found slipped or outlying are
-        excluded, the scatter that it found is added to the noise, and the fitted amplitudes of the effects
-        that it found are added to the evidence for these effects.
 
     Raises
     ------
     DataError, FitError
         The session has no readings to fit, or the fit fails.
     """
-    data = result.fits[-1].data if result and result.fits else readings_of(session).training
+    data = readings_of(session).training
     bias = NamedTerm.offset(AXES[: data.axes])
-    if result and result.fits:
-        fit = result.fits[-1]
-    else:
-        fit = Fit.begin(data).with_terms((bias,), (np.zeros(data.axes),)).refit()
-    # Bias and single dwells are projected out, as is the base model.
-    single = [
-        term for term in fit.terms if isinstance(term, NamedTerm) and "dwell" in term.effect.choices()
-    ]
-    base, target = reduced(fit, [bias, *single])
-    # χ² of the fitted model: a large effect that a trace has found is no scatter.
+    fit = Fit.begin(data).with_terms((bias,), (np.zeros(data.axes),)).refit()
+    # The bias is projected out, as is the base model.
+    base, target = reduced(fit, [bias])
     rest = fit.residual.ravel()
     rest = rest - base @ (base.T @ rest)
 
@@ -400,8 +372,8 @@ def _scatter(fit: Fit, rest: Floats, base: Floats) -> tuple[ResidualChi2, ...]:
     The first direction is the one in which the readings move if the attitude changes a little. There the
     residual contains errors of the stage. The second direction is perpendicular to it.
 
-    `rest` is the whitened residual, `base` the whitened columns of base model, bias and effects of single
-    dwells, which reduce the degrees of freedom. A session with free attitudes has one entry. `fit` is the
+    `rest` is the whitened residual, `base` the whitened columns of base model and bias, which reduce the
+    degrees of freedom. A session with free attitudes has one entry. `fit` is the
     fit of the session.
     """
     data = fit.data
