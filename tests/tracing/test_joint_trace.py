@@ -115,6 +115,8 @@ def test_sessions_of_two_kinds_are_refused() -> None:
     one, two = (draw_session(rng, draw_part(rng)) for _ in range(2))
     with pytest.raises(UsageError, match="s1: a joint trace cannot join different uncertainties"):
         stack([one, replace(two, fixture_rad=1.0)], origins(2))
+    with pytest.raises(UsageError, match="s1: a joint trace cannot join readings with and without a known"):
+        stack([one, replace(two, noise_known=False)], origins(2))
     with pytest.raises(UsageError, match="two sessions or more"):
         trace_sessions([])
 

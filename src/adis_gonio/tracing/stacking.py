@@ -19,13 +19,14 @@ def stack(each: Sequence[Readings], origins: Sequence[SessionOrigin]) -> Reading
     """Join the readings `each` of several sessions; the sessions of one part share base parameters.
 
     `origins` has part, stage and label of each session. The rows keep the number of their session
-    (`Conditions.session`). Noise that dwells share is independent between sessions. If the noise of one
-    session is unknown, the noise of all is. A covariate that a session did not record is dropped.
+    (`Conditions.session`). Noise that dwells share is independent between sessions. A covariate that a
+    session did not record is dropped.
 
     Raises
     ------
     UsageError
-        Sessions of different kinds, in counts, or with different uncertainties of the declared angles.
+        Sessions of different kinds, in counts, with different uncertainties of the declared angles, or only
+        some with a known noise.
     """
     first = each[0]
     for one, origin in zip(each, origins, strict=True):
@@ -33,17 +34,16 @@ def stack(each: Sequence[Readings], origins: Sequence[SessionOrigin]) -> Reading
             (one.axes == first.axes, "one plane and attitudes in space"),
             (one.fixture_rad == first.fixture_rad, "different uncertainties of the declared angles"),
             (one.unit.known, "readings in counts"),
+            (one.noise_known == first.noise_known, "readings with and without a known noise"),
         ):
             if not same:
                 raise UsageError(
                     f"{origin.label}: a joint trace cannot join {what}; trace this session alone, or state"
-                    " one --fixture or --unit for all"
+                    " one --fixture, --unit or reading_u_mg for all"
                 )
     session = np.repeat(np.arange(len(each)), [len(one) for one in each])
     if len(each) == 1:
         return first
-    if not all(one.noise_known for one in each):
-        each = [one.without_noise() for one in each]
     by_row = ["mean", "own_covariance", "dof", "angle_rad", "check", "position", "samples"]
     parts = [
         name for name in ("quantization", "flicker") if all(getattr(r, name) is not None for r in each)
@@ -52,7 +52,6 @@ def stack(each: Sequence[Readings], origins: Sequence[SessionOrigin]) -> Reading
     return replace(
         first,
         **joined,
-        noise_known=all(one.noise_known for one in each),
         conditions=_conditions([one.conditions for one in each]),
         slow=_modes(each, origins),
         flicker_shown=any(one.flicker_shown for one in each),

@@ -332,20 +332,6 @@ class Readings(ComputedOnce):
         rows = self.rows(~self.check)
         return replace(rows, fitted=rows.visible)
 
-    def without_noise(self) -> Readings:
-        """Return a copy in which the noise of the readings is unknown."""
-        n = len(self)
-        return replace(
-            self,
-            own_covariance=np.broadcast_to(np.eye(self.axes), (n, self.axes, self.axes)).copy(),
-            dof=np.full(n, np.inf),
-            noise_known=False,
-            slow=None,
-            stage_modes=0,
-            quantization=None,
-            flicker=None,
-        )
-
     @property
     def checking(self) -> Readings | None:
         """The `check` dwells of the session, which are not fitted; None if there are none."""
