@@ -13,7 +13,7 @@ _HOMES = {
     "sensor_history": "history_of",
     "session_evidence": "SessionEvidence evidence_of",
     "session_record": "Options SessionRecord record_of",
-    "session_table": "read_parquet write_parquet",
+    "session_table": "write_parquet",
     "store": "Store",
     "workers": "Cluster LocalPool",
 }

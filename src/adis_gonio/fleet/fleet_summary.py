@@ -1,12 +1,8 @@
-"""Summary of a fleet, computed column by column to be quick: parameters, effects, outlying groups.
-
->>> from adis_gonio.fleet.fleet_summary import summarise
->>> from adis_gonio.fleet.session_table import read_parquet
->>> summarise(read_parquet("fleet.parquet")).as_dict()["sessions"]  # doctest: +SKIP
-"""
+"""Summary of a fleet, computed column by column to be quick: parameters, effects, outlying groups."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -159,10 +155,10 @@ class Summary:
         }
 
 
-def summarise(rows: Sequence[Row] | Any) -> Summary:
-    """Summarise the fleet with the sessions in the rows of a table, in any order.
+def summarise(rows: Sequence[Row]) -> Summary:
+    """Summarise the fleet with the sessions in rows, in any order.
 
-    The table is a list of rows or a pyarrow table, with the columns `session_table.COLUMNS`.
+    Each row has the columns `session_table.COLUMNS`.
     """
     table = table_of(rows)
     ok = table["status"] == "ok"
@@ -264,21 +260,11 @@ def _named(test: Test, tests: int, table: Table, groups: dict[str, Codes]) -> Ou
         name = str(table[GROUPS[test.kind]][groups[test.kind] == test.code][0])
     else:  # a session without a serial number counts as a unit
         name = str(table["path"][-1 - test.code])
-    value, others = (
-        (float(np.exp(one)) if test.quantity == _RMS else float(one)) for one in (test.value, test.others)
-    )
-    return Outlying(
-        test.kind,
-        name,
-        test.quantity,
-        "1" if test.quantity.startswith("effect ") else QUANTITIES[test.quantity],
-        float(test.z),
-        float(test.p_value),
-        min(1.0, tests * float(test.p_value)),
-        value,
-        others,
-        test.n,
-    )
+    known = {field: value for field, value in vars(test).items() if field != "code"}
+    if test.quantity == _RMS:  # compared by its logarithm
+        known |= {"value": math.exp(test.value), "others": math.exp(test.others)}
+    unit = "1" if test.quantity.startswith("effect ") else QUANTITIES[test.quantity]
+    return Outlying(**known, name=name, unit=unit, adjusted_p=min(1.0, tests * test.p_value))
 
 
 PARAMETER_HEAD = ["quantity", "unit", "sessions", "median", "5 %", "95 %", "mean", "robust sd"]

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.errors import DataError, NotInstalledError, install_extra
+from adis_gonio.base.errors import NotInstalledError, install_extra
 from adis_gonio.fleet.session_record import QUANTITIES
 
 Kind = Literal["text", "number", "integer", "flag", "names", "numbers"]
@@ -78,18 +78,13 @@ _FACTS_USED = (
 _USED = (*_FACTS_USED, *(f"{name}{part}" for name in QUANTITIES for part in ("", "_u", "_stage")))
 
 
-def table_of(rows: Sequence[Row] | Any) -> Table:
-    """Convert rows, or a pyarrow table such as `read_parquet` returns, to one array for each column.
+def table_of(rows: Sequence[Row]) -> Table:
+    """Convert rows to one array for each column.
 
     Rows are sorted by path. In place of the column `effects` the result has `effect_row` (m,) and
     `effect_name` (m,): the number of the row and the name of each of m effects found.
     """
-    if isinstance(rows, Sequence):
-        columns = {name: [row.get(name) for row in rows] for name in _USED}
-    else:
-        unknown = [None] * len(rows)
-        known = set(rows.column_names)
-        columns = {name: rows.column(name).to_pylist() if name in known else unknown for name in _USED}
+    columns = {name: [row.get(name) for row in rows] for name in _USED}
     order = np.argsort(np.array([path or "" for path in columns["path"]], dtype=object), kind="stable")
     table: Table = {}
     for name, values in columns.items():
@@ -155,24 +150,3 @@ def write_parquet(rows: Sequence[Row], path: str | Path, about: Mapping[str, Any
     )
     arrays = [pa.array([row[field.name] for row in rows], field.type) for field in schema]
     pa.parquet.write_table(pa.table(arrays, schema=schema), path, compression="zstd")
-
-
-def read_parquet(path: str | Path) -> Any:
-    """Read the table of a fleet from a Parquet file as a pyarrow table, for `summarise`.
-
-    Raises
-    ------
-    NotInstalledError
-        pyarrow is not installed.
-    DataError
-        The file does not exist, or is not a table of a fleet.
-    """
-    pa = require_pyarrow()
-    try:
-        table = pa.parquet.read_table(path)
-    except (OSError, pa.ArrowInvalid) as error:
-        raise DataError(f"{path}: cannot be read as Parquet: {' '.join(str(error).split())}") from error
-    missing = [name for name in ("path", "status", "effects") if name not in table.column_names]
-    if missing:
-        raise DataError(f"{path}: is no table of a fleet: it lacks column {', '.join(missing)}")
-    return table
