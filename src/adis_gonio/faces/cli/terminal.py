@@ -22,7 +22,6 @@ from adis_gonio.base.errors import one_line
 T = TypeVar("T")
 
 _ERRORS = "adis-gonio-readable"
-_ASCII = "adis-gonio-ascii"
 
 ASCII_FORMS = {
     "Δ": "d", "∂": "d", "δ": "delta", "φ": "phi", "Φ": "Phi", "α": "alpha", "β": "beta", "ε": "eps",
@@ -70,19 +69,13 @@ def replace_missing_letters() -> None:
     """Make standard output and standard error replace letters that their character set lacks.
 
     The replacements are ASCII forms, see `ascii_form`. A stream without `reconfigure`, such as a test's
-    replacement, stays as it is.
+    replacement, stays as it is. Click writes UTF-8 to a stream of plain ASCII, because it takes ASCII for a
+    misconfigured machine.
     """
     codecs.register_error(_ERRORS, _replace_letters)
-    codecs.register(_find_codec)
     for stream in (sys.stdout, sys.stderr):
-        encoding = getattr(stream, "encoding", None)
-        if encoding is None or not hasattr(stream, "reconfigure"):
-            continue
-        # click treats plain ASCII as a misconfigured machine and switches to UTF-8, but not under this
-        # name.
-        if codecs.lookup(encoding).name == "ascii":
-            stream.reconfigure(encoding=_ASCII)
-        stream.reconfigure(errors=_ERRORS)
+        if getattr(stream, "encoding", None) is not None and hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors=_ERRORS)
 
 
 def _replace_letters(error: UnicodeError) -> tuple[str | bytes, int]:
@@ -93,29 +86,6 @@ def _replace_letters(error: UnicodeError) -> tuple[str | bytes, int]:
         # Bytes of a file name that could not be decoded are written back unchanged.
         return bytes(ord(letter) - 0xDC00 for letter in letters), error.end
     return "".join(ascii_form(letter) for letter in letters), error.end
-
-
-class _Encoder(codecs.IncrementalEncoder):
-    """Encoder for the codec `_ASCII`, which is plain ASCII with a name that click does not know.
-
-    For output in the codec `ascii`, click would switch to UTF-8.
-    """
-
-    def encode(self, text: str, final: bool = False) -> bytes:
-        return text.encode("ascii", self.errors)
-
-
-def _find_codec(name: str) -> codecs.CodecInfo | None:
-    if name.replace("_", "-") != _ASCII:
-        return None
-    ascii_ = codecs.lookup("ascii")
-    return codecs.CodecInfo(
-        ascii_.encode,
-        ascii_.decode,
-        incrementalencoder=_Encoder,
-        incrementaldecoder=ascii_.incrementaldecoder,
-        name=_ASCII,
-    )
 
 
 class Interrupt:
