@@ -93,11 +93,6 @@ def test_small_spans_have_ticks_that_differ():
     assert len(set(numbers)) == len(numbers)
 
 
-def test_a_turn_in_degrees_has_ticks_at_parts_of_a_right_angle():
-    seen = texts(drawn(Series([0, 350], [0, 1])))
-    assert {"0", "60", "120", "180", "240", "300"} <= set(seen)
-
-
 def test_labels_of_a_logarithmic_axis_are_numbers_that_a_person_reads():
     seen = texts(drawn(Series([1e-9, 1], [1, 1]), x_log=True))
     assert {"1·10⁻⁹", "1"} & set(seen)

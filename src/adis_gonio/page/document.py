@@ -354,7 +354,7 @@ def _upright(
 
 def _scale(axes: Axes, x_range: tuple[float, float] | None, x_ticks: Mapping[float, str] | None) -> None:
     """Set the limits and the ticks of both axes; None leaves them to the data."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator, NullLocator
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     if x_range is not None:
         axes.set_xlim(*x_range)
@@ -367,11 +367,6 @@ def _scale(axes: Axes, x_range: tuple[float, float] | None, x_ticks: Mapping[flo
             axis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 300 * low else (1,), numticks=8))
             axis.set_major_formatter(FuncFormatter(lambda value, _: format_number(value, 1)))
             axis.set_minor_locator(NullLocator())
-        elif 300 <= high - low <= 800:
-            # A turn in degrees reads best in parts of a right angle.
-            axis.set_major_locator(MultipleLocator(60 if high - low < 450 else 90))
-        else:
-            axis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10], min_n_ticks=4))
     if x_ticks is not None:
         axes.set_xticks(list(x_ticks), list(x_ticks.values()))
 
