@@ -15,25 +15,28 @@ from __future__ import annotations
 import argparse
 import contextlib
 import io
+import itertools
 import sys
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from adis_gonio.base.uncertainty import wilson
+from adis_gonio.record.plans import Plan, plan, write_plan
 
+SHUFFLED = "18 angles of a turn in a drawn order"
 CASES = {
     "tumble-3s": ("--plan", "tumble", "--dwell", "3"),
     "tumble-10s": ("--plan", "tumble"),
     "tumble-40s": ("--plan", "tumble", "--positions", "6", "--dwell", "40"),
-    "turn-5s": ("--plan", "mmpm", "--positions", "18", "--order", "shuffled", "--dwell", "5"),
+    "turn-5s": ("--plan", SHUFFLED, "--dwell", "5"),
     "poses-5s": ("--plan", "poses", "--positions", "24", "--dwell", "5"),
     "quiet-3s": ("--plan", "tumble", "--dwell", "3", "--set", "bias_instability_mg=0"),
     "quiet-10s": ("--plan", "tumble", "--set", "bias_instability_mg=0"),
@@ -113,6 +116,15 @@ def drawn(count: int, index: int) -> tuple[tuple[str, str], ...]:
     return tuple(EFFECTS[k] for k in order[:count])
 
 
+def shuffled(seed: int) -> Plan:
+    """18 angles of a turn in a drawn order, each reached the direct way."""
+    made = plan("mmpm", 18)
+    drawn = [made.positions[k] for k in np.random.default_rng(seed).permutation(len(made))]
+    ways = [np.sign(there.angle_deg - here.angle_deg) for here, there in itertools.pairwise(drawn)]
+    turned = [replace(there, approach=int(way)) for there, way in zip(drawn[1:], ways, strict=True)]
+    return replace(made, name="shuffled", positions=(drawn[0], *turned))
+
+
 def simulate(path: Path, case: str, seed: int, effects: Sequence[str], further: Sequence[str] = ()) -> None:
     """Write a session as the command line does, to a place where there is none."""
     from adis_gonio.faces.cli.plan_commands import simulate_command
@@ -120,6 +132,10 @@ def simulate(path: Path, case: str, seed: int, effects: Sequence[str], further: 
     if path.exists():
         return
     options = ["-o", str(path), "--seed", str(seed), *CASES[case], *further]
+    if SHUFFLED in options:
+        plan_file = path.with_suffix(".json")
+        write_plan(plan_file, shuffled(seed))
+        options[options.index(SHUFFLED)] = str(plan_file)
     for effect in effects:
         options += ["--effect", effect]
     with contextlib.redirect_stderr(io.StringIO()):

@@ -28,15 +28,6 @@ from adis_gonio.base.numbers import counted
 if TYPE_CHECKING:
     import pandas as pd
 
-# WGS 84 (NGA.STND.0036): gravity at the equator, Somigliana's constant, first eccentricity squared,
-# semi-major axis, flattening, and m = ω²a²b/GM.
-_EQUATOR_MPS2 = 9.7803253359
-_K = 0.001931852652458
-_E2 = 0.00669437999014
-_A_M = 6378137.0
-_F = 1 / 298.257223563
-_M = 0.00344978650684
-
 ON_EARTH_MPS2 = (9.7, 9.9)
 """Limits of a stated gravity in m/s²: 9.764 (Huascarán) to 9.834 (Arctic Ocean), with a margin."""
 _SLIPS = {0.01: "cm/s² (Gal)", 1e-5: "mGal", 9.80665: "g", 9.80665e-3: "mg", 0.3048: "ft/s²"}
@@ -65,27 +56,6 @@ def checked_gravity_mps2(value: float, *, anywhere: bool = False) -> float:
         f"gravity is {value:g}: give m/s², {low:g} to {high:g} on Earth{fits[0] if fits else ''}; "
         f"for another place say so by writing the unit, {value:g}mps2"
     )
-
-
-def normal_gravity_mps2(latitude_deg: float, height_m: float = 0.0) -> float:
-    """Return the normal gravity in m/s² at a latitude and height (WGS 84, Somigliana's formula).
-
-    Real gravity differs by tens of mGal (1e-5 m/s² each). ΔK and Δφ do not depend on it; the scale factors
-    get an uncertainty of about 3e-5.
-
-    Raises
-    ------
-    UsageError
-        Latitude outside ±90°, height outside -500 to 9000 m.
-    """
-    if not -90 <= latitude_deg <= 90:
-        raise UsageError(f"latitude is {latitude_deg:g}: take -90 to 90 degrees")
-    if not -500 <= height_m <= 9000:
-        raise UsageError(f"height is {height_m:g}: take -500 to 9000 m")
-    s2 = math.sin(math.radians(latitude_deg)) ** 2
-    surface = _EQUATOR_MPS2 * (1 + _K * s2) / math.sqrt(1 - _E2 * s2)
-    h = height_m / _A_M
-    return surface * (1 - 2 * (1 + _F + _M - 2 * _F * s2) * h + 3 * h * h)
 
 
 REVERSED_DEG = 10.0

@@ -51,7 +51,6 @@ from adis_gonio.model.records import Plane, Use
 from adis_gonio.record.stillness import SHIFT_MG
 
 Approach = Literal[-1, 0, 1]
-Order = Literal["plan", "reverse", "shuffled"]
 
 MOST_POSITIONS = 3600
 """Largest number of positions of a plan."""
@@ -122,33 +121,6 @@ class Plan(JsonRecord):
 
     def __len__(self) -> int:
         return len(self.positions)
-
-    def ordered(self, order: Order, rng: np.random.Generator) -> Plan:
-        """Return the plan with its positions in another order, and directions of approach to match.
-
-        Parameters
-        ----------
-        order : {"plan", "reverse", "shuffled"}
-            Order of the plan, its reverse, or a random order, which separates effects of time from effects
-            of the angle.
-        rng : numpy.random.Generator
-            Draws the shuffled order.
-        """
-        if order == "plan":
-            return self
-        places = list(range(len(self)))[::-1]
-        if order == "shuffled":
-            places = [int(place) for place in rng.permutation(len(self))]
-        chosen = [self.positions[place] for place in places]
-        travelled = [chosen[0]]
-        for before, here in itertools.pairwise(chosen):
-            if here.angle_deg is None or before.angle_deg is None:
-                travelled.append(here)
-            elif here.angle_deg == before.angle_deg:
-                travelled.append(replace(here, approach=travelled[-1].approach))
-            else:
-                travelled.append(replace(here, approach=1 if here.angle_deg > before.angle_deg else -1))
-        return replace(self, positions=tuple(travelled))
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Plan:

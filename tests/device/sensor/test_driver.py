@@ -59,7 +59,6 @@ OPERATIONS = {
     "reset": lambda s, n: s.reset(),
     "alarm": lambda s, n: s.set_alarm(1 + n % 2, Alarm("ZACCL_OUT", -1.0 - n % 900, above=bool(n & 1))),
     "clear_alarm": lambda s, n: s.clear_alarm(1 + n % 2),
-    "dac": lambda s, n: s.write_dac((n % 251) / 100),
     "write": lambda s, n: s.write(REGISTERS[n % len(REGISTERS)], n),
     "sleep": lambda s, n: (s.sleep(0.5 + n % 3), s.wake()),
 }

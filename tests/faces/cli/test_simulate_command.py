@@ -71,13 +71,12 @@ def test_each_date_is_another_session_of_one_part_and_a_copy_of_its_samples_coun
     assert "Sensor A1: 2 sessions" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("given", "form"),
-    [("31.05.2024", "2024-05-31"), ("2024/5/31", "2024-05-31"), ("soon", "2024-05-31 or 2024-05-31T14:30")],
-)
-def test_a_date_in_another_form_is_answered_in_the_accepted_form(tmp_path, capsys, given, form):
+@pytest.mark.parametrize("given", ["31.05.2024", "2024/5/31", "soon"])
+def test_a_date_in_another_form_is_refused_with_the_accepted_forms(tmp_path, capsys, given):
     assert main(["simulate", "--date", given, "-o", str(tmp_path / "a.session")]) == 2
-    assert capsys.readouterr().err.endswith(f"'{given}' is no date of the form YYYY-MM-DD: write {form}\n")
+    said = capsys.readouterr().err
+    assert f"'{given}' does not match the formats '%Y-%m-%d'" in said
+    assert said.count("\n") == 1
 
 
 @pytest.mark.parametrize("effect", ["stage_eccentricity", "position_slip:dwell=3"])

@@ -650,15 +650,6 @@ class Adis16354(Closing):
             raise UsageError(f"alarm {number} does not exist: 1 or 2")
         self.write_fields("ALM_CTRL", **{f"source{number}": 0, f"rate{number}": 0})
 
-    def write_dac(self, volts: float) -> None:
-        """Set the voltage of the auxiliary output, 0 to 2.5 V."""
-        row = BY_NAME["AUX_DAC"]
-        lsb, _, _ = scales([row], self.variant, self._gyro_range)
-        if not 0 <= volts <= 2.5:
-            raise UsageError(f"the auxiliary output gives 0 to 2.5 V, not {volts:g}")
-        self.write(row, round(float(volts / lsb[0])))
-        self._command("latch_dac")
-
     def sleep(self, seconds: float) -> None:
         """Put the chip to sleep for 0.5 to 127.5 s; any frame wakes it, so send none meanwhile."""
         halves = round(seconds * 2)

@@ -40,7 +40,7 @@ _TURNED = {
     {
         "Plan": "--positions --check --duration --turns --auto --extend --trace --max-extra",
         "Measuring": "--dwell --settle --rate --filter --range --record-turns --poll",
-        "Place and fixture": "--gravity --latitude --height --fixture",
+        "Place and fixture": "--gravity --fixture",
         "Record": "--title --note --operator --serial --stage --laboratory --customer",
     },
 )
@@ -88,10 +88,6 @@ _TURNED = {
 )  # fmt: skip
 @option.poll
 @option.gravity()
-@click.option(
-    "--latitude", type=float, metavar="DEGREES", help="Use the ellipsoid's gravity at this latitude."
-)
-@click.option("--height", type=float, default=0.0, metavar="M", help="Height, with --latitude.")
 @option.fixture(
     type=option.parse_stage,
     metavar="DEGREES|dcc:FILE",
@@ -337,23 +333,14 @@ def _runner(
     from adis_gonio.bench.runner import SessionRunner
     from adis_gonio.device.sensor.driver import DEFAULT_SCAN
     from adis_gonio.faces.cli.terminal import on_terminal
-    from adis_gonio.record.archive import ArchiveView
     from adis_gonio.record.plans import GYRO_TURNS
     from adis_gonio.record.session_reader import FREE_TURN
 
     if resume:
         if plan_name is not None or positions is not None or turns is not None:
-            with ArchiveView(output) as view:
-                own = view.plan()
-            same = plan_name or own.name
-            asked, _ = _choose_plan(same, positions, check, duration_s, turns)
-            if (asked.name, asked.turns, asked.positions) != (
-                own.name, own.turns, own.positions[: len(asked)],
-            ):  # fmt: skip
-                raise UsageError(
-                    f"{output} has the plan {own.name} with {counted(len(own), 'position')}: leave --plan,"
-                    " --positions and --turns out"
-                )
+            raise UsageError(
+                f"{output}: --resume goes on with its own plan: leave --plan, --positions and --turns out"
+            )
         if options["poll"]:
             raise UsageError("--resume gets its scans as the session did before: leave --poll out")
         return SessionRunner.resume(sensor, output, auto=auto, extend=extend, advisor=advisor)
@@ -395,8 +382,6 @@ def _gravity_and_fixture(
     *,
     gravity_mps2: float | None,
     fixture_deg: float | StageCurve | None,
-    latitude: float | None,
-    height: float,
     **_: Any,
 ) -> tuple[float, float | StageCurve | None]:
     """Return local gravity in m/s², and the uncertainty of a stage angle.
@@ -405,13 +390,7 @@ def _gravity_and_fixture(
     the options of the command, None if not given. A simulated bench states both values if they are not
     given, as the operator of a real bench knows them.
     """
-    from adis_gonio.model.records import normal_gravity_mps2
-
     world = sensor.world
-    if latitude is not None:
-        if gravity_mps2 is not None:
-            raise UsageError("give --gravity or --latitude, not both")
-        gravity_mps2 = normal_gravity_mps2(latitude, height)
     if world is None:
         return STANDARD_GRAVITY_MPS2 if gravity_mps2 is None else gravity_mps2, fixture_deg
     simulated = world.settings

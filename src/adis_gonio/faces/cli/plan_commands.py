@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
-from contextlib import suppress
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
@@ -12,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 import click
-import numpy as np
 
 from adis_gonio.base.errors import DataError, FitError, UsageError
 from adis_gonio.base.jsonable import json_object
@@ -248,29 +246,11 @@ def _setting_rows() -> list[tuple[str, str]]:
     return described_settings()
 
 
-class _Date(click.DateTime):
-    """Parameter type of click for a date in ISO 8601 form.
-
-    The error message for a date in another common form gives the same date in ISO 8601 form.
-    """
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Convert a text to a `datetime`."""
-        try:
-            return super().convert(value, param, ctx)
-        except click.BadParameter:
-            iso = "2024-05-31 or 2024-05-31T14:30"
-            for form in ("%d.%m.%Y", "%Y.%m.%d", "%Y/%m/%d"):
-                with suppress(ValueError):
-                    iso = datetime.strptime(value, form).date().isoformat()
-            self.fail(f"'{value}' is no date of the form YYYY-MM-DD: write {iso}", param, ctx)
-
-
 @option.command(
     "simulate",
     "--output --plan --effect",
     {
-        "Plan": "--positions --check --order",
+        "Plan": "--positions --check",
         "Simulated bench": "--set --date --serial --seed --sensor --like --list-effects --list-settings",
     },
 )
@@ -281,10 +261,6 @@ class _Date(click.DateTime):
 @option.with_default("--plan", "plan_name", default="four-position", help="A plan by name, or a plan file.")
 @option.positions
 @option.check
-@option.with_default(
-    "--order", type=click.Choice(["plan", "reverse", "shuffled"]), default="plan",
-    help="Order of the positions.",
-)  # fmt: skip
 @option.with_default("--seed", type=int, default=0, help="Seed of all random numbers.")
 @option.variant
 @click.option(
@@ -296,7 +272,7 @@ class _Date(click.DateTime):
     help="A setting of the simulated world, such as delta_k=0.01; may be repeated.",
 )  # fmt: skip
 @click.option(
-    "--date", type=_Date(["%Y-%m-%d", "%Y-%m-%dT%H:%M"]), metavar="DATE",
+    "--date", type=click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M"]), metavar="DATE",
     help="Date of the session, such as 2024-05-31 (UTC; default: now): another date gives the same part"
     " other noise. CSV keeps no date.",
 )  # fmt: skip
@@ -334,7 +310,6 @@ def simulate_command(*, output: Path, date: datetime | None, **options: Any) -> 
         **{name: options[name] for name in ("dwell_s", "rate_hz", "filter_m")}
     )
     positions = find_plan(options["plan_name"], options["positions"], options["check"])
-    positions = positions.ordered(options["order"], np.random.default_rng(options["seed"]))
     options["effects"] = _sized_effects(positions, settings, **options)
     with (
         tempfile.TemporaryDirectory() as folder,

@@ -73,7 +73,7 @@ class Scale(LinearAxisEffect):
     name = "scale"
     covariates = ("reading",)
     cause = "The sensitivity of an axis differs from its nominal one."
-    remedy = "enter the local gravity, as from --latitude and --height"
+    remedy = "enter the local gravity by --gravity"
     correctable = True
     in_base = True
     coefficients = (Parameter("scale", "1", -0.1, 0.1, 0.001),)
@@ -493,7 +493,7 @@ class Gravity(Effect):
     name = "gravity"
     covariates = ("reading",)
     cause = "Local gravity differs from the declared gravity of the session."
-    remedy = "enter the local gravity, as from --latitude and --height"
+    remedy = "enter the local gravity by --gravity"
     not_corrected = "belongs to the place: state its gravity; no angle depends on it"
     in_base = True
     by_axis = False
