@@ -430,8 +430,8 @@ class TestPositions:
         told = with_positions(self.result(), noisy(turn(), 27), positions)
         assert told.position_findings == findings
         assert told.advice == (
-            "look at what was written down; then trace again with --angles 1-3+=5,5=50",
-            "repeat position 7, 9",
+            "look at what was written down; then trace again with --angles 5=50",
+            "repeat position 1 to 3, 7, 9",
             "measure on",
         )
         assert told.notes[:-1] == ("a note", *positions.sentences)

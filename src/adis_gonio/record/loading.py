@@ -15,9 +15,6 @@ from adis_gonio.model import records
 _REPLACED = ("gravity_mps2", "fixture_sigma_deg", "accel_unit", "sensor", "laboratory", "customer")
 _OPTIONS = re.compile(r"--(columns|unit|sensor|gravity|fixture|reverse)\b")
 
-REVERSE = "reverse"
-"""Word that the user writes in place of degrees for positions to which the stage turned the other way."""
-
 
 def explain_refusal(reason: str) -> str:
     """Return the reason why a file was refused, for a command without the options that correct a file.
@@ -27,68 +24,6 @@ def explain_refusal(reason: str) -> str:
     if not _OPTIONS.search(reason):
         return reason
     return f"{reason} (an option of fit, trace and report; for this command it has to be in the file)"
-
-
-@dataclass(frozen=True)
-class AngleChange:
-    """A correction of the declared angle of one position or of consecutive positions.
-
-    Attributes
-    ----------
-    first, last : int
-        Numbers of the first and the last position to correct; they are equal for one position.
-    degrees : float or None
-        The new angle, or the angle to add to the declared angles. None means that the stage turned the
-        other way: each angle is mirrored at the declared angle of the position before `first`.
-    added : bool
-        True if `degrees` is added to the declared angles.
-    """
-
-    first: int
-    last: int
-    degrees: float | None
-    added: bool = False
-
-    def __str__(self) -> str:
-        where = str(self.first) if self.first == self.last else f"{self.first}-{self.last}"
-        if self.degrees is None:
-            return f"{where}={REVERSE}"
-        return f"{where}{'+=' if self.added else '='}{self.degrees:g}"
-
-    def applied(self, dwells: tuple[records.Dwell, ...]) -> tuple[records.Dwell, ...]:
-        """Return all dwells of a session, with this correction of their declared angles.
-
-        Raises
-        ------
-        UsageError
-            There is no such position, or no angle is declared before it at which to mirror.
-        """
-        numbers = [dwell.position for dwell in dwells]
-        if not any(self.first <= number <= self.last for number in numbers):
-            raise UsageError(
-                f"--angles {self}: there is no such position;"
-                f" numbers go from {min(numbers)} to {max(numbers)}"
-            )
-        before = [dwell for dwell in dwells if dwell.position < self.first]
-        pivot = max(before, key=lambda dwell: dwell.position).angle_deg if before else None
-        if self.degrees is None and pivot is None:
-            raise UsageError(
-                f"--angles {self}: before position {self.first} no angle is declared to turn back from;"
-                " give the angles themselves"
-            )
-        return tuple(
-            self._changed(dwell, pivot) if self.first <= dwell.position <= self.last else dwell
-            for dwell in dwells
-        )
-
-    def _changed(self, dwell: records.Dwell, pivot: float | None) -> records.Dwell:
-        old = dwell.angle_deg
-        if self.degrees is None:
-            turned = None if old is None or pivot is None else 2 * pivot - old
-            return replace(dwell, angle_deg=turned, approach=-dwell.approach)
-        if not self.added:
-            return replace(dwell, angle_deg=self.degrees)
-        return dwell if old is None else replace(dwell, angle_deg=old + self.degrees)
 
 
 @dataclass(frozen=True)
@@ -108,8 +43,9 @@ class Overrides:
     reverse : bool
         True if the stage turned the other way than declared: angles and directions of approach change their
         sign.
-    angles : tuple of AngleChange
-        Corrections of angles that were mistyped or at which the sensor slipped; applied before `reverse`.
+    angles : mapping of int to float
+        Declared angles in degrees that replace those of these positions, by number; applied before
+        `reverse`.
     accel_unit : str or None
         Unit of the accelerations; takes precedence over a unit in the file's header.
     sensor : str or None
@@ -134,7 +70,7 @@ class Overrides:
     accel_unit: records.AccelUnit | None = None
     sensor: str | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
-    angles: tuple[AngleChange, ...] = ()
+    angles: Mapping[int, float] = field(default_factory=dict)
     laboratory: str | None = None
     customer: str | None = None
     stage_curve: records.StageCurve | None = None
@@ -201,13 +137,14 @@ class Overrides:
         source = session.source or "session"
         if session.plane != "xy" or not session.dwells:
             raise UsageError(f"{source}: has no declared angles of a plane, --angles changes nothing")
-        dwells = session.dwells
-        for change in self.angles:
-            try:
-                dwells = change.applied(dwells)
-            except UsageError as error:
-                raise UsageError(f"{source}: {error}") from None
-        return dwells
+        numbers = [dwell.position for dwell in session.dwells]
+        for number, degrees in self.angles.items():
+            if number not in numbers:
+                raise UsageError(
+                    f"{source}: --angles {number}={degrees:g}: there is no such position;"
+                    f" numbers go from {min(numbers)} to {max(numbers)}"
+                )
+        return tuple(replace(d, angle_deg=self.angles.get(d.position, d.angle_deg)) for d in session.dwells)
 
 
 def _reversed(dwell: records.Dwell) -> records.Dwell:

@@ -699,7 +699,11 @@ def with_positions(result: TraceResult, data: Readings, positions: Diagnosis) ->
 def _position_advice(positions: Diagnosis) -> tuple[str, ...]:
     """Return advice to correct declared angles or to repeat positions; empty if no position is wrong."""
     mended = [found.correction for found in positions.findings if found.correction is not None]
-    repeated = [str(found.position) for found in positions.findings if found.correction is None]
+    repeated = [
+        f"{found.position} to {found.others[-1]}" if found.others else str(found.position)
+        for found in positions.findings
+        if found.correction is None
+    ]
     said = []
     if mended:
         each = dict.fromkeys(part for text in mended for part in text.split(","))

@@ -1,4 +1,4 @@
-"""From the bench to the fit: a part that slips in `calibrate` is said twice, and the advice mends it."""
+"""From the bench to the fit: a part that slips in `calibrate` is said twice, and angles mend it."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import json
 import numpy as np
 
 from adis_gonio.faces.cli import main
+from adis_gonio.record.loading import load_session
 from typical_gyros import draw_gyros
 
 SLIP_DEG, FROM = 4.0, 3
@@ -28,7 +29,7 @@ def fitted(capsys, path, *options):
     return json.loads(capsys.readouterr().out)
 
 
-def test_a_slip_is_said_at_the_bench_and_by_the_fit_and_mended_by_its_advice(tmp_path, capsys):
+def test_a_slip_is_said_at_the_bench_and_by_the_fit_and_mended_by_angles(tmp_path, capsys):
     path = tmp_path / "slips.session"
     said = calibrated(capsys, SLIPPING, path)
     assert "off 90° " in said
@@ -42,7 +43,12 @@ def test_a_slip_is_said_at_the_bench_and_by_the_fit_and_mended_by_its_advice(tmp
     assert found["gyro_deg"] is not None
     assert abs(found["gyro_deg"] - 94.0) < 4 * found["gyro_u_deg"]
 
-    mended = fitted(capsys, path, "--angles", found["angles"])
+    moved = {
+        d.position: d.angle_deg + found["error_deg"]
+        for d in load_session(path).dwells
+        if d.position >= FROM
+    }
+    mended = fitted(capsys, path, "--angles", ",".join(f"{k}={a}" for k, a in moved.items()))
     assert "positions" not in mended
     for name, truth in (("delta_k", 0.012), ("delta_phi", 0.2)):
         entry, spoilt = mended["parameters"][name], document["parameters"][name]

@@ -77,7 +77,7 @@ def test_a_slip_that_lasts_is_told_from_a_wrong_entry(gyro, slip):
     (one,) = diagnose(angles(stood, AROUND, gyro=gyro)).findings
     assert (one.finding, one.position, one.others) == ("slipped", 6, (7, 8, 9, 10, 11))
     assert abs(one.error_deg[0] - slip) < 4 * one.error_deg[1]
-    assert one.correction.startswith("6-11+=")
+    assert one.correction is None
 
 
 def test_an_error_of_the_first_position_may_be_a_slip_after_it_and_the_set_says_so():
@@ -95,8 +95,8 @@ def test_a_stage_that_counts_the_other_way_from_somewhere_on():
     stood[7:] = stood[6] - (AROUND[7:] - AROUND[6])
     (one,) = diagnose(angles(stood, AROUND)).findings
     assert (one.finding, one.position) == ("reversed", 7)
-    assert one.correction == "7-11=reverse"
-    assert "--angles 7-11=reverse" in one.sentence
+    assert one.correction is None
+    assert one.sentence.endswith("correct the file or repeat them")
 
 
 def test_a_pushed_reading_is_gravity_that_is_wrong_where_the_gyro_agrees_with_the_plan():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterable, Mapping
 from functools import reduce, wraps
 from pathlib import Path
@@ -17,7 +16,7 @@ from adis_gonio.model.records import ACCEL_UNITS, SENSORS, checked_gravity_mps2
 
 if TYPE_CHECKING:
     from adis_gonio.model.records import Session, StageCurve
-    from adis_gonio.record.loading import AngleChange, Overrides
+    from adis_gonio.record.loading import Overrides
     from adis_gonio.record.source import Settings
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -125,32 +124,18 @@ def _parse_columns(text: str) -> dict[str, str]:
     return columns
 
 
-_ANGLE = re.compile(r"(\d+)(?:-(\d+))?\s*(\+?=)\s*(\S+)")
-
-
-def _parse_angles(text: str) -> tuple[AngleChange, ...]:
-    """Parse changes of declared angles from `position=degrees,…`.
-
-    `first-last+=degrees` adds to several positions; `first-last=reverse` states that the stage turned the
-    other way.
-    """
-    from adis_gonio.record.loading import REVERSE, AngleChange
-
-    changes = []
+def _parse_angles(text: str) -> dict[int, float]:
+    """Parse declared angles in degrees by position number from `position=degrees,…`."""
+    angles: dict[int, float] = {}
     for part in text.split(","):
-        found = _ANGLE.fullmatch(part.strip())
-        value = None if found is None else _number(found[4])
-        back = found is not None and found[3] == "=" and found[4] == REVERSE
-        if found is None or not (back or (value is not None and math.isfinite(value))):
-            raise click.BadParameter(
-                f"'{part.strip()}': write position=degrees, such as 7=210, 7-12+=1.5 to add to several, or"
-                f" 7-12={REVERSE} if the stage turned the other way"
-            )
-        first, last = int(found[1]), int(found[2] or found[1])
-        if last < first:
-            raise click.BadParameter(f"'{part.strip()}': the second position is before the first")
-        changes.append(AngleChange(first, last, value, added=found[3] == "+="))
-    return tuple(changes)
+        position, _, degrees = (piece.strip() for piece in part.partition("="))
+        value = _number(degrees)
+        if not position.isdecimal() or value is None or not math.isfinite(value):
+            raise click.BadParameter(f"'{part.strip()}': write position=degrees, such as 7=210")
+        if int(position) in angles:
+            raise click.BadParameter(f"position {position} is given twice")
+        angles[int(position)] = value
+    return angles
 
 
 def _number(text: str) -> float | None:
@@ -335,8 +320,7 @@ _OVERRIDES = (
         "--angles",
         type=_parse_angles,
         metavar="POSITION=DEGREES,…",
-        help="Correct declared angles, such as 7=210; 7-12+=1.5 adds to several positions, 7-12=reverse"
-        " turns them the other way, seen from the position before.",
+        help="Correct declared angles, such as 7=210,8=240.",
     ),
     flag("--reverse", help="The stage turned the other way than declared."),
     click.option("--unit", "accel_unit", type=parse_unit, metavar=UNITS, help="Unit of the accelerations."),

@@ -130,7 +130,7 @@ class PositionFinding:
     def correction(self) -> str | None:
         """Value for the option `--angles` that corrects the declared angles.
 
-        None if no declared angle can correct the session, so that the position must be measured again.
+        None if one or two angles do not correct the session, so that positions must be measured again.
         """
         match self.finding:
             case "swapped":
@@ -140,10 +140,6 @@ class PositionFinding:
             case "mistyped" | "misset":
                 value = self.angle_deg[0] if self.meant_deg is None else self.meant_deg
                 return f"{self.position}={_plain(value)}"
-            case "slipped":
-                return f"{_range(self.position, self.others)}+={_plain(self.error_deg[0])}"
-            case "reversed":
-                return f"{_range(self.position, self.others)}=reverse"
         return None
 
     @property
@@ -166,14 +162,11 @@ class PositionFinding:
                     those = f"positions {self.position} to {self.others[-1]}"
                     off = f"{those} are {_signed(self.error_deg)} from their declared angles"
                 repeat = "repeat them" if self.others else "repeat it"
-                return (
-                    f"{off} by {sources}: {self._named}; clamp the part and {repeat},"
-                    f" or give --angles {self.correction}"
-                )
+                return f"{off} by {sources}: {self._named}; clamp the part and {repeat}"
             case "reversed":
                 return (
                     f"from position {self.position} on the part turned against the declared angles by "
-                    f"{sources}: {self._named}; {correct}"
+                    f"{sources}: {self._named}; correct the file or repeat them"
                 )
         text = f"{where}: {declared}{_stated(self.angle_deg)} by {sources}: {self._named}"
         if self.finding == "swapped":
@@ -227,10 +220,6 @@ def listed(findings: Sequence[PositionFinding]) -> dict[str, Any]:
 
 def _meaning(name: Name, position: int) -> str:
     return MEANINGS[name] + (f" before position {position}" if name == "slipped" else "")
-
-
-def _range(first: int, others: tuple[int, ...]) -> str:
-    return f"{first}-{others[-1]}" if others else str(first)
 
 
 def _plain(value: float | None) -> str:
