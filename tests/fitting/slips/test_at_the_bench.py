@@ -11,7 +11,6 @@ from adis_gonio.bench.guards import (
     PartPosition,
     add_diagnosis,
     diagnose_positions,
-    shorten_repeated,
 )
 from adis_gonio.record.plans import PriorKnowledge
 
@@ -89,14 +88,3 @@ def test_nobody_has_typed_anything_at_the_bench(sense):
     some = stands([*ASKED[:5], 210.0], ASKED, sense=sense)
     guard = add_diagnosis(OFF, diagnose_positions(some, SPREAD, sense), some, sense)
     assert "mistyped" not in guard.message
-
-
-def test_a_question_is_put_in_full_once_and_later_in_one_clause():
-    said = set()
-    first, again = (Guard("wrong_angle", f"{off}° off; explained; set wrong", {}) for off in (5.3, 5.2))
-    assert shorten_repeated(first, 1, said).message == first.message
-    second = shorten_repeated(again, 2, said).message
-    assert second.startswith("5.2° off; stopped here 2 times: if the part is right now")
-    assert shorten_repeated(again, 3, said).message == "5.2° off; stopped here 3 times"
-    other = Guard("wrong_angle", "5.3° off; explained; the part slipped", {})
-    assert shorten_repeated(other, 1, said).message == other.message
