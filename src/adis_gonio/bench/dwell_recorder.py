@@ -533,8 +533,9 @@ class DwellRecorder(Recorder):
         """Ask the operator whether to keep a dwell with alarms, a wrong supply or a change of temperature.
 
         `scans` are the scans of the dwell, and `found` the problems that `problems` listed for it; the list
-        is not changed. Yields the events of the questions. If the operator does not keep the dwell, it is
-        withdrawn. Without an operator each doubt that `found` lacks is recorded as a problem.
+        is not changed. Yields the events of the questions. If the operator does not keep the dwell, or ends
+        the session at the question, it is withdrawn. Without an operator each doubt that `found` lacks is
+        recorded as a problem.
         """
         ledger, place = self._ledger, recording.place
         kinds = {problem.kind for problem in found}
@@ -543,10 +544,7 @@ class DwellRecorder(Recorder):
                 if guard.kind not in kinds and not (guard.kind == "over_range" and "alarm" in kinds):
                     yield self._tell_problem(guard, recording)
                 continue
-            stays = yield from self._ask(guard, place)
-            if self._questions.stopped:
-                return
-            if not stays:
+            if not (yield from self._ask(guard, place)):
                 skipped = place in ledger.skipped
                 yield self._knowledge.withdraw(place)
                 if skipped:

@@ -112,7 +112,7 @@ def test_calibrate_shows_truth_and_result_side_by_side_and_they_agree(capsys, tm
     assert "measure 180" not in out
 
 
-def test_calibrate_asks_about_a_fault_at_once_and_after_resuming_until_it_is_answered(
+def test_calibrate_asks_about_a_fault_at_once_and_for_the_position_again_if_nobody_answers(
     capsys, tmp_path, monkeypatch
 ):
     path = tmp_path / "s.session"
@@ -123,15 +123,15 @@ def test_calibrate_asks_about_a_fault_at_once_and_after_resuming_until_it_is_ans
     told = capsys.readouterr().err
     assert "with an error or alarm" in told
     assert "ask for the position again" in told
-    monkeypatch.setattr("sys.stdin", io.StringIO("\nk\nn\nn\n"))  # keep both, no extension
+    assert "0° withdrawn" in told
+    monkeypatch.setattr("sys.stdin", io.StringIO("\nk\n\nk\nn\n"))  # keep both, no extension
     assert main([*call, "--resume"]) == 0
     told = capsys.readouterr().err
-    assert "occurred at 0°" in told
+    assert "1 of 2" in told
     assert len([note for note in load_session(path).notes if "error or alarm" in note]) == 2
     monkeypatch.setattr("sys.stdin", io.StringIO("n\n"))
     assert main([*call, "--resume"]) == 0
     told = capsys.readouterr().err
-    assert "occurred at" not in told
     assert "ask for the position again" not in told
 
 
