@@ -207,6 +207,13 @@ def test_what_parts_the_same_is_one_sentence():
     )
 
 
+def test_a_faint_difference_promises_nothing_and_a_place_is_said_once():
+    assert sentences([made(45.0, separation=0.42), made(45.0, separation=0.3)]) == (
+        "measure at 45°: that may tell quadratic from asymmetry "
+        "(expected difference about 0.4 standard uncertainties)",
+    )
+
+
 def test_what_could_not_be_seen_is_one_sentence():
     unseen = [
         made(45.0, purpose="cover", one=(), other=("backlash",)),

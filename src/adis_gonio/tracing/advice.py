@@ -95,7 +95,7 @@ def _grouped(measurements: Sequence[NextDwell]) -> list[list[NextDwell]]:
 
 def _sentence(group: Sequence[NextDwell]) -> str:
     """Return one sentence that proposes all dwells of a group, which answer the same question."""
-    first, what = group[0], _listed([place(m) for m in group])
+    first, what = group[0], _listed(list(dict.fromkeys(place(m) for m in group)))
     if first.purpose == "cover":
         names = list(dict.fromkeys(name for m in group for name in (*m.one, *m.other)))
         return f"measure at {what}: only then could {join_words(names)} be seen, if there"
@@ -103,9 +103,10 @@ def _sentence(group: Sequence[NextDwell]) -> str:
     figure = f"more than {PLAIN:.0f}" if strongest > PLAIN else f"about {strongest:.{int(strongest < 1)}f}"
     apart = f"expected difference {figure} standard uncertainties"
     one, other = (join_words(names) for names in (first.one, first.other))
+    shows, tells = ("shows", "tells") if strongest >= LEAST_SEPARATION else ("may show", "may tell")
     if not one or not other:
-        return f"measure at {what}: that shows whether {one or other} is there ({apart})"
-    return f"measure at {what}: that tells {one} from {other} ({apart})"
+        return f"measure at {what}: that {shows} whether {one or other} is there ({apart})"
+    return f"measure at {what}: that {tells} {one} from {other} ({apart})"
 
 
 def _listed(places: Sequence[str]) -> str:
