@@ -65,7 +65,7 @@ COMMANDS: dict[str, tuple[tuple[int, str], ...]] = {
         (3, "report FILE -o OUT.html --time-limit 5"),
         (4, "export FILE -o OUT.h"),
         (2, "export FILE -o OUT.json"),
-        (1, "export FILE --format json --samples -o -"),
+        (1, "export FILE --format json -o -"),
         (2, "export FILE -o OUT.csv"),
         (1, "export FILE -o OUT.xml"),
         (1, "export FILE -o OUT.txt"),

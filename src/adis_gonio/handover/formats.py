@@ -24,7 +24,7 @@ class Format:
     endings : tuple of str
         Endings of a file's name that select this format.
     holds : {"coefficients", "samples", "document"}
-        Content of the file: a calibration, the samples of a session, or the JSON document with both.
+        Content of the file: a calibration, the samples of a session, or the JSON document.
     writer : str
         Function as `module:function`. For coefficients it takes a `Calibration` and returns a text; for
         samples it takes a `Session` and a path and writes the file. Empty for the JSON document.
@@ -61,7 +61,6 @@ FORMATS = (
         "json",
         (".json",),
         "document",
-        options=("samples",),
         meaning="calibration, fit or trace, facts of the session",
     ),
     Format(

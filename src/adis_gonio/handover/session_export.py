@@ -57,15 +57,13 @@ def write_parquet(session: Session, path: str | Path) -> None:
     except ImportError:
         raise NotInstalledError(f"Parquet needs pyarrow: {install_extra('parquet')}") from None
     columns = session.columns()
-    about = session_dict(session)
-    del about["dwells"]
     units = {name: _unit(session, name) for name in columns}
     schema = pa.schema(
         [
             pa.field(name, _type(pa, name), metadata={"unit": unit} if unit else None)
             for name, unit in units.items()
         ],
-        metadata={"adis_gonio": json.dumps(about, ensure_ascii=False)},
+        metadata={"adis_gonio": json.dumps(session_dict(session), ensure_ascii=False)},
     )
     arrays = [
         pa.array(np.concatenate(parts), _type(pa, name), from_pandas=True)
@@ -97,8 +95,6 @@ class ExportSource:
         Method of the fit; None for the recommended one.
     traced : bool
         True to export the coefficients of the traced model, False for those of the fit.
-    samples : bool
-        True to include every sample in JSON.
     name : str
         Prefix of every name in a C header.
     overrides : Overrides or None
@@ -113,7 +109,6 @@ class ExportSource:
     path: Path
     method: str | None = None
     traced: bool = False
-    samples: bool = False
     name: str = DEFAULT_NAME
     overrides: Overrides | None = None
     gyros: Path | None = None
@@ -122,7 +117,7 @@ class ExportSource:
     def check(self, kind: str) -> None:
         """Raise `UsageError` if an option has no meaning for the format `kind`."""
         samples_only = BY_NAME[kind].holds == "samples"
-        default = {"samples": False, "name": DEFAULT_NAME, "tolerance": None}
+        default = {"name": DEFAULT_NAME, "tolerance": None}
         if samples_only and (self.method is not None or self.traced):
             raise UsageError(f"--method and --trace go with coefficients: {kind} has the samples only")
         if samples_only and self.gyros is not None:
@@ -208,11 +203,8 @@ class ExportSource:
 
     def _json(self, session: Session) -> str:
         """Return the JSON document of a session: its calibration, if determined, and its fit or trace."""
-        about = session_dict(session)
-        if not self.samples:
-            del about["dwells"]
         result = self._result(session)
-        document: dict[str, Any] = {"coefficients": result.as_dict(), "session": about}
+        document: dict[str, Any] = {"coefficients": result.as_dict(), "session": session_dict(session)}
         if changed_registers(session):
             return json_text(document)
         try:

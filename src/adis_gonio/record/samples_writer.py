@@ -23,7 +23,6 @@ from adis_gonio.base.errors import OutputError, UsageError
 from adis_gonio.base.output import ends_in, exists_error
 from adis_gonio.model.records import (
     METADATA,
-    SERIES,
     STANDARD_GRAVITY_MPS2,
     AccelUnit,
     Dwell,
@@ -186,7 +185,7 @@ def template_text(
 
 
 def session_dict(session: Session) -> dict[str, Any]:
-    """Return a session in JSON form, in the units of `Session`; a `fixture_sigma_deg` of inf is "free"."""
+    """Return a session without its samples in JSON form; a `fixture_sigma_deg` of inf is "free"."""
     stated = {name: getattr(session, name) for name in KEYS if hasattr(session, name)}
     if session.free_attitudes:
         stated["fixture_sigma_deg"] = "free"
@@ -197,14 +196,7 @@ def session_dict(session: Session) -> dict[str, Any]:
         "source": session.source,
         "notes": list(session.notes),
         "facts": session.facts,
-        "dwells": [_dwell_dict(dwell) for dwell in session.sampled],
     }
-
-
-def _dwell_dict(dwell: Dwell) -> dict[str, Any]:
-    declared = {name: getattr(dwell, name) for name in ("position", "angle_deg", "approach", "use")}
-    series = {name: getattr(dwell, name) for name in SERIES}
-    return declared | {name: None if values is None else values.tolist() for name, values in series.items()}
 
 
 class SamplesRecorder(Closing):

@@ -200,7 +200,6 @@ def test_a_session_that_lacks_what_a_format_needs_leaves_no_file(tmp_path, capsy
         (("--format", "parquet"), "needs -o FILE"),
         (("-o", "a.csv", "--method", "ml"), "samples only"),
         (("-o", "a.parquet", "--trace"), "samples only"),
-        (("-o", "a.h", "--samples"), "--samples goes with"),
         (("-o", "a.json", "--name", "x"), "--name goes with"),
         (("-o", "a.h", "--name", "2x"), "is no name for C"),
         (("-o", "a.json", "--trace", "--method", "ml"), "exclude each other"),

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 @option.command(
     "export",
     "--output --format --method",
-    {"Content": "--trace --samples --name --gyros", "Conformity": "--tolerance --rule --risk"},
+    {"Content": "--trace --name --gyros", "Conformity": "--tolerance --rule --risk"},
 )
 @option.session
 @click.option(
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 @option.output("File to write; - is standard output.")
 @click.option("--method", help="Method of the coefficients (default: the recommended one).")
 @option.flag("--trace", "traced", help="Export the coefficients of the traced model.")
-@option.flag("--samples", help="JSON: also write every sample.")
 @click.option("--name", help="C header: prefix of every name in it.  [default: adis_gonio]")
 @option.file(
     "--gyros", help="Another session of this part (plan gyro-turns), or a calibration file of its gyros."
@@ -56,7 +55,6 @@ def export_command(
     output: Path | None,
     method: str | None,
     traced: bool,
-    samples: bool,
     name: str | None,
     gyros: Path | None,
     tolerance: Tolerance | None,
@@ -81,7 +79,7 @@ def export_command(
     kind = kind or format_of(str(output))
     named = {} if name is None else {"name": name}
     source = ExportSource(
-        session, method, traced, samples, **named, overrides=overrides, gyros=gyros, tolerance=tolerance
+        session, method, traced, **named, overrides=overrides, gyros=gyros, tolerance=tolerance
     )
     source.check(kind)
     if output is None and BY_NAME[kind].holds == "samples":
