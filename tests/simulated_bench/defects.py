@@ -300,7 +300,7 @@ def _values_unchecked(table: str, row: Any, where: str) -> dict[str, Any]:
 def _published(self: iio_device.Sampler, block: Any, since_1970_ns: int) -> None:
     """A scan is not compared with SENS_AVG."""
     numbers = block.numbers()[:, 1:-1]
-    self.newest = dict(zip(self.names, numbers[-1].tolist(), strict=True))
+    self.newest = dict(zip(iio_device.DEFAULT_SCAN, numbers[-1].tolist(), strict=True))
     time_ns = np.rint(block.time_s * 1e9).astype(np.int64) + since_1970_ns
     self._on_scans(numbers, time_ns)
 

@@ -330,7 +330,6 @@ def test_a_port_that_is_taken_is_one_line(capsys):
     assert main(["serve", "sim:?seed=1", "--iio", "0", "--listen", "no.such.host.invalid"]) == 1
     assert capsys.readouterr().err.count("\n") == 1
     assert main(["serve", "sim:?seed=1", "--iio", "99999"]) == 2
-    assert main(["serve", "sim:?seed=1", "--registers", "STATUS"]) == 2
 
 
 def test_data_ready_is_set_back_at_the_end():
@@ -349,13 +348,10 @@ def test_data_ready_is_set_back_at_the_end():
     client.close()
 
 
-def test_other_registers_can_be_served():
-    names = ("ZACCL_OUT", "AUX_ADC")
-    with served("sim:?seed=1&stream=0", registers=names) as server, server.client() as client:
-        assert client.open(0x7) == 0
-        scans = np.frombuffer(client.scans(16, 200), np.dtype([("v", "<i2", (4,)), ("time_ns", "<i8")]))
-        assert (np.diff(scans["time_ns"]) > 0).all()
-        assert client.ask("READ iio:device0 INPUT accel_x raw") == ENXIO
+def test_a_bus_without_streams_is_served_by_polling():
+    with served("sim:?seed=1&stream=0") as server, server.client() as client:
+        assert client.open(ALL) == 0
+        assert (np.diff(np.frombuffer(client.scans(24, 200), SCAN)["time_ns"]) > 0).all()
 
 
 def test_noise_on_the_wire_writes_nothing_and_stops_nobody():

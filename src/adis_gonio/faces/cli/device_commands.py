@@ -14,7 +14,7 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.base.numbers import use_minus
 from adis_gonio.device.bus import find_devices
 from adis_gonio.device.bus.host import udev_rules
-from adis_gonio.device.sensor import DEFAULT_SCAN, REGISTERS, Adis16354, Register, open_sensor
+from adis_gonio.device.sensor import REGISTERS, Adis16354, Register, open_sensor
 from adis_gonio.device.sensor.driver import MARK
 from adis_gonio.device.sensor.registers import CONFIDENCES, Kind, register, registers
 from adis_gonio.faces.cli import options as option
@@ -104,11 +104,10 @@ def selftest_command(*, url: str, variant: str, no_check: bool, as_json: bool) -
     help="Address to listen on; 0.0.0.0 is every address of this machine.",
 )  # fmt: skip
 @option.flag("--allow-writes", help="Let clients write calibbias, rate and filter.")
-@click.option("--registers", "names", help="Registers to serve, separated by commas.", metavar="NAME,…")
 @option.variant
 @option.no_check
 def serve_command(
-    *, url: str, port: int, host: str, allow_writes: bool, names: str | None, variant: str, no_check: bool
+    *, url: str, port: int, host: str, allow_writes: bool, variant: str, no_check: bool
 ) -> None:
     """Serve the sensor as an IIO device to libiio's clients (iio_info, iio_readdev, pyadi-iio).
 
@@ -117,8 +116,6 @@ def serve_command(
     can connect, because there is no password. Without --listen only this machine reaches it.
     """
     from adis_gonio.faces.serve import IioServer, ServeSettings
-
-    chosen = tuple(row.name for row in registers(names.split(","))) if names else DEFAULT_SCAN
 
     def ready(address: str, taken: int) -> None:
         writing = "clients may write" if allow_writes else "read-only"
@@ -129,7 +126,7 @@ def serve_command(
             click.echo("anybody who reaches this address can connect; there is no password", err=True)
 
     with open_sensor(url, variant=variant, check=not no_check) as sensor:
-        settings = ServeSettings(host, port, allow_writes, chosen)
+        settings = ServeSettings(host, port, allow_writes)
         IioServer(sensor, settings, tell=lambda line: click.echo(line, err=True), ready=ready).run()
 
 

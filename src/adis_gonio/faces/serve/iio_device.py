@@ -30,8 +30,8 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.errors import AdisGonioError, SilentChipError, UsageError
-from adis_gonio.device.sensor import Adis16354, ScanBlock, registers as register_table
+from adis_gonio.base.errors import AdisGonioError, SilentChipError
+from adis_gonio.device.sensor import DEFAULT_SCAN, Adis16354, ScanBlock, registers as register_table
 from adis_gonio.device.sensor.settings import Configuration, low_pass_3db_hz, sample_period_s, scales
 from adis_gonio.faces.serve.iiod_protocol import Errno, Refused
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
@@ -58,8 +58,6 @@ class Sampler:
     ----------
     sensor : Adis16354
         The open sensor, which stays open afterwards.
-    names : sequence of str
-        Output registers of a scan.
     on_scans : callable
         Called in the thread of the sampler with new scans: the decoded contents (n, k) of the k registers,
         and the times (n,) in ns since 1970, by the host's clock at the begin of the stream and by the bus's
@@ -78,11 +76,9 @@ class Sampler:
     def __init__(
         self,
         sensor: Adis16354,
-        names: Sequence[str],
         on_scans: Callable[[NDArray[np.int32], NDArray[np.int64]], object],
         on_failure: Callable[[Exception], object],
     ) -> None:
-        self.names = tuple(names)
         self.newest: dict[str, int] | None = None
         self._sensor = sensor
         self._simulated = getattr(sensor.bus, "world", None) is not None
@@ -195,7 +191,7 @@ class Sampler:
         since_1970_ns = time.time_ns() - round(bus_s * 1e9)
         self._sound_s = bus_s
         try:
-            with sensor.stream((_CHECK, *self.names, _CHECK), block_scans=block_scans) as stream:
+            with sensor.stream((_CHECK, *DEFAULT_SCAN, _CHECK), block_scans=block_scans) as stream:
                 for block in stream:
                     if self._simulated:  # its clock may run ahead, but clients expect the rate
                         self._wait_until(wall_s + float(block.time_s[-1]) - bus_s)
@@ -230,7 +226,7 @@ class Sampler:
             self._require_sound(block.words[-1])
         numbers = block.numbers()[sound, 1:-1]
         if len(numbers):
-            self.newest = dict(zip(self.names, numbers[-1].tolist(), strict=True))
+            self.newest = dict(zip(DEFAULT_SCAN, numbers[-1].tolist(), strict=True))
         time_ns = np.rint(block.time_s[sound] * 1e9).astype(np.int64) + since_1970_ns
         self._on_scans(numbers, time_ns)
 
@@ -370,6 +366,8 @@ class Hub:
 
 
 DEVICE_ID = "iio:device0"
+MASK_DIGITS = 8
+"""Number of digits of a mask of up to 32 channels."""
 
 OFFSET_OF: dict[str, str] = dict(
     zip(
@@ -383,9 +381,8 @@ OFFSET_OF: dict[str, str] = dict(
 _IDS = {
     **{f"{axis}ACCL_OUT": f"accel_{axis.lower()}" for axis in "XYZ"},
     **{f"{axis}GYRO_OUT": f"anglvel_{axis.lower()}" for axis in "XYZ"},
-    **{f"{axis}TEMP_OUT": f"temp_{axis.lower()}" for axis in "XYZ"},
+    "XTEMP_OUT": "temp_x",
     "SUPPLY_OUT": "voltage0",
-    "AUX_ADC": "voltage1",
 }
 _LABELS = {"SUPPLY_OUT": "supply"}
 
@@ -499,35 +496,15 @@ class ServedDevice:
     ----------
     part : Variant
         Sensor type.
-    names : sequence of str
-        Output registers in the order of the scan.
     description : str
         Text that describes the IIO context (the server and its devices) to a client.
-
-    Raises
-    ------
-    UsageError
-        A register is no output, or is given twice.
     """
 
-    def __init__(self, part: register_table.Variant, names: Sequence[str], description: str) -> None:
+    def __init__(self, part: register_table.Variant, description: str) -> None:
         self.part = part
-        self.table = register_table.registers(names)
         self.description = description
-        for row in self.table:
-            if row.name not in _IDS:
-                raise UsageError(f"{row.name} is no output that IIO has a channel for: {', '.join(_IDS)}")
-        if not self.table or len({row.name for row in self.table}) != len(self.table):
-            raise UsageError("the served registers are one or more, each once")
-        self.channels = (
-            *(Channel(k, row) for k, row in enumerate(self.table)),
-            Channel(len(self.table), None),
-        )
-
-    @property
-    def mask_digits(self) -> int:
-        """Number of digits of a mask of channels: 8 for each 32 channels."""
-        return 8 * math.ceil(len(self.channels) / 32)
+        rows = (*register_table.registers(DEFAULT_SCAN), None)
+        self.channels = tuple(Channel(k, row) for k, row in enumerate(rows))
 
     def knows(self, device: str) -> bool:
         """Return True if `device` is the id or name of this device."""
@@ -646,8 +623,8 @@ class ScanFormat:
 
         `Refused` is raised for a mask of a wrong length, without a channel or with an unknown channel.
         """
-        if len(mask) != device.mask_digits:
-            raise Refused(Errno.EINVAL, f"a mask has {device.mask_digits} digits here")
+        if len(mask) != MASK_DIGITS:
+            raise Refused(Errno.EINVAL, f"a mask has {MASK_DIGITS} digits here")
         bits = int(mask, 16)
         if not bits or bits >> len(device.channels):
             raise Refused(Errno.EINVAL, "the mask names no channel, or one that does not exist")

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from adis_gonio.base import __version__
 from adis_gonio.base.errors import AdisGonioError, CannotOpenError, UsageError
 from adis_gonio.base.numbers import counted
-from adis_gonio.device.sensor import DEFAULT_SCAN, Adis16354
+from adis_gonio.device.sensor import Adis16354
 from adis_gonio.faces.serve import iio_device, iiod_protocol
 from adis_gonio.faces.serve.iiod_protocol import Errno, Parser, Refused, Request, Target
 
@@ -347,8 +347,6 @@ class ServeSettings:
         Address to listen on; port 0 takes a free one.
     allow_writes : bool
         True lets clients write attributes.
-    registers : tuple of str
-        Output registers that become channels, in order.
     queue_s : float
         Time without a read after which a client begins to lose its oldest scans.
     """
@@ -356,7 +354,6 @@ class ServeSettings:
     host: str = "127.0.0.1"
     port: int = PORT
     allow_writes: bool = False
-    registers: tuple[str, ...] = DEFAULT_SCAN
     queue_s: float = iio_device.QUEUE_S
 
 
@@ -371,11 +368,6 @@ class IioServer:
         Called with one-line messages.
     ready : callable
         Called with host and port once clients can connect.
-
-    Raises
-    ------
-    UsageError
-        A register in the settings has no IIO channel.
     """
 
     def __init__(
@@ -390,9 +382,8 @@ class IioServer:
         self._tell = tell
         self._ready = ready
         description = f"{sensor.variant.name.upper()} at {sensor.bus.url}, adis-gonio {__version__}"
-        self._device = iio_device.ServedDevice(sensor.variant, settings.registers, description)
-        names = [row.name for row in self._device.table]
-        self._sampler = iio_device.Sampler(sensor, names, self._scans_came, self._sensor_failed)
+        self._device = iio_device.ServedDevice(sensor.variant, description)
+        self._sampler = iio_device.Sampler(sensor, self._scans_came, self._sensor_failed)
         self._hub = iio_device.Hub(self._sampler.want, settings.queue_s)
         self._port = AttributePort(self._device, self._sampler, settings.allow_writes)
         self._clients: dict[ClientSession, asyncio.Task[None]] = {}
