@@ -89,10 +89,14 @@ accel_nonlinearity | Nonlinearity of the accelerometers? | within 0.2 % of the r
 filter_gain | Noise gain of the filter steps M? | two boxcars of 2^M taps | DS | A
 sample_period | Period of the internal update? | 0.61035 or 18.921 ms × (N + 1) | DS | A
 data_ready_edge | Which edge of the data-ready pulse follows the update? | the first | inferred | C
+data_ready_pulse | Width of the data-ready pulse? | not given | – | ?
+    a bridge sees edges, not levels; an oscilloscope shows it
 self_test_gyro | Do the gyros answer to both signs of the manual self-test? | yes | DS | B
 self_test_accel | Do the accelerometers answer to the positive sign only? | yes | DS | B
 over_range_falls | Does the over-range bit clear automatically? | yes (DS, p. 20) | DS | A
 alarm_stays | Does an alarm's bit stay until STATUS is read? | yes (DS, p. 20) | DS | B
+over_range_threshold | Threshold of over-range? | not given | – | ?
+    the step 'status' crosses it, but does not search for it
 flash_count | Does ENDURANCE count a flash update by one? | yes | DS | A
 autonull_duration | Duration of the autonull? | not given | – | ?
     an autonull overwrites the gyros' offsets in flash, which cannot be undone without more writes
