@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 
 from adis_gonio import fit
-from adis_gonio.base.numbers import format_number, format_uncertain
+from adis_gonio.base.numbers import format_uncertain
 from adis_gonio.fitting.gyros.gyro_fit import fit_gyro
 from adis_gonio.handover.calibration_report import build_page
-from adis_gonio.handover.gyro_report import gyro_section, gyro_table, uncertainty_sentence
+from adis_gonio.handover.gyro_report import gyro_section, gyro_table
 from adis_gonio.record.loading import load_session
 from recordings import recording
 
@@ -35,9 +35,6 @@ def test_the_gyros_stand_beside_each_other_and_what_is_not_known_is_a_dash(sessi
     along_z = result["g_sensitivity_yz"]
     assert rows["force along Z adds / (°/s/g)"][1] == format_uncertain(along_z.value, along_z.U)
     assert "gain" not in rows  # no turns
-    largest = max(result[f"gyro_bias_{axis}"].u for axis in "xyz")
-    assert f"zero rates to {format_number(largest, 2)} °/s" in section.words[0]
-    assert "gains" not in section.words[0]
 
 
 def test_one_gain_of_three_is_told_apart_from_those_that_are_not_known(session, monkeypatch):
@@ -46,7 +43,6 @@ def test_one_gain_of_three_is_told_apart_from_those_that_are_not_known(session, 
     one = replace(result, parameters={**result.parameters, "gyro_scale_z": value})
     (gains,) = [row for row in gyro_table(one).rows if row[0] == "gain"]
     assert gains[1:] == ["–", "–", format_uncertain(value.value, value.U)]
-    assert f"gains to {format_number(100 * value.u, 2)} % (1 of them)" in uncertainty_sentence(one)
 
 
 def test_what_is_not_determined_is_said(section):

@@ -26,7 +26,6 @@ def gyro_section(session: Session) -> Section | None:
     except AdisGonioError:
         return None
     sentences = [
-        uncertainty_sentence(result),
         f"By the mean rates of {result.held}: a gyro reads K D ω + b + G f, with ω the rate of turn, b its "
         "zero rate, K its gain, D its axis in the accelerometers' frame, f their readings.",
         f"Residual {numbers.format_number(result.residual_rms_dps)} °/s rms; χ² / degrees of freedom "
@@ -42,27 +41,6 @@ def gyro_section(session: Session) -> Section | None:
         figures=[_residuals(result)],
         tables=[gyro_table(result), *_offsets(session)],
     )
-
-
-def uncertainty_sentence(result: GyroFit) -> str:
-    """Return a sentence on the determined gyro parameters and their largest standard uncertainties."""
-    largest: dict[str, list[float]] = {}
-    for name, value in result.parameters.items():
-        if value.u is not None:
-            largest.setdefault(name.rsplit("_", 1)[0], []).append(value.u)
-    texts = {
-        "gyro_bias": "zero rates to {} °/s",
-        "gyro_scale": "gains to {} %",
-        "gyro_misalignment": "directions of axes to {}°",
-        "g_sensitivity": "sensitivity to acceleration to {} °/s/g",
-    }
-    parts = [
-        text.format(numbers.format_number(max(largest[kind]) * (100 if kind == "gyro_scale" else 1), 2))
-        + ("" if len(largest[kind]) in (3, 6, 9) else f" ({len(largest[kind])} of them)")
-        for kind, text in texts.items()
-        if kind in largest
-    ]
-    return f"Determined: {numbers.join_words(parts)} (largest standard uncertainty of each)."
 
 
 _KINDS = {
