@@ -238,6 +238,7 @@ class IioDevice:
         for name, one in self._inputs.items():
             one.enabled = name in wanted
         device = self._device
+        self._patience_s = patience_s
         # libiio gives a server half of this time for its part.
         device.ctx.set_timeout(math.ceil(2000 * patience_s))
         try:
@@ -250,12 +251,12 @@ class IioDevice:
                 " or a trigger (trigger/current_trigger)? Add ?poll=HZ to read single values"
             ) from error
 
-    def read_buffer(self, timeout_s: float) -> dict[str, np.ndarray]:
-        """Wait for the next block at most `timeout_s`; return numbers (n,) int64 by the channel's name."""
+    def read_buffer(self) -> dict[str, np.ndarray]:
+        """Wait for the next block; return its numbers (n,) int64 by the channel's name."""
         if not self._buffers:
             raise BusClosedError(f"{self.where}: used after it was closed")
         try:
-            return self._within(timeout_s, self._refill)
+            return self._within(self._patience_s, self._refill)
         except BusError as error:
             # The kernel does not wake a reader when a device is removed.
             if self._node is not None and not self._node.exists():

@@ -210,12 +210,13 @@ class BufferedSamples(IioStream):
         self._last_ns: int | None = None
         self._begin_s = 0.0
         self._count = 0
-        self._patience_s = max(PATIENCE_S, 3 * block_samples * self._period_s)
         channels = [*source.channels, *([stamp] if stamp else [])]
-        self._device.open_buffer(channels, block_samples, self._patience_s)
+        self._device.open_buffer(
+            channels, block_samples, max(PATIENCE_S, 3 * block_samples * self._period_s)
+        )
 
     def _next(self) -> ValueBlock:
-        numbers = self._device.read_buffer(self._patience_s)
+        numbers = self._device.read_buffer()
         count = len(numbers[self._source.channels[0].id])
         if self._count == 0:
             self._begin_s = self._source.now_s() - count * self._period_s
