@@ -29,6 +29,8 @@ _CODES = [n for n in range(256) if n & 0x7F or n & 0x80]
 _MISC = BY_NAME["MSC_CTRL"]
 _READ = "XACCL_OUT"
 _NO_EDGE = "no edge arrives: wire DIO1 to the bridge's data-ready input if it is to stream"
+_READS = 8
+"""Number of reads in a scan, which every bridge with streams can do."""
 _LONGEST_FRAME_US = 20_000.0
 """Largest time between two frames of a scan in µs; the timers of the bridges reach about 50 ms."""
 _BENT = 0.02
@@ -143,8 +145,6 @@ class _Edges:
         Number of sample updates in the time of the scans.
     frame_us : float
         Time of a frame in µs.
-    reads : int
-        Number of reads in a scan.
     """
 
     position: NDArray[np.int64]
@@ -153,7 +153,6 @@ class _Edges:
     rate_hz: float
     expected: float
     frame_us: float
-    reads: int
 
     @property
     def surplus(self) -> float:
@@ -203,8 +202,6 @@ class DataReady(BringupStep):
     effect = SideEffect.LENDS
     settles = ("data_ready_edge",)
     _scans = 256
-    _lists = (16, 8)
-    """Numbers of reads in a scan that are tried: 16 is the limit of the firmware, 8 is usual."""
 
     def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Test both polarities if the bridge starts scans at edges; only count edges if it cannot."""
@@ -242,9 +239,7 @@ class DataReady(BringupStep):
         except _NoEdgeError:
             return found.not_measured(_NO_EDGE)
         except UsageError as error:
-            return found.not_measured(
-                f"this bridge takes no list of {self._lists[-1]} reads at an edge ({error})"
-            )
+            return found.not_measured(f"this bridge takes no list of {_READS} reads at an edge ({error})")
         finally:
             self._write(bench, before)
             bench.refresh()
@@ -285,34 +280,20 @@ class DataReady(BringupStep):
         return f"{rate:.0f} edges a second where {1 / period_s:.1f} updates are configured: {rest}"
 
     def _scan(self, bench: BringupBench, period_s: float) -> _Edges:
-        """Record scans of one register, started at data-ready edges, each nearly as long as `period_s`.
-
-        A bridge may be too slow for long scans, so edges count as missed only if short scans miss them too.
-        """
+        """Record scans of one register, started at data-ready edges, each nearly as long as `period_s`."""
         timing = timing_for(bench.sensor.read("SMPL_PRD"))
-        found: list[_Edges] = []
-        for reads in self._lists:
-            # One more frame fetches the last reply; 5 % of the period is reserved for the bridge.
-            fill_us = math.floor(0.95e6 * period_s / (reads + 1))
-            fitting = min(max(timing.period_us, fill_us), _LONGEST_FRAME_US)
-            if (reads + 1) * fitting > 0.97e6 * period_s:
-                continue
-            got = bench.bus.configure(replace(timing, period_us=fitting))
-            try:
-                found.append(self._stream(bench, reads, period_s, 1e6 * got.frame_s))
-            except UsageError:
-                if reads == self._lists[-1]:
-                    raise
-                continue
-            if not found[-1].lost:
-                break
-        if not found:
+        # One more frame fetches the last reply; 5 % of the period is reserved for the bridge.
+        frames = _READS + 1
+        fill_us = math.floor(0.95e6 * period_s / frames)
+        fitting = min(max(timing.period_us, fill_us), _LONGEST_FRAME_US)
+        if frames * fitting > 0.97e6 * period_s:
             raise UsageError("the period is too short for a list of reads")
-        return min(found, key=lambda edges: edges.lost)
+        got = bench.bus.configure(replace(timing, period_us=fitting))
+        return self._stream(bench, period_s, 1e6 * got.frame_s)
 
-    def _stream(self, bench: BringupBench, reads: int, period_s: float, frame_us: float) -> _Edges:
+    def _stream(self, bench: BringupBench, period_s: float, frame_us: float) -> _Edges:
         frame = int(read_frames([BY_NAME[_READ]])[0])
-        with bench.bus.stream([frame] * reads, block_scans=self._scans // 4) as stream:
+        with bench.bus.stream([frame] * _READS, block_scans=self._scans // 4) as stream:
             try:
                 blocks = [next(stream) for _ in range(4)]
             except BusTimeoutError as error:
@@ -323,7 +304,7 @@ class DataReady(BringupStep):
         times = np.concatenate([block.time_s for block in blocks])
         lost = sum(block.lost for block in blocks[1:])  # edges before the first block do not count
         expected = float(times[-1] - times[0]) / period_s
-        return _Edges(_positions(words), lost, *_jitter(times, period_s), expected, frame_us, reads)
+        return _Edges(_positions(words), lost, *_jitter(times, period_s), expected, frame_us)
 
     def _judge(
         self, bench: BringupBench, period_s: float, first: _Edges, second: _Edges, found: StepResult
@@ -396,7 +377,7 @@ def _delay_us(edges: _Edges, period_s: float, bench: BringupBench) -> tuple[floa
     taken_us = 16e6 / bench.bus.timing.clock_hz
     if edges.usual > 0:
         return (edges.usual - 1) * edges.frame_us + taken_us, edges.usual * edges.frame_us + taken_us
-    return (edges.reads - 1) * edges.frame_us + taken_us - 1e6 * period_s, taken_us
+    return (_READS - 1) * edges.frame_us + taken_us - 1e6 * period_s, taken_us
 
 
 class SamplePeriods(BringupStep):
