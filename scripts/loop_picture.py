@@ -10,15 +10,12 @@ import argparse
 from pathlib import Path
 
 import matplotlib as mpl
-import numpy as np
 from matplotlib import pyplot as plt
 
 from adis_gonio import load_session, trace
 from adis_gonio.handover.calibration_report import views
 
 RECORDING = Path(__file__).parents[1] / "examples" / "measured" / "thermal_cycle.csv.gz"
-KEPT = 8
-"""One sample in so many is drawn, to keep the picture small."""
 
 
 def draw(path: Path) -> None:
@@ -31,18 +28,15 @@ def draw(path: Path) -> None:
     mpl.rcParams.update({"svg.fonttype": "none", "svg.hashsalt": "loop", "font.size": 9})
     figure, places = plt.subplots(1, 3, figsize=(9, 2.9), layout="constrained")
     for place, panel, axis in zip(places, panels, "xyz", strict=True):
-        shown = np.arange(0, len(panel.x), KEPT)
         for residual, colour, label in (
             (panel.before, "#d08050", "base model"),
             (panel.after, "#2060a0", "traced model"),
         ):
-            place.plot(
-                panel.x[shown], residual[shown], ".", ms=1.5, color=colour, label=label, rasterized=True
-            )
+            place.plot(panel.x, residual, ".", ms=3, color=colour, label=label)
         place.set_title(f"{axis}: held-out error {before[axis]:.3g} → {after[axis]:.3g} mg", fontsize=10)
         place.set_xlabel("temperature / °C")
     places[0].set_ylabel("residual / mg")
-    places[2].legend(markerscale=5, frameon=False, loc="upper right")
+    places[2].legend(markerscale=2, frameon=False, loc="upper right")
     figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None, dpi=150)
 
 

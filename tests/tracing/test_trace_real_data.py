@@ -1,6 +1,7 @@
 """`trace` on recordings of real sensors, by others; see examples/measured/README.md."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -109,23 +110,18 @@ def test_thermal_cycle_is_a_polynomial_and_its_lag(capsys):
 
 
 def test_blocks_of_the_thermal_cycle_as_in_its_table(monkeypatch):
-    # The table's cubic is that of 12 blocks: the same blocks give the same figures.
-    monkeypatch.setattr(series, "BLOCKS", 12)
+    # The table's cubic is that of 12 blocks of single samples: the same blocks give the same figures.
     session = load_session(recording("thermal_cycle"))
-    dwell = session.dwells[0]
-    problem, candidates = series._problem(
-        series.series_readings(session, dwell), series.series_conditions(dwell)
-    )
-    polynomial = next(c for c in candidates if c.effect.name == "bias_temperature")
-    cubic = series._columns((polynomial,), (2,))
-    _, coefficients, *_ = series._fits(problem, (polynomial,))
-    assert np.count_nonzero(np.abs(coefficients[2]).sum(axis=(0, 2))) == len(cubic)
-    loss = series._squares(problem.square, problem.cross, problem.gram, coefficients[2])
-    by_axis = np.sqrt(loss.sum(axis=0) / len(dwell))
-    np.testing.assert_allclose(by_axis, [0.84, 2.41, 5.88], atol=0.006)
-    after = trace(session).after.heldout_by_axis
-    assert after is not None
+    (dwell,) = session.dwells
+    monkeypatch.setattr(series, "BLOCKS", 12)
+    monkeypatch.setattr(series, "AVERAGES", len(dwell))
+    problem = series._problem(session, dwell, dwell.temperature_c)
+    polynomial, lag = problem.candidates[:2]
+
+    def errors(*model):
+        return np.sqrt(series._folds(problem, model)[0] / len(dwell))
+
+    cubic = replace(polynomial, forms=polynomial.forms[2:])
+    np.testing.assert_allclose(errors(cubic), [0.84, 2.41, 5.88], atol=0.006)
     # x has 0.431 there, the table 0.435 before rounding, with one time constant chosen from all data.
-    assert after["x"] <= 0.435
-    assert after["y"] <= 0.91
-    assert after["z"] <= 2.24
+    assert (errors(polynomial, lag) <= [0.435, 0.91, 2.24]).all()

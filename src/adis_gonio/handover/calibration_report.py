@@ -373,8 +373,7 @@ def steps_section(traced: TraceResult, views: Views) -> Section:
     """
     parts = []
     for number_, (step, view) in enumerate(zip(traced.steps, views.steps, strict=True), 1):
-        before = "without it, the others kept" if view.beside_all else "before"
-        figures = [_panel_figure(panel, step.effect, before) for panel in view.panels]
+        figures = [_panel_figure(panel, step.effect, "before") for panel in view.panels]
         if figures:
             parts.append(Section(f"Step {number_}: {step.effect}", figures=figures))
     sentences = ["Bars are standard uncertainties of a reading."]

@@ -104,7 +104,7 @@ def trace(
     ----------
     session : Session
         Planar (declared angles) or in space (`plane` none); a session of one dwell with temperature is
-        traced sample by sample (`adis_gonio.tracing.one_pose`).
+        traced over time (`adis_gonio.tracing.one_pose`).
     max_effects : int
         Largest number of terms added to the base model.
     time_limit : float, optional

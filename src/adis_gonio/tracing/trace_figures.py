@@ -1,6 +1,6 @@
 """Data of the figures of a trace: residual against covariate, before and after each added effect.
 
-The points are dwells; for a single pose, which `one_pose` traces, they are samples.
+The points are dwells; for a single pose, which `one_pose` traces, they are averages over time.
 """
 
 from __future__ import annotations
@@ -67,13 +67,10 @@ class StepView:
         Name of the effect.
     panels : tuple of Panel
         Empty if the effect's term is unknown.
-    beside_all : bool
-        True if `before` is the final model without this effect, False if it is the previous nested model.
     """
 
     effect: str
     panels: tuple[Panel, ...]
-    beside_all: bool = False
 
 
 @dataclass(frozen=True)

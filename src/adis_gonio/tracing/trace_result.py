@@ -56,8 +56,8 @@ class ErrorFigures(JsonRecord):
         χ² of the residual against the measured noise, per degree of freedom. None if the noise of a
         reading is unknown or no degree of freedom remains.
     heldout_by_axis : mapping of str to float or None
-        Held-out error of each axis, for a single pose traced sample by sample and for gyros (no common
-        attitude of their axes); None for other sessions.
+        Held-out error of each axis, for a single pose and for gyros (no common attitude of their axes);
+        None for other sessions.
     heldout_kept : float or None
         Held-out error of the final model if its effects are kept in each fold and only their values are
         fitted again; None if not computed. `heldout_rms` then refers to effects that were chosen again in
@@ -304,7 +304,7 @@ class TraceResult(ParameterTable):
         Proposed further dwells for a program or a running session, in order of priority.
     fits : tuple of Fit
         Fit of the base model, then of the model after each step; not in the JSON and not compared. Empty
-        for a single pose traced sample by sample.
+        for a single pose.
     views : Views or None
         Data of the residual figures of a single pose; None for other sessions, whose figures come from
         `fits`. Not in the JSON and not compared.
