@@ -2,8 +2,7 @@
 
 Each check of this module returns a `Guard` (a question with its numbers), or None if all is well. The
 limits follow from the sensor's noise, the sensor's data sheet and the fixture (`record.plans`), so that a
-good sensor is not questioned. `Judge` compares declared angles, gravity and the integral of the gyros by
-`adis_gonio.fitting.slips`, which is also used for recorded sessions.
+good sensor is not questioned. `Judge` compares declared angles, gravity and the integral of the gyros.
 """
 
 from __future__ import annotations
@@ -19,15 +18,10 @@ from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.numbers import counted, format_uncertain, signed
 from adis_gonio.base.uncertainty import NORMAL_95
 from adis_gonio.bench.events import GuardKind, TurnMeasured
-from adis_gonio.fitting.slips import Angles, Diagnosis, Increments, PositionFinding, diagnose
-from adis_gonio.fitting.slips.session_positions import LARGEST, MEANINGS
-from adis_gonio.model.effects import Conditions
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.record.blocks import Block, session_columns, session_series
 from adis_gonio.record.plans import (
     GAIN_LIMIT,
-    UNMODELLED_MG,
-    UNSTATED_FIXTURE_DEG,
     Expectation,
     K,
     Off,
@@ -356,13 +350,10 @@ class GyroIntegral:
         Angles turned about x, y, z of the sensor, right-handed about the drawn axes.
     u_deg : float
         Standard uncertainty of each angle.
-    zero_u_deg : float
-        Part of `u_deg` that comes from noise and zero rate, without the part of the scale factor.
     """
 
     angle_deg: Floats
     u_deg: float
-    zero_u_deg: float
 
 
 class Turning:
@@ -429,8 +420,7 @@ class Turning:
             return None
         wander = math.hypot(INSTABILITY_DPS, G_SENSITIVITY_DPS) * self._length_s
         noise = GYRO_NOISE_DPS * math.sqrt(self._period_s * self._length_s)
-        zero = math.hypot(wander, noise)
-        return GyroIntegral(self._angle, math.hypot(zero, SCALE_ERROR * self._travel), zero)
+        return GyroIntegral(self._angle, math.hypot(wander, noise, SCALE_ERROR * self._travel))
 
 
 def _rates(block: Block) -> Floats | None:
@@ -439,142 +429,17 @@ def _rates(block: Block) -> Floats | None:
 
 
 @dataclass(frozen=True)
-class PartPosition:
-    """Position of the sensor in a dwell, or its present position.
-
-    Attributes
-    ----------
-    angle_deg : float or None
-        Declared angle, counted like the stage's angles; None for a dwell that was doubted and kept.
-    mean_mg : (2 or more,) float
-        Mean reading in mg.
-    turn : GyroIntegral or None
-        Turn by the gyros since the position before; None if it was not followed from there.
-    approach : int
-        Sign of the change of the stage's angle before the position was reached (+1 or −1); 0 if unknown.
-    """
-
-    angle_deg: float | None
-    mean_mg: Floats
-    turn: GyroIntegral | None
-    approach: int = 0
-
-
-def diagnose_positions(positions: Sequence[PartPosition], spread: PriorKnowledge, sense: int) -> Diagnosis:
-    """Find the positions that are wrong, by declared angle, gravity and gyro together.
-
-    Parameters
-    ----------
-    positions : sequence of PartPosition
-        Positions of the session in order; the last one is the present position.
-    spread : PriorKnowledge
-        Uncertainties of the sensor and its fixture.
-    sense : {1, -1}
-        −1 in a reversed session.
-    """
-    positions = positions[-LARGEST:]
-    n = len(positions)
-    reading = math.hypot(spread.reading_mg, UNMODELLED_MG)
-    declared = np.array(
-        [np.nan if s.angle_deg is None else sense * math.radians(s.angle_deg) for s in positions]
-    )
-    order = np.arange(n, dtype=float)
-    turns = [each.turn for each in positions[1:]]
-    increments = Increments(
-        np.radians([np.nan if turn is None else float(turn.angle_deg[2]) for turn in turns]),
-        np.radians([np.nan if turn is None else turn.zero_u_deg for turn in turns]),
-        np.zeros((n - 1, 2)),
-    )
-    fixture = UNSTATED_FIXTURE_DEG if spread.fixture_deg is None else spread.fixture_deg
-    return diagnose(
-        Angles(
-            tuple(range(n)),
-            declared,
-            np.array([each.mean_mg[:2] for each in positions]),
-            np.tile(reading**2 * np.eye(2), (n, 1, 1)),
-            Conditions(
-                time_s=order,
-                angle_rad=declared,
-                order=order,
-                approach=np.array([float(sense * each.approach) for each in positions]),
-            ),
-            spread.gravity_mg,
-            math.radians(fixture),
-            spread.bias_mg,
-            increments,
-        )
-    )
-
-
-def add_diagnosis(
-    guard: Guard | None, found: Diagnosis, positions: Sequence[PartPosition], sense: int
-) -> Guard | None:
-    """Add the diagnosis to a guard, or make a guard if only the diagnosis doubts the position.
-
-    Returns None if neither doubts it. `positions` are the diagnosed positions, the present one last;
-    `sense` is −1 in a reversed session.
-    """
-    here = min(len(positions), LARGEST) - 1
-    last = next((one for one in found.findings if here in (one.position, *one.others)), None)
-    if last is None:
-        return guard
-    before = [each.angle_deg for each in positions[-LARGEST:]]
-    text = _diagnosis_text(last, here, before, sense)
-    if guard is None:
-        return Guard("wrong_angle", text, _values(last, sense), spoils=True)
-    if guard.kind != "wrong_angle":
-        return guard
-    return replace(guard, message=f"{guard.message}; {text}", values=guard.values | _values(last, sense))
-
-
-def _values(found: PositionFinding, sense: int) -> dict[str, float]:
-    return {
-        "found_deg": sense * found.error_deg[0],
-        "found_u_deg": found.error_deg[1],
-        "probability": found.probability,
-    }
-
-
-_AT_BENCH = dict.fromkeys(("mistyped", "misset"), "the stage was set to another angle")
-"""Causes in the words of an operator, who sets angles and types none."""
-
-
-def _diagnosis_text(
-    found: PositionFinding, here: int, angles_deg: Sequence[float | None], sense: int
-) -> str:
-    by = "gravity" if found.gyro_deg is None else "gravity and gyro"
-    error, u = found.error_deg
-    off = format_uncertain(sense * error, NORMAL_95 * u, "deg", sign=True)
-    names = " or ".join(
-        dict.fromkeys(_AT_BENCH.get(named.name, MEANINGS[named.name]) for named in found.names)
-    )
-    if found.finding == "gravity_wrong":
-        return f"the gyro turned as requested, but gravity does not agree: {names}"
-    if found.finding == "swapped":
-        other = next((k for k in (found.position, *found.others) if k != here), here)
-        return f"by {by} the part is in the place of {angles_deg[other]:g}°, and was here in that dwell"
-    angle = angles_deg[found.position]
-    since = "a dwell that was kept" if angle is None else f"{angle:g}°"
-    where = "" if found.position == here else f" since {since}"
-    return f"by {by} the part is {off} from the requested angle{where}; {names}"
-
-
-@dataclass(frozen=True)
 class _JudgedDwell:
     """A recorded dwell of a session.
 
     `place` is the index of its position in the plan, `position` this position, and `mean_mg` (3,) its mean
-    reading. `doubted` is True if the operator overruled a guard. `turn` is the turn before the dwell as
-    integrated from the gyros, None if the gyros were not recorded.
+    reading. `doubted` is True if the operator overruled a guard.
     """
 
     place: int
     position: Position
     mean_mg: Floats
     doubted: bool
-    turn: GyroIntegral | None = None
-    since: int | None = None
-    """Place of the dwell from which `turn` was followed; None without a turn."""
 
 
 class Judge:
@@ -599,7 +464,6 @@ class Judge:
         self._taken: list[_JudgedDwell] = []
         self._longest_gap_s = longest_gap_s
         self.turning = Turning(longest_gap_s)
-        self._turned: tuple[GyroIntegral | None, int | None] = (None, None)
         self._rebuild()
 
     def settled(self, position: Position, accel_mg: Floats) -> Guard | None:
@@ -614,21 +478,16 @@ class Judge:
             return level
         if not self._expected.begun:
             return judge_start(accel_mg, position.angle_deg, self.sense)
-        before, turn = self._taken[-1], self.turning.turn()
-        self._turned = (turn, before.place)
+        before = self._taken[-1]
         reversed_off = self._other.off(accel_mg, position.angle_deg) if self._may_be_reversed else None
-        guard = judge_turn(
+        return judge_turn(
             asked_deg=self._asked_deg(position),
             here_deg=position.angle_deg,
             gravity_deg=turned_deg(before.mean_mg, accel_mg, self.sense),
             off=self._expected.off(accel_mg, position.angle_deg),
             off_reversed=reversed_off,
-            turn=turn,
+            turn=self.turning.turn(),
             sense=self.sense,
-        )
-        positions = self._positions(position, accel_mg)
-        return add_diagnosis(
-            guard, diagnose_positions(positions, self._spread, self.sense), positions, self.sense
         )
 
     def turned(self, place: int, position: Position, accel_mg: Floats) -> TurnMeasured | None:
@@ -653,8 +512,7 @@ class Judge:
         `place` is the index of its position in the plan; `doubted` is True if a guard was overruled.
         """
         mean = np.asarray(scans.accel_mg.mean(axis=0))
-        self._taken.append(_JudgedDwell(place, position, mean, doubted, *self._turned))
-        self._turned = (None, None)
+        self._taken.append(_JudgedDwell(place, position, mean, doubted))
         self._learn(self._taken[-1])
         self.turning.rest(scans)
 
@@ -695,20 +553,6 @@ class Judge:
         if not self._planar or not self._expected.begun:
             return None
         return self._expected.off(accel_mg, angle_deg).limit_deg
-
-    def _positions(self, position: Position, accel_mg: Floats) -> list[PartPosition]:
-        """List the positions of the sensor in all dwells, and its present position last.
-
-        `position` and `accel_mg` (3,) are the requested position and the present reading.
-        """
-        positions: list[PartPosition] = []
-        before: _JudgedDwell | None = None
-        for taken in self._taken:
-            angle = None if taken.doubted else taken.position.angle_deg
-            watched = taken.turn if before is not None and taken.since == before.place else None
-            positions.append(PartPosition(angle, taken.mean_mg, watched, taken.position.approach))
-            before = taken
-        return [*positions, PartPosition(position.angle_deg, accel_mg, self._turned[0], position.approach)]
 
     def _rebuild(self) -> None:
         self._expected = Expectation(self._spread, self.sense)

@@ -33,7 +33,6 @@ def test_a_slip_is_said_at_the_bench_and_by_the_fit_and_mended_by_angles(tmp_pat
     path = tmp_path / "slips.session"
     said = calibrated(capsys, SLIPPING, path)
     assert "off 90° " in said
-    assert "by gravity and gyro the part is (+4." in said
     assert "positions 3 to 11 are (+4.0" in said
 
     document = fitted(capsys, path)
@@ -59,5 +58,5 @@ def test_a_slip_is_said_at_the_bench_and_by_the_fit_and_mended_by_angles(tmp_pat
 def test_where_nothing_slips_nothing_is_said(tmp_path, capsys):
     path = tmp_path / "good.session"
     said = calibrated(capsys, REALISTIC, path)
-    assert "from the requested angle" not in said
+    assert "° off " not in said
     assert "positions" not in fitted(capsys, path)
