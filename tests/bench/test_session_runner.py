@@ -463,7 +463,7 @@ def test_repeat_is_not_offered_before_the_first_dwell(sensor, path):
     runner = SessionRunner.begin(sensor, path, plan(), SHORT)
     for event in runner.run():
         if isinstance(event, PositionAsked):
-            assert not event.can_repeat
+            assert not event.can_undo
             with pytest.raises(UsageError, match="open question"):
                 runner.repeat()
             runner.stop()

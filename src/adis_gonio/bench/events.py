@@ -102,21 +102,18 @@ class PositionAsked(Event):
         Index of the position in the plan, from 0, and the position.
     number, total : int
         Number of positions done or skipped plus one, and number of positions in the plan.
-    can_repeat : bool
-        True if there is an earlier dwell that can be repeated.
+    can_undo : bool
+        True if there is an earlier dwell, which can be repeated or withdrawn.
     time_left_s : float
         Estimate of the remaining time in s, from the time of the dwells so far.
-    can_undo : bool
-        True if there is a dwell that can be withdrawn.
     """
 
     place: int
     position: Position
     number: int
     total: int
-    can_repeat: bool
+    can_undo: bool
     time_left_s: float = 0.0
-    can_undo: bool = False
 
 
 class StageMoved(Event):

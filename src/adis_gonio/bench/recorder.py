@@ -149,13 +149,10 @@ class Recorder(ABC):
 
     Attributes
     ----------
-    one_recording : bool
-        True if the session is one continuous recording without positions.
     judges_places : bool
         True if the guards check each position by gravity.
     """
 
-    one_recording: ClassVar[bool] = False
     judges_places: ClassVar[bool] = True
 
     def __init__(self, questions: Questions) -> None:
@@ -342,7 +339,6 @@ class FreeTurnRecorder(Recorder):
     sensor rests.
     """
 
-    one_recording = True
     judges_places = False
 
     def take(self, place: int) -> Iterator[Event]:

@@ -225,11 +225,6 @@ class SessionRunner(Operator):
         return self._knowledge.reversed
 
     @property
-    def one_recording(self) -> bool:
-        """True if the session is one continuous recording without positions."""
-        return self._recorder_type.one_recording
-
-    @property
     def fastest_dps(self) -> float:
         """Largest mean rate of a turn in °/s that suits the gyros' range; known after configuration."""
         return SHARE_OF_RANGE * float(self._bench.configuration.as_dict().get("gyro_range_dps") or 300.0)
@@ -371,7 +366,6 @@ class SessionRunner(Operator):
             len(ledger.plan),
             ledger.last_place is not None,
             self._time_left_s(),
-            ledger.last_place is not None,
         )
         self._knowledge.view.target = position
         return (yield from self._questions.ask(asked, {Reply.CONFIRM, Reply.SKIP}, Reply.CONFIRM, place))

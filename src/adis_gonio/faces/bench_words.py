@@ -63,8 +63,7 @@ def answers_to(question: Question) -> dict[str, BenchKey]:
     """Return the keys of the possible answers to a question, by name of the answer, in their order."""
     match question:
         case events.PositionAsked():
-            possible = {"repeat": question.can_repeat, "undo": question.can_undo}
-            names = [n for n in ("confirm", "repeat", "skip", "undo") if possible.get(n, True)]
+            names = ["confirm", "repeat", "skip", "undo"] if question.can_undo else ["confirm", "skip"]
         case events.GuardRaised():
             names = [name for name in question.answers if name != "stop"]
         case _:

@@ -37,9 +37,7 @@ def look(
 
 
 def asked(place: int, made=PLAN, left: float = 754.0) -> events.PositionAsked:
-    return events.PositionAsked(
-        place, made.positions[place], place + 1, len(made), place > 0, left, place > 0
-    )
+    return events.PositionAsked(place, made.positions[place], place + 1, len(made), place > 0, left)
 
 
 def done(place: int, made=PLAN, alarms: int = 0, lost: int = 0) -> events.DwellDone:

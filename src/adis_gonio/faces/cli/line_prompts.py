@@ -29,6 +29,7 @@ from adis_gonio.faces.cli.terminal import on_terminal
 from adis_gonio.faces.cli.trace_commands import loop_line
 from adis_gonio.faces.tui.bench_state import LEAST_SIZE
 from adis_gonio.record.plans import GYRO_TURNS
+from adis_gonio.record.session_reader import FREE_TURN
 
 if TYPE_CHECKING:
     from adis_gonio.bench.runner import SessionRunner
@@ -170,7 +171,7 @@ class PlainBench:
         if not self._drawn:
             self._draw()
         runner = self._runner
-        if runner.one_recording:
+        if self._plan.name == FREE_TURN:
             task = turn_to_do(max(self._plan.turns, 1))
         else:
             task = to_do(

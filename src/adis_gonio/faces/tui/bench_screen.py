@@ -513,10 +513,8 @@ class BenchApp(App[None]):
         impossible = ""
         if not isinstance(question, events.PositionAsked):
             impossible = "no position is asked for now"
-        elif answer == "repeat" and not question.can_repeat:
-            impossible = "there is no dwell before this one to take again"
-        elif answer == "undo" and not question.can_undo:
-            impossible = "there is no dwell before this one to withdraw"
+        elif answer in ("repeat", "undo") and not question.can_undo:
+            impossible = "there is no dwell before this one"
         if impossible:
             self.state.say(impossible)
         else:
