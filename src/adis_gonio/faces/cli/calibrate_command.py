@@ -333,14 +333,23 @@ def _runner(
     from adis_gonio.bench.runner import SessionRunner
     from adis_gonio.device.sensor.driver import DEFAULT_SCAN
     from adis_gonio.faces.cli.terminal import on_terminal
+    from adis_gonio.record.archive import ArchiveView
     from adis_gonio.record.plans import GYRO_TURNS
     from adis_gonio.record.session_reader import FREE_TURN
 
     if resume:
         if plan_name is not None or positions is not None or turns is not None:
-            raise UsageError(
-                f"{output}: --resume goes on with its own plan: leave --plan, --positions and --turns out"
-            )
+            with ArchiveView(output) as view:
+                own = view.plan()
+            same = plan_name or own.name
+            asked, _ = _choose_plan(same, positions, check, duration_s, turns)
+            if (asked.name, asked.turns, asked.positions) != (
+                own.name, own.turns, own.positions[: len(asked)],
+            ):  # fmt: skip
+                raise UsageError(
+                    f"{output} has the plan {own.name} with {counted(len(own), 'position')}: leave --plan,"
+                    " --positions and --turns out"
+                )
         if options["poll"]:
             raise UsageError("--resume gets its scans as the session did before: leave --poll out")
         return SessionRunner.resume(sensor, output, auto=auto, extend=extend, advisor=advisor)
