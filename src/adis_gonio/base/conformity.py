@@ -92,16 +92,6 @@ class ErrorCurve:
         kept = size > _NOTHING * size.max(initial=0.0)
         return np.asarray(left[:, kept] * size[kept])
 
-    @cached_property
-    def _rays(self) -> Floats:
-        """Change of the angle error (n, m) along n random directions, at the m angles of the turn.
-
-        A direction is a unit vector in the space of the independent causes of the error. The opposite
-        direction only changes the sign and is not present.
-        """
-        z = np.random.default_rng(0).normal(size=(_DIRECTIONS, self._independent.shape[1]))
-        return np.asarray((z / np.linalg.norm(z, axis=1, keepdims=True)) @ self._independent.T)
-
     def exceeds(self, tolerance_deg: float) -> float:
         """Return the probability that the largest |error| of the turn is above a tolerance."""
         from scipy.special import chdtr, fdtr
@@ -111,9 +101,12 @@ class ErrorCurve:
         exact = ~self._independent.any(axis=1)
         if (outside & exact).any() or not causes:
             return float((outside & exact).any())
+        # Change of the error (n, m) along random directions of z. The opposite ones only change the sign.
+        z = np.random.default_rng(0).normal(size=(_DIRECTIONS, causes))
+        rays = (z / np.linalg.norm(z, axis=1, keepdims=True)) @ self._independent.T
         # Positions along each line of z between which the error at each angle is within the tolerance.
         with np.errstate(divide="ignore", invalid="ignore"):
-            slope = 1 / self._rays
+            slope = 1 / rays
             middle, half = -self.error_deg * slope, tolerance_deg * np.abs(slope)
             low, high = (middle - half)[:, ~exact].max(axis=1), (middle + half)[:, ~exact].min(axis=1)
 

@@ -146,16 +146,13 @@ def json_value(text: str, **options: Any) -> Any:
         raise ValueError(f"it is nested more than {MOST_DEPTH} deep") from None
     level = [value]
     for _ in range(MOST_DEPTH):
-        level = [entry for part in level for entry in _entries(part)]
+        lists = [part.values() if isinstance(part, dict) else part for part in level]
+        level = [
+            entry for part in lists if not isinstance(part, str | int | float | None) for entry in part
+        ]
         if not level:
             return value
     raise ValueError(f"it is nested more than {MOST_DEPTH} deep")
-
-
-def _entries(value: Any) -> list[Any]:
-    if isinstance(value, dict):
-        return list(value.values())
-    return value if isinstance(value, list) else []
 
 
 def _refuse(text: str) -> float:

@@ -88,8 +88,8 @@ def replacing(path: str | Path) -> Iterator[Path]:
         _flushed(beside)
         beside.replace(target)
     except OSError as error:
-        if not _about(error, beside, target):
-            raise
+        if error.filename is not None and Path(os.fsdecode(error.filename)) not in (beside, target):
+            raise  # the error is about another file
         raise _unwritten(path, error) from error
     finally:
         with suppress(OSError):
@@ -153,8 +153,3 @@ def flush_names(folder: Path) -> None:
 
 def _unwritten(path: Path, error: OSError) -> OutputError:
     return OutputError(f"{path}: cannot be written: {error.strerror or error}")
-
-
-def _about(error: OSError, beside: Path, target: Path) -> bool:
-    """Return True if an error concerns the output file `target` or its temporary file `beside`."""
-    return error.filename is None or Path(os.fsdecode(error.filename)) in (beside, target)

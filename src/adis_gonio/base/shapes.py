@@ -144,13 +144,9 @@ def fields(
             shape = known.get(key, others)
             if shape is None:
                 raise ShapeError(f"  contains {shown(key)}, which is not known")
-            _inside(_way(key), shape, entry)
+            _inside(f".{key[:_SHOWN]}" if key.isprintable() else f"[{shown(key)}]", shape, entry)
 
     return check
-
-
-def _way(key: str) -> str:
-    return f".{key[:_SHOWN]}" if key.isprintable() else f"[{shown(key)}]"
 
 
 def _inside(way: str, shape: Shape, value: Any) -> None:

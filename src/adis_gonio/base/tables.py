@@ -55,9 +55,10 @@ def html_table(title: str, entries: Entries) -> str:
     rows = [{"parameter": name, **one} for name, one in entries]
     columns = list(dict.fromkeys(name for row in rows for name in row))
     head = "".join(f"<th>{html.escape(name)}</th>" for name in columns)
+    cells = [[row.get(name, "") for name in columns] for row in rows]
+    texts = [[f"{one:.6g}" if isinstance(one, float) else str(one) for one in row] for row in cells]
     body = "".join(
-        "<tr>" + "".join(f"<td>{html.escape(_cell(row.get(name)))}</td>" for name in columns) + "</tr>"
-        for row in rows
+        "<tr>" + "".join(f"<td>{html.escape(one)}</td>" for one in row) + "</tr>" for row in texts
     )
     return (
         f"<table><caption>{html.escape(title)}</caption>"
@@ -99,9 +100,3 @@ def frame(columns: Mapping[str, Any] | Sequence[Row]) -> pd.DataFrame:
     except ImportError:
         raise NotInstalledError(f"data frames need pandas: {install_extra('pandas')}") from None
     return pandas.DataFrame(columns)
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return ""
-    return f"{value:.6g}" if isinstance(value, float) else str(value)

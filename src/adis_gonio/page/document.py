@@ -72,7 +72,12 @@ def inline_svg(drawing: str, colours: Mapping[str, str], *, title: str, descript
             if child.tag.endswith(("metadata", "style")):
                 element.remove(child)
     for group in root.iter("g"):
-        _say_style_once(group)
+        # Move the style that all markers of a group share from the markers to the group.
+        markers = group.findall("use")
+        if len({marker.get("style") for marker in markers}) == 1:
+            group.set("style", markers[0].get("style", ""))
+            for marker in markers:
+                marker.attrib.pop("style", None)
     name = "f" + hashlib.sha256(ET.tostring(root) + f"{title}\0{description}".encode()).hexdigest()[:10]
     _rename(root, name)
     root.attrib = {
@@ -102,7 +107,10 @@ def _attributes(element: ET.Element, colours: Mapping[str, str]) -> None:
     if given.get("transform", "").startswith("rotate(-0 "):
         del given["transform"]
     for key in {"d", "x", "y", "transform"} & given.keys():
-        given[key] = re.sub(r"-?\d+\.\d+", _short, " ".join(given[key].split()))
+        text = " ".join(given[key].split())
+        given[key] = re.sub(
+            r"-?\d+\.\d+", lambda found: f"{float(found[0]) + 0.0:.1f}".removesuffix(".0"), text
+        )
     if "d" in given:
         letters_alone = re.sub(r" ?([A-Za-z]) ?", r"\1", given["d"])
         given["d"] = re.sub(r"M([^A-Z]+)L\1(?=M|$)", r"M\1h0", letters_alone)
@@ -112,19 +120,6 @@ def _attributes(element: ET.Element, colours: Mapping[str, str]) -> None:
             rules = {key: value for key, value in rules.items() if not key.startswith("font")}
         given["style"] = ";".join(f"{key}:{colours.get(value, value)}" for key, value in rules.items())
     element.attrib = given
-
-
-def _short(found: re.Match[str]) -> str:
-    return f"{float(found[0]) + 0.0:.1f}".removesuffix(".0")
-
-
-def _say_style_once(group: ET.Element) -> None:
-    """Move the style that all markers of a group share from the markers to the group."""
-    markers = group.findall("use")
-    if len({marker.get("style") for marker in markers}) == 1:
-        group.set("style", markers[0].get("style", ""))
-        for marker in markers:
-            marker.attrib.pop("style", None)
 
 
 def _rename(root: ET.Element, name: str) -> None:
@@ -525,7 +520,13 @@ def render(
         lstrip_blocks=True,
     )
     # Figures are drawings of this package with escaped texts.
-    environment.filters |= {"drawing": Markup, "number_kept": _number_kept, "unit_kept": _unit_kept}
+    environment.filters |= {"drawing": Markup}
+    # Numbers and units keep together; a line may break only before an uncertainty.
+    environment.filters["number_kept"] = lambda cell: cell.replace(" ", NO_BREAK).replace(
+        f"{NO_BREAK}±", " ±"
+    )
+    environment.filters["unit_kept"] = lambda head: head.replace(" / ", f" /{NO_BREAK}")
+    bare = {"title", "folded", "sheet"}
     page = environment.get_template("page.html").render(
         kind=kind,
         title=title,
@@ -533,21 +534,9 @@ def render(
         simulated=simulated,
         begun=begun,
         software=software,
-        sections=[section for section in sections if _filled(section)],
+        sections=[
+            one for one in sections if any(part for name, part in vars(one).items() if name not in bare)
+        ],
         closing=closing,
     )
     return _CONTROL.sub("?", page)
-
-
-def _filled(section: Section) -> bool:
-    return any(part for name, part in vars(section).items() if name not in ("title", "folded", "sheet"))
-
-
-def _number_kept(cell: str) -> str:
-    """Return a number's text with unbreakable spaces; a line may break only before its uncertainty."""
-    return cell.replace(" ", NO_BREAK).replace(f"{NO_BREAK}±", " ±")
-
-
-def _unit_kept(head: str) -> str:
-    """Return a column head's text with an unbreakable space between the slash and the unit."""
-    return head.replace(" / ", f" /{NO_BREAK}")

@@ -166,7 +166,12 @@ class SpiBus(Closing):
         BusError
             The batch failed; no reply is returned, the bus stays usable.
         """
-        return [int(reply) for reply in self.exchange_array(_as_words(frames))]
+        for k, frame in enumerate(frames):
+            if isinstance(frame, bool) or not isinstance(frame, int | np.integer):
+                raise UsageError(f"frame {k} is {frame!r}: frames are integers of 16 bits")
+            if not 0 <= frame <= 0xFFFF:
+                raise UsageError(f"frame {k} is {frame}: frames are integers from 0 to 65535")
+        return [int(reply) for reply in self.exchange_array(np.array(frames, dtype=np.uint16))]
 
     def exchange_array(self, frames: Words) -> Words:
         """Send a batch of frames and return the replies; faster than `exchange`.
@@ -332,12 +337,3 @@ class FrameStream(Closing):
 
     def __iter__(self) -> Iterator[FrameBlock]:
         return self
-
-
-def _as_words(frames: Sequence[int]) -> Words:
-    for k, frame in enumerate(frames):
-        if isinstance(frame, bool) or not isinstance(frame, int | np.integer):
-            raise UsageError(f"frame {k} is {frame!r}: frames are integers of 16 bits")
-        if not 0 <= frame <= 0xFFFF:
-            raise UsageError(f"frame {k} is {frame}: frames are integers from 0 to 65535")
-    return np.array(frames, dtype=np.uint16)

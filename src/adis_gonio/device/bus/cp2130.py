@@ -109,14 +109,6 @@ def clock_code(clock_hz: float) -> int | None:
     return next((code for code, clock in enumerate(CLOCKS_HZ) if clock <= clock_hz), None)
 
 
-def spi_word(code: int) -> int:
-    """Return the SPI configuration byte of a channel: mode 3, push-pull chip select, clock by its code.
-
-    `code` is an index of `CLOCKS_HZ`.
-    """
-    return 1 << CPHA_BIT | 1 << CPOL_BIT | 1 << PUSH_PULL_BIT | code
-
-
 def _sized(data: bytes, size: int, what: str) -> bytes:
     """Return a reply of `size` bytes; raise `ProtocolError`, which names `what`, if it has another size."""
     if len(data) != size:
@@ -139,11 +131,6 @@ def parse_selects(data: bytes) -> tuple[frozenset[int], frozenset[int]]:
         frozenset(channel for channel in range(CHANNELS) if channels >> channel & 1),
         frozenset(pin for pin, bit in enumerate(PIN_BITS) if pins >> bit & 1),
     )
-
-
-def frame_command(frame: int) -> bytes:
-    """Return the bulk command that sends a 16-bit frame and receives the reply at the same time."""
-    return _HEADER.pack(0, _WRITE_READ, 0, FRAME_BYTES) + frame.to_bytes(FRAME_BYTES, "big")
 
 
 def parse_frame(data: bytes) -> int:
@@ -231,11 +218,11 @@ class Cp2130Bus(host.UsbBus):
         return SpiTiming(CLOCKS_HZ[code], timing.stall_us, timing.period_us)
 
     def _set_up(self, code: int) -> None:
-        """Set the SPI channel to mode 3 without delays, and enable its chip select alone.
+        """Set the SPI channel to mode 3 without delays, and enable its push-pull chip select alone.
 
         `code` is the index of the SPI clock in `CLOCKS_HZ`.
         """
-        word, channel = spi_word(code), self._options.cs
+        word, channel = 1 << CPHA_BIT | 1 << CPOL_BIT | 1 << PUSH_PULL_BIT | code, self._options.cs
         self._out(ControlRequest.SET_SPI_WORD, bytes((channel, word)))
         # Without delays and "CS toggle" (per byte) CS stays low for a command: not confirmed by a document.
         # If a scope shows CS rising between the two bytes of a frame, change this mask.
@@ -253,7 +240,11 @@ class Cp2130Bus(host.UsbBus):
             )
 
     def _frame(self, frame: int) -> int:
-        self._bulk_out(frame_command(frame))
+        # This command sends a frame and receives the reply at the same time.
+        command = _HEADER.pack(0, _WRITE_READ, 0, FRAME_BYTES) + frame.to_bytes(FRAME_BYTES, "big")
+        sent = self._call("a frame", self._device.write, self._out_endpoint, command, self._ms)
+        if sent != len(command):
+            raise ProtocolError(f"{self.url}: only {sent} of {len(command)} bytes of a command were sent")
         return parse_frame(self._bulk_in(PACKET, self._options.timeout_s))
 
     # -- optional capabilities ---------------------------------------------------------------------------
@@ -288,11 +279,6 @@ class Cp2130Bus(host.UsbBus):
         return bytes(
             self._call(request.name, self._device.ctrl_transfer, TYPE_IN, request, 0, 0, size, self._ms)
         )
-
-    def _bulk_out(self, data: bytes) -> None:
-        sent = self._call("a frame", self._device.write, self._out_endpoint, data, self._ms)
-        if sent != len(data):
-            raise ProtocolError(f"{self.url}: only {sent} of {len(data)} bytes of a command were sent")
 
     def _bulk_in(self, size: int, timeout_s: float) -> bytes:
         ms = round(timeout_s * 1000)

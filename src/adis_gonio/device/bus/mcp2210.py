@@ -247,17 +247,6 @@ class SpiSettings(NamedTuple):
     mode: int
 
     @classmethod
-    def for_frames(cls, clock_hz: float, cs: int) -> SpiSettings:
-        """Make the settings for frames of two bytes in SPI mode 3 with chip select on pin `cs`.
-
-        The delays are zero, because the host times the frames. The chip divides 12 MHz; the rate is the
-        fastest possible one not above `clock_hz`.
-        """
-        rate = BASE_HZ // -int(-BASE_HZ // clock_hz)
-        idle = (1 << PINS) - 1
-        return cls(rate, idle, idle & ~(1 << cs), 0, 0, 0, FRAME_BYTES, 3)
-
-    @classmethod
     def parse(cls, answer: bytes) -> SpiSettings:
         """Create the settings from an answer to `GET_SPI`."""
         return cls._make(_SPI.unpack_from(data_of(answer, Command.GET_SPI)))
@@ -420,7 +409,10 @@ class Mcp2210Bus(host.UsbBus):
         if timing.clock_hz < SLOWEST_HZ:
             raise UsageError(f"{self.url}: the slowest clock is {SLOWEST_HZ} Hz, not {timing.clock_hz:g}")
         self._settle()
-        wanted = SpiSettings.for_frames(timing.clock_hz, self._options.cs)
+        # Frames of two bytes in SPI mode 3. The delays are zero, because the host times the frames. The
+        # chip divides 12 MHz; the rate is the fastest possible one not above the wanted clock.
+        rate, idle = BASE_HZ // -int(-BASE_HZ // timing.clock_hz), (1 << PINS) - 1
+        wanted = SpiSettings(rate, idle, idle & ~(1 << self._options.cs), 0, 0, 0, FRAME_BYTES, 3)
         self._ask_done(Command.SET_SPI, wanted.request())
         got = SpiSettings.parse(self._ask(Command.GET_SPI))
         if got[1:] != wanted[1:] or not 0 < got.bit_rate_hz <= timing.clock_hz:

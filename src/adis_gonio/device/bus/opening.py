@@ -131,7 +131,9 @@ def find_devices() -> list[Device]:
         except (errors.BusError, errors.NotInstalledError) as error:
             devices.append(Device(f"{point.name}:", f"not usable: {error}"))
         except Exception as error:  # another package may raise anything
-            devices.append(Device(f"{point.name}:", f"not usable: {_blamed(point, error)}"))
+            package = f" of package '{point.dist.name}'" if point.dist is not None else ""
+            what = ": ".join([type(error).__name__, *filter(None, [" ".join(str(error).split())])])
+            devices.append(Device(f"{point.name}:", f"not usable: {point.value}{package} failed: {what}"))
     return devices
 
 
@@ -142,13 +144,3 @@ def _found(point: EntryPoint) -> list[Device]:
         if not isinstance(device, Device):
             raise TypeError(f"it returned {device!r}, which is no adis_gonio.device.bus.Device")
     return devices
-
-
-def _blamed(point: EntryPoint, error: Exception) -> str:
-    """Return one line that names the failed finder function, its package and its error.
-
-    `point` is the entry point of the function.
-    """
-    package = f" of package '{point.dist.name}'" if point.dist is not None else ""
-    what = " ".join(str(error).split())
-    return f"{point.value}{package} failed: {type(error).__name__}{': ' if what else ''}{what}"

@@ -153,22 +153,6 @@ LINE_OUTPUT, LINE_OPEN_DRAIN = 1 << 3, 1 << 6
 ATTRIBUTE_VALUES = 2
 
 
-def open_drain_line(offset: int) -> LineRequest:
-    """Make the request to the kernel for one GPIO line as an open-drain output that is at first released.
-
-    `offset` is the number of the line on its GPIO chip.
-    """
-    request = LineRequest()
-    request.offsets[0] = offset
-    request.consumer = b"adis-gonio reset"
-    request.flags = LINE_OUTPUT | LINE_OPEN_DRAIN
-    request.num_attrs = 1
-    request.attrs[0].id = ATTRIBUTE_VALUES
-    request.attrs[0].value = request.attrs[0].mask = 1
-    request.num_lines = 1
-    return request
-
-
 class Kernel:
     """The system calls of Linux that this module uses; tests replace them.
 
@@ -482,7 +466,12 @@ def _open(system: Kernel, url: str, path: str, rule: str, folder: str) -> int:
 
 def _request_line(system: Kernel, url: str, path: str, offset: int, folder: str) -> int:
     chip = _open(system, url, path, "gpiochip", folder)
-    request = open_drain_line(offset)
+    # An open-drain output that is at first released.
+    request = LineRequest(consumer=b"adis-gonio reset", flags=LINE_OUTPUT | LINE_OPEN_DRAIN)
+    request.offsets[0] = offset
+    request.num_lines = request.num_attrs = 1
+    request.attrs[0].id = ATTRIBUTE_VALUES
+    request.attrs[0].value = request.attrs[0].mask = 1
     try:
         system.ioctl(chip, GET_LINE, request)
     except OSError as error:

@@ -181,7 +181,13 @@ class Adis16354(Closing):
         bus.sleep_s(START_UP_S)
         bus.configure(NORMAL)
         if check:
-            self._check_answers()
+            words = set(self.read_words(["SMPL_PRD", "SENS_AVG", "SUPPLY_OUT", "XTEMP_OUT"]))
+            for word, level in ((0x0000, "zeros"), (0xFFFF, "ones")):
+                if words == {word}:
+                    raise SilentChipError(
+                        f"{bus.url}: nothing answers, all replies are {level};"
+                        " check supply, chip select and the data line"
+                    )
         self._follow()
         if check:
             self._check_variant()
@@ -237,12 +243,19 @@ class Adis16354(Closing):
         if row.name == "SLP_CNT":
             raise UsageError("SLP_CNT puts the part to sleep: use sleep(seconds)")
         if row.name == "SENS_AVG":
-            self._check_sens_avg(number)
+            asked = Configuration.from_words(0, number, 0)
+            if asked.gyro_range_dps is None:
+                raise UsageError(f"SENS_AVG range code {row.field('range').of(number)} is none of 4, 2, 1")
+            sens_avg_word(asked.gyro_range_dps, asked.filter_m)
         if row.name == "SMPL_PRD":
             if number & 0xFF == 0:
                 raise UsageError("SMPL_PRD 0 is not allowed: 1 is the least (819.2 samples a second)")
             self.bus.configure(NORMAL)  # safe in both modes while the mode changes
-        self._write_verified(row, row.word(number))
+        word = row.word(number)
+        self.bus.exchange_array(write_frames(row, word))
+        back = self.read_words([row])[0]
+        if (back ^ word) & row.write_mask:
+            raise VerifyError(f"{row.name}: wrote 0x{word:04X}, read back 0x{back & row.data_mask:04X}")
         if row.name in ("SMPL_PRD", "SENS_AVG"):
             self._follow()
 
@@ -665,12 +678,6 @@ class Adis16354(Closing):
 
     # -- inside -----------------------------------------------------------------------------------
 
-    def _write_verified(self, row: Register, word: int) -> None:
-        self.bus.exchange_array(write_frames(row, word))
-        back = self.read_words([row])[0]
-        if (back ^ word) & row.write_mask:
-            raise VerifyError(f"{row.name}: wrote 0x{word:04X}, read back 0x{back & row.data_mask:04X}")
-
     def _command(self, field: str) -> None:
         row = BY_NAME["COMMAND"]
         self.bus.exchange_array(write_frames(row, row.field(field).mask, byte_mask=0x00FF))
@@ -696,23 +703,6 @@ class Adis16354(Closing):
     def _follow(self) -> None:
         """Read the configuration of the chip again, and adapt the SPI timing and the gyro scale to it."""
         self.bus.configure(timing_for(self.configuration().smpl_prd))
-
-    def _check_sens_avg(self, number: int) -> None:
-        row = BY_NAME["SENS_AVG"]
-        asked = Configuration.from_words(0, number, 0)
-        if asked.gyro_range_dps is None:
-            raise UsageError(f"SENS_AVG range code {row.field('range').of(number)} is none of 4, 2, 1")
-        sens_avg_word(asked.gyro_range_dps, asked.filter_m)
-
-    def _check_answers(self) -> None:
-        names = ["SMPL_PRD", "SENS_AVG", "SUPPLY_OUT", "XTEMP_OUT"]
-        words = set(self.read_words(names))
-        for word, level in ((0x0000, "zeros"), (0xFFFF, "ones")):
-            if words == {word}:
-                raise SilentChipError(
-                    f"{self.bus.url}: nothing answers, all replies are {level};"
-                    " check supply, chip select and the data line"
-                )
 
     def _check_variant(self) -> None:
         # Polled: a line that is wrong must not keep the sensor from being opened.

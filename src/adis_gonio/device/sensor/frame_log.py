@@ -135,7 +135,11 @@ class FrameLog:
         name = f"0x{frame >> 8 & 0x3F:02X}" if row is None else row.name + ("+1" if high else "")
         if frame & registers.WRITE:
             self._follow_write(row, high, frame & 0xFF, time_s)
-            value = f"0x{frame & 0xFF:02X}{_written_fields(row, high, frame)}"
+            # Names of the commands or fields that the byte sets.
+            fields = row.fields if row is not None and row.kind is registers.Kind.FIELDS else ()
+            shifted = (frame & 0xFF) << (8 if high else 0)
+            names = [field.name for field in fields if shifted & field.mask]
+            value = f"0x{frame & 0xFF:02X}" + (f" ({', '.join(names)})" if names else "")
         else:
             value = "" if word is None else self._decoded(row, word)
         return FrameRow(number, time_s, action, name, frame, word, value, problem)
@@ -204,19 +208,6 @@ def started_commands(byte: int) -> list[str]:
     Only commands after which the host must be silent for a time are returned.
     """
     return [name for name in BUSY_S if byte & registers.BY_NAME["COMMAND"].field(name).mask]
-
-
-def _written_fields(row: registers.Register | None, high: bool, frame: int) -> str:
-    """Return the names of the commands or fields that a written byte sets, in brackets.
-
-    The text is empty if the byte sets none. `row` is the register (None if unknown), `high` is True for its
-    high byte, `frame` the frame that writes it.
-    """
-    if row is None or row.kind is not registers.Kind.FIELDS:
-        return ""
-    shifted = (frame & 0xFF) << (8 if high else 0)
-    names = [field.name for field in row.fields if shifted & field.mask]
-    return f" ({', '.join(names)})" if names else ""
 
 
 def _failure(call: Call) -> str:

@@ -108,15 +108,6 @@ class RefusedError(Exception):
         self.once = once
 
 
-@dataclass
-class LinkCounts:
-    """Numbers of requests, of repeated requests and of late replies on a serial link."""
-
-    requests: int = 0
-    retries: int = 0
-    late: int = 0
-
-
 class SerialLink:
     """The host's side of the serial protocol: sends requests and sorts the packets that arrive.
 
@@ -140,13 +131,14 @@ class SerialLink:
     def __init__(self, port: Port, *, url: str, clock: Clock, dice: random.Random | None = None) -> None:
         self.port = port
         self.url = url
-        self.counts = LinkCounts()
+        self.retries = self.late = 0
+        """Numbers of repeated requests and of late replies."""
         self.receiver = Receiver()
         self.scans: deque[tuple[Packet, float]] = deque()
         self._clock = clock
         self._dice = dice or random.Random()
         # Ids continue over sessions on this port, so that a late packet of an old session has an old id.
-        self._id = self._dice.randrange(1 << 16)
+        self.last_id = self._dice.randrange(1 << 16)
         self._replies: deque[Packet] = deque()
 
     # -- requests ---------------------------------------------------------------------------------------
@@ -174,7 +166,11 @@ class SerialLink:
                 break
             if sent == EARLY_HELLOS:
                 self._listen(quiet_s - self._clock.now_s())
-            self._send_zeros(ZEROS_AGAIN_S if sent else ZEROS_FIRST_S)
+            zeros_end_s = self._clock.now_s() + (ZEROS_AGAIN_S if sent else ZEROS_FIRST_S)
+            while self._clock.now_s() < zeros_end_s:
+                self.port.send(ZEROS)
+                self._listen(ZEROS_EVERY_S)
+            self._listen(LEAVE_S)
             self.port.send(packet)
             answer = self._await(wire.HelloReply, HELLO_EVERY_S, nonce)
             if isinstance(answer, wire.Error):
@@ -185,7 +181,7 @@ class SerialLink:
                 if answer.protocol != wire.VERSION:
                     raise self._other_version(answer.protocol)
                 return answer
-            self.counts.retries += 1
+            self.retries += 1
         noise = ", only noise (another baud rate?)" if self.receiver.counts.bad > bad else ""
         raise BusTimeoutError(
             f"{self.url}: no adis-gonio firmware answers within {wait_s:g} s{noise}; is it flashed, and is"
@@ -212,7 +208,6 @@ class SerialLink:
             No answer to any try.
         """
         packet = self._packet(body)
-        self.counts.requests += 1
         for sent in range(1, TRIES + 1):
             self.port.send(packet)
             answer = self._await(reply, RETRY_S + 1.1 * runs_s)
@@ -220,15 +215,10 @@ class SerialLink:
                 raise RefusedError(type(body).__name__, answer, once=sent == 1)
             if answer is not None:
                 return answer
-            self.counts.retries += 1
+            self.retries += 1
         raise BusTimeoutError(
             f"{self.url}: no answer from the firmware to {TRIES} tries of {type(body).__name__}"
         )
-
-    @property
-    def last_id(self) -> int:
-        """Id of the request that was sent last."""
-        return self._id
 
     def pump(self, wait_s: float) -> bool:
         """Receive packets and sort them into scans and replies.
@@ -252,18 +242,11 @@ class SerialLink:
         while (left := end_s - self._clock.now_s()) > 0:
             self.pump(left)
 
-    def _send_zeros(self, length_s: float) -> None:
-        end_s = self._clock.now_s() + length_s
-        while self._clock.now_s() < end_s:
-            self.port.send(ZEROS)
-            self._listen(ZEROS_EVERY_S)
-        self._listen(LEAVE_S)
-
     # -- packets ----------------------------------------------------------------------------------------
 
     def _packet(self, body: Body) -> bytes:
-        self._id = (self._id + 1) & 0xFFFF
-        return encode(Packet.of(body, self._id))
+        self.last_id = (self.last_id + 1) & 0xFFFF
+        return encode(Packet.of(body, self.last_id))
 
     def _await(self, reply: type[B], wait_s: float, nonce: int | None = None) -> B | wire.Error | None:
         """Return the reply or the refusal of the last request; None if neither comes within `wait_s`.
@@ -279,7 +262,7 @@ class SerialLink:
                     answer = None
                 if answer is not None:
                     return answer
-                self.counts.late += 1
+                self.late += 1
             left = end_s - self._clock.now_s()
             if left <= 0:
                 return None
@@ -287,7 +270,7 @@ class SerialLink:
 
     def _judge(self, packet: Packet, reply: type[B]) -> B | wire.Error | None:
         """Decode a packet as the reply to the last request; None if it is invalid or not that reply."""
-        if packet.id != self._id:
+        if packet.id != self.last_id:
             return None
         try:
             if packet.type == reply.TYPE:
@@ -344,7 +327,9 @@ class ClockMap:
         arrival_s : float
             Time in s on the bus's clock at which the packet arrived.
         """
-        first_s = self._unwrap(first_us)
+        # The 32-bit clock wraps; a time differs by less than half its range from the time before.
+        self._s += ((first_us - self._us + _WRAP_US // 2) % _WRAP_US - _WRAP_US // 2) * 1e-6
+        self._us, first_s = first_us, self._s
         end_s = first_s + span_us * 1e-6
         self._learn(end_s, arrival_s)
         at_s, at_host_s = self._anchor
@@ -356,38 +341,21 @@ class ClockMap:
             self._anchor = (end_s, at_host_s + rate * (end_s - at_s))
         return at_host_s + rate * (np.linspace(first_s, end_s, count) - at_s)
 
-    def _unwrap(self, us: int) -> float:
-        """Convert the time `us` of the board's 32-bit clock in µs to seconds since the first reply.
-
-        The clock wraps every 2³² µs. The time must differ by less than half of this from the time of the
-        previous call.
-        """
-        step = (us - self._us + _WRAP_US // 2) % _WRAP_US - _WRAP_US // 2
-        self._us = us
-        self._s += step * 1e-6
-        return self._s
-
     def _learn(self, time_s: float, arrival_s: float) -> None:
+        """Add the smallest difference of both clocks in each period of `_WHILE_S`, at the board's time."""
         late_s = arrival_s - time_s
         points = self._points
         if points and time_s - points[-1][0] < _WHILE_S:
             points[-1] = (points[-1][0], min(points[-1][1], late_s))
         else:
             if len(points) >= _LEAST_POINTS:
-                self._fit()
+                # Fit a straight line to the clock difference against the board's time.
+                at, late = np.array(points).T
+                middle = float(at.mean())
+                slope = float((at - middle) @ late / ((at - middle) @ (at - middle)))
+                self._fitted = (middle, float(late.mean()), slope)
             points.append((time_s, late_s))
             del points[:-_POINTS]
-
-    def _fit(self) -> None:
-        """Fit a straight line to the clock difference in s against the board's time in s.
-
-        The clock difference is the arrival of a packet on the bus's clock minus its time on the board's
-        clock. Each period of `_WHILE_S` seconds gives one point, its smallest difference.
-        """
-        at, late = np.array(self._points).T
-        middle = float(at.mean())
-        slope = float((at - middle) @ late / ((at - middle) @ (at - middle)))
-        self._fitted = (middle, float(late.mean()), slope)
 
     def _line(self, time_s: float) -> float:
         if self._fitted is None:
@@ -601,18 +569,15 @@ class SerialBus(HostBus):
         self.byte_s = _USB_BYTE_S if native else 10 / baud
         self.unbroken_frames = max(1, self.firmware.max_frames)
         self._timing = self._configure(SAFE_TIMING)
-        self.capabilities = self._offered()
-        if Capability.EVENT_COUNTER in self.capabilities:
-            self._counted = self.count_edges()
-
-    def _offered(self) -> frozenset[Capability]:
         has, flag = self.firmware.capabilities, wire.FirmwareCapability
         needs = {
             Capability.EVENT_COUNTER: flag.DATA_READY,
             Capability.STREAM: flag.DATA_READY | flag.STREAM,
             Capability.HARD_RESET: flag.HARD_RESET,
         }
-        return frozenset(capability for capability, bits in needs.items() if has & bits == bits)
+        self.capabilities = frozenset(one for one, bits in needs.items() if has & bits == bits)
+        if Capability.EVENT_COUNTER in self.capabilities:
+            self._counted = self.count_edges()
 
     # -- frames -----------------------------------------------------------------------------------------
 
