@@ -216,11 +216,6 @@ class Answer:
             reference_temperature_c=self.reference_temperature_c,
         )
 
-    @property
-    def has_more(self) -> bool:
-        """True if the result has more parameters than the headline shows."""
-        return len(self.parameter_rows()) > len([name for name in self.values if name != "angle"])
-
     # -- tables and lines of text -----------------------------------------------------------------
 
     def parameter_rows(self) -> list[list[str]]:
@@ -346,18 +341,13 @@ def method_tables(results: Sequence[FitResult], most: int) -> Iterator[tuple[lis
     names = sorted(units, key=lambda name: name not in ("delta_k", "delta_phi"))
     for start in range(0, len(results), most):
         part = results[start : start + most]
-        rows = [
-            [NAMES.get(name, name), format_unit(units[name]), *(format_parameter(r, name) for r in part)]
-            for name in names
-        ]
+        rows = []
+        for name in names:
+            shown = (format_uncertain(r[name].value, r[name].U) if name in r else "" for r in part)
+            rows.append([NAMES.get(name, name), format_unit(units[name]), *shown])
         rows.append(["residual, rms", "mg", *(f"{r.residual_rms_mg:.3f}" if r.dof else DASH for r in part)])
         rows.append(["χ² / dof", "", *(f"{r.chi2:.1f} / {r.dof}" if r.dof else "none left" for r in part)])
         yield ["parameter", "unit", *(f"{result.method}, ± U" for result in part)], rows
-
-
-def format_parameter(result: FitResult, name: str) -> str:
-    """Format a parameter of a result as value ± U (95 %) without unit; empty if the result lacks it."""
-    return format_uncertain(result[name].value, result[name].U) if name in result else ""
 
 
 def format_share(fraction: float) -> str:

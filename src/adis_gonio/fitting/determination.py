@@ -143,11 +143,15 @@ def determine(data: Readings, held: Sequence[int] = ()) -> Determination:
         free[:] = True  # undetermined parameters of poses are found below and reported
         data = replace(data, fitted=np.ones(len(data.model.parameters), dtype=bool))
     free[list(held)] = False
-    may_hold = _may_hold(data)
+    kind = "bias" if data.planar else "skew"
+    may_hold = [k for k, name in enumerate(names_of(data.model)) if name.startswith(kind)]
+    if data.planar and not data.unit.known:
+        may_hold = []  # a zero in counts has no nominal value to hold it at
     out = list(held)
     while True:
         # A prior on the bias keeps this search from running along directions without information.
-        rough = _start(data)
+        term = _bias(data, _SPREAD * data.gravity_mg)
+        rough = Fit.begin(data).with_terms((term,), (np.zeros(data.axes),))
         rough = rough.refit(_ITERATIONS, 1e-6, _directions(rough, free, np.zeros((len(free), 0))))
         null = _null_space(rough, free)
         # Parameters that may be held and that take part in an undetermined direction.
@@ -161,21 +165,8 @@ def determine(data: Readings, held: Sequence[int] = ()) -> Determination:
     return Determination(fit, free, tuple(sorted(out)), null)
 
 
-def _may_hold(data: Readings) -> list[int]:
-    names = names_of(data.model)
-    if not data.planar:
-        return [k for k, name in enumerate(names) if name.startswith("skew")]
-    # A zero in counts has no nominal value to hold it at.
-    return [k for k, name in enumerate(names) if name.startswith("bias")] if data.unit.known else []
-
-
 def _bias(data: Readings, spread: float | None = None) -> NamedTerm:
     return NamedTerm.offset(AXES[: data.axes], spread)
-
-
-def _start(data: Readings) -> Fit:
-    term = _bias(data, _SPREAD * data.gravity_mg)
-    return Fit.begin(data).with_terms((term,), (np.zeros(data.axes),))
 
 
 def _directions(fit: Fit, free: NDArray[np.bool_], null: Floats) -> Floats:

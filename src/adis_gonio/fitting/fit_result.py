@@ -446,17 +446,6 @@ def estimates(outputs: Sequence[Output], sources: Sources | None) -> tuple[Estim
     return tuple(found)
 
 
-def angle_errors(fit: Fit) -> Floats | None:
-    """Return the angle by the calibrated goniometer minus the declared angle, (m,) in rad.
-
-    None in space or without declared angles.
-    """
-    declared = np.isfinite(fit.data.angle_rad)
-    if not isinstance(fit.data.model, PlanarTurn) or not declared.any():
-        return None
-    return differences_of_angle(fit, start_angle(fit))[declared]
-
-
 def start_angle(fit: Fit) -> float:
     """Return the start angle α in rad, from which a planar fit counts angles.
 
@@ -492,6 +481,7 @@ def result_of(
     found = estimates(made.outputs, sources)
     planar = fit.data.planar
     norm = np.linalg.norm(fit.gravity, axis=1)[:, None] - 1
+    declared = np.isfinite(fit.data.angle_rad) & isinstance(fit.data.model, PlanarTurn)
     return FitResult(
         method=method,
         parameters=found,
@@ -500,7 +490,7 @@ def result_of(
         dof=dof,
         residual_mg=fit.misfit if planar else norm * fit.data.gravity_mg,
         positions=tuple(fit.data.position.tolist()),
-        angle_error_rad=angle_errors(fit),
+        angle_error_rad=differences_of_angle(fit, start_angle(fit))[declared] if declared.any() else None,
         warnings=(*warnings, *stage_warnings(found, noise.sigma_rad)),
         undetermined=tuple(undetermined),
         extra_mg=noise.extra_mg,

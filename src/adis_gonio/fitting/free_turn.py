@@ -289,20 +289,16 @@ class LeastSquaresProblem:
         self.m, self.common = len(windows), len(NAMES)
         self.drift_rows = slice(self.common, self.common + 2 * self.drifts.shape[1])
         self.size = self.drift_rows.stop + self.gyro_prior.size + self.m
-        self.prior = self._prior()
-
-    def _prior(self) -> tuple[Floats, Floats]:
-        """Return the prior mean and variance of the common parameters and the drifts.
-
-        The common parameters come first; the variance is inf without a prior.
-        """
         g = math.radians(G_SENSITIVITY_DPS)
         sigma = [SENSOR_SPREAD, SENSOR_SPREAD, SENSOR_SPREAD, np.inf, np.inf, LEVER_MM, LEVER_MM,
                  GYRO_GAIN, np.inf, g, g, LATENCY_S]  # fmt: skip
-        mean = np.zeros(self.size - self.m)
-        mean[[0, 1, 7]] = 1.0
-        variance = np.concatenate([np.square(sigma), self.drift_prior, self.drift_prior, self.gyro_prior])
-        return mean, variance
+        expected = np.zeros(self.size - self.m)
+        expected[[0, 1, 7]] = 1.0
+        self.prior = (
+            expected,
+            np.concatenate([np.square(sigma), self.drift_prior, self.drift_prior, self.gyro_prior]),
+        )
+        """Prior mean and variance, inf without a prior: common parameters, then drifts."""
 
     def begin(self) -> Floats:
         """Return starting values of the fit: common parameters and drifts, then the angle of each window.
@@ -421,7 +417,16 @@ def solve(problem: LeastSquaresProblem) -> Solution:
     """
     values, variances, change = problem.begin(), _first(problem), math.inf
     for _ in range(_MOST_ROUNDS):
-        values, covariance, change = _step(problem, values, variances)
+        information, right, _ = _system(problem, values, variances)
+        covariance = _inverse(information)
+        step = covariance @ right
+        # Largest change of a common parameter, in its standard uncertainties.
+        change = float(
+            np.abs(step[: problem.common] / np.sqrt(np.diag(covariance)[: problem.common])).max()
+        )
+        # At most half a radian per step, so that no angle jumps to another turn.
+        largest = float(np.abs(step[-problem.m :]).max())
+        values = values + step * min(1.0, 0.5 / max(largest, 1e-12))
         renewed = _renewed(problem, values, covariance, variances)
         moved = max(
             abs(math.log(renewed.gyro / variances.gyro)),
@@ -485,23 +490,6 @@ def _inverse(information: Floats) -> Floats:
             "the recording does not determine the biases and the angle: turn the part once all around"
         ) from None
     return np.asarray(cho_solve(factor, np.eye(len(size))) * size[:, None] * size)
-
-
-def _step(
-    problem: LeastSquaresProblem, values: Floats, variances: Variances
-) -> tuple[Floats, Floats, float]:
-    """Return the values (p,) after one Gauss–Newton step, their covariance (p, p), and the largest change.
-
-    The change is the largest one of a common parameter, in its standard uncertainties, before the step is
-    shortened.
-    """
-    information, right, _ = _system(problem, values, variances)
-    covariance = _inverse(information)
-    step = covariance @ right
-    change = float(np.abs(step[: problem.common] / np.sqrt(np.diag(covariance)[: problem.common])).max())
-    # At most half a radian per step, so that no angle jumps to another turn.
-    largest = float(np.abs(step[-problem.m :]).max())
-    return values + step * min(1.0, 0.5 / max(largest, 1e-12)), covariance, change
 
 
 def _renewed(
@@ -913,9 +901,11 @@ def _outputs(solution: Solution, windows: Windows) -> list[Output]:
     value = dict(zip(NAMES, solution.values, strict=True))
     degrees = 180 / math.pi
     k_x, k_y = value["scale_x"], value["scale_y"]
-    start = _first_rest(solution.psi_rad, windows)
+    # The start angle is the mean over the windows at rest at the beginning, at least one.
+    rate = np.abs(np.diff(solution.psi_rad) / np.diff(windows.centre_s))
+    moving = np.flatnonzero(np.degrees(rate) > REST_DPS)
+    start = max(int(moving[0]), 1) if moving.size else 1
     alpha = np.zeros(size)
-    # The start angle is the mean over the windows at rest.
     alpha[len(NAMES) : len(NAMES) + start] = 1 / start
     at_start = float(np.degrees(solution.psi_rad[:start].mean()))
     gain = value["gyro_gain_z"]
@@ -936,13 +926,3 @@ def _outputs(solution: Solution, windows: Windows) -> list[Output]:
 _PLAIN = (("scale_x", "1"), ("scale_y", "1"), ("bias_x", "mg"), ("bias_y", "mg"), ("lever_x", "mm"),
           ("lever_y", "mm"), ("gyro_latency", "s"))  # fmt: skip
 _RATES = (("gyro_bias_z", "deg/s"), ("g_sensitivity_zx", "deg/s/g"), ("g_sensitivity_zy", "deg/s/g"))
-
-
-def _first_rest(psi_rad: Floats, windows: Windows) -> int:
-    """Return the number of windows at rest at the beginning of the recording, at least one.
-
-    `psi_rad` (m,) is the angle at each window.
-    """
-    rate = np.abs(np.diff(psi_rad) / np.diff(windows.centre_s))
-    moving = np.flatnonzero(np.degrees(rate) > REST_DPS)
-    return max(int(moving[0]), 1) if moving.size else 1

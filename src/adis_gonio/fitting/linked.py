@@ -203,7 +203,10 @@ def judge_links(readings: Readings, found: GyroLinks) -> tuple[Links | None, Lin
             report = LinkReport(len(links), chi2, dof, tuple(refused), gained=gained, ratio=ratio)
             return links, replace(report, missed_deg=found.missed_deg)
         if left_out >= allowed:
-            off = np.degrees(_misclosure(linked.fit))
+            rows = linked.fit.link_rows
+            assert rows is not None
+            # The misclosure is relative to the prior; its offset leads back to the linearisation's gyros.
+            off = np.degrees(rows.misclosure + (rows.turned @ rows.links.offset_rad[:, :, None])[:, :, 0])
             reason = (
                 f"they contradict gravity (χ² {chi2:.3g} at {counted(dof, 'degree')} of freedom):"
                 f" {np.sqrt((off**2).mean()):.2g}° rms, at most {np.abs(off).max():.2g}°"
@@ -256,16 +259,12 @@ def _settled(found: GyroLinks, links: Links, data: Readings) -> tuple[Links, det
         if float(np.max(np.abs(moved - values) / size)) < _SETTLED:
             break
         values = moved
-        links = _alike(found.at(values, data.position.tolist()), links)
+        moved_links = found.at(values, data.position.tolist())
+        wanted = set(zip(links.before.tolist(), links.after.tolist(), strict=True))
+        pairs = zip(moved_links.before.tolist(), moved_links.after.tolist(), strict=True)
+        links = moved_links.only(np.array([pair in wanted for pair in pairs]))
         linked = determination.determine(replace(data, links=links))
     return links, linked
-
-
-def _alike(found: Links, links: Links) -> Links:
-    """Select from `found` each link that connects the same two poses as a link in `links`."""
-    wanted = set(zip(links.before.tolist(), links.after.tolist(), strict=True))
-    pairs = zip(found.before.tolist(), found.after.tolist(), strict=True)
-    return found.only(np.array([pair in wanted for pair in pairs]))
 
 
 def probable_gyros(fit: Fit, prior: GyroPrior) -> Floats:
@@ -278,18 +277,6 @@ def probable_gyros(fit: Fit, prior: GyroPrior) -> Floats:
     # Posterior mean of the shared modes with unit prior; the gyros' modes are the last ones.
     found = np.linalg.solve(np.eye(rows.shape[1]) + rows.T @ rows, rows.T @ flat)
     return np.asarray(prior.values + prior.root @ found[-count:])
-
-
-def _misclosure(fit: Fit) -> Floats:
-    """Return the disagreement (m, 2) in rad of each link with gravity, along two directions across gravity.
-
-    It is the direction of gravity after the turn, minus the direction that follows from the direction
-    before it and the rotation by the fitted gyros.
-    """
-    rows = fit.link_rows
-    assert rows is not None
-    # The misclosure is relative to the prior; its offset leads back to the gyros of the linearisation.
-    return np.asarray(rows.misclosure + (rows.turned @ rows.links.offset_rad[:, :, None])[:, :, 0])
 
 
 def _worst(fit: Fit) -> int:

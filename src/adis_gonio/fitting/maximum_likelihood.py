@@ -20,8 +20,8 @@ from adis_gonio.fitting.determination import (
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.fit_result import FitResult, Origin, Output, outputs_of, result_of
-from adis_gonio.fitting.noise_estimation import Settled, settle
-from adis_gonio.fitting.uncertainty import Sources, by_rotation_of, response_of, sources_of
+from adis_gonio.fitting.noise_estimation import settle
+from adis_gonio.fitting.uncertainty import by_rotation_of, response_of, sources_of
 
 
 def fit_ml(readings: Readings) -> FitResult:
@@ -54,20 +54,16 @@ def fit_ml(readings: Readings) -> FitResult:
             f"contain no information on {directions}; {advice}"
         )
     warnings = [*readings.notes, *noise.notes, *_warnings(determination, held, lost, reported)]
-    made = Origin(readings, noise, fit, tuple(reported), _sources(readings, settled), determination)
+    sources = None
+    if noise.known:
+        inverse, natural = (
+            covariance(determination.fisher, determination.free, null),
+            natural_units(fit.data),
+        )
+        response, rotation = response_of(fit, inverse, natural), by_rotation_of(fit, inverse, natural)
+        sources = sources_of(readings, noise, fit, response, determination.held, rotation)
+    made = Origin(readings, noise, fit, tuple(reported), sources, determination)
     return result_of(made, "ml", settled.chi2, settled.dof, warnings, (*unseen, *held, *lost))
-
-
-def _sources(readings: Readings, settled: Settled) -> Sources | None:
-    """Return the sources of the uncertainty of the fit; None if the noise of a reading is unknown."""
-    if not settled.noise.known:
-        return None
-    found = settled.determination
-    inverse = covariance(found.fisher, found.free, found.null)
-    natural = natural_units(found.fit.data)
-    response = response_of(found.fit, inverse, natural)
-    rotation = by_rotation_of(found.fit, inverse, natural)
-    return sources_of(readings, settled.noise, found.fit, response, found.held, rotation)
 
 
 def _warnings(

@@ -323,22 +323,14 @@ def predicted(
                 continue
         else:
             model = fit
-        angle[left_out], residual[left_out] = errors_of(model, data.rows(left_out))
+        there = model.on(replace(data.rows(left_out), fitted=model.data.fitted))
+        if data.planar:
+            angle[left_out] = differences_of_angle(there, start_angle(model))
+            residual[left_out] = there.misfit
+        else:  # in space only the length of gravity is known for each dwell
+            norm = np.linalg.norm(there.gravity, axis=1, keepdims=True) - 1
+            residual[left_out] = norm * data.gravity_mg
     return DwellPrediction(angle, residual)
-
-
-def errors_of(model: Fit, rows: Readings) -> tuple[Floats, Floats]:
-    """Return the prediction errors of dwells (`rows`) that `model` was not fitted to.
-
-    They are errors of the angle (n,) in rad, NaN without a declared angle, and of the readings (n, r) in
-    mg.
-    """
-    there = model.on(replace(rows, fitted=model.data.fitted))
-    if not rows.planar:
-        # In space only the length of gravity is known for each dwell.
-        norm = np.linalg.norm(there.gravity, axis=1, keepdims=True) - 1
-        return np.full(len(rows), np.nan), norm * rows.gravity_mg
-    return differences_of_angle(there, start_angle(model)), there.misfit
 
 
 def held_out_groups(used: NDArray[np.bool_]) -> Iterator[NDArray[np.intp]]:

@@ -576,11 +576,23 @@ def fit_of(readings: Readings, method: str | None = None) -> FitResult:
 def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
     """Fit a method to readings of three axes in space, or of two axes in the plane.
 
-    Without `method`, use the default method of these readings.
+    Without `method`, use the default method of these readings, or `two-position` if that is singular.
     """
-    _refuse_one_position(readings)
+    n, spatial = len(readings), not readings.planar
+    declared = readings.angle_rad[np.isfinite(readings.angle_rad)]
+    alike = len(declared) == n and bool(np.abs(wrap_radians(declared - declared[0])).max() < 1e-3)
+    if n == 1 or (alike and not spatial):
+        needs = "six positions in space" if spatial else "two positions, 0° and 90°, better four"
+        raise FitError(
+            f"one position only (position {readings.position[0]}): a calibration needs at least {needs}"
+        )
     if method is None:
-        return _by_default(readings)
+        try:
+            return readings.once(fit_readings, default_method(readings))
+        except SingularError:
+            if not readings.planar or not has_positions(readings, _two(readings)):
+                raise
+            return readings.once(fit_readings, "two-position")
     if method != "ml" and not readings.planar:
         raise FitError(f"method {method} needs a plane of rotation; this session has none: use method ml")
     if method != "ml" and readings.free:
@@ -588,16 +600,6 @@ def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
             f"method {method} needs declared angles and here fixture_sigma_deg is free: use method ml"
         )
     return METHOD_TABLE[method].fit(readings)
-
-
-def _by_default(readings: Readings) -> FitResult:
-    """Fit by the default method, or by `two-position` if the default is singular."""
-    try:
-        return readings.once(fit_readings, default_method(readings))
-    except SingularError:
-        if not readings.planar or not has_positions(readings, _two(readings)):
-            raise
-        return readings.once(fit_readings, "two-position")
 
 
 def applicable_methods(session: Session) -> tuple[str, ...]:
@@ -643,24 +645,11 @@ def _two(readings: Readings) -> tuple[int, int]:
 
 def default_method(readings: Readings) -> str:
     """Return the default method: `ml`, or `two-position` if only two positions 90° apart are measured."""
-    return "two-position" if readings.planar and _only_two(readings) else "ml"
-
-
-def _only_two(readings: Readings) -> bool:
+    if not readings.planar or not readings.unit.known:
+        return "ml"
     two = _two(readings)
     used = sum(map(len, rows_at(readings, two)))
-    return readings.unit.known and used == len(readings) and has_positions(readings, two)
-
-
-def _refuse_one_position(readings: Readings) -> None:
-    n, spatial = len(readings), not readings.planar
-    declared = readings.angle_rad[np.isfinite(readings.angle_rad)]
-    alike = len(declared) == n and bool(np.abs(wrap_radians(declared - declared[0])).max() < 1e-3)
-    if n == 1 or (alike and not spatial):
-        needs = "six positions in space" if spatial else "two positions, 0° and 90°, better four"
-        raise FitError(
-            f"one position only (position {readings.position[0]}): a calibration needs at least {needs}"
-        )
+    return "two-position" if used == len(readings) and has_positions(readings, two) else "ml"
 
 
 @dataclass(frozen=True)

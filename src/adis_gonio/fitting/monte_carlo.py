@@ -19,11 +19,10 @@ from adis_gonio.base.errors import FitError
 from adis_gonio.base.jsonable import KEYED_BY_NAME, JsonRecord
 from adis_gonio.base.numbers import NAMES, count_decimals, format_fixed, format_unit
 from adis_gonio.base.uncertainty import COVERED
-from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.fit_result import Estimate, FitResult, Origin, outputs_of
 from adis_gonio.fitting.methods import METHOD_TABLE
-from adis_gonio.fitting.uncertainty import MODEL, TEMPERATURE, Source, repeatability_of
+from adis_gonio.fitting.uncertainty import MODEL, TEMPERATURE, repeatability_of
 
 WITHIN = 0.01
 """Relative difference between a Monte Carlo and a linear standard uncertainty below which they count as
@@ -135,26 +134,23 @@ def monte_carlo(result: FitResult, trials: int, rng: np.random.Generator) -> Mon
     made = result.origin
     if made is None or made.sources is None:
         raise FitError("the noise of a reading is unknown: there are no distributions to propagate")
-    names = [e.name for e in result.parameters]
     values, failed = [], 0
     draw, refit = _drawing(made, rng), METHOD_TABLE[result.method].refit
     for _ in range(trials):
         try:
-            values.append(_values(refit(made.noise.applied(draw()), made), names))
+            fit = refit(made.noise.applied(draw()), made)
         except FitError:
             failed += 1
+            continue
+        parameters = np.zeros(len(fit.values.base) + fit.data.axes)
+        parameters[: len(fit.values.parameters)] = fit.values.parameters
+        by_name = {output.name: output.value for output in outputs_of(fit.data, parameters)}
+        values.append([by_name[e.name] for e in result.parameters])
     if len(values) < 2:
         raise FitError("no trial of the Monte Carlo propagation gave a result")
     found = np.array(values)
     kept = [_propagated(made, e, found[:, k], k) for k, e in enumerate(result.parameters)]
     return MonteCarlo(result.method, len(values), failed, tuple(kept))
-
-
-def _values(fit: Fit, names: list[str]) -> list[float]:
-    parameters = np.zeros(len(fit.values.base) + fit.data.axes)
-    parameters[: len(fit.values.parameters)] = fit.values.parameters
-    by_name = {output.name: output.value for output in outputs_of(fit.data, parameters)}
-    return [by_name[name] for name in names]
 
 
 def _drawing(made: Origin, rng: np.random.Generator) -> Callable[[], Readings]:
@@ -166,13 +162,16 @@ def _drawing(made: Origin, rng: np.random.Generator) -> Callable[[], Readings]:
     n, axes = data.mean.shape
     roots, dof, estimate = repeatability_of(data, noise)
     sigma = np.where(np.isfinite(fit.data.fixture), fit.data.fixture, 0.0)
-    by_name = {} if made.sources is None else {source.name: source for source in made.sources.each}
+    # Changes of the readings by errors that act on all dwells.
+    sources = () if made.sources is None else made.sources.each
+    shared = [
+        one.acts_mg for one in sources if one.name in (TEMPERATURE, MODEL) and one.acts_mg is not None
+    ]
     # Half width of a rectangle with the variance of quantization.
     rounding = np.zeros((n, axes)) if data.quantization is None else np.sqrt(3 * data.quantization)
     flicker = np.zeros((n, axes)) if data.flicker is None else np.sqrt(data.flicker)
     attitude, turn, model = fit.values.attitude, fit.turn_rad, data.model
     exact = model.ideal(fit.values.base, attitude, turn)
-    shared = _shared_inputs(data, by_name)
 
     def draw() -> Readings:
         factor = _students(rng, dof, estimate)
@@ -192,15 +191,6 @@ def _drawing(made: Origin, rng: np.random.Generator) -> Callable[[], Readings]:
         return replace(data, mean=data.mean + moved, links=links)
 
     return draw
-
-
-def _shared_inputs(data: Readings, by_name: dict[str, Source]) -> list[Floats]:
-    """Return changes (n, axes, k) of the readings by k errors that act on all dwells, such as temperature.
-
-    `by_name` are the sources of the uncertainty; the list is empty if none of them acts on all dwells.
-    """
-    found = [by_name[name].acts_mg for name in (TEMPERATURE, MODEL) if name in by_name]
-    return [columns for columns in found if columns is not None]
 
 
 def _student(rng: np.random.Generator, dof: float) -> float:

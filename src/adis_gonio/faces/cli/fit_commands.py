@@ -162,8 +162,9 @@ def print_answer(
     for k, line in enumerate(answer.headline(screen.width)):
         screen.print(line, style=None if k else "bold")
     screen.print()
-    if truth is not None or answer.has_more:
-        _print_parameters(screen, answer.parameter_rows(), answer.parameters, truth)
+    rows = answer.parameter_rows()
+    if truth is not None or len(rows) > len([name for name in answer.values if name != "angle"]):
+        _print_parameters(screen, rows, answer.parameters, truth)
     for line in answer.facts():
         screen.print(f"  {line}")
     names, rows = answer.budget_rows()

@@ -161,7 +161,8 @@ class LinkRows:
         # Attitude after the turn, carried from before by the gyros.
         came = (links.rotation @ attitude[before][:, :, None])[:, :, 0]
         carried = there @ links.rotation @ directions[before]
-        turned = -there @ _crossing(came)
+        # Matrices of the cross product x ↦ came × x.
+        turned = -there @ np.cross(np.eye(3), came[:, None, :])
         misclosure = (there @ (attitude[after] - came)[:, :, None])[:, :, 0]
         # Subtract the expected error of the rotation.
         misclosure = misclosure - (turned @ links.offset_rad[:, :, None])[:, :, 0]
@@ -235,10 +236,3 @@ def _block_tridiagonal(own: Floats, shared: Floats) -> Floats:
     whole[k[:-1], :, k[1:]] = shared
     whole[k[1:], :, k[:-1]] = shared.transpose(0, 2, 1)
     return whole.reshape(m * d, m * d)
-
-
-def _crossing(vectors: Floats) -> Floats:
-    """Return matrices (n, 3, 3) of the cross product by each vector: x ↦ vector × x."""
-    x, y, z = vectors.T
-    zero = np.zeros(len(vectors))
-    return np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)

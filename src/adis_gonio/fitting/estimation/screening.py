@@ -234,14 +234,10 @@ class Converter:
 
 def converter_of(dwells: Sequence[Dwell]) -> Converter:
     """Return the converter's steps and limits of the range on each axis, from the samples of dwells."""
-    steps = steps_of([dwell.accel for dwell in dwells])
-    return Converter(steps, _limits(dwells, steps))
-
-
-def _limits(dwells: Sequence[Dwell], steps: Floats) -> tuple[Limit, ...]:
     samples = [dwell.accel for dwell in dwells]
+    steps = steps_of(samples)
     found = piles(samples, is_lively(samples, steps))
-    return tuple(_limit(dwells, axis, value, inside) for axis, value, inside in found)
+    return Converter(steps, tuple(_limit(dwells, axis, value, inside) for axis, value, inside in found))
 
 
 def is_lively(dwells: Sequence[Floats], steps: Floats) -> NDArray[np.bool_]:
@@ -263,7 +259,8 @@ def piles(samples: Sequence[Floats], lively: NDArray[np.bool_]) -> Iterator[tupl
         columns = [rows[:, axis] for rows in samples]
         for sign in (1.0, -1.0):
             value, count, inside = _pile(columns, sign)
-            if count >= max(_PILE, _STEEP * inside) and _many_values(columns):
+            piled = count >= max(_PILE, _STEEP * inside)
+            if piled and len(np.unique(np.concatenate(columns))) > _LEAST_VALUES:
                 yield axis, value, inside
 
 
@@ -282,16 +279,6 @@ def _pile(columns: Sequence[Floats], sign: float) -> tuple[float, int, int]:
     if not inner:
         return extreme, count, 0
     return extreme, count, sum(int((column == most(inner)).sum()) for column in rest)
-
-
-def _many_values(columns: Sequence[Floats]) -> bool:
-    """Return True if an axis has enough different values for a test for a limit of the range."""
-    seen: Floats = np.empty(0)
-    for column in columns:
-        seen = np.union1d(seen, column)
-        if len(seen) > _LEAST_VALUES:
-            return True
-    return False
 
 
 def _limit(dwells: Sequence[Dwell], axis: int, value: float, inside: int) -> Limit:

@@ -725,9 +725,13 @@ def _warnings(data: Readings, model: _Model, inflation: dict[str, tuple[float, f
     warnings = []
     lost = [name for name in CALIBRATED if _lacks(data, name)] + _kinds(model.lost)
     if lost:
-        warnings.append(
-            f"not determined, fixed at perfect gyros: {'; '.join(lost)}; {_remedy(data, model)}"
-        )
+        steps = []
+        if any(name.startswith("g_") for name in model.lost) or _lacks(data, "g_sensitivity"):
+            steps.append("measure poses with each axis up and down")
+        if _lacks(data, "gyro_scale") or any("scale" in name or "mis" in name for name in model.lost):
+            steps.append("turn the part by whole turns about each axis (plan gyro-turns)")
+        text = "; ".join([*lost, *steps])
+        warnings.append(f"not determined, fixed at perfect gyros: {text}")
     large = [f"{axis} {math.sqrt(own):.2g}" for axis, (own, _) in inflation.items() if own > 1]
     if large:
         warnings.append(
@@ -744,16 +748,6 @@ def _kinds(names: Sequence[str]) -> list[str]:
         stem, axes = name.rsplit("_", 1)
         groups.setdefault(stem, []).append(axes)
     return [f"{stem}_{', '.join(axes)}" for stem, axes in groups.items()]
-
-
-def _remedy(data: Readings, model: _Model) -> str:
-    """Return advice: the measurements that would determine the undetermined parameters."""
-    steps = []
-    if any(name.startswith("g_") for name in model.lost) or _lacks(data, "g_sensitivity"):
-        steps.append("measure poses with each axis up and down")
-    if _lacks(data, "gyro_scale") or any("scale" in name or "mis" in name for name in model.lost):
-        steps.append("turn the part by whole turns about each axis (plan gyro-turns)")
-    return "; ".join(steps)
 
 
 def _drifting(
