@@ -198,11 +198,6 @@ class Sensing:
         """Variance in mg² that white noise gives the mean acceleration of a time step."""
         return self.noise_mg**2 / self.step_samples
 
-    @property
-    def angle_walk_deg2_per_s(self) -> float:
-        """Variance that the gyro's white noise adds to the angle, in degrees² per second."""
-        return self.gyro_noise_dps**2 * self.period_s
-
 
 @dataclass(frozen=True)
 class Increment:
@@ -278,12 +273,21 @@ class Stepper:
         before = self._middle or (middle_s, mean_turn)
         self._middle = (middle_s, mean_turn)
         length_s = middle_s - before[0]
-        saturated = self._saturation(rates[:, 2], length_s)
+        limit = self._sensing.gyro_range_dps
+        saturated = limit is not None and bool(np.abs(rates[:, 2]).max() >= OVER_RANGE * limit)
+        self._stuck = self._stuck + 1 if saturated else 0
+        if saturated:
+            # Missed turns have one sign: variances of k steps add up to (k SATURATED_DPS length)².
+            self._unseen += (SATURATED_DPS * length_s) ** 2 * (2 * self._stuck - 1)
         # Turn each reading back to the middle of the step, then average.
         back = np.exp(-1j * np.radians(turn[:, 2] - mean_turn[2]))
         level = complex(((accel[:, 0] - 1j * accel[:, 1]) * back).mean())
         rate = rates.mean(axis=0)
-        self._follow(float(rate[2]), length_s)
+        if self._rate_before is not None and length_s > 0:
+            # Exponential mean over one second of squared changes of the rate.
+            seen = (float(rate[2]) - self._rate_before) ** 2 / length_s
+            self._walk += min(1.0, length_s) * (seen - self._walk)
+        self._rate_before = float(rate[2])
         known = not math.isnan(rows[-1, 7])
         step = Increment(
             middle_s,
@@ -311,43 +315,14 @@ class Stepper:
         # Cumulative trapezoidal rule, continued from the sample before.
         pieces = 0.5 * (all_rates[1:] + all_rates[:-1]) * lengths[:, None]
         turn = np.asarray(self._last[1:4] + np.cumsum(pieces, axis=0))
-        self._miss(lengths)
+        # Between two samples the rate is a random walk with known ends (a Brownian bridge), whose variance
+        # grows by q per s. Its integral, the turn, then has the variance q L³/12.
+        hand = np.where(lengths > BEGIN_S, max(self._walk, HAND_DPS_PER_RT_S**2), self._walk)
+        self._unseen += float((hand * lengths**3).sum()) / 12
+        gaps = lengths[lengths > GAP_PERIODS * self._sensing.period_s]
+        self._gap = max(self._gap, float(gaps.max(initial=0.0)))
         self._last = np.concatenate([time_s[-1:], turn[-1], rates[-1]])
         return turn
-
-    def _miss(self, lengths_s: Floats) -> None:
-        """Add the variance of turns that the samples miss between them, and record the longest gap.
-
-        `lengths_s` are the intervals L between samples, in s.
-
-        Between two samples the rate is a random walk with known ends (a Brownian bridge), whose variance
-        grows by q per s. Its integral, the turn, then has the variance q L³/12.
-        """
-        hand = np.where(lengths_s > BEGIN_S, max(self._walk, HAND_DPS_PER_RT_S**2), self._walk)
-        self._unseen += float((hand * lengths_s**3).sum()) / 12
-        gaps = lengths_s[lengths_s > GAP_PERIODS * self._sensing.period_s]
-        self._gap = max(self._gap, float(gaps.max(initial=0.0)))
-
-    def _saturation(self, rate_dps: Floats, length_s: float) -> bool:
-        limit = self._sensing.gyro_range_dps
-        saturated = limit is not None and bool(np.abs(rate_dps).max() >= OVER_RANGE * limit)
-        self._stuck = self._stuck + 1 if saturated else 0
-        if saturated:
-            # Missed turns have one sign: variances of k steps add up to (k SATURATED_DPS length)².
-            self._unseen += (SATURATED_DPS * length_s) ** 2 * (2 * self._stuck - 1)
-        return saturated
-
-    def _follow(self, rate_dps: float, length_s: float) -> None:
-        """Update the estimate of how fast the rate varies (as a random walk) over the last second.
-
-        `rate_dps` is the mean rate of a time step, `length_s` the time since the step before.
-        """
-        if self._rate_before is not None and length_s > 0:
-            share = min(1.0, length_s)
-            # Exponential mean of squared changes over one second.
-            seen = (rate_dps - self._rate_before) ** 2 / length_s
-            self._walk += share * (seen - self._walk)
-        self._rate_before = rate_dps
 
 
 BACK_S, AHEAD_S = 1.0, 0.5
@@ -704,7 +679,7 @@ class MotionModel:
         shift[ANGLE] = turned.turn_deg
         process = np.zeros((SIZE, SIZE))
         process[ANGLE, ANGLE] = (
-            self._sensing.angle_walk_deg2_per_s * length_s
+            self._sensing.gyro_noise_dps**2 * self._sensing.period_s * length_s
             + turned.increment.unseen_deg2
             + turned.across_dps**2 * length_s * ACROSS_S
         )
@@ -952,16 +927,12 @@ class AngleSmoother:
         notes = tuple(name for name, holds in events.items() if holds)
         self._seen.append(_Seen(turned, self._level(turned), self._segment, notes))
         while len(self._seen) - self._done > self._lag:
-            self._pass(self._state)
+            passed = advance(self._state, self._step_of(self._done, self._state))
+            self._state = self._doubt_calibration(passed.filtered)
+            self._done += 1
         while self._done > self._back + 1:
             self._seen.popleft()
             self._done -= 1
-
-    def _pass(self, state: StateEstimate) -> None:
-        """Advance the Kalman filter from `state` by the oldest time step that it has not passed."""
-        passed = advance(state, self._step_of(self._done, state))
-        self._state = self._doubt_calibration(passed.filtered)
-        self._done += 1
 
     def _doubt_calibration(self, state: StateEstimate) -> StateEstimate:
         """Return the state, with larger uncertainties if its zero rate contradicts the gyros' calibration.
@@ -1057,10 +1028,12 @@ class AngleSmoother:
         mean, u = state.mean, np.sqrt(np.maximum(np.diag(state.covariance), 0.0))
         notes = tuple(name for name in _NOTES if any(name in one.notes for one in self._seen))
         drift_dps = mean[ZERO] + at.force_g @ mean[[G_X, G_Y]]
+        # Standard deviation of the angle by the 1/f noise outside the state.
+        slow_deg = math.degrees(slow_drift_mg(self._sensing.drift_mg) / max(abs(at.gravity), 1.0))
         return SmoothedAngle(
-            self._time_s(at),
+            at.increment.time_s - self._sensing.delay_s,
             wrap_degrees(float(mean[ANGLE])),
-            math.hypot(float(u[ANGLE]), self._drift_deg(at)),
+            math.hypot(float(u[ANGLE]), slow_deg),
             at.rate_dps * (1 - float(mean[SCALE])) - float(drift_dps),
             float(mean[ZERO]),
             float(u[ZERO]),
@@ -1068,10 +1041,3 @@ class AngleSmoother:
             at.increment.temperature_c,
             (*notes, "gyro_calibration") if self._doubted else notes,
         )
-
-    def _time_s(self, at: Turned) -> float:
-        return at.increment.time_s - self._sensing.delay_s
-
-    def _drift_deg(self, at: Turned) -> float:
-        """Return the standard deviation in degrees of the angle by the 1/f noise outside the state."""
-        return math.degrees(slow_drift_mg(self._sensing.drift_mg) / max(abs(at.gravity), 1.0))
