@@ -252,7 +252,16 @@ def _average(selection: Selection, candidates: Sequence[Process] | None) -> Aver
     if weights[-1] > 0.5 and not pool[-1][1]:
         return None
     solutions = fit_members(selection, fixed, target, pool, weights)
-    averaged = _averaged_terms(_members(solutions, fixed.shape[1]))
+    # Each unnamed term with the weight of its member; the base and named parameters come first.
+    averaged = _averaged_terms(
+        [
+            (weight, term, amplitudes)
+            for weight, one in solutions
+            for term, amplitudes in zip(
+                one.terms, np.split(one.values[fixed.shape[1] :], np.cumsum(one.widths)), strict=False
+            )
+        ]
+    )
     fit = fit.with_terms(
         [*(fit.terms[index] for index in own), *averaged],
         [*(fit.values.terms[index] for index in own), *(np.zeros(0) for _ in averaged)],
@@ -342,19 +351,6 @@ def mixed_covariance(
         half, away = one.half[:width], one.values[:width] - mean
         covariance += weight * (half @ half.T + np.outer(away, away) / inflation)
     return covariance
-
-
-def _members(solutions: Sequence[tuple[float, RidgeSolution]], width: int) -> list[Member]:
-    """Return each unnamed term of the fitted members, with the weight of its member and its amplitudes.
-
-    `width` is the number of base and named parameters, which come first in the values of a member. Each
-    entry of `solutions` is the weight of a member and its fit.
-    """
-    return [
-        (weight, term, own)
-        for weight, one in solutions
-        for term, own in zip(one.terms, np.split(one.values[width:], np.cumsum(one.widths)), strict=False)
-    ]
 
 
 def middle_s(fit: Fit) -> float:

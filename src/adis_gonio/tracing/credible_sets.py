@@ -248,7 +248,13 @@ def votes(
     total = sum(weight.values())
     if not total > 0:
         return {cause: 1.0}, 0.0
-    if averaged is not None and _may_be_piece(selection, cause, averaged):
+    own = [term for k in selection.verdict.best if (term := selection.problem.terms[k]).name == cause]
+    # A named cause may be a part of the process that describes an unnamed function of related covariates.
+    if averaged is not None and any(
+        unknown is averaged.smooth and related(term, unknown)
+        for unknown in unknown_of(selection, averaged)
+        for term in own
+    ):
         piece = weight[cause] * averaged.weight
         weight[cause] -= piece
         weight[cause_name(averaged.smooth)] += piece
@@ -361,22 +367,6 @@ class _Place:
         """
         outside = self.problem.off([*fresh, *kept], self.added)
         return float((self.added**2).sum() - (outside**2).sum())
-
-
-def _may_be_piece(selection: Selection, cause: str, averaged: Averaged) -> bool:
-    """Return True if a named cause of the best model may be part of an unnamed smooth function.
-
-    This is so if the chosen model has no unnamed term, so that the unnamed function is the Gaussian process
-    of `averaged`, and if the cause and the process have covariates of one kind (slow, or dependent on the
-    position).
-    """
-    terms = [selection.problem.terms[k] for k in selection.verdict.best]
-    return any(
-        unknown is averaged.smooth and related(term, unknown)
-        for unknown in unknown_of(selection, averaged)
-        for term in terms
-        if term.name == cause
-    )
 
 
 def cause_name(term: Term) -> str:

@@ -602,13 +602,16 @@ def detectable(
         if isinstance(term.effect, SplitEffect):  # the amplitude that all sessions would show
             continue
         name = term.effect.name
-        lengths = _lengths(problem, k, basis_without(name if name in inside else None))
+        # Change of the whitened readings by one unit of each amplitude, projected off base and model.
+        back, basis = problem.back_of(k), basis_without(name if name in inside else None)
+        columns = problem.block(k) @ (1 / back if back.size == 1 else np.linalg.pinv(back))
+        lengths = np.linalg.norm(columns - basis @ (basis.T @ columns), axis=0)
         # Threshold of the score, plus the quantile for 90 % power.
         reach = (np.sqrt(2 * max(float(found.prices[k]), 0.5)) + _POWER_90) * np.sqrt(found.inflation)
         for index, length in zip(term.amplitudes, lengths, strict=True):
             parameter = term.effect.parameters[index]
             figures[name, parameter.name, parameter.unit].append(
-                float(reach / length) if length > 0 else np.inf
+                float(reach / length) if length > 1e-9 else np.inf
             )
     medians = {key: float(np.median(values)) for key, values in figures.items()}
     out = {name: Detectable(None, "", "", reason) for name, reason in missing.items()}
@@ -622,16 +625,3 @@ def detectable(
             name, Detectable(None, "", "", "lies in the base model: this session cannot show it")
         )
     return out
-
-
-def _lengths(problem: LinearProblem, term: int, basis: np.ndarray) -> list[float]:
-    """Return the length of the part of each column of a term that the model cannot reproduce.
-
-    A column is the change of the whitened readings by one unit of an amplitude. It is projected off the
-    base model and off `basis`, orthonormal columns of the model. `term` is the number of the term.
-    """
-    # Columns by amplitude = block · back⁺; `back` maps block coefficients to amplitudes.
-    back = problem.back_of(term)
-    columns = problem.block(term) @ (1 / back if back.size == 1 else np.linalg.pinv(back))
-    columns = columns - basis @ (basis.T @ columns)
-    return [float(x) if x > 1e-9 else 0.0 for x in np.linalg.norm(columns, axis=0)]

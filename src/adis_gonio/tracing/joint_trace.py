@@ -12,7 +12,7 @@ The field `serial` of a session identifies its part, the field `stage` its stage
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 from pathlib import PurePath
@@ -141,8 +141,14 @@ def trace_sessions(
         first[digest] = one.source
     if len(sessions) < 2:
         raise UsageError("a joint trace needs two sessions or more; use `trace` for one session")
+    # A name that occurs twice gets the number of the session.
+    names = [PurePath(one.source).name.split(".")[0] or one.title or "session" for one in sessions]
+    origins = [
+        SessionOrigin(name if names.count(name) == 1 else f"{name}-{k}", one.serial, one.stage)
+        for k, (name, one) in enumerate(zip(names, sessions, strict=True), 1)
+    ]
     with limited_to(time_limit):
-        return trace_stacked([reduced(one) for one in sessions], origins_of(sessions), max_effects)
+        return trace_stacked([reduced(one) for one in sessions], origins, max_effects)
 
 
 def reduced(session: Session) -> Readings:
@@ -157,16 +163,6 @@ def reduced(session: Session) -> Readings:
     samples = samples_of(session, data)
     line_hz = None if samples is None else strongest_frequency(samples, data.position)
     return replace(data, conditions=replace(data.conditions, line_hz=line_hz))
-
-
-def origins_of(sessions: Sequence[Session]) -> list[SessionOrigin]:
-    """Return part and stage of each session, with a unique name of the session."""
-    names = [PurePath(one.source).name.split(".")[0] or one.title or "session" for one in sessions]
-    many = Counter(names)
-    return [
-        SessionOrigin(name if many[name] == 1 else f"{name}-{k}", one.serial, one.stage)
-        for k, (name, one) in enumerate(zip(names, sessions, strict=True), 1)
-    ]
 
 
 def trace_stacked(
@@ -202,14 +198,20 @@ class JointRun(TraceRun):
     def finished(self) -> TraceResult:
         """Return the result of a completed trace, with the sessions' shares and the causes' owners."""
         result = super().finished()
-        several = len({origin.part for origin in self.data.model.origins}) > 1
-        causes = [one.cause for one in self.sets]
+        origins = self.data.model.origins
+        parts, stages = ({getattr(one, name) for one in origins} for name in ("part", "stage"))
+        several = len(parts) > 1
+        unstated = " (sessions that do not state one share it)" if "" in parts | stages else ""
+        note = (
+            f"{counted(len(origins), 'session')} of {counted(len(parts), 'part')} on"
+            f" {counted(len(stages), 'stage')}, by `serial` and `stage` of the files{unstated}"
+        )
         return JointResult(
-            **vars(replace(result, notes=(*result.notes, _sharing_note(self.data.model.origins)))),
+            **vars(replace(result, notes=(*result.notes, note))),
             sessions=self._shares(),
             owners={
-                cause: owners_of(self.selection, cause, lambda term: owner_of(term, several=several))
-                for cause in causes
+                one.cause: owners_of(self.selection, one.cause, lambda t: owner_of(t, several=several))
+                for one in self.sets
             },
         )
 
@@ -270,16 +272,6 @@ class JointRun(TraceRun):
 def _session(data: Readings) -> NDArray[np.intp]:
     session = data.conditions.session
     return np.zeros(len(data), dtype=np.intp) if session is None else session.astype(np.intp)
-
-
-def _sharing_note(origins: Sequence[SessionOrigin]) -> str:
-    """Return a sentence on the numbers of sessions, parts and stages, and on how these are identified."""
-    parts, stages = ({getattr(one, name) for one in origins} for name in ("part", "stage"))
-    unstated = " (sessions that do not state one share it)" if "" in parts | stages else ""
-    return (
-        f"{counted(len(origins), 'session')} of {counted(len(parts), 'part')} on"
-        f" {counted(len(stages), 'stage')}, by `serial` and `stage` of the files{unstated}"
-    )
 
 
 def owner_of(term: Term, *, several: bool) -> str:
@@ -352,13 +344,10 @@ def left_out_sessions(fit: Fit) -> Floats:
         trained = fit.again(data.rows(~inside))
         unseen = np.asarray(~np.abs(trained.jacobian).any(axis=0))
         for near, far in ((inside & halves, inside & ~halves), (inside & ~halves, inside & halves)):
-            out[far] = _with_own(trained, data.rows(near), unseen).on(data.rows(far)).misfit
+            # Fit the unseen parameters to the near half; the remaining parameters stay fixed.
+            begun = Fit.begin(data.rows(near))
+            base = np.where(unseen[: len(begun.values.base)], begun.values.base, trained.values.base)
+            own = replace(trained, values=replace(trained.values, base=base)).on(begun.data)
+            own = own.refit(within=np.eye(len(unseen))[:, unseen]) if unseen.any() else own
+            out[far] = own.on(data.rows(far)).misfit
     return out
-
-
-def _with_own(trained: Fit, own: Readings, unseen: NDArray[np.bool_]) -> Fit:
-    """Fit the parameters `unseen` (p,) of a fit to other dwells; the remaining parameters stay fixed."""
-    begun = Fit.begin(own)
-    base = np.where(unseen[: len(begun.values.base)], begun.values.base, trained.values.base)
-    placed = replace(trained, values=replace(trained.values, base=base)).on(own)
-    return placed.refit(within=np.eye(len(unseen))[:, unseen]) if unseen.any() else placed

@@ -110,7 +110,13 @@ class SessionBlocks:
         prior: list[Floats] = []
         for _, places, size in runs(width):
             stack = _by_term(columns[..., places], size)
-            half = orthonormalising(stack.swapaxes(-1, -2) @ stack)
+            # Make the columns of each term orthonormal, by a triangular matrix if they are independent.
+            gram = stack.swapaxes(-1, -2) @ stack
+            root = np.linalg.cholesky(gram + 1e-10 * np.eye(size))
+            whole = np.all(np.diagonal(root, axis1=-2, axis2=-1) ** 2 > _RANK, axis=-1)
+            half = np.empty_like(gram)
+            half[whole] = np.linalg.inv(root[whole]).swapaxes(-1, -2)
+            half[~whole] = orthonormal_combinations(gram[~whole], _RANK)
             columns[..., places] = _by_row(stack @ half)
             seen[:, places] = _by_row(half).any(axis=1)
             half = half / _by_term(length[:, None, places], size).swapaxes(-1, -2)
@@ -374,21 +380,6 @@ def orthonormal(columns: Floats) -> Floats:
         columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), full_matrices=False
     )
     return u[:, s > 1e-8 * s[0]]
-
-
-def orthonormalising(gram: Floats) -> Floats:
-    """Return matrices (…, w, w) that make the columns of terms orthonormal, from their Gram matrices.
-
-    The matrix is triangular if the columns of a term are independent. Otherwise its columns are zero for
-    the missing directions.
-    """
-    size = gram.shape[-1]
-    root = np.linalg.cholesky(gram + 1e-10 * np.eye(size))
-    whole = np.all(np.diagonal(root, axis1=-2, axis2=-1) ** 2 > _RANK, axis=-1)
-    half = np.empty_like(gram)
-    half[whole] = np.linalg.inv(root[whole]).swapaxes(-1, -2)
-    half[~whole] = orthonormal_combinations(gram[~whole], _RANK)
-    return half
 
 
 def orthonormal_combinations(gram: Floats, least: float = limits.independent) -> Floats:

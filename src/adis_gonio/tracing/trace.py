@@ -688,26 +688,21 @@ def with_positions(result: TraceResult, data: Readings, positions: Diagnosis) ->
         " whose uncertainty is not in these figures"
         for found in _large_slips(data, positions)
     ]
-    return replace(
-        result,
-        position_findings=positions.findings,
-        notes=(*result.notes, *positions.sentences, *corrected),
-        advice=(*_position_advice(positions), *result.advice),
-    )
-
-
-def _position_advice(positions: Diagnosis) -> tuple[str, ...]:
-    """Return advice to correct declared angles or to repeat positions; empty if no position is wrong."""
     mended = [found.correction for found in positions.findings if found.correction is not None]
     repeated = [
         f"{found.position} to {found.others[-1]}" if found.others else str(found.position)
         for found in positions.findings
         if found.correction is None
     ]
-    said = []
+    advice = []
     if mended:
         each = dict.fromkeys(part for text in mended for part in text.split(","))
-        said.append(f"look at what was written down; then trace again with --angles {','.join(each)}")
+        advice.append(f"look at what was written down; then trace again with --angles {','.join(each)}")
     if repeated:
-        said.append(f"repeat position {', '.join(repeated)}")
-    return tuple(said)
+        advice.append(f"repeat position {', '.join(repeated)}")
+    return replace(
+        result,
+        position_findings=positions.findings,
+        notes=(*result.notes, *positions.sentences, *corrected),
+        advice=(*advice, *result.advice),
+    )
