@@ -377,12 +377,13 @@ class ArchiveView(Closing):
 
     def records(self, kind: str | None = None) -> list[Record]:
         """Return the records of one kind, or of all kinds if `kind` is None, in the order of writing."""
-        return [self._checked_record(**row) for row in self._rows("records", "record", kind=kind)]
-
-    def _checked_record(self, record: int, kind: str, value: Any, **row: Any) -> Record:
-        with translated_errors(self.path):
-            checked_value(f"record {record}: {kind}", RECORDS.get(kind, anything), value)
-        return Record(kind=kind, value=value, **row)
+        found = []
+        for row in self._rows("records", "record", kind=kind):
+            number, own = row.pop("record"), row["kind"]
+            with translated_errors(self.path):
+                checked_value(f"record {number}: {own}", RECORDS.get(own, anything), row["value"])
+            found.append(Record(**row))
+        return found
 
     def last(self, kind: str) -> Any:
         """Return the value of the last record of a kind; None if there is no such record."""
@@ -417,13 +418,18 @@ class ArchiveView(Closing):
         of_number = {attempt.number: attempt.run for attempt in stored}
         for attempt in stored:
             wrong = ""
+            # The columns must exist, occur once each and include the accelerations.
+            names, generic = attempt.registers, attempt.variant == GENERIC
+            known = set(UNITS) if generic else set(BY_NAME)
+            least = ("ax", "ay", "az") if generic else ACCEL_OUT
+            scanned = len(set(names)) == len(names) and set(least) <= set(names) <= known
             if attempt.run not in runs:
                 wrong = f"run {attempt.run}, which is not there"
             elif attempt.place >= places:
                 wrong = f"place {attempt.place} of a plan with {places}"
             elif attempt.blocks and attempt.variant != header.variant:
                 wrong = f"samples of '{attempt.variant}', the session is of '{header.variant}'"
-            elif attempt.blocks and not _can_be_scanned(attempt):
+            elif attempt.blocks and not scanned:
                 wrong = "registers that cannot be scanned together"
             if wrong:
                 raise damaged(self.path, f"attempt {attempt.number} has {wrong}")
@@ -601,14 +607,6 @@ class ArchiveView(Closing):
                     raise damaged(self.path, f"table {table} holds more than {MOST_TEXT} characters")
                 checked.append(checked_row(table, row[:-1], f"row {number} of table {table}: "))
         return checked
-
-
-def _can_be_scanned(attempt: StoredAttempt) -> bool:
-    """Return True if the attempt's columns exist, occur once each and include the accelerations."""
-    names, generic = attempt.registers, attempt.variant == GENERIC
-    known = UNITS if generic else BY_NAME
-    least = ("ax", "ay", "az") if generic else ACCEL_OUT
-    return len(set(names)) == len(names) and set(least) <= set(names) <= set(known)
 
 
 def _move(row: JsonDict) -> Move:

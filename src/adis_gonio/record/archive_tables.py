@@ -242,17 +242,6 @@ def utc_now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
-def to_json(value: Any) -> str:
-    """Convert a value to JSON text; numpy scalars and arrays become numbers and lists.
-
-    Raises
-    ------
-    ValueError
-        The value has NaN or an infinity, which JSON does not allow.
-    """
-    return json.dumps(value, ensure_ascii=False, allow_nan=False, default=_plain)
-
-
 def checksum(*values: Any) -> int:
     """Return the CRC-32 of the values of a row; bytes count as they are, other values as JSON text."""
     plain = [value for value in values if not isinstance(value, bytes)]
@@ -458,7 +447,8 @@ class TableColumn:
     def stored(self, value: Any) -> Any:
         """Convert a value to the type in which the column stores it: JSON text, or float for REAL."""
         if self.json:
-            return to_json(value)
+            # NaN and infinities are refused, because JSON does not allow them.
+            return json.dumps(value, ensure_ascii=False, allow_nan=False, default=_plain)
         return float(value) if self.sql.startswith("REAL") and value is not None else value
 
     def checked(self, value: Any, where: str) -> Any:
@@ -468,7 +458,8 @@ class TableColumn:
         """
         name = f"{where}{self.name}"
         if self.json:
-            checked_value(name, text_of_json, value)
+            if not isinstance(value, str):  # of any length, because the JSON of a long plan is long
+                raise ShapeError(f"{name} is no text")
             try:
                 value = json_value(value)
             except ValueError as error:
@@ -601,9 +592,3 @@ def checked_value(name: str, shape: Shape, value: Any) -> Any:
     except ShapeError as error:
         raise ShapeError(f"{name}{error}") from None
     return value
-
-
-def text_of_json(value: Any) -> None:
-    """Check that a value is text of any length, because the JSON of a long plan is long."""
-    if not isinstance(value, str):
-        raise ShapeError(" is no text")

@@ -125,13 +125,11 @@ class Plan(JsonRecord):
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Plan:
         """Create a plan from its JSON form, which `as_dict` returns."""
-        positions = tuple(_position(entry) for entry in data["positions"])
-        return cls(data["name"], positions, data["plane"], data.get("turns", 0))
-
-
-def _position(entry: Mapping[str, Any]) -> Position:
-    direction = entry["direction"]
-    return Position(**{**entry, "direction": None if direction is None else tuple(direction)})
+        positions = []
+        for entry in data["positions"]:
+            way = entry["direction"]
+            positions.append(Position(**{**entry, "direction": None if way is None else tuple(way)}))
+        return cls(data["name"], tuple(positions), data["plane"], data.get("turns", 0))
 
 
 @dataclass(frozen=True)
@@ -198,21 +196,15 @@ def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0)
         # Insert from the end, so that the earlier indices stay valid.
         for k in reversed(range(check)):
             uses.insert(math.ceil((k + 1) * count / (check + 1)), "check")
-        places = zip(uses, _sphere(len(uses)), strict=True)
-        return Plan(name, tuple(Position(None, 0, use, vector) for use, vector in places), "none")
+        # Unit vectors spread evenly over the sphere, on a spiral with the golden angle.
+        golden, poses = math.pi * (3.0 - math.sqrt(5.0)), []
+        for k, use in enumerate(uses):
+            z = 1.0 - (2 * k + 1) / len(uses)
+            radius = math.sqrt(1.0 - z * z)
+            vector = (radius * math.cos(golden * k), radius * math.sin(golden * k), z)
+            poses.append(Position(None, 0, use, vector))
+        return Plan(name, tuple(poses), "none")
     return Plan(name, _with_checks(_angles(name, count), check))
-
-
-def with_checks(made: Plan, check: int) -> Plan:
-    """Add `check` check positions to a plan in the plane, spread evenly between its positions.
-
-    Raises
-    ------
-    UsageError
-        The number of check positions is below 0 or too large.
-    """
-    _refuse_checks(check)
-    return replace(made, positions=_with_checks(list(made.positions), check)) if check else made
 
 
 def _refuse_checks(check: int) -> None:
@@ -227,17 +219,6 @@ def _angles(name: str, count: int) -> list[Position]:
     if name == "tumble":
         return up + [replace(position, approach=-1) for position in reversed(up)]
     return up
-
-
-def _sphere(count: int) -> list[tuple[float, float, float]]:
-    """Return `count` unit vectors spread evenly over the sphere, on a spiral with the golden angle."""
-    golden = math.pi * (3.0 - math.sqrt(5.0))
-    vectors = []
-    for k in range(count):
-        z = 1.0 - (2 * k + 1) / count
-        radius = math.sqrt(1.0 - z * z)
-        vectors.append((radius * math.cos(golden * k), radius * math.sin(golden * k), z))
-    return vectors
 
 
 def _with_checks(fit: list[Position], check: int) -> tuple[Position, ...]:
@@ -492,7 +473,8 @@ def find_plan(name: str, positions: int | None = None, check: int = 0) -> Plan:
     made = read_plan(name)
     if positions is not None:
         raise UsageError(f"{name}: fixes {counted(len(made), 'position')}: leave --positions out")
-    return with_checks(made, check)
+    _refuse_checks(check)
+    return replace(made, positions=_with_checks(list(made.positions), check)) if check else made
 
 
 K = NormalDist().inv_cdf(1 - POSITION_QUESTIONED / 2)
@@ -593,9 +575,11 @@ class Expectation:
             self._start_rad = seen
         # Two observations for each dwell: the angle, and the logarithm of the length of the reading.
         rest = wrap_radians(seen - self._start_rad)
+        c, s = math.cos(phi), math.sin(phi)
+        norm_row = np.array([0.0, c * c, s * s, s * c, c, s])
         for row, value, u in (
             (_angle_row(phi), rest, self._angle),
-            (_norm_row(phi), log_norm, self._reading),
+            (norm_row, log_norm, self._reading),
         ):
             self._information += np.outer(row, row) / u**2
             self._weighted += row * value / u**2
@@ -652,13 +636,3 @@ def _angle_row(psi: float) -> Floats:
     """
     c, s = math.cos(psi), math.sin(psi)
     return np.array([1.0, -s * c, s * c, c * c, -s, c])
-
-
-def _norm_row(psi: float) -> Floats:
-    """Return the derivatives (6,) of ln |U| with respect to the parameters of the model.
-
-    |U| is the length of the reading (U_x, U_y), and `psi` its angle atan2(U_y, U_x) in rad. The parameters
-    are the start angle, gains of X and Y, Δφ, and biases of X and Y in units of G.
-    """
-    c, s = math.cos(psi), math.sin(psi)
-    return np.array([0.0, c * c, s * s, s * c, c, s])

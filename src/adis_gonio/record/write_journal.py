@@ -257,7 +257,13 @@ def held_offsets(
         last = replace(last, new={name: now[name] for name in last.old})  # the numbers found by the part
         known = (*known[:-1], last)
     axes = {name: _state(name, now[name], last.old[name], last.new[name]) for name in last.new}
-    registers = _common_state(now, last, axes)
+    # Registers that the operation leaves unchanged count as both old and new.
+    both: list[tuple[RegisterState, Numbers]] = [("new", last.new), ("old", last.old)]
+    if last.op != "write" and not (last.op == "autonull" and last.saved):
+        both.reverse()
+    mixed: RegisterState = "other" if "other" in axes.values() else "half"
+    alike = (state for state, held in both if all(now[name] == n for name, n in held.items()))
+    registers = next(alike, mixed)
     flash = _in_flash(known, now, endurance, others)
     saved = None if flash is None else all(flash.get(name) == now[name] for name in last.new)
     if registers == "old" and flash == {}:
@@ -276,20 +282,6 @@ def flash_untouched(
     sensor; `endurance` is the present content of ENDURANCE.
     """
     return not known or _in_flash(known, now, endurance, others) in ({}, known[-1].old)
-
-
-def _common_state(now: Numbers, last: Operation, axes: Mapping[str, RegisterState]) -> RegisterState:
-    """Return the state of all registers together, compared with the operation `last`.
-
-    `now` has the present register contents, `axes` the state of each register. A register that the
-    operation leaves unchanged counts as both old and new.
-    """
-    both: list[tuple[RegisterState, Numbers]] = [("new", last.new), ("old", last.old)]
-    written = last.op == "write" or (last.op == "autonull" and last.saved)
-    for state, numbers in both if written else reversed(both):
-        if all(now[name] == number for name, number in numbers.items()):
-            return state
-    return "other" if "other" in axes.values() else "half"
 
 
 def _state(name: str, now: int, old: int, new: int) -> RegisterState:
