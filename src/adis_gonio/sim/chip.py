@@ -49,7 +49,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
-from adis_gonio.device.sensor.registers import BY_NAME, EA, GYRO_OFF, ND, Variant, variant
+from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, EA, GYRO_OFF, ND, Variant, variant
 from adis_gonio.sim.memory import (
     FLASH_S,
     SELF_TEST_S,
@@ -101,20 +101,6 @@ def dio_levels(memory: Memory, *, pulse: bool, status: int) -> tuple[int | None,
     if _MISC.field("data_ready").of(misc):
         result[_MISC.field("line").of(misc)] = int(pulse == bool(_MISC.field("polarity").of(misc)))
     return result[0], result[1]
-
-
-def gpio_word(memory: Memory, external: tuple[int, int]) -> int:
-    """Return the content of GPIO_CTRL as a host reads it.
-
-    The bit of a line that is an input shows the external level of the line. `external` has the external
-    levels (0 or 1) of DIO1 and DIO2.
-    """
-    word = memory["GPIO_CTRL"]
-    for k, level in enumerate(external, 1):
-        if not _GPIO.field(f"output{k}").of(word):
-            mask = _GPIO.field(f"level{k}").mask
-            word = word | mask if level else word & ~mask
-    return word
 
 
 Words = NDArray[np.uint16]
@@ -522,7 +508,8 @@ class SimulatedChip:
             reply = self._shifted
         self._advance(self._last_rise)
         if self._state is State.NULLING:
-            if _is_reset(word):
+            reset = word & _COMMAND.field("reset").mask
+            if word >> 15 and (word >> 8) & 0x3F == _COMMAND.address and reset:
                 self._start_up(self._last_rise)
         elif word >> 15:
             self._reply = 0
@@ -576,7 +563,12 @@ class SimulatedChip:
 
     def _control_word(self, address: int) -> int:
         if address & ~1 == BY_NAME["GPIO_CTRL"].address:
-            return gpio_word(self._memory, self.external_levels)
+            word = self._memory["GPIO_CTRL"]
+            for k, level in enumerate(self.external_levels, 1):
+                if not _GPIO.field(f"output{k}").of(word):  # an input shows the external level of the line
+                    mask = _GPIO.field(f"level{k}").mask
+                    word = word | mask if level else word & ~mask
+            return word
         return self._memory.at(address)
 
     def _write(self, address: int, data: int, cs_hold_s: float, limits: SerialLimits) -> None:
@@ -606,7 +598,8 @@ class SimulatedChip:
         elif self._state is not State.RUNNING:
             return
         elif data & _COMMAND.field("restore").mask:
-            self._memory.zero_offsets()
+            for name in (*GYRO_OFF, *ACCEL_OFF):
+                self._memory[name] = 0
             self._state, self._until = State.RESTORING, now + FLASH_S
         elif data & _COMMAND.field("autonull").mask:
             self._begin_null(now, self._electronics.autonull_s)
@@ -721,9 +714,3 @@ class SimulatedChip:
             self._null_sum += updates.unfiltered[:, GYRO_COLUMNS].sum(axis=0)
             self._null_count += n
         return updates
-
-
-def _is_reset(word: int) -> bool:
-    return bool(
-        word >> 15 and (word >> 8) & 0x3F == _COMMAND.address and word & _COMMAND.field("reset").mask
-    )

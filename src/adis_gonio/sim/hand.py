@@ -182,7 +182,13 @@ class HandTurn(_Hand):
     """
 
     def __init__(self, settings: WorldSettings, rng: np.random.Generator, turns: int = 1) -> None:
-        spans, ways = _grips(settings, rng, turns)
+        # Each turn back ends a row of grips; otherwise one row covers all turns. The angles of the sensor
+        # differ from the grips', because they are scaled to exact turns.
+        rows = [1] * turns if settings.hand_returns else [turns]
+        each = [grips(count * abs(settings.hand_turn_deg), rng) for count in rows]
+        degrees = [(-1) ** k * count * settings.hand_turn_deg for k, count in enumerate(rows)]
+        ways = np.concatenate([turn * own / own.sum() for turn, own in zip(degrees, each, strict=True)])
+        spans = np.concatenate(each)
         pauses = rng.uniform(*PAUSE_S, len(spans)) * settings.hand_pauses
         moving_s = max(settings.hand_turn_s - float(pauses[:-1].sum()), 0.2 * settings.hand_turn_s)
         # Longer segments take longer, and no two are equally fast.
@@ -209,21 +215,6 @@ class HandTurn(_Hand):
         sway = np.radians(self._settings.hand_sway_deg)
         swaying = product(self._sway.at(time_s), hold(time_s, self.length_s))
         return tilt + sway * swaying[0], slope + sway * swaying[1]
-
-
-def _grips(settings: WorldSettings, rng: np.random.Generator, turns: int) -> tuple[Floats, Floats]:
-    """Return for each of k grips the angle that the hand covers, and the angle that the sensor turns.
-
-    Both are (k,) in degrees, the second is signed. They differ, because the second is scaled so that the
-    grips give exact turns.
-    """
-    turn_deg = settings.hand_turn_deg
-    if not settings.hand_returns:
-        spans = grips(turns * abs(turn_deg), rng)
-        return spans, turns * turn_deg * spans / spans.sum()
-    each = [grips(abs(turn_deg), rng) for _ in range(turns)]
-    ways = [(-1) ** k * turn_deg * spans / spans.sum() for k, spans in enumerate(each)]
-    return np.concatenate(each), np.concatenate(ways)
 
 
 _SPEED = (0.7, 1.4)
@@ -275,7 +266,10 @@ class HandMove(_Hand):
         speed = settings.move_speed_dps * rng.uniform(*_SPEED)
         lengths = np.maximum(spans / speed * rng.uniform(0.8, 1.25, len(spans)), _SHORTEST_GRIP_S)
         pauses = settings.hand_pauses * rng.uniform(*PAUSE_S, len(spans))
-        misses = _misses(settings.hand_miss * spans[-1], rng, one_way=one_way)
+        # Overshoot after the last grip and after the first correction; one way never passes the mark.
+        drawn = settings.hand_miss * spans[-1] * rng.standard_normal()
+        misses = np.array([drawn, drawn * _SECOND_MISS * rng.standard_normal()])
+        misses = -np.abs(misses) if one_way else misses
         reactions = settings.hand_pauses * rng.uniform(*_REACTION_S, 2)
         corrections = rng.uniform(*_CORRECTION_S, 2)
         if settings.hand_miss:
@@ -321,18 +315,6 @@ class HandMove(_Hand):
             _, twisting = minimum_jerk(time_s, 0.0, self.length_s, self.twist_rad)
             rate = rate - twisting[:, None] * direction
         return direction, rate
-
-
-def _misses(size_deg: float, rng: np.random.Generator, *, one_way: bool) -> Floats:
-    """Draw the overshoot in degrees after the last grip and after the first correction, (2,).
-
-    `size_deg` is the standard deviation of the overshoot after the last grip. With `one_way` the hand never
-    passes the mark, so that both values are negative.
-    """
-    drawn = size_deg * rng.standard_normal()
-    left = drawn * _SECOND_MISS * rng.standard_normal()
-    misses = np.array([drawn, left])
-    return -np.abs(misses) if one_way else misses
 
 
 def _add(course: Course, more: Course, size: float = 1.0) -> None:

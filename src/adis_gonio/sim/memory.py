@@ -14,10 +14,8 @@ from pathlib import Path
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.output import write_text
 from adis_gonio.device.sensor.registers import (
-    ACCEL_OFF,
     BY_ADDRESS,
     BY_NAME,
-    GYRO_OFF,
     REGISTERS,
     Register,
     register,
@@ -175,11 +173,6 @@ class Memory:
         self._words["ENDURANCE"] = (self._words["ENDURANCE"] + 1) % ENDURANCE_WRAP
         if self._saved is not None:
             self._saved(self._flash, self._words["ENDURANCE"])
-
-    def zero_offsets(self) -> None:
-        """Set all six offset registers to zero, as the factory restore does."""
-        for name in (*GYRO_OFF, *ACCEL_OFF):
-            self[name] = 0
 
 
 @dataclass(frozen=True)

@@ -313,7 +313,12 @@ class SignalChain:
         # Bits 13:12 of a 12-bit register are not used. Their real content is not known; they are never zero
         # here, so that a driver that does not mask them fails.
         words[:, _NARROW] |= 0x1000 | ((numbers[:, _NARROW] & 1) << 13)
-        status = self._conditions(inputs)
+        low, high = SUPPLY_LIMITS_V
+        over = np.abs(inputs.accel_mg).max(axis=1) > 1000.0 * self._variant.accel_range_g
+        over |= np.abs(inputs.gyro_dps).max(axis=1) > self.gyro_range_dps
+        status = np.asarray(over * _OVER_RANGE, np.int64)
+        status |= (inputs.supply_v < low) * _SUPPLY_LOW
+        status |= (inputs.supply_v > high) * _SUPPLY_HIGH
         filtered = np.concatenate([self._filtered, numbers])
         for alarm in self._alarms:
             source = filtered if alarm.filtered else self._numbers(samples, 0)
@@ -352,15 +357,6 @@ class SignalChain:
         numbers = (sums + ((self._offset << extra_bits) + (1 << (shift - 1)))) >> shift
         np.clip(numbers, _LOW, _HIGH, out=numbers)
         return numbers
-
-    def _conditions(self, inputs: Inputs) -> Integers:
-        low, high = SUPPLY_LIMITS_V
-        over = np.abs(inputs.accel_mg).max(axis=1) > 1000.0 * self._variant.accel_range_g
-        over |= np.abs(inputs.gyro_dps).max(axis=1) > self.gyro_range_dps
-        status = over * _OVER_RANGE
-        status |= (inputs.supply_v < low) * _SUPPLY_LOW
-        status |= (inputs.supply_v > high) * _SUPPLY_HIGH
-        return np.asarray(status, np.int64)
 
     def _alarming(self, alarm: AlarmSetting, source: Integers, n: int) -> NDArray[np.bool_]:
         value, threshold = source[_HISTORY:], alarm.threshold

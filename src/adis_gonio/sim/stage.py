@@ -308,7 +308,8 @@ class Stage:
             )
         self._count_move(start_s)
         about = about / norm
-        before, self._mark_error = self._mark_error, self._mark()
+        drawn = self._settings.mark_sigma_deg * float(self._movements.standard_normal())
+        before, self._mark_error = self._mark_error, float(np.radians(drawn))
         turn = float(np.radians(angle_deg)) + self._mark_error - before
         # Split gravity into the part along the axis and the part that turns about it.
         along = (standing @ about) * about
@@ -356,10 +357,6 @@ class Stage:
         slipped = self._moves > self._settings.part_slip_position  # the first move goes to position 0
         slip = self._settings.part_slip_deg if slipped else 0.0
         return float(np.radians(drawn + approach * self._settings.backlash_deg / 2 - slip))
-
-    def _mark(self) -> float:
-        drawn = self._settings.mark_sigma_deg * float(self._movements.standard_normal())
-        return float(np.radians(drawn))
 
     def _direction(self, psi: float | Floats, wobble: float | Floats = 0.0) -> Floats:
         """Return the direction of gravity (3,) or (n, 3) in the sensor at the angle ψ in the plane.

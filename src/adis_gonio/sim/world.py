@@ -87,7 +87,13 @@ class World:
         streams = [np.random.default_rng(child) for child in source.spawn(12)]
         _, white, flicker, fixture, changes, shaking, self._level_rng = streams[:7]
         self._effect_rngs = changes.spawn(len(effects))
-        self.effects = tuple((effect, _values(effect, given)) for effect, given in effects)
+        self.effects = tuple(
+            (
+                effect,
+                effect.defaults(given) if isinstance(given, Mapping) else np.asarray(given, np.float64),
+            )
+            for effect, given in effects
+        )
         self.stage = Stage(
             self.settings, float(np.radians(self._hidden["alpha"])), fixture, streams[7], streams[9]
         )
@@ -148,15 +154,8 @@ class World:
             "skew_xz": value_or(given.skew_xz_deg, float(skew[1])),
             "skew_yz": value_or(given.skew_yz_deg, float(skew[2])),
         }
-        self._sensitivity = sensitivity(self._base())
-
-    def _base(self) -> Floats:
-        """Return the gains and skews (6,) of the accelerometers.
-
-        They are in the order of `FreeAttitude.parameters`.
-        """
-        in_space = FreeAttitude(self.gravity_mg)
-        return np.array([self._hidden[p.name] / p.per_natural for p in in_space.parameters])
+        in_space = FreeAttitude(self.gravity_mg).parameters
+        self._sensitivity = sensitivity(np.array([self._hidden[p.name] / p.per_natural for p in in_space]))
 
     def _by_axis(self, name: str, sd: float, rng: np.random.Generator) -> Floats:
         """Return the values (3,) of a setting for x, y and z: the given value, or else a drawn value.
@@ -439,9 +438,3 @@ class World:
             rate_dps=rate,
             abs_rate_dps=np.abs(rate),
         )
-
-
-def _values(effect: Effect, given: Values) -> Floats:
-    if isinstance(given, Mapping):
-        return effect.defaults(given)
-    return np.asarray(given, np.float64)

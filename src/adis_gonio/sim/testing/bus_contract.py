@@ -55,10 +55,6 @@ class WireFrame:
         """Time in s at which chip select rises and the frame ends."""
         return self.start_s + 16 / self.clock_hz + self.cs_hold_s
 
-    def given_to(self, chip: SimulatedChip) -> int:
-        """Send this frame to another chip with the same timing; return the reply of that chip."""
-        return chip.frame(self.word, start_s=self.start_s, clock_hz=self.clock_hz, cs_hold_s=self.cs_hold_s)
-
 
 class WatchedChip(SimulatedChip):
     """A simulated chip that records every frame as a `WireFrame` in the list `seen`."""
@@ -146,7 +142,12 @@ class BusContract(ABC):
             replies = rig.bus.exchange(batch)
             wire = rig.chip.seen[sent:]
             assert [frame.word for frame in wire] == batch
-            expected = [frame.given_to(rig.twin) for frame in wire]
+            expected = [
+                rig.twin.frame(
+                    one.word, start_s=one.start_s, clock_hz=one.clock_hz, cs_hold_s=one.cs_hold_s
+                )
+                for one in wire
+            ]
             assert replies == expected
             assert all(type(reply) is int for reply in replies)
 

@@ -230,7 +230,10 @@ class SimulatedBoard(Closing):
         while not self._stop.is_set():
             there.faults = back.faults = self.faults
             try:
-                data = self._line.receive(self._wait_s(there, back), writes=bool(unread))
+                due = (there.next_s(), back.next_s(), self.firmware.next_event_s())
+                now = self._clock.wall_s()
+                waits = (max(0.0, due_s - now) for due_s in due if due_s is not None)
+                data = self._line.receive(min([_LONGEST_WAIT_S, *waits]), writes=bool(unread))
                 if data:
                     there.put(data, self._clock.wall_s())
                 with self.lock:
@@ -240,11 +243,6 @@ class SimulatedBoard(Closing):
                 del unread[: self._line.send(bytes(unread))]
             except OSError:
                 return
-
-    def _wait_s(self, there: FaultyStream, back: FaultyStream) -> float:
-        now = self._clock.wall_s()
-        times = [t for t in (there.next_s(), back.next_s(), self.firmware.next_event_s()) if t is not None]
-        return min([_LONGEST_WAIT_S, *(max(0.0, t - now) for t in times)])
 
     def _work(self, there: FaultyStream, back: FaultyStream) -> None:
         """Run the firmware up to the present time and move bytes between the firmware and the serial line.
