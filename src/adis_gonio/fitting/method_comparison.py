@@ -128,7 +128,29 @@ def recommend(
     names = [result.method for result in equal]
     chosen = preferred if preferred in names else names[-1]
     result = next(result for result in equal if result.method == chosen)
-    return Recommendation(chosen, _why(result, results, good, scores, scored))
+    if len(results) == 1:
+        return Recommendation(chosen, "the only method that this session supports")
+    reasons = []
+    if "bias_x" in result and any("bias_x" not in other for other in results):
+        reasons.append("it determines the biases")
+    elif "bias_x" not in result:
+        reasons.append("no method sees the biases in these positions, which are taken as zero")
+    if scored:
+        own = scores[result.method]
+        error = (
+            f"{own.angle_rms_deg:.2g}° rms"
+            if own.angle_rms_deg is not None
+            else f"{own.residual_rms_mg:.2g} mg rms"
+        )
+        how = "and none is shown to predict them better" if len(good) > 1 else "the best"
+        reasons.append(
+            f"it predicts the {counted(own.dwells, 'dwell')}, each left out of its fit, with {error}, {how}"
+        )
+    else:
+        reasons.append("no dwell can be left out to compare the methods by")
+    if len(good) > 1 and _mean_u(result) < math.inf:
+        reasons.append("no other gives a smaller u of ΔK and Δφ")
+    return Recommendation(chosen, "; ".join(reasons))
 
 
 def _squares(prediction: DwellPrediction) -> Floats:
@@ -174,38 +196,6 @@ def _mean_u(result: FitResult) -> float:
     if any(u is None or not math.isfinite(u) for u in us):
         return math.inf
     return math.exp(sum(math.log(max(u or 0.0, 1e-300)) for u in us) / max(len(us), 1))
-
-
-def _why(
-    result: FitResult,
-    results: Sequence[FitResult],
-    good: Sequence[FitResult],
-    scores: Mapping[str, Score],
-    scored: bool,
-) -> str:
-    if len(results) == 1:
-        return "the only method that this session supports"
-    reasons = []
-    if "bias_x" in result and any("bias_x" not in other for other in results):
-        reasons.append("it determines the biases")
-    elif "bias_x" not in result:
-        reasons.append("no method sees the biases in these positions, which are taken as zero")
-    if scored:
-        own = scores[result.method]
-        error = (
-            f"{own.angle_rms_deg:.2g}° rms"
-            if own.angle_rms_deg is not None
-            else f"{own.residual_rms_mg:.2g} mg rms"
-        )
-        how = "and none is shown to predict them better" if len(good) > 1 else "the best"
-        reasons.append(
-            f"it predicts the {counted(own.dwells, 'dwell')}, each left out of its fit, with {error}, {how}"
-        )
-    else:
-        reasons.append("no dwell can be left out to compare the methods by")
-    if len(good) > 1 and _mean_u(result) < math.inf:
-        reasons.append("no other gives a smaller u of ΔK and Δφ")
-    return "; ".join(reasons)
 
 
 MOST_FOLDS = 40

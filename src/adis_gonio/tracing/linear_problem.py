@@ -373,32 +373,23 @@ class Products:
         if split is None:
             chi2, z, inside = self.of_model(model)
             return chi2, len(inside), self._joining.gains_from_products(z, inside)
-        basis = self._problem.basis_of(model)
-        residual = basis.off(self._by_session)
+        basis, (target, columns) = self._problem.basis_of(model), self._by_session
+        residual = basis.off(target)
         # χ² of amplitudes with their prior: the target times the residual.
-        chi2 = float((self._by_session * residual).sum())
-        own = basis.own.swapaxes(1, 2) @ self._columns
-        inside = np.concatenate(
-            [
-                own.reshape(-1, own.shape[2]),
-                np.tensordot(basis.shared, self._columns, axes=((0, 1), (0, 1))),
-            ]
-        )
-        z = np.tensordot(residual, self._columns, axes=2)
+        chi2 = float((target * residual).sum())
+        own = basis.own.swapaxes(1, 2) @ columns
+        shared = np.tensordot(basis.shared, columns, axes=((0, 1), (0, 1)))
+        inside = np.concatenate([own.reshape(-1, own.shape[2]), shared])
+        z = np.tensordot(residual, columns, axes=2)
         gains = self._joining.gains_from_products(z, inside)
         return chi2, basis.rank, np.concatenate([gains, split.gains(basis, residual)])
 
     @cached_property
-    def _by_session(self) -> Floats:
+    def _by_session(self) -> tuple[Floats, Floats]:
+        """Target and joining columns, by session."""
         split = self._problem.split
         assert split is not None
-        return by_session(self._problem.target, split.place)
-
-    @cached_property
-    def _columns(self) -> Floats:
-        split = self._problem.split
-        assert split is not None
-        return by_session(self._joining.columns, split.place)
+        return by_session(self._problem.target, split.place), by_session(self._joining.columns, split.place)
 
     def of_model(self, model: Sequence[int]) -> tuple[float, Floats, Floats]:
         """Return the χ² of a model's residual, and two sets of products with all P candidate columns.

@@ -283,11 +283,23 @@ def estimates_of_gyro_trace(result: TraceResult) -> GyroEstimates:
     left = [_not_corrected(one, _GYRO_NAMELESS, _GYRO_UNKNOWN) for one in final.terms if one not in kept]
     left += _unnamed_left(result, _GYRO_NAMELESS)
     doubts = () if result.adequacy != "not adequate" else ("the gyros' trace found its model not adequate",)
-    coefficients, matrix = _gyro_stated(final, kept, result.inflation)
+    shown = [(one.name, one.unit) for one in final.data.model.parameters]
+    places = list(range(len(shown)))
+    for term in kept:
+        start = final.slice_of(final.terms.index(term)).start
+        places += range(start, start + len(term.effect.parameters))
+        shown += [(one.name, one.unit) for one in term.effect.parameters]
+    covariance = final.covariance[np.ix_(places, places)]
+    stated, values, matrix = stated_parameters(
+        [name for name, _ in shown], final.values.parameters[places], covariance
+    )
+    matrix = matrix * result.inflation
+    sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    rows = map(Coefficient, stated, values.tolist(), sizes.tolist(), [unit for _, unit in shown])
     return GyroEstimates(
         "trace",
-        {one.name: one for one in coefficients},
-        ([one.name for one in coefficients], matrix),
+        dict(zip(stated, rows, strict=True)),
+        (stated, matrix),
         tuple(left),
         doubts,
     )
@@ -297,29 +309,6 @@ def _not_corrected(term: Term, nameless: str, unknown: str) -> NotCorrected:
     if not isinstance(term, NamedTerm):
         return NotCorrected(term.shown_as, nameless)
     return NotCorrected(term.effect.name, term.effect.not_corrected or unknown)
-
-
-def _gyro_stated(
-    fit: Fit, kept: Sequence[NamedTerm], inflation: float
-) -> tuple[tuple[Coefficient, ...], Floats]:
-    """Return the gyro parameters of a fit in the form of a calibration, and their covariance matrix.
-
-    `kept` are the terms of effects that can be corrected, `inflation` the factor on the noise variance.
-    """
-    parameters = list(fit.data.model.parameters)
-    units = [one.unit for one in parameters]
-    names, places = [one.name for one in parameters], list(range(len(parameters)))
-    for term in kept:
-        start = fit.slice_of(fit.terms.index(term)).start
-        for k, one in enumerate(term.effect.parameters):
-            names.append(one.name)
-            units.append(one.unit)
-            places.append(start + k)
-    covariance = fit.covariance[np.ix_(places, places)]
-    stated, values, matrix = stated_parameters(names, fit.values.parameters[places], covariance)
-    matrix = matrix * inflation
-    sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    return tuple(map(Coefficient, stated, values.tolist(), sizes.tolist(), units)), matrix
 
 
 def with_gyros(calibration: Calibration, session: Session, *, traced: bool = False) -> Calibration:

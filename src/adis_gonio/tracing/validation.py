@@ -485,11 +485,7 @@ def heldout_errors(data: Readings, left: Sequence[HeldOut]) -> dict[str, Any]:
 
 
 def _keep_effects(fit: Fit) -> Callable[[Readings], Chosen]:
-    def kept(rows: Readings) -> Chosen:
-        again = fit.again(rows)
-        return Chosen(again, by=again)
-
-    return kept
+    return lambda rows: Chosen(again := fit.again(rows), by=again)
 
 
 def _parameters(fit: Fit) -> int:

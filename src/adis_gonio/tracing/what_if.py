@@ -194,12 +194,30 @@ def forced_terms(data: Readings, texts: Sequence[str]) -> list[NamedTerm]:
     the terms before it and a bias.
     """
     named, missing = named_terms(data)
+    biases = sorted((term for term in named if term.constant), key=lambda term: len(term.effect.axes))
     about = Fit.begin(data).refit()
     chosen: list[NamedTerm] = []
     for text in texts:
         formula = "=" in text.partition(":")[0]
         variants = [_formula(data, about, text)] if formula else _variants(data, text, named, missing)
-        chosen.append(replace(_likeliest(about, text, variants, chosen, named), forced=True))
+        # Choose the variant with the highest evidence in addition to the terms before and a bias.
+        problem = linearise(about, [*chosen, *variants, *biases[-1:]])
+        number = {term.label: k for k, term in enumerate(problem.terms)}
+        before = [number[term.label] for term in chosen]
+        basis = span(problem, before)[0]
+        apart = []
+        for k in (number[term.label] for term in variants if term.label in number):
+            outside = problem.block(k) - basis @ (basis.T @ problem.block(k))
+            full = problem.width[k] == len(problem.back_of(k))
+            if full and np.linalg.svd(outside, compute_uv=False)[-1] ** 2 > limits.independent:
+                apart.append(k)
+        if not apart:
+            others = " or ".join(["the base model", *(term.label for term in chosen)])
+            raise UsageError(f"--with {text}: this session cannot distinguish it from {others}")
+        beside = [*before, *(number[bias.label] for bias in biases[-1:] if bias.label in number)]
+        gained = 0.5 * problem.gains(*span(problem, beside)) - price(problem)
+        label = problem.terms[max(apart, key=lambda k: float(gained[k]))].label
+        chosen.append(replace(next(term for term in variants if term.label == label), forced=True))
     return chosen
 
 
@@ -275,37 +293,6 @@ def _variants(
         listed = ", ".join([*possible, *list(chosen)[:12]]) or "none"
         raise UsageError(f"--with {text}: this session has no such candidate of {name}; it has {listed}")
     return found
-
-
-def _likeliest(
-    about: Fit,
-    text: str,
-    variants: Sequence[NamedTerm],
-    chosen: Sequence[NamedTerm],
-    named: Sequence[NamedTerm],
-) -> NamedTerm:
-    """Return the variant with the highest evidence in addition to the terms `chosen` before and a bias.
-
-    `variants` are the forms that the request `text` allows; `named` are all named candidates.
-    """
-    biases = sorted((term for term in named if term.constant), key=lambda term: len(term.effect.axes))
-    problem = linearise(about, [*chosen, *variants, *biases[-1:]])
-    number = {term.label: k for k, term in enumerate(problem.terms)}
-    before = [number[term.label] for term in chosen]
-    basis = span(problem, before)[0]
-    apart = []
-    for k in (number[term.label] for term in variants if term.label in number):
-        outside = problem.block(k) - basis @ (basis.T @ problem.block(k))
-        full = problem.width[k] == len(problem.back_of(k))
-        if full and np.linalg.svd(outside, compute_uv=False)[-1] ** 2 > limits.independent:
-            apart.append(k)
-    if not apart:
-        others = " or ".join(["the base model", *(term.label for term in chosen)])
-        raise UsageError(f"--with {text}: this session cannot distinguish it from {others}")
-    beside = [*before, *(number[bias.label] for bias in biases[-1:] if bias.label in number)]
-    gained = 0.5 * problem.gains(*span(problem, beside)) - price(problem)
-    best = max(apart, key=lambda k: float(gained[k]))
-    return next(term for term in variants if term.label == problem.terms[best].label)
 
 
 def compare(free: TraceRun, asked: TraceRun, request: AskedModel) -> WhatIf:

@@ -255,7 +255,8 @@ class ClientSession:
                 await self._port.write(target, name, value)
                 return iiod_protocol.integer(len(value))
             case iiod_protocol.BufferRequest():
-                self._require_device(request.device)
+                if not self._device.knows(request.device):
+                    raise Refused(Errno.ENODEV, f"no device {request.device}")
                 return await self._answer_buffer(request)
             case _:
                 raise Refused(Errno.EINVAL)
@@ -273,10 +274,6 @@ class ClientSession:
                 return await self._send_scans(self._require_buffer(), request.size)
             case _:
                 raise Refused(Errno.EINVAL)
-
-    def _require_device(self, device: str) -> None:
-        if not self._device.knows(device):
-            raise Refused(Errno.ENODEV, f"no device {device}")
 
     def _require_buffer(self) -> iio_device.Buffer:
         if self._buffer is None:
@@ -447,14 +444,18 @@ class IioServer:
                 signal.signal(number, handler)
 
     async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        name = _name_of(writer)
+        peer = writer.get_extra_info("peername")
+        name = f"{peer[0]}:{peer[1]}" if peer else "a client"
         if len(self._clients) >= MOST_CLIENTS and not self._end_idlest():
             self._tell(f"{name}: refused, {MOST_CLIENTS} connections are in use")
             writer.close()
             return
         if (task := asyncio.current_task()) is None:
             return  # asyncio runs this in a task
-        _prepare(writer)
+        # Detect a vanished client, and limit the unread data kept for it.
+        endpoint = writer.get_extra_info("socket")
+        endpoint.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        endpoint.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         client = ClientSession(reader, writer, self._device, self._port, self._hub)
         self._clients[client] = task
         begin_s = time.monotonic()
@@ -505,15 +506,3 @@ def _report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
     """Report the unhandled error in `context`, unless it is only a broken connection."""
     if not isinstance(context.get("exception"), ConnectionError):
         loop.default_exception_handler(context)
-
-
-def _prepare(writer: asyncio.StreamWriter) -> None:
-    """Configure a connection: detect a vanished client, and limit the unread data kept for it."""
-    endpoint = writer.get_extra_info("socket")
-    endpoint.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    endpoint.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
-
-
-def _name_of(writer: asyncio.StreamWriter) -> str:
-    peer = writer.get_extra_info("peername")
-    return f"{peer[0]}:{peer[1]}" if peer else "a client"

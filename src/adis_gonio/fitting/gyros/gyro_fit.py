@@ -365,7 +365,10 @@ def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
     if scored:
         drifts = {word: _Model.of(data, (*_EFFECTS, drift)) for word, drift in DRIFTS.items()}
         models |= {_with(word): one for word, one in drifts.items() if one.fit.dof > 0}
-    errors = _left_out_errors(data, models) if scored else {}
+    # Errors (n, 3) with which models predict left-out dwells; a model is missing if it is not determined.
+    tried = {"zero rate": _Model.of(data, ()), **models} if scored and len(data) > 2 else {}
+    left = {name: _left_out(one) for name, one in tried.items()}
+    errors = {name: own for name, own in left.items() if own is not None}
     candidates = {name: _Candidate.of(model) for name, model in models.items()}
     odds = _odds({name: errors[name] for name in models if name in errors})
     best = candidates[METHOD]
@@ -381,7 +384,12 @@ def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
         covariance += share / sum(odds.values()) * np.outer(apart, apart)
     fit, inflation = best.model.fit, best.inflation
     parameters = {
-        name: Value(value, math.sqrt(max(covariance[k, k], 0.0)), _unit(name), inflation[_gyro_of(name)][1])
+        name: Value(
+            value,
+            math.sqrt(max(covariance[k, k], 0.0)),
+            _unit(name),
+            inflation[_gyro_of(name)][1],
+        )
         for k, (name, value) in enumerate(zip(names, values.tolist(), strict=True))
     }
     turned = data.conditions.rate_dps
@@ -612,12 +620,14 @@ def _inflation(model: _Model) -> dict[str, tuple[float, float]]:
 
 _STATED = {"gyro_scale_error": "gyro_scale"}
 """Name of a parameter in results, by its name in the catalogue, if both differ."""
-_UNITS = {"gyro_bias": "dps", "gyro_scale": "1", "gyro_misalignment": "deg", "g_sensitivity": "dps/g"}
 
 
 def _stated_name(name: str) -> str:
     stem, axes = name.rsplit("_", 1)
     return f"{_STATED.get(stem, stem)}_{axes}"
+
+
+_UNITS = {"gyro_bias": "dps", "gyro_scale": "1", "gyro_misalignment": "deg", "g_sensitivity": "dps/g"}
 
 
 def _unit(name: str) -> str:
@@ -672,19 +682,6 @@ def gains_and_directions(names: Sequence[str], values: Floats) -> Floats:
 
 
 # -- scores and warnings ----------------------------------------------------------------------------------
-
-
-def _left_out_errors(data: Readings, models: Mapping[str, _Model]) -> dict[str, Floats]:
-    """Return the errors (n, 3) with which models predict left-out dwells, by name of the model.
-
-    The zero rate alone is also a model. Each dwell at rest is left out once and predicted by a fit to all
-    others. Empty with fewer than three intervals; a model is missing if such a fit does not determine it.
-    """
-    if len(data) < 3:
-        return {}
-    models = {"zero rate": _Model.of(data, ()), **models}
-    found = {name: _left_out(one) for name, one in models.items()}
-    return {name: errors for name, errors in found.items() if errors is not None}
 
 
 def _left_out(model: _Model) -> Floats | None:

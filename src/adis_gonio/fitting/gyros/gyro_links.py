@@ -123,27 +123,6 @@ class GyroPrior:
         covariance[np.ix_(known, known)] = (slope @ matrix @ slope.T)[np.ix_(known, known)]
         return GyroPrior(values, covariance)
 
-    def with_g_sensitivity(self, gram: Floats, product: Floats, variance: Floats) -> GyroPrior:
-        """Return a copy with the g-sensitivity of each gyro updated by the zero rates of dwells.
-
-        Parameters
-        ----------
-        gram, product : (3, 3) float
-            Sums over dwells of force times force, and of force times zero rate (a column for each gyro),
-            each factor minus its mean.
-        variance : (3,) float
-            Variance of the zero rate of each gyro in a dwell.
-        """
-        values, covariance = self.values.copy(), self.covariance.copy()
-        for gyro in range(3):
-            rows = slice(9 + 3 * gyro, 12 + 3 * gyro)
-            prior = covariance[rows, rows]
-            # Posterior of a linear model: (P⁻¹ + G/σ²)⁻¹, without the inverse of a P that may be singular.
-            after = np.linalg.solve(np.eye(3) + prior @ gram / variance[gyro], prior)
-            values[rows] = values[rows] + after @ (product[:, gyro] - gram @ values[rows]) / variance[gyro]
-            covariance[rows, rows] = (after + after.T) / 2
-        return GyroPrior(values, covariance)
-
 
 def _parameters(gyros: GyroCalibration, values: Floats) -> Floats:
     """Convert values of a calibration's parameters to the 21 gyro parameters of the prior.
@@ -380,4 +359,13 @@ def _by_dwells(prior: GyroPrior, rests: GyroDwells) -> GyroPrior:
     scatter = (residual**2).sum(axis=0) / max(n - 3 - course.shape[1], 1)
     # The zero rate wanders from dwell to dwell; a few dwells show too little of that.
     variance = np.maximum(scatter, rests.variance_dps2.mean(axis=0) + 2 * rests.allan_dps2)
-    return prior.with_g_sensitivity(away.T @ away, away.T @ left, variance)
+    gram, product = away.T @ away, away.T @ left
+    values, covariance = prior.values.copy(), prior.covariance.copy()
+    for gyro in range(3):
+        rows = slice(9 + 3 * gyro, 12 + 3 * gyro)
+        before = covariance[rows, rows]
+        # Posterior of a linear model: (P⁻¹ + G/σ²)⁻¹, without the inverse of a P that may be singular.
+        after = np.linalg.solve(np.eye(3) + before @ gram / variance[gyro], before)
+        values[rows] = values[rows] + after @ (product[:, gyro] - gram @ values[rows]) / variance[gyro]
+        covariance[rows, rows] = (after + after.T) / 2
+    return GyroPrior(values, covariance)
