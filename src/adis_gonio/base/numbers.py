@@ -43,7 +43,7 @@ def format_number(value: float | None, digits: int = 3) -> str:
     exponent = math.floor(math.log10(abs(value)))
     if -5 < exponent < 6:
         return use_minus(f"{value:.{max(0, digits - 1 - exponent)}f}")
-    return use_minus(f"{value / 10.0**exponent:.{digits - 1}f}") + _power(exponent)
+    return use_minus(f"{value / 10.0**exponent:.{digits - 1}f}") + f"·{power_of_ten(exponent)}"
 
 
 def format_fixed(value: float | None, decimals: int) -> str:
@@ -109,7 +109,7 @@ def format_uncertain(value: float, expanded: float | None, unit: str = "", *, si
     value = round(value, decimals) + 0.0  # no minus sign before zero
     plus = "+" if sign else ""
     text = use_minus(f"{value:{plus}.{decimals}f}{NO_BREAK}±{NO_BREAK}{expanded:.{decimals}f}")
-    return with_unit(f"({text}){_power(power)}" if power else text, unit)
+    return with_unit(f"({text})·{power_of_ten(power)}" if power else text, unit)
 
 
 def format_unit(unit: str) -> str:
@@ -238,7 +238,3 @@ class QuantityRow(NamedTuple):
 def power_of_ten(exponent: int) -> str:
     """Format a power of ten, such as `10⁻⁶`."""
     return f"10{str(exponent).translate(_RAISED)}"
-
-
-def _power(exponent: int) -> str:
-    return f"·{power_of_ten(exponent)}"

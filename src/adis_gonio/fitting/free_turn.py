@@ -415,7 +415,10 @@ def solve(problem: LeastSquaresProblem) -> Solution:
     SingularError
         The recording does not determine the parameters, or the iteration does not converge.
     """
-    values, variances, change = problem.begin(), _first(problem), math.inf
+    m, change, values = problem.m, math.inf, problem.begin()
+    # Third differences show the noise of a slow turn.
+    quiet = float(np.median(np.diff(problem.reading, n=3, axis=0) ** 2)) / 0.455 / 20
+    variances = Variances(np.full(m, max(quiet, 1e-6)), math.radians(0.03) ** 2, 1.0, m, m, STATED_DOF)
     for _ in range(_MOST_ROUNDS):
         information, right, _ = _system(problem, values, variances)
         covariance = _inverse(information)
@@ -441,13 +444,6 @@ def solve(problem: LeastSquaresProblem) -> Solution:
             " turn once more, slowly"
         )
     return _finished(problem, values, variances)
-
-
-def _first(problem: LeastSquaresProblem) -> Variances:
-    spread = np.diff(problem.reading, n=3, axis=0)
-    quiet = float(np.median(spread**2)) / 0.455 / 20
-    m = problem.m
-    return Variances(np.full(m, max(quiet, 1e-6)), math.radians(0.03) ** 2, 1.0, m, m, STATED_DOF)
 
 
 def _system(

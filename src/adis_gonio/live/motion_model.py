@@ -925,7 +925,16 @@ class AngleSmoother:
             "out_of_plane": self._plane.out_of_plane,
         }
         notes = tuple(name for name, holds in events.items() if holds)
-        self._seen.append(_Seen(turned, self._level(turned), self._segment, notes))
+        # Gravity rotated back by the turn that the gyro measured since the last gap: the turn without the
+        # gyro's known errors, and gravity without the lever arm.
+        known = self._state.mean
+        drift_dps = known[ZERO] + turned.force_g @ known[[G_X, G_Y]]
+        turn = turned.turn_deg * (1 - known[SCALE]) - drift_dps * turned.increment.length_s
+        self._phase_rad = wrap_radians(self._phase_rad + math.radians(float(turn)))
+        by_x, by_y = turned.lever_mg
+        felt = turned.gravity - by_x * float(known[LEVER_X]) - by_y * float(known[LEVER_Y])
+        level = felt * complex(math.cos(self._phase_rad), -math.sin(self._phase_rad))
+        self._seen.append(_Seen(turned, level, self._segment, notes))
         while len(self._seen) - self._done > self._lag:
             passed = advance(self._state, self._step_of(self._done, self._state))
             self._state = self._doubt_calibration(passed.filtered)
@@ -975,21 +984,6 @@ class AngleSmoother:
             present, float(turn[2]), complex(gravity[0], -gravity[1]), force[:2] / 1000.0,
             float(rate[2]), spin, across, lost,
         )  # fmt: skip
-
-    def _level(self, turned: Turned) -> complex:
-        """Return gravity (complex, mg) rotated back by the turn that the gyro measured since the last gap.
-
-        The known errors of the gyro and the acceleration by the distance from the axis are removed.
-        """
-        assert self._state is not None
-        known = self._state.mean
-        # Turn by the gyro without its known errors, and gravity without the lever arm.
-        drift_dps = known[ZERO] + turned.force_g @ known[[G_X, G_Y]]
-        turn = turned.turn_deg * (1 - known[SCALE]) - drift_dps * turned.increment.length_s
-        self._phase_rad = wrap_radians(self._phase_rad + math.radians(float(turn)))
-        by_x, by_y = turned.lever_mg
-        felt = turned.gravity - by_x * float(known[LEVER_X]) - by_y * float(known[LEVER_Y])
-        return felt * complex(math.cos(self._phase_rad), -math.sin(self._phase_rad))
 
     # -- the model of a step -------------------------------------------------------------------------
 

@@ -457,30 +457,10 @@ class SimulatedChip:
             stood = np.concatenate([status, updates.status])
             status = stood & self._falling | np.bitwise_or.accumulate(stood & ~self._falling)
         self._time_s = float(rises[n - 1])
-        values = self._values(words[:n] >> np.uint16(9), index, seen, rows, status != 0)
-        out[0], out[1:n] = self._reply, values[:-1]
-        self._reply = int(values[-1])
-        self._shifted = int(out[n - 1])
-        self._last_start, self._last_rise = float(starts[n - 1]), float(rises[n - 1])
-        return n
-
-    def _values(
-        self,
-        slots: Words,
-        index: NDArray[np.int64],
-        seen: NDArray[np.int64],
-        rows: Words,
-        faulty: NDArray[np.bool_],
-    ) -> Words:
-        """Return the words (n,) that n reads return, with the flags ND (new data) and EA (error or alarm).
-
-        `slots` (n,) has the register of each read, as half its address. `rows` has the output words of
-        successive updates, and `faulty` is True for each update with an error or alarm. `index` (n,) is the
-        row of the update that a read sees, and `seen` (n,) the number of this update since power-on.
-        """
-        columns = _COLUMN[slots]
-        values: Words = rows[index, columns]
-        values[faulty[index]] |= EA
+        # Words that the reads return, with the flags ND (new data) and EA (error or alarm).
+        slots = words[:n] >> np.uint16(9)
+        values: Words = rows[index, _COLUMN[slots]]
+        values[(status != 0)[index]] |= EA
         for slot in np.flatnonzero(np.bincount(slots, minlength=32)):
             chosen = np.flatnonzero(slots == slot)
             column = _COLUMN[slot]
@@ -491,7 +471,11 @@ class SimulatedChip:
             fresh = at > np.concatenate([self._read_at[column : column + 1], at[:-1]])
             values[chosen[fresh]] |= ND
             self._read_at[column] = at[-1]
-        return values
+        out[0], out[1:n] = self._reply, values[:-1]
+        self._reply = int(values[-1])
+        self._shifted = int(out[n - 1])
+        self._last_start, self._last_rise = float(starts[n - 1]), float(rises[n - 1])
+        return n
 
     # -- one frame ---------------------------------------------------------------------------------
 

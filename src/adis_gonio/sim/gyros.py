@@ -68,23 +68,23 @@ class GyroTriad:
         """
         own_g = value_or(settings.gyro_g_dps_per_g, figures.gyro_g_sensitivity_dps_per_g)
         supply = value_or(settings.gyro_supply_dps_per_v, figures.gyro_supply_sensitivity_dps_per_v)
-        per_g = [value_or(self._given(f"gyro_g_sensitivity_{pair}_dps_per_g"), own_g) for pair in PAIRS]
+        per_g = [
+            value_or(getattr(settings, f"gyro_g_sensitivity_{pair}_dps_per_g"), own_g) for pair in PAIRS
+        ]
         self.per_g = np.array(per_g).reshape(3, 3)
         """Linear g-sensitivity (3, 3) in °/s/g.
 
         The first index is the gyro, the second the axis of the force.
         """
-        self._per_v = np.array([value_or(self._given(f"gyro_supply_{a}_dps_per_v"), supply) for a in AXES])
+        self._per_v = np.array(
+            [value_or(getattr(settings, f"gyro_supply_{a}_dps_per_v"), supply) for a in AXES]
+        )
         per_g2 = [getattr(settings, f"gyro_g2_sensitivity_{pair}_dps_per_g2") for pair in PAIRS]
         self._per_g2 = np.array(per_g2).reshape(3, 3)
         self._tempco = self._by_axis("gyro_bias_tempco_{}_dps_per_c")
         self._scale_tempco = 1e-6 * self._by_axis("gyro_scale_tempco_{}_ppm_per_c")
         self._warm_up = self._by_axis("gyro_warm_up_{}_dps")
         self._asymmetry = self._by_axis("gyro_asymmetry_{}")
-
-    def _given(self, name: str) -> float | None:
-        value: float | None = getattr(self._settings, name)
-        return value
 
     def _by_axis(self, name: str) -> Floats:
         return np.array([getattr(self._settings, name.format(axis)) for axis in AXES])

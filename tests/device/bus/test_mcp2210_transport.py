@@ -117,7 +117,7 @@ def test_a_failed_opening_gives_the_board_back():
 
 def test_without_permission_the_message_carries_the_udev_rule(monkeypatch):
     bench = Bench()
-    monkeypatch.setattr("adis_gonio.device.bus.host.readable_and_writable", lambda path: False)
+    monkeypatch.setattr("adis_gonio.device.bus.host.permission_note", lambda path: ", no permission")
     with pytest.raises(CannotOpenError, match=r'no permission.*devices --udev.*"04d8"') as caught:
         bench.open()
     assert "\n" not in str(caught.value)

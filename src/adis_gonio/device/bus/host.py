@@ -363,9 +363,5 @@ NO_PERMISSION = ", no permission (adis-gonio devices --udev)"
 
 def permission_note(path: str) -> str:
     """Return `NO_PERMISSION` if the device file may not be read or written; otherwise an empty text."""
-    return "" if readable_and_writable(path) else NO_PERMISSION
-
-
-def readable_and_writable(path: str) -> bool:
-    """Return True if the file may be read and written, or if it does not exist."""
-    return not Path(path).exists() or os.access(path, os.R_OK | os.W_OK)
+    usable = not Path(path).exists() or os.access(path, os.R_OK | os.W_OK)
+    return "" if usable else NO_PERMISSION

@@ -644,7 +644,7 @@ def _load(backend: str) -> Any:
 def _open(hid: Any, url: str, board: dict[str, Any], stack: contextlib.ExitStack) -> Any:
     path = _path(board)
     node = _node(path)
-    if not host.readable_and_writable(node):
+    if host.permission_note(node):
         raise host.permission_error(url, node, f"{'hidraw' if 'hidraw' in node else 'usb'} 04d8")
     stack.enter_context(host.locked(node, url))
     device = hid.device()

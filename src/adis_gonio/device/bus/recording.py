@@ -132,7 +132,7 @@ class _Writer:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._lock = threading.Lock()
-        self._failure: OSError | None = None
+        self.failure: OSError | None = None
         self._records = 0
         try:
             self._file = path.open("xb", buffering=0)
@@ -144,7 +144,7 @@ class _Writer:
         """Append one record; do nothing after a failure or after `close`."""
         record = _HEAD.pack(kind, len(content)) + content
         with self._lock:
-            if self._failure is None and not self._file.closed:
+            if self.failure is None and not self._file.closed:
                 self._write(record + _CRC.pack(zlib.crc32(record)))
 
     def _write(self, record: bytes) -> None:
@@ -155,23 +155,18 @@ class _Writer:
                 rest = rest[self._file.write(rest) :]
             self._records += 1
         except OSError as error:
-            self._failure = error
+            self.failure = error
             with contextlib.suppress(OSError):
                 self._file.truncate(begin)
-
-    @property
-    def failed(self) -> bool:
-        """True if a record could not be written."""
-        return self._failure is not None
 
     def close(self) -> None:
         """Close the file; raise `OutputError` if a record could not be written."""
         with self._lock:
             self._file.close()
-        if self._failure is not None:
+        if self.failure is not None:
             raise OutputError(
                 f"{self._path}: the recording ends after {max(0, self._records - 2)} calls:"
-                f" {self._failure.strerror}; the bus itself went on"
+                f" {self.failure.strerror}; the bus itself went on"
             )
 
 
@@ -330,7 +325,7 @@ class RecordingBus(ObservedBus):
             "helpers": {name: _describe(getattr(inner, name, None)) for name in _HELPERS},
         }
         self.writer.add(RecordKind.HEADER, _to_json(header))
-        if self.writer.failed:
+        if self.writer.failure:
             self.writer.close()
 
     def _close(self) -> None:

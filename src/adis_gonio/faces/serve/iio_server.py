@@ -446,10 +446,14 @@ class IioServer:
     async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         peer = writer.get_extra_info("peername")
         name = f"{peer[0]}:{peer[1]}" if peer else "a client"
-        if len(self._clients) >= MOST_CLIENTS and not self._end_idlest():
-            self._tell(f"{name}: refused, {MOST_CLIENTS} connections are in use")
-            writer.close()
-            return
+        if len(self._clients) >= MOST_CLIENTS:
+            # The connection that was idle longest ends, if it was idle for `IDLE_S`.
+            idlest = max(self._clients, key=lambda client: client.idle_s)
+            if idlest.idle_s < IDLE_S:
+                self._tell(f"{name}: refused, {MOST_CLIENTS} connections are in use")
+                writer.close()
+                return
+            self._clients.pop(idlest).cancel()
         if (task := asyncio.current_task()) is None:
             return  # asyncio runs this in a task
         # Detect a vanished client, and limit the unread data kept for it.
@@ -470,17 +474,6 @@ class IioServer:
                     f"{name}: left after {time.monotonic() - begin_s:.1f} s,"
                     f" {counted(client.sent, 'scan')} sent, {client.lost} lost because it was slow"
                 )
-
-    def _end_idlest(self) -> bool:
-        """End the connection that has been idle for the longest time; return False if none is idle.
-
-        A connection is idle after `IDLE_S` without a request.
-        """
-        idlest = max(self._clients, key=lambda client: client.idle_s)
-        if idlest.idle_s < IDLE_S:
-            return False
-        self._clients.pop(idlest).cancel()
-        return True
 
     # -- from the sampler's thread ------------------------------------------------------------------
 

@@ -598,23 +598,20 @@ class Fit:
         """Return the fit after a step of its parameters; unchanged if the model fails at the new values."""
         try:
             with np.errstate(over="ignore", invalid="ignore"):
-                trial = self._stepped(step).settled()
+                terms = []
+                for index, (term, own) in enumerate(zip(self.terms, self.values.terms, strict=True)):
+                    terms.append(term.limited(own, own + step[self.slice_of(index)]))
+                base = self.values.base + step[: len(self.values.base)]
+                if self.with_prior:
+                    # With a prior, also keep the parameters within physical bounds.
+                    parameters = self.data.model.parameters
+                    base = np.clip(base, [p.low for p in parameters], [p.high for p in parameters])
+                values = Values(base, self.values.attitude, tuple(terms))
+                trial = replace(self, values=values).settled()
                 sound = math.isfinite(trial.loss) and bool((np.abs(trial.jacobian) < _RUN_AWAY).all())
         except (UsageError, np.linalg.LinAlgError):
             return self
         return trial if sound else self
-
-    def _stepped(self, step: Floats) -> Fit:
-        old = self.values
-        model = self.data.model
-        terms = []
-        for index, (term, own) in enumerate(zip(self.terms, old.terms, strict=True)):
-            terms.append(term.limited(own, own + step[self.slice_of(index)]))
-        base = old.base + step[: len(old.base)]
-        if self.with_prior:
-            # With a prior, also keep the parameters within physical bounds.
-            base = np.clip(base, [p.low for p in model.parameters], [p.high for p in model.parameters])
-        return replace(self, values=Values(base, old.attitude, tuple(terms)))
 
     def again(self, data: Readings) -> Fit:
         """Fit these terms to other readings, with the base model from new starting values.

@@ -378,8 +378,16 @@ def _interval_of_turn(
         found = turn_integration.reference_as_declared(
             path, integral, turn.turned_deg, triad, rests.sampling.delay_s, mark_u_deg, consecutive
         )
+    elif triad.psi_deg is not None:
+        here, there = (triad.psi_deg.get(one.position) for one in (before, after))
+        if here is None or there is None:
+            return "one of its dwells has no angle by gravity"
+        found = turn_integration.reference_on_stage(integral, here, there)
     else:
-        found = _by_gravity(integral, triad, (before.position, after.position))
+        down, then = (triad.gravity.get(one.position) for one in (before, after))
+        if down is None or then is None:
+            return "one of its dwells has no direction of gravity"
+        found = turn_integration.reference_in_space(integral, (down, then), triad.u_rad)
     if isinstance(found, str):
         return found
     length = integral.length_s
@@ -400,26 +408,6 @@ def _interval_of_turn(
         abs_dps=integral.mean_abs_dps,
         **_surroundings(turn),
     )
-
-
-def _by_gravity(
-    integral: turn_integration.Integral, triad: turn_integration.Triad, positions: tuple[int, int]
-) -> turn_integration.Reference | str:
-    """Return the true rotation in a turn by gravity before and after it, or the reason why it is unknown.
-
-    `positions` are the numbers of the dwells before and after.
-    """
-    if triad.psi_deg is not None:
-        here, there = (triad.psi_deg.get(position) for position in positions)
-        if here is None or there is None:
-            return "one of its dwells has no angle by gravity"
-        return turn_integration.reference_on_stage(
-            integral, (here[0], there[0]), math.hypot(here[1], there[1])
-        )
-    before, after = (triad.gravity.get(position) for position in positions)
-    if before is None or after is None:
-        return "one of its dwells has no direction of gravity"
-    return turn_integration.reference_in_space(integral, (before, after), triad.u_rad)
 
 
 def gyro_readings_of(session: Session) -> Readings:

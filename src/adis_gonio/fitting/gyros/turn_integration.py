@@ -634,25 +634,25 @@ UNSEEN = 0.2
 more accurate."""
 
 
-def reference_on_stage(integral: Integral, psi_deg: tuple[float, float], u_deg: float) -> Reference | str:
+def reference_on_stage(
+    integral: Integral, before_deg: tuple[float, float], after_deg: tuple[float, float]
+) -> Reference | str:
     """Return the true rotation about the stage's axis, by gravity, or why it is unknown.
 
-    Parameters
-    ----------
-    psi_deg : pair of float
-        Angle ψ of gravity from X to Y before and after the turn.
-    u_deg : float
-        Standard uncertainty of the difference of both angles.
+    `before_deg` and `after_deg` are the angle ψ of gravity from X to Y before and after the turn, each with
+    its standard uncertainty.
     """
     seen = float(integral.turned_deg[2])
-    part = psi_deg[0] - psi_deg[1]
+    part = before_deg[0] - after_deg[0]
     turns = round((seen - part) / 360.0)
     angle = part + 360.0 * turns
     if abs(seen - angle) > max(10.0, 0.1 * abs(angle)):
         return f"the gyro turned {seen:.1f}°, by gravity {angle:.1f}°: not about the stage's axis"
     if abs(angle) < LEAST_REFERENCE_DEG:
         return f"a turn of {angle:.1f}° is too short; a gain needs {LEAST_REFERENCE_DEG:g}° or more"
-    return Reference(np.array([0.0, 0.0, angle]), np.diag([0.0, 0.0, u_deg**2]))
+    return Reference(
+        np.array([0.0, 0.0, angle]), np.diag([0.0, 0.0, before_deg[1] ** 2 + after_deg[1] ** 2])
+    )
 
 
 def reference_in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad: float) -> Reference | str:
