@@ -46,7 +46,6 @@ GUARDED_RISK = 0.025
 SIMPLE_RISK = 0.5
 LEAST_RATIO = 3.0
 """Least ratio of the tolerance to U, the expanded uncertainty of the error, for the rule `shared`."""
-_DIRECTIONS = 2048
 _NOTHING = 1e-9
 """Size of an independent part of the error, relative to the largest part, up to which it is rounding."""
 
@@ -102,7 +101,7 @@ class ErrorCurve:
         if (outside & exact).any() or not causes:
             return float((outside & exact).any())
         # Change of the error (n, m) along random directions of z. The opposite ones only change the sign.
-        z = np.random.default_rng(0).normal(size=(_DIRECTIONS, causes))
+        z = np.random.default_rng(0).normal(size=(2048, causes))
         rays = (z / np.linalg.norm(z, axis=1, keepdims=True)) @ self._independent.T
         # Positions along each line of z between which the error at each angle is within the tolerance.
         with np.errstate(divide="ignore", invalid="ignore"):

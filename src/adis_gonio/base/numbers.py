@@ -31,7 +31,6 @@ NAMES = {
 """Symbols of parameters in formulas, by the names of the parameters."""
 HEAD = ("quantity", "unit", "value", "u", "U (95 %)", "k")
 """Column headings of a table with rows of `QuantityRow`."""
-_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def format_number(value: float | None, digits: int = 3) -> str:
@@ -237,4 +236,4 @@ class QuantityRow(NamedTuple):
 
 def power_of_ten(exponent: int) -> str:
     """Format a power of ten, such as `10⁻⁶`."""
-    return f"10{str(exponent).translate(_RAISED)}"
+    return f"10{str(exponent).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}"

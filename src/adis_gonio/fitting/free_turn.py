@@ -187,7 +187,6 @@ _MG_PER_MM = 1.0 / STANDARD_GRAVITY_MPS2
 """Acceleration in mg at a distance of 1 mm from the axis of a turn with a rate of 1 rad/s."""
 _GAP_RATE = 0.5
 """Standard deviation, in rad/s, of the unknown rate while samples are missing."""
-_MOST_ROUNDS = 40
 _DONE = 1e-3
 _SETTLED = 0.1
 """Largest change of a parameter by the last iteration, in standard uncertainties, at which the result is
@@ -419,7 +418,7 @@ def solve(problem: LeastSquaresProblem) -> Solution:
     # Third differences show the noise of a slow turn.
     quiet = float(np.median(np.diff(problem.reading, n=3, axis=0) ** 2)) / 0.455 / 20
     variances = Variances(np.full(m, max(quiet, 1e-6)), math.radians(0.03) ** 2, 1.0, m, m, STATED_DOF)
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(40):
         information, right, _ = _system(problem, values, variances)
         covariance = _inverse(information)
         step = covariance @ right

@@ -41,7 +41,6 @@ MOST_LEFT_OUT = 0.25
 FAR_RAD, FAR_SHARE = math.radians(10.0), 0.1
 """Limits of the angle between gravity and its prediction by the gyros: in rad, and as a share of the turn's
 angle. A link above both is wrong for any parameters: a bias of 50 mg turns gravity by only 3°."""
-_PASSES = 4
 _SETTLED = 0.05
 """Change of the gyros' parameters between two fits, in standard uncertainties of the prior, below which
 they have converged."""
@@ -254,7 +253,7 @@ def _settled(found: GyroLinks, links: Links, data: Readings) -> tuple[Links, det
     size = np.maximum(np.sqrt(np.diagonal(found.prior.covariance)), 1e-12)
     values = found.prior.values
     linked = determination.determine(replace(data, links=links))
-    for _ in range(_PASSES):
+    for _ in range(4):
         moved = probable_gyros(linked.fit, found.prior)
         if float(np.max(np.abs(moved - values) / size)) < _SETTLED:
             break

@@ -340,7 +340,6 @@ VERSION = 1
 LARGEST_BYTES = 10_000_000
 LARGEST_DEG = 3600.0
 LONGEST_WAIT_S = 86_400.0
-_NAME = re.compile(r"[\w.+-]{1,60}")
 _ENTRY = fields(
     {"angle_deg": number(-LARGEST_DEG, LARGEST_DEG)},
     {"approach": choice(1, -1), "use": choice("fit", "check"), "wait_s": number(0.0, LONGEST_WAIT_S)},
@@ -439,7 +438,7 @@ def plan_from(document: Any, name: str = "plan") -> Plan:
     except ShapeError as error:
         raise DataError(f"{name}: {str(error).lstrip(' .')}") from None
     called = document["name"]
-    if not _NAME.fullmatch(called):
+    if not re.fullmatch(r"[\w.+-]{1,60}", called):
         raise DataError(f"{name}: name is {shown(called)}: take a word of letters, digits and . + - _")
     if called in PLAN_NAMES:
         raise DataError(f"{name}: name is '{called}', which is a plan of the program: take another")

@@ -37,8 +37,6 @@ INTERRUPTED = (
     "with --status, then finish it or --undo"
 )
 
-Op = Literal["write", "undo", "autonull"]
-
 
 class WriteStep(StrEnum):
     """Steps of a write operation, in their order; `DONE` and `SET_BACK` end the operation.
@@ -90,7 +88,7 @@ class Operation(JsonRecord):
     document_keys = ("number", "op", "utc")
 
     number: int
-    op: Op
+    op: Literal["write", "undo", "autonull"]
     old: dict[str, int]
     new: dict[str, int]
     found: dict[str, int]

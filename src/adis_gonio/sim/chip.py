@@ -76,7 +76,6 @@ from adis_gonio.sim.sampling import (
 _MISC = BY_NAME["MSC_CTRL"]
 _ALARM = BY_NAME["ALM_CTRL"]
 _GPIO = BY_NAME["GPIO_CTRL"]
-_ANY_ALARM = ALARM_BITS[0] | ALARM_BITS[1]
 
 
 def dio_levels(memory: Memory, *, pulse: bool, status: int) -> tuple[int | None, int | None]:
@@ -96,7 +95,7 @@ def dio_levels(memory: Memory, *, pulse: bool, status: int) -> tuple[int | None,
         _GPIO.field(f"level{k}").of(gpio) if _GPIO.field(f"output{k}").of(gpio) else None for k in (1, 2)
     ]
     if _ALARM.field("output").of(alarm):
-        active = bool(status & _ANY_ALARM)
+        active = bool(status & (ALARM_BITS[0] | ALARM_BITS[1]))
         result[_ALARM.field("line").of(alarm)] = int(active == bool(_ALARM.field("polarity").of(alarm)))
     if _MISC.field("data_ready").of(misc):
         result[_MISC.field("line").of(misc)] = int(pulse == bool(_MISC.field("polarity").of(misc)))
@@ -104,7 +103,6 @@ def dio_levels(memory: Memory, *, pulse: bool, status: int) -> tuple[int | None,
 
 
 Words = NDArray[np.uint16]
-UpdateEdge = Literal["first", "last"]
 
 _CHUNK = 1 << 15
 _SHORTEST_FAST_RUN = 4
@@ -118,7 +116,6 @@ _PLAIN_READ[BY_NAME["STATUS"].address : BY_NAME["STATUS"].address + 2] = False
 _STATUS = BY_NAME["STATUS"]
 _COMMAND = BY_NAME["COMMAND"]
 _SPI_FAILED = _STATUS.field("spi").mask
-_FLASH_FAILED = _STATUS.field("flash").mask
 _SUPPLY_LOW = _STATUS.field("supply_low").mask
 FALLING_BITS = _SUPPLY_LOW | _STATUS.field("supply_high").mask | _STATUS.field("over_range").mask
 """STATUS bits that the chip clears without a read when their condition ends (DS p. 20, A)."""
@@ -206,7 +203,7 @@ class SimulatedChip:
         floating_word: int = 0xFFFF,
         self_test_failures: Sequence[str] = (),
         data_ready_pulse_s: float = 50e-6,
-        update_edge: UpdateEdge = "first",
+        update_edge: Literal["first", "last"] = "first",
         status_falls: bool = True,
         electronics: Electronics | None = None,
     ) -> None:
@@ -666,7 +663,7 @@ class SimulatedChip:
 
     def _save(self) -> None:
         if self._standing & _SUPPLY_LOW:
-            self._status |= _FLASH_FAILED
+            self._status |= _STATUS.field("flash").mask
         else:
             self._memory.save()
 

@@ -176,7 +176,6 @@ _LARGEST = float(1 << 30)
 
 # Columns of the sources that ALM_CTRL numbers: 1 supply, 2-4 gyros, 5-7 accelerometers, 8-10
 # temperatures, 11 auxiliary input: the order of the output registers.
-_ALARM_SOURCES = len(OUTPUTS)
 
 STATUS = BY_NAME["STATUS"]
 ALARM_BITS = (STATUS.field("alarm1").mask, STATUS.field("alarm2").mask)
@@ -374,7 +373,7 @@ def _alarms(memory: Memory) -> list[AlarmSetting]:
     alarms = []
     for k in (1, 2):
         source = control.field(f"source{k}").of(word)
-        if not 1 <= source <= _ALARM_SOURCES:
+        if not 1 <= source <= len(OUTPUTS):
             continue
         magnitude = memory[f"ALM_MAG{k}"]
         row = OUTPUTS[source - 1]

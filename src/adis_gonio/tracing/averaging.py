@@ -136,10 +136,16 @@ class AveragedFit(Fit):
         only terms that depend on nothing but time are included, other terms have zeros.
         """
         width, stated = len(self.values.parameters), []
+        middle, still = Conditions(time_s=np.array([middle_s(self)])), np.zeros((1, self.data.axes))
         for weight, one in self.solutions:
             rows = np.zeros((width + self.data.axes, len(one.values)))
             rows[:width, :width] = np.eye(width)
-            rows[width:, width:] = _at_middle(self, one)
+            # An unnamed function of the angle, or of more than time, moves no reading here.
+            start = width
+            for term, size in zip(one.terms, one.widths, strict=True):
+                if term.covariates == ("time",) and not term.enters_angle:
+                    rows[width:, start : start + size] = term.columns(still, middle)[0]
+                start += size
             stated.append((weight, replace(one, values=rows @ one.values, half=rows @ one.half)))
         return mixed_covariance(stated, width + self.data.axes, self.inflation)
 
@@ -357,20 +363,6 @@ def middle_s(fit: Fit) -> float:
     """Return the time halfway between the first and last dwell, in s since the start of the session."""
     time_s = fit.data.conditions.time_s
     return float(time_s.min() + time_s.max()) / 2
-
-
-def _at_middle(fit: Fit, member: RidgeSolution) -> Floats:
-    """Return the derivative (axes, k) of the readings at mid-session by the amplitudes of unnamed terms.
-
-    The readings are those without acceleration. The derivative is zero for functions of the angle, and for
-    terms that depend on more than time.
-    """
-    middle, still = Conditions(time_s=np.array([middle_s(fit)])), np.zeros((1, fit.data.axes))
-    rows = [np.zeros((fit.data.axes, 0))]
-    for term, width in zip(member.terms, member.widths, strict=True):
-        clock = term.covariates == ("time",) and not term.enters_angle
-        rows.append(term.columns(still, middle)[0] if clock else np.zeros((fit.data.axes, width)))
-    return np.concatenate(rows, axis=1)
 
 
 def solve_ridge(

@@ -540,9 +540,6 @@ def bias_at_middle(selection: Selection, finding: Finding) -> Finding:
     return replace(finding, parameters=stated)
 
 
-MOST_NAMED = 5
-
-
 def cycles_alike(selection: Selection) -> list[tuple[int, tuple[int, ...]]]:
     """Return the cycles per turn of each periodic stage error, with other numbers that fit as well."""
     problem, best = selection.problem, selection.verdict.best
@@ -565,7 +562,7 @@ def cycles_alike(selection: Selection) -> list[tuple[int, tuple[int, ...]]]:
         }
         others = sorted(cycles - {periodic[own]})
         if others:
-            out.append((periodic[own], tuple(others[:MOST_NAMED])))
+            out.append((periodic[own], tuple(others[:5])))
     return out
 
 

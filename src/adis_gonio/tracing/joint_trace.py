@@ -218,7 +218,15 @@ class JointRun(TraceRun):
     def _shares(self) -> tuple[SessionShare, ...]:
         data = self.measured
         session = _session(data)
-        evidence = evidence_by_session(self.selection)
+        # Log likelihood in nats that each cause of the model adds in each session.
+        problem, best = self.selection.problem, self.selection.verdict.best
+        of_row = np.repeat(session, len(problem.target) // len(data))
+        _, full = span(problem, best)
+        evidence: dict[str, list[float]] = {}
+        for cause in dict.fromkeys(cause_name(problem.terms[k]) for k in best):
+            _, without = span(problem, [k for k in best if cause_name(problem.terms[k]) != cause])
+            gain = 0.5 * (without**2 - full**2) / self.selection.inflation
+            evidence[cause] = [float(gain[of_row == k].sum()) for k in range(len(data.model.origins))]
         compared = self.fits[0], self.fits[-1]
         models = [(self.fold, self.selection.data, fit) for fit in compared]
         dwells = [left[0].residual for left in held_out_alike(models, compared[1].terms)[0]]
@@ -312,19 +320,6 @@ def screen(data: Readings, terms: Sequence[Term], max_terms: int) -> list[Term]:
         model.append(best)
     kept = promising_labels(problem.terms, promise, limits.screened, by_sharing=True)
     return [term for term in terms if term.label in kept]
-
-
-def evidence_by_session(selection: Selection) -> dict[str, list[float]]:
-    """Return for each cause of the model the log likelihood in nats that it adds in each session."""
-    problem, best, data = selection.problem, selection.verdict.best, selection.data
-    session = np.repeat(_session(data), len(problem.target) // len(data))
-    _, whole = span(problem, best)
-    out = {}
-    for cause in dict.fromkeys(cause_name(problem.terms[k]) for k in best):
-        _, without = span(problem, [k for k in best if cause_name(problem.terms[k]) != cause])
-        gain = 0.5 * (without**2 - whole**2) / selection.inflation
-        out[cause] = [float(gain[session == k].sum()) for k in range(len(data.model.origins))]
-    return out
 
 
 def left_out_sessions(fit: Fit) -> Floats:

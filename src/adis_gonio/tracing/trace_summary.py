@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from adis_gonio.tracing.joint_trace import JointResult
     from adis_gonio.tracing.what_if import WhatIf
 
-_IN_SAMPLES = "looked for within the dwells"
 _COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six")
 _SURE = (
     (0.999, 1e-3, "as good as certain"),
@@ -477,7 +476,7 @@ def advice(result: TraceResult) -> Sequence[str]:
 
 def _reason(reason: str) -> str:
     """Return in words why an effect cannot show; names of recorded fields are replaced by usual words."""
-    if reason == _IN_SAMPLES:
+    if reason == "looked for within the dwells":
         return "they change the samples of a dwell, which this session does not hold"
     words = {
         "temperature_c, temperature_history": "temperature",

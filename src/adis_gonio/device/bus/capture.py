@@ -25,7 +25,6 @@ SIGNALS = {
 }
 """Accepted names of each signal, in small letters."""
 _UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "ps": 1e-12, "fs": 1e-15}
-_TIMESCALE = re.compile(r"(\d+)\s*([munpf]?s)")
 
 
 class LogicCapture:
@@ -106,7 +105,7 @@ def _read_header(path: Path, file: TextIO) -> tuple[float, Mapping[str, str]]:
             break
     if "$enddefinitions" not in text:
         raise DataError(f"{path}: is no VCD file: it has no $enddefinitions")
-    scale = _TIMESCALE.search(text.partition("$timescale")[2])
+    scale = re.search(r"(\d+)\s*([munpf]?s)", text.partition("$timescale")[2])
     if scale is None:
         raise DataError(f"{path}: has no $timescale")
     names = {name.lower(): code for code, name in re.findall(r"\$var\s+\S+\s+1\s+(\S+)\s+(\S+)", text)}

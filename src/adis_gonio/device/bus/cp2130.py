@@ -149,8 +149,6 @@ def parse_counter(data: bytes) -> tuple[int, int]:
 
 _DRAIN_MS = 5
 _MOST_LATE = 64
-_GONE = (errno.ENODEV, errno.ENOENT, errno.ESHUTDOWN)
-_LATE = (errno.ETIMEDOUT, 10060)
 
 
 class Cp2130Bus(host.UsbBus):
@@ -299,9 +297,9 @@ class Cp2130Bus(host.UsbBus):
             raise self._typed(error, what) from error
 
     def _typed(self, error: OSError, what: str) -> BusError:
-        if error.errno in _GONE:
+        if error.errno in (errno.ENODEV, errno.ENOENT, errno.ESHUTDOWN):
             return host.gone_error(self.url)
-        if error.errno in _LATE:
+        if error.errno in (errno.ETIMEDOUT, 10060):  # the second is Windows'
             return BusTimeoutError(f"{self.url}: no answer to {what} within {self._options.timeout_s:g} s")
         if error.errno == errno.EACCES:
             return CannotOpenError(f"{self.url}: the permission was taken away")
@@ -349,7 +347,6 @@ class Cp2130Bus(host.UsbBus):
         raise ProtocolError(f"{self.url}: unexpected replies; does another program use it?")
 
 
-_OPTIONS = ("cs", "reset_gpio", "event_counter", "timeout_ms", "bus", "address")
 _INTERFACE = 0
 
 
@@ -372,7 +369,7 @@ def open_from_url(url: BusUrl, *, backend: Any = None, clock: host.Clock = host.
     CannotOpenError
         No such board, no permission, or another program has it.
     """
-    options = host.UrlOptions(url, _OPTIONS)
+    options = host.UrlOptions(url, ("cs", "reset_gpio", "event_counter", "timeout_ms", "bus", "address"))
     usual = host.UsbOptions.of(options, CHANNELS, EVENT_PIN, f"GPIO.{EVENT_PIN}")
     place = options.number_or_none("bus", 0, 999), options.number_or_none("address", 0, 255)
     usb = _load()

@@ -571,7 +571,6 @@ class Mcp2210Bus(host.UsbBus):
         self._pace.done(self._timing)
 
 
-_OPTIONS = ("cs", "reset_gpio", "event_counter", "timeout_ms", "backend", "path")
 _BACKENDS = ("hidraw", "libusb")
 
 
@@ -594,7 +593,7 @@ def open_from_url(url: BusUrl, *, hid: Any = None, clock: host.Clock = host.WALL
     CannotOpenError
         No such board, no permission, or another program has it.
     """
-    options = host.UrlOptions(url, _OPTIONS)
+    options = host.UrlOptions(url, ("cs", "reset_gpio", "event_counter", "timeout_ms", "backend", "path"))
     backend = options.one_of("backend", _BACKENDS)
     usual = host.UsbOptions.of(options, PINS, EVENT_PIN, f"GP{EVENT_PIN}")
     blocks = hid is None

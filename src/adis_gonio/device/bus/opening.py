@@ -54,9 +54,6 @@ class BusUrl:
         return cls(text, scheme.lower(), place, options)
 
 
-Opener = Callable[[BusUrl], SpiBus]
-
-
 def bus_schemes() -> tuple[str, ...]:
     """Return the URL schemes of all installed buses, from the entry points of group `adis_gonio.bus`."""
     return tuple(sorted({point.name for point in entry_points(group=ENTRY_POINT_GROUP)}))
@@ -83,7 +80,7 @@ def open_bus(url: str) -> SpiBus:
     for point in entry_points(group=ENTRY_POINT_GROUP):
         if point.name == parsed.scheme:
             try:
-                opener: Opener = point.load()
+                opener: Callable[[BusUrl], SpiBus] = point.load()
             except ImportError as error:
                 raise errors.NotInstalledError(
                     f"'{url}': the bus '{parsed.scheme}' needs {error.name or error}:"

@@ -195,8 +195,6 @@ own loop may differ.
 SLOWEST_HZ = 10_000
 """Slowest clock in Hz that may fill a frame period; below it frames are sent one by one."""
 
-_GONE = (errno.ENODEV, errno.ESHUTDOWN, errno.ENXIO)
-
 
 class SpidevBus(host.HostBus):
     """A bus over an open spidev file of the Linux kernel.
@@ -344,17 +342,13 @@ class SpidevBus(host.HostBus):
             raise self._typed(error) from error
 
     def _typed(self, error: OSError) -> BusError:
-        if error.errno in _GONE:
+        if error.errno in (errno.ENODEV, errno.ESHUTDOWN, errno.ENXIO):
             return host.gone_error(self.url)
         if error.errno == errno.ETIMEDOUT:
             return BusTimeoutError(f"{self.url}: the SPI controller does not finish a transfer")
         if error.errno == errno.ENOTTY:
             return ProtocolError(f"{self.url}: this is no spidev file")
         return ProtocolError(f"{self.url}: the SPI driver failed: {error.strerror or error}")
-
-
-_OPTIONS = ("reset_gpio", "cs_high_us")
-_LINE = re.compile(r"(gpiochip\d+):(\d+)")
 
 
 def open_from_url(
@@ -378,7 +372,7 @@ def open_from_url(
     CannotOpenError
         No such file, no permission, or another program has it.
     """
-    options = host.UrlOptions(url, _OPTIONS)
+    options = host.UrlOptions(url, ("reset_gpio", "cs_high_us"))
     cs_high_us = options.number("cs_high_us", round(CS_HIGH_US), 0, 1_000_000)
     line = options.text("reset_gpio")
     if line.isdecimal():
@@ -428,7 +422,7 @@ def _find_line(system: Kernel, url: str, line: str, folder: str) -> tuple[str, i
 
     `folder` is the folder of the device files.
     """
-    written = _LINE.fullmatch(line)
+    written = re.fullmatch(r"(gpiochip\d+):(\d+)", line)
     if written:
         return f"{folder}/{written[1]}", int(written[2])
     names: dict[str, list[tuple[str, int]]] = {}

@@ -160,7 +160,10 @@ class Sampler:
             self._on_failure(error)
         finally:
             self.newest = None
-            self._refuse_jobs()
+            while not self._jobs.empty():
+                _, future, _ = self._jobs.get()
+                if future.set_running_or_notify_cancel():
+                    future.set_exception(self._failure or AdisGonioError("the server ends"))
 
     def _run_jobs(self) -> None:
         while not self._jobs.empty():
@@ -175,12 +178,6 @@ class Sampler:
                 with contextlib.suppress(AdisGonioError):
                     self.state = state_of(self._sensor)
             answer()
-
-    def _refuse_jobs(self) -> None:
-        while not self._jobs.empty():
-            _, future, _ = self._jobs.get()
-            if future.set_running_or_notify_cancel():
-                future.set_exception(self._failure or AdisGonioError("the server ends"))
 
     def _stream(self) -> None:
         sensor = self._sensor
@@ -384,7 +381,6 @@ _IDS = {
     "XTEMP_OUT": "temp_x",
     "SUPPLY_OUT": "voltage0",
 }
-_LABELS = {"SUPPLY_OUT": "supply"}
 
 _SI: dict[register_table.Kind, float] = dict.fromkeys(register_table.Kind, 1000.0) | {
     register_table.Kind.ACCEL: STANDARD_GRAVITY_MPS2 / 1000.0,
@@ -441,7 +437,7 @@ class Channel:
     @property
     def label(self) -> str:
         """Suffix that file names of the Linux kernel add to the channel's name; empty for most channels."""
-        return _LABELS.get(self.register.name, "") if self.register else ""
+        return {"SUPPLY_OUT": "supply"}.get(self.register.name, "") if self.register else ""
 
     @property
     def format(self) -> str:

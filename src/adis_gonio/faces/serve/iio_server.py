@@ -144,8 +144,6 @@ MOST_SENT = 1024
 VERSION = (0, 24, "gonio-1")
 """Version of libiio with this protocol, and a tag of seven letters that names this server."""
 
-_READ = 1 << 16
-
 
 class ClientSession:
     """Answers the requests of one client until it disconnects.
@@ -217,7 +215,7 @@ class ClientSession:
         """Read requests into the queue until the connection ends."""
         parser = Parser()
         with contextlib.suppress(ConnectionError, TimeoutError):
-            while data := await self._reader.read(_READ):
+            while data := await self._reader.read(1 << 16):
                 self._last_s = time.monotonic()
                 for request in parser.feed(data):
                     await self._pending.put(request)

@@ -41,7 +41,6 @@ NAMELESS_SPREAD = 0.1
 """Prior standard deviation of an amplitude of an unnamed term, as a share of `Measurement.full` (100 mg;
 100 mrad for an angle). Without it a difference of covariates that are collinear, such as time and the
 previous position, would cancel against a gain of twenty."""
-_DAMPING = (1.0, 0.5, 0.2, 0.05, 0.01)
 _RUN_AWAY = 1e100
 """Largest derivative of whitened readings that a fit accepts; above this it would overflow when squared."""
 _LEAST_GAIN = 1e-6
@@ -583,7 +582,7 @@ class Fit:
             if within is not None:
                 step = within @ step
             # Take the largest of these step lengths that does not increase χ².
-            for damping in _DAMPING:
+            for damping in (1.0, 0.5, 0.2, 0.05, 0.01):
                 trial = fit._tried(damping * step)
                 if trial is not fit and trial.loss <= fit.loss * (1 + 1e-12):
                     break

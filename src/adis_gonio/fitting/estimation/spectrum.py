@@ -57,7 +57,6 @@ _CHOICE_COST = 0.5
 in simulations with the chip's filter).
 """
 _SLOPE = 32
-_FLICKER_POWER = (-1.5, -0.6)
 _CLEARLY = 2.0
 """Gain in −2 log likelihood above which 1/f noise counts as the better description of the lowest ordinates.
 In simulations with 32 ordinates 1/f noise gains 3 or more; the chip's filter loses, or has a power of −2 in
@@ -327,8 +326,7 @@ def _rises_like_flicker(groups: list[_Ordinates]) -> bool:
     k, total, mean = lowest
     one = np.ones(_SLOPE)
     power, _, by_power = _whittle(np.stack([one, np.log(k)], axis=1), total, mean)
-    low, high = _FLICKER_POWER
-    return bool(low < power[1] < high and by_power < _by_filter(k, total, mean) - _CLEARLY)
+    return bool(-1.5 < power[1] < -0.6 and by_power < _by_filter(k, total, mean) - _CLEARLY)
 
 
 def _flicker_at_foot(groups: list[_Ordinates]) -> bool:
@@ -638,9 +636,6 @@ def covariance_of_means(begin_s: Floats, end_s: Floats) -> Floats:
     return (covariance + covariance.T) / 2
 
 
-_SHORTEST_S = 1e-9
-
-
 def _in_order(begin_s: Floats, end_s: Floats) -> tuple[Floats, Floats]:
     """Return begin and end (n,) of dwells in s, corrected if the given times are impossible.
 
@@ -648,7 +643,7 @@ def _in_order(begin_s: Floats, end_s: Floats) -> tuple[Floats, Floats]:
     """
     length = end_s - begin_s
     # Shorter dwells are not plausible, and their squares would underflow.
-    if (length < _SHORTEST_S).any():
+    if (length < 1e-9).any():
         length = np.ones(len(begin_s))
         begin_s = np.arange(len(begin_s), dtype=float)
     elif (begin_s[1:] < end_s[:-1] - 0.1 * length[:-1]).any():

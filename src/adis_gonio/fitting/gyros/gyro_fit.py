@@ -99,7 +99,6 @@ def gyro_doubts(session: Session, zero_dps: Sequence[float]) -> tuple[str, ...]:
 
 
 MISALIGNMENTS = tuple((k, j) for k in range(3) for j in range(3) if k != j)
-_STEP_DEG = 1e-4
 
 
 def rotation_and_skews_deg(misalignment_deg: Floats) -> Floats:
@@ -141,7 +140,7 @@ def alignment(parameters: Mapping[str, Value], covariance: Floats) -> dict[str, 
     # Unit matrices of the six elements off the diagonal, in the order of the names.
     own = np.eye(9).reshape(9, 3, 3)[[3 * k + j for k, j in MISALIGNMENTS]]
     misalignments = np.einsum("p,pij->ij", [parameters[name].value for name in names], own)
-    slope = central_differences(rotation_and_skews_deg, misalignments, _STEP_DEG, own)
+    slope = central_differences(rotation_and_skews_deg, misalignments, 1e-4, own)
     # Propagate the covariance of the six angles to rotation and skews.
     variance = np.diag(slope @ covariance[np.ix_(rows, rows)] @ slope.T)
     dof = min(parameters[name].dof or math.inf for name in names)

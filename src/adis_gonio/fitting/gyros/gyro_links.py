@@ -48,7 +48,6 @@ UNKNOWN_GAIN, UNKNOWN_MISALIGNMENT_DEG, UNKNOWN_G_DPS = 0.05, 2.0, 0.1
 estimates (D)."""
 _LEAST_DRIFTING = 7
 """Fewest dwells for a drift: zero rate, drift and three g-sensitivities leave two degrees of freedom."""
-_STEP = 1e-6
 _NAMES = (
     *(f"gyro_scale_{i}" if i == j else f"gyro_misalignment_{i}{j}" for i in AXES for j in AXES),
     *(f"g_sensitivity_{i}{j}" for i in AXES for j in AXES),
@@ -116,7 +115,7 @@ class GyroPrior:
         known = np.flatnonzero([name in gyros for name in names])
         matrix = np.zeros((len(gyros.parameters),) * 2) if gyros.covariance is None else gyros.covariance
         begin = gyros.values
-        slope = central_differences(lambda values: _parameters(gyros, values), begin, _STEP)
+        slope = central_differences(lambda values: _parameters(gyros, values), begin, 1e-6)
         values[known] = _parameters(gyros, begin)[known]
         # The calibration replaces the prior of these parameters and their correlation with the others.
         covariance[known, :] = covariance[:, known] = 0.0

@@ -605,7 +605,6 @@ angle."""
 STRAIGHT = math.cos(math.radians(5))
 """Smallest ratio of the angle turned to the path of the rotation vector at which a turn in space is about
 one axis: the cosine of 5°."""
-_BLOCKS = 400
 
 
 @dataclass(frozen=True)
@@ -762,7 +761,7 @@ def steady_force(path: Path, begin_s: float, end_s: float) -> tuple[Floats, Floa
     # Rate about the axis of the whole turn, and its integral.
     spin = np.radians(rate @ (turned / np.linalg.norm(turned)))
     angle = cumulative_integral(spin, time)
-    starts = np.unique(np.linspace(0, len(time), _BLOCKS, endpoint=False).astype(np.intp))
+    starts = np.unique(np.linspace(0, len(time), 400, endpoint=False).astype(np.intp))
     # Least squares on means of blocks: constant, tilt of the table, and both terms of a lever arm.
     speed, *tilted = (block_means(term, starts) for term in (spin, np.cos(angle), np.sin(angle), spin**2))
     jerk = np.gradient(speed, block_means(time, starts))
@@ -781,10 +780,9 @@ Source = tuple[Mapping[str, float], Sequence[str], "Floats | None"]
 """Values of parameters by name as results state them (degrees, mg), names of parameters, and their
 covariance in the order of these names; None if it is unknown."""
 
-GAINS = tuple(f"scale_{axis}" for axis in AXES)
 SKEWS = tuple(f"skew_{AXES[i]}{AXES[j]}" for i, j in SKEW_AXES)
 BIASES = tuple(f"bias_{axis}" for axis in AXES)
-NAMES = (*GAINS, *SKEWS, *BIASES)
+NAMES = (*(f"scale_{axis}" for axis in AXES), *SKEWS, *BIASES)
 CONSISTENT = 4.0
 """Largest difference between the declared angle and the angle by gravity, in standard uncertainties, at
 which both are averaged."""
@@ -793,10 +791,8 @@ UNKNOWN_BIAS_MG = 50.0
 """Standard uncertainty, in mg, of an accelerometer's bias without a measurement: the one real ADIS16350
 showed +57, −21, +46 mg. The default of 10 mg of simulated parts is an estimate, and no limit."""
 UNKNOWN_ACCEL_GAIN = 0.02
-_NOMINAL = np.array([1.0] * 3 + [0.0] * 6)
 _NATURAL = np.array([1.0] * 3 + [math.pi / 180] * 3 + [1.0] * 3)
 """Factors from the units of results to the units of `Axes.values`: skews from degrees to rad."""
-_STEP = 0.01
 _NOT_CALIBRATED = (
     "the accelerometers' biases are not determined: u of the directions of axes includes them;"
     " rest each arrow up and down"
@@ -835,7 +831,7 @@ class Axes:
         prior : (float, float, float)
             Standard uncertainty of an unmeasured gain, skew in rad and bias in mg.
         """
-        values = _NOMINAL.copy()
+        values = np.array([1.0] * 3 + [0.0] * 6)
         covariance, known = np.diag(np.repeat(np.array(prior, dtype=float), 3) ** 2), set[str]()
         for found, order, matrix in sources:
             # Parameters that no earlier source has measured.
@@ -868,7 +864,7 @@ class Axes:
             vector = _direction(values, force_g)
             return np.asarray(vector / np.linalg.norm(vector))
 
-        return central_differences(unit, self.values, _STEP, self.factor.T)
+        return central_differences(unit, self.values, 0.01, self.factor.T)
 
     def u_rad(self) -> float:
         """Return the standard uncertainty in rad of a direction of gravity that the accelerometers show.

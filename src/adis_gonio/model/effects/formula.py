@@ -81,7 +81,6 @@ _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
 }
 _KNOWN = (*COVARIATES_OF_FORMULAS, "pi", *_FUNCTIONS, *_OF_SEVERAL)
 _MOST_CHARACTERS = 200
-_LEFT = re.compile(r"([A-Za-z][A-Za-z0-9_]*)_([xyz]{1,3})")
 EXAMPLE = "write NAME_AXIS = FORMULA, such as 'mine_x = (T - 25)**2 * gx'"
 
 
@@ -125,7 +124,7 @@ def formula_effect(text: str, unit: str) -> FormulaEffect:
     if not text.isprintable():
         raise UsageError(f"formula {text!a}: it holds a character that cannot be printed")
     left, _, right = text.partition("=")
-    found = _LEFT.fullmatch(left.strip())
+    found = re.fullmatch(r"([A-Za-z][A-Za-z0-9_]*)_([xyz]{1,3})", left.strip())
     if found is None or len(set(found[2])) < len(found[2]):
         raise UsageError(f"formula '{text}': '{left.strip()}' names no axis; {EXAMPLE}")
     source = _Source(text, len(left) + 1 + len(right) - len(right.lstrip()))

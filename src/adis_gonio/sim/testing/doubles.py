@@ -121,7 +121,6 @@ def open_simulated(
 
 _BUFFER = 65536
 _LONGEST_WAIT_S = 0.05
-_END_S = 60.0
 _UNREAD = 1 << 20
 """Number of bytes that may wait for a host which does not read; further bytes are lost.
 
@@ -217,7 +216,7 @@ class SimulatedBoard(Closing):
     def close(self) -> None:
         """Close the board's port and stop its thread; may be called twice."""
         self._stop.set()
-        self._thread.join(_END_S)
+        self._thread.join(60.0)
         self._line.close()
 
     unplug = close

@@ -190,8 +190,6 @@ def _cannot_open(error: OSError, place: str, baud: int, url: str) -> BusError:
 
 __all__ = ["Port", "SerialBus", "SerialLink", "find_devices", "open_from_url"]
 
-_OPTIONS = ("baud", "edge", "boot_ms", "serial_number")
-
 
 def open_from_url(url: BusUrl, *, port: Port | None = None, clock: host.Clock = host.WALL) -> SerialBus:
     """Open a board with the project's firmware by its URL (see the module's text).
@@ -214,7 +212,7 @@ def open_from_url(url: BusUrl, *, port: Port | None = None, clock: host.Clock = 
     BusTimeoutError
         No firmware answers.
     """
-    options = host.UrlOptions(url, _OPTIONS)
+    options = host.UrlOptions(url, ("baud", "edge", "boot_ms", "serial_number"))
     baud = options.number("baud", wire.BAUD, 300, 4_000_000)
     trigger = wire.Trigger[options.one_of("edge", ("falling", "rising")).upper()]
     boot_ms = options.number("boot_ms", round(BOOT_S * 1000), 100, 60_000)

@@ -292,8 +292,6 @@ class SerialLink:
 _WRAP_US = 1 << 32
 _WHILE_S = 1.0
 """Period in s of which the earliest arrival makes one point of the line fit of `ClockMap`."""
-_POINTS = 32
-_LEAST_POINTS = 4
 _STEEPEST = 0.02
 """Largest deviation of the rate of the clock map from 1; resonators deviate less."""
 
@@ -348,14 +346,14 @@ class ClockMap:
         if points and time_s - points[-1][0] < _WHILE_S:
             points[-1] = (points[-1][0], min(points[-1][1], late_s))
         else:
-            if len(points) >= _LEAST_POINTS:
+            if len(points) >= 4:
                 # Fit a straight line to the clock difference against the board's time.
                 at, late = np.array(points).T
                 middle = float(at.mean())
                 slope = float((at - middle) @ late / ((at - middle) @ (at - middle)))
                 self._fitted = (middle, float(late.mean()), slope)
             points.append((time_s, late_s))
-            del points[:-_POINTS]
+            del points[:-32]
 
     def _line(self, time_s: float) -> float:
         if self._fitted is None:
@@ -369,7 +367,6 @@ SILENCE_S = 3.0
 
 The slowest sample period of the chip is 2.42 s.
 """
-_POLL_S = 0.5
 _PACKETS_MISSED = 4
 """Number of due packets that may be missing before the serial line counts as faulty.
 
@@ -475,7 +472,7 @@ class SerialStream(FrameStream):
         edges: int | None = None
         begin_s = since_s = owner.now_s()
         while True:
-            found = owner.next_scans(_POLL_S)
+            found = owner.next_scans(0.5)
             if found is not None:
                 return found
             now_edges = owner.count_edges()
