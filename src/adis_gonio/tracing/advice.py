@@ -51,7 +51,11 @@ def advise(
     }
     groups = [c for c in confounded if c[0] in inside or not selection.adequate]
     lines += _by_hand(groups, decided, remedies, alone=not data.model.freedom)
-    lines += _of_cycles(selection)
+    # Stage errors with different numbers of cycles per turn can look alike at the session's angles.
+    lines += [
+        f"to tell {cycles} cycles a turn from {join_words([str(n) for n in others])}: {BETWEEN}"
+        for cycles, others in cycles_alike(selection)
+    ]
     lines += _not_recorded(selection.data)
     if not selection.adequate and not lines:
         lines.append(
@@ -63,7 +67,11 @@ def advise(
 
 def sentences(measurements: Sequence[NextDwell]) -> tuple[str, ...]:
     """Return the proposed measurements as sentences; one sentence lists the dwells with one purpose."""
-    return tuple(_sentence(group) for group in _grouped(measurements))
+    groups: dict[object, list[NextDwell]] = {}
+    for m in measurements:
+        # A group separates one pair of hypotheses, or shows effects that are not yet visible.
+        groups.setdefault("cover" if m.purpose == "cover" else (m.one, m.other), []).append(m)
+    return tuple(map(_sentence, groups.values()))
 
 
 def place(measurement: NextDwell) -> str:
@@ -82,20 +90,10 @@ def where(measurement: NextDwell) -> str:
     return f"an attitude that reads {' '.join(axes)}"
 
 
-def _grouped(measurements: Sequence[NextDwell]) -> list[list[NextDwell]]:
-    """Group proposed dwells by the question that they answer.
-
-    A group separates one pair of hypotheses, or shows effects that are not yet visible.
-    """
-    groups: dict[object, list[NextDwell]] = {}
-    for m in measurements:
-        groups.setdefault("cover" if m.purpose == "cover" else (m.one, m.other), []).append(m)
-    return list(groups.values())
-
-
 def _sentence(group: Sequence[NextDwell]) -> str:
     """Return one sentence that proposes all dwells of a group, which answer the same question."""
-    first, what = group[0], _listed(list(dict.fromkeys(place(m) for m in group)))
+    first, places = group[0], list(dict.fromkeys(map(place, group)))
+    what = join_words(places, comma="; " if any("," in words for words in places) else ", ")
     if first.purpose == "cover":
         names = list(dict.fromkeys(name for m in group for name in (*m.one, *m.other)))
         return f"measure at {what}: only then could {join_words(names)} be seen, if there"
@@ -107,10 +105,6 @@ def _sentence(group: Sequence[NextDwell]) -> str:
     if not one or not other:
         return f"measure at {what}: that {shows} whether {one or other} is there ({apart})"
     return f"measure at {what}: that {tells} {one} from {other} ({apart})"
-
-
-def _listed(places: Sequence[str]) -> str:
-    return join_words(places, comma="; " if any("," in words for words in places) else ", ")
 
 
 def _by_hand(
@@ -134,34 +128,16 @@ def _by_hand(
         True if the readings have no attitude that a further dwell could change. If no rival in a group has
         an action, the action for the effect in the model is then returned.
     """
-    to_do: dict[str, list[str]] = {}
+    to_do: dict[str, dict[str, None]] = {}
     for names in confounded:
         # The first name is in the model; if it is alone in its group it has no named rival.
         rivals = names[1:] or names
         if alone and not any(name in remedies for name in rivals):
             rivals = names[:1]
         for name in rivals:
-            if (
-                name in remedies
-                and name not in decided
-                and name not in to_do.setdefault(remedies[name], [])
-            ):
-                to_do[remedies[name]].append(name)
-    return [
-        f"to confirm or rule out {join_words(names)}: {remedy}" for remedy, names in to_do.items() if names
-    ]
-
-
-def _of_cycles(selection: Selection) -> list[str]:
-    """Return advice on angles that separate the found periodic stage error from others that fit as well.
-
-    At the session's angles, stage errors with different numbers of cycles per turn can look alike. Each
-    line advises additional angles that distinguish them.
-    """
-    return [
-        f"to tell {cycles} cycles a turn from {join_words([str(n) for n in others])}: {BETWEEN}"
-        for cycles, others in cycles_alike(selection)
-    ]
+            if name in remedies and name not in decided:
+                to_do.setdefault(remedies[name], {})[name] = None
+    return [f"to confirm or rule out {join_words([*names])}: {remedy}" for remedy, names in to_do.items()]
 
 
 def _not_recorded(data: Readings) -> list[str]:

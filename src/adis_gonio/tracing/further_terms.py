@@ -22,7 +22,6 @@ from adis_gonio.tracing.selection import Selection
 from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.validation import (
     Fold,
-    HeldOut,
     held_out_alike,
     leave_each_out,
     leaves_too_few,
@@ -124,9 +123,17 @@ def bought_by_terms(
     """
     fits = [one.fit if one.fit in fold else one.fit.refit() for one in models]
     data = fits[0].data
+    # The terms of a fit are kept, and their values are fitted again without the held-out dwells.
+    if checking is not None:
+        left_out = [[residuals_on(fit, checking)] for fit in fits]
+    elif leaves_too_few(fits[-1]):
+        left_out = leave_each_out(fits)[0]
+    else:
+        chosen = [one.chosen for one in models].index(True)
+        left_out = held_out_alike([(fold, data, fit) for fit in fits], fits[chosen].terms, [chosen])[0]
     squares = [
         np.concatenate([(part.residual**2).sum(axis=1) for part in parts]) if parts else np.zeros(0)
-        for parts in _left_out(fits, [one.chosen for one in models].index(True), fold, checking)
+        for parts in left_out
     ]
     if not squares[0].size:
         return ()
@@ -150,21 +157,6 @@ def bought_by_terms(
             )
         )
     return tuple(out)
-
-
-def _left_out(
-    fits: Sequence[Fit], chosen: int, fold: Fold, checking: Readings | None
-) -> list[list[HeldOut]]:
-    """Return the residuals of each fit on the held-out dwells; empty lists if no dwell can be held out.
-
-    The terms of a fit are kept, and their values are fitted again without the held-out dwells. `chosen` is
-    the index of the chosen model in `fits`; the other arguments are as in `bought_by_terms`.
-    """
-    if checking is not None:
-        return [[residuals_on(fit, checking)] for fit in fits]
-    if leaves_too_few(fits[-1]):
-        return leave_each_out(fits)[0]
-    return held_out_alike([(fold, fits[0].data, fit) for fit in fits], fits[chosen].terms, [chosen])[0]
 
 
 def next_term(bought: Sequence[Bought], unit: str) -> str:

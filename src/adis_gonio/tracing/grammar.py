@@ -152,8 +152,9 @@ def nameless_terms(data: Readings) -> list[NamelessTerm]:
 def _bases(data: Readings) -> Iterator[_Made]:
     """Yield all candidate functions that a session can show, one family of covariates after another."""
     conditions = data.conditions
+    driving = {"reading": _of_reading, "force": _of_force, "rotation": _of_rotation}
     for covariate in data.model.driven_by:
-        yield from _OF_COVARIATE[covariate](data)
+        yield from driving[covariate](data)
     if conditions.angle_rad is not None:
         yield from _of_angle()
     yield from _of_time(data)
@@ -257,19 +258,6 @@ def _of_own(
     return _Made(family, Basis(form, (family,), None, columns, smooth, constant), ("bias",))
 
 
-def _of_others(form: str, function: Callable[[Floats, Floats], Floats]) -> _Made:
-    """Return a candidate that is a function of each axis's own reading and of the other axes' readings.
-
-    `form` is the text for the function.
-    """
-
-    def columns(ideal: Floats, axis: int) -> Floats:
-        others = [k for k in range(ideal.shape[1]) if k != axis]
-        return np.stack([function(ideal[:, axis], ideal[:, k]) for k in others], axis=1)
-
-    return _Made("reading", Basis(form, ("reading",), by_axis=columns), ("bias",))
-
-
 def _of_reading(data: Readings) -> Iterator[_Made]:
     """Yield functions of each axis's own reading a in g, and of the readings a_p of the other axes."""
     single: dict[str, Shape] = {
@@ -304,7 +292,13 @@ def _of_reading(data: Readings) -> Iterator[_Made]:
         "a³ a_p": lambda a, p: a**3 * p,
         "a a_p³": lambda a, p: a * p**3,
     }
-    yield from (_of_others(form, pair) for form, pair in cross.items())
+    for form, pair in cross.items():
+
+        def columns(ideal: Floats, axis: int, pair: Callable[[Floats, Floats], Floats] = pair) -> Floats:
+            others = [k for k in range(ideal.shape[1]) if k != axis]
+            return np.stack([pair(ideal[:, axis], ideal[:, k]) for k in others], axis=1)
+
+        yield _Made("reading", Basis(form, ("reading",), by_axis=columns), ("bias",))
     # All powers up to the third degree are named effects.
     for degree in (4, 5, 6):
         form = f"a smooth function of the reading (degree {degree})"
@@ -347,24 +341,16 @@ def _of_force(data: Readings) -> Iterator[_Made]:
         made.append((f"(f_{AXES[j]}² − f_{AXES[k]}²)/2", difference(j, k)))
     yield from (_formula("force", form, columns, ("bias", "gain")) for form, columns in made)
     for degree in (2, 3):
-        powers = _powers(moving, degree)
+        powers = [
+            parts
+            for count in range(1, degree + 1)
+            for parts in itertools.combinations_with_replacement(moving, count)
+            # If all components vary, x² + y² + z² = 1 g² makes products with z² redundant.
+            if len(moving) < 3 or parts.count(2) < 2
+        ]
         if len(powers) < len(data):
             form = f"a smooth function of the force (degree {degree})"
             yield _formula("force", form, _monomials(powers), ("bias",), smooth=True)
-
-
-def _powers(moving: Sequence[int], degree: int) -> list[tuple[int, ...]]:
-    """Return all products of up to `degree` components of the force, each as a tuple of axis numbers.
-
-    `moving` are the axes whose component varies. If all three vary, products with z² are omitted, since
-    x² + y² + z² = 1 g² makes them redundant.
-    """
-    made = [
-        parts
-        for count in range(1, degree + 1)
-        for parts in itertools.combinations_with_replacement(moving, count)
-    ]
-    return [parts for parts in made if len(moving) < 3 or parts.count(2) < 2]
 
 
 def _monomials(powers: Sequence[tuple[int, ...]]) -> Columns:
@@ -388,14 +374,6 @@ def _of_rotation(data: Readings) -> Iterator[_Made]:
         "|sign ω|": lambda w: np.abs(np.sign(w)),
     }
     yield from (_of_own("rotation", form, function) for form, function in curves.items())
-
-
-_OF_COVARIATE: dict[str, Callable[[Readings], Iterator[_Made]]] = {
-    "reading": _of_reading,
-    "force": _of_force,
-    "rotation": _of_rotation,
-}
-"""Functions that yield candidates, by the covariate that drives a measurement (`driven_by`)."""
 
 
 def _of_angle() -> Iterator[_Made]:

@@ -25,7 +25,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import check
 from adis_gonio.base.numbers import join_words
-from adis_gonio.fitting.estimation.fit import Fit, Values
+from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
 from adis_gonio.model.effects import Conditions
@@ -525,8 +525,7 @@ def _options(data: Readings) -> list[ImaginedDwell]:
     if data.planar:
         sides = (1, -1) if c.approach is not None else (0,)
         fine = [ImaginedDwell(float(a), None, side) for a in range(0, 360, 15) for side in sides]
-        coarse = [place for place in fine if place.angle_deg is not None and place.angle_deg % 45 == 0]
-        coarse = [place for place in coarse if place.approach >= 0]
+        coarse = [place for place in fine if (place.angle_deg or 0.0) % 45 == 0 and place.approach >= 0]
     else:
         fine = []
         for v in itertools.product((-1, 0, 1), repeat=3):
@@ -552,7 +551,12 @@ def _predict(
     cut off at ±`FAR`.
     """
     imagined = _imagined(data, options, before)
-    fits = [_imagining(h.fit, imagined) for h in hypotheses]
+    declared = np.isfinite(imagined.angle_rad)
+    _, attitude = imagined.model.begin(imagined.mean, imagined.turn_rad, declared, imagined.conditions)
+    fits = [
+        Fit(imagined, h.fit.terms, replace(h.fit.values, attitude=attitude), h.fit.with_prior)
+        for h in hypotheses
+    ]
     whiten = fits[0].whitener / np.sqrt(inflation)
     means, roots = [], []
     for h, fit in zip(hypotheses, fits, strict=True):
@@ -562,13 +566,6 @@ def _predict(
         means.append(np.clip(np.nan_to_num(mean, posinf=FAR, neginf=-FAR), -FAR, FAR))
         roots.append(np.clip(columns @ h.root, -FAR, FAR))
     return PredictedDwells(means, roots)
-
-
-def _imagining(fit: Fit, imagined: Readings) -> Fit:
-    """Return a fit with the parameters of `fit` that predicts readings of dwells not yet measured."""
-    declared = np.isfinite(imagined.angle_rad)
-    _, attitude = imagined.model.begin(imagined.mean, imagined.turn_rad, declared, imagined.conditions)
-    return Fit(imagined, fit.terms, Values(fit.values.base, attitude, fit.values.terms), fit.with_prior)
 
 
 def _imagined(data: Readings, options: list[ImaginedDwell], before: list[ImaginedDwell]) -> Readings:

@@ -14,7 +14,7 @@ from adis_gonio.base.arrays import Floats, wrap_radians
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
-from adis_gonio.model.effects import AXES, Conditions
+from adis_gonio.model.effects import AXES
 from adis_gonio.tracing.trace_result import TraceResult
 from adis_gonio.tracing.validation import residuals_on
 from adis_gonio.tracing.what_if import WhatIf
@@ -100,7 +100,9 @@ def views_of(readings: Readings, result: TraceResult) -> Views:
     checking, chain = readings.checking, result.fits
     steps = []
     for (before, after), step in zip(itertools.pairwise(chain), result.steps, strict=True):
-        steps.append(StepView(step.effect, _panels(checking, _new_term(before, after), before, after)))
+        inside = {term.label for term in before.terms}
+        fresh = [term for term in after.terms if term.label not in inside] or after.terms
+        steps.append(StepView(step.effect, _panels(checking, fresh[-1], before, after)))
     return Views(tuple(steps), _left(checking, result))
 
 
@@ -119,13 +121,6 @@ def what_if_panels(what_if: WhatIf) -> tuple[Panel, ...]:
     ]
     panels = [panel for term in terms for panel in _panels(None, term, best, asked)]
     return tuple({(panel.covariate, panel.quantity): panel for panel in panels}.values())
-
-
-def _new_term(before: Fit, after: Fit) -> Term:
-    """Return the term that a nested model contains in addition to the previous nested model."""
-    inside = {term.label for term in before.terms}
-    fresh = [term for term in after.terms if term.label not in inside]
-    return (fresh or list(after.terms))[-1]
 
 
 def _panels(checking: Readings | None, term: Term, before: Fit, after: Fit) -> tuple[Panel, ...]:
@@ -159,15 +154,15 @@ def _covariate(data: Readings, term: Term, axis: int) -> str:
         return shown
     if name in ("", "reading"):
         return own
-    return name if _values(data.conditions, data, name) is not None else "order"
+    return name if _values(data, name) is not None else "order"
 
 
-def _values(conditions: Conditions, data: Readings, name: str) -> Floats | None:
+def _values(data: Readings, name: str) -> Floats | None:
     """Return the values (n,) of a covariate in the unit of the figures; None if it was not recorded.
 
     `name` is the covariate as in `Panel.covariate`.
     """
-    c = conditions
+    c = data.conditions
     if name.startswith("reading_"):
         return data.mean[:, AXES.index(name[-1])] / data.model.full
     if name in ("force", "rotation"):
@@ -219,7 +214,7 @@ def _panel(checking: Readings | None, covariate: str, quantity: str, before: Fit
     def abscissa(rows: Readings) -> Floats:
         if covariate == "temperature_lag":
             return _lag(rows, after)
-        found = _values(rows.conditions, rows, covariate)
+        found = _values(rows, covariate)
         return np.full(len(rows), np.nan) if found is None else found
 
     was, now = view_residual(before, quantity), view_residual(after, quantity)
@@ -286,7 +281,7 @@ def _left(checking: Readings | None, result: TraceResult) -> tuple[Panel, ...]:
     quantities = [f"residual_{letter}" for letter in AXES[: data.axes]] if data.by_axis else ["norm"]
     out = []
     for name in names:
-        values = _values(data.conditions, data, name)
+        values = _values(data, name)
         if values is not None and np.ptp(values) > (0.0 if name in unnamed else _LEAST_SPAN.get(name, 0.0)):
             out += [_panel(checking, name, quantity, base, last) for quantity in quantities]
     return tuple(out)

@@ -25,7 +25,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage, optimize, special
 
 from adis_gonio.base.arrays import Floats
@@ -84,7 +83,10 @@ def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding
             spread = max(float(deviation(one_side)), float(usual), 0.5 * float(scatter[k, axis]))
             # Both the neighbours' median and the sample are rounded.
             size = (np.abs(away) - 1.5 * samples.quantum[axis]) / spread
-            for first, last in _groups(size > limit, 2 * reach + 1):
+            far = np.flatnonzero(size > limit)
+            # Far samples that are at most 2 `reach` + 1 apart are one spike.
+            for own in np.split(far, np.flatnonzero(np.diff(far) > 2 * reach + 1) + 1) if far.size else ():
+                first, last = int(own[0]), int(own[-1]) + 1
                 top = first + int(np.argmax(np.abs(away[first:last])))
                 low, high = max(0, first - 2 * reach), min(len(rows), last + 2 * reach)
                 values[k] = values[k].copy()
@@ -119,15 +121,6 @@ def _from_neighbours(column: Floats, reach: int) -> tuple[Floats, Floats, Floats
     use_before = np.where(has_before & has_after, np.abs(by_before) <= np.abs(by_after), has_before)
     away = np.where(use_before, by_before, by_after)
     return away, column - away, by_before[reach + 2 * half :]
-
-
-def _groups(flags: NDArray[np.bool_], gap: int) -> list[tuple[int, int]]:
-    """Group the samples with a True flag that are at most `gap` apart; return (first, last + 1) of each."""
-    at = np.flatnonzero(flags)
-    if not at.size:
-        return []
-    groups = np.split(at, np.flatnonzero(np.diff(at) > gap) + 1)
-    return [(int(own[0]), int(own[-1]) + 1) for own in groups]
 
 
 def _spikes_finding(samples: Samples, found: list[tuple[Place, float]]) -> WithinFinding:
@@ -180,7 +173,10 @@ def stuck(samples: Samples, scatter: Floats, reach: int) -> WithinFinding | None
         typical = float(np.median(scatter[:, axis]))
         if typical < LIVELY * samples.quantum[axis]:
             continue
-        start, common = _tail(np.concatenate(kept))
+        # The tail of the run lengths begins at `start`; longer runs exceed it by `common` on average.
+        runs = np.concatenate(kept)
+        start = float(np.quantile(runs, _LONG_QUANTILE)) if runs.size else 1.0
+        common = float(np.mean(runs[runs > start] - start)) if (runs > start).any() else 0.0
         for k, own in enumerate(lengths):
             longest = int(own.max())
             if longest < _LEAST_RUN:
@@ -219,18 +215,6 @@ def stuck(samples: Samples, scatter: Floats, reach: int) -> WithinFinding | None
         places=tuple(places),
         advice=f"check wiring and the reading of the sensor, then repeat {positions_text(positions, 0)}",
     )
-
-
-def _tail(lengths: NDArray[np.intp]) -> tuple[float, float]:
-    """Return the run length at which the exponential tail of run lengths begins, and its mean excess.
-
-    The mean excess is the mean by which longer runs exceed this length.
-    """
-    if not lengths.size:
-        return 1.0, 0.0
-    start = float(np.quantile(lengths, _LONG_QUANTILE))
-    beyond = lengths[lengths > start]
-    return start, float(np.mean(beyond - start)) if beyond.size else 0.0
 
 
 def saturation(session: Session, data: Readings) -> WithinFinding | None:
@@ -273,11 +257,8 @@ def quantization(samples: Samples, reach: int) -> WithinFinding | None:
     reach : int
         Number of samples over which neighbours are correlated.
     """
-    found: dict[int, float] = {}
-    for axis in range(samples.axes):
-        p = corrected(_coarse(samples, axis, reach), samples.axes)
-        if p < FOUND_WITHIN:
-            found[axis] = p
+    p = [corrected(_coarse(samples, axis, reach), samples.axes) for axis in range(samples.axes)]
+    found = [axis for axis, own in enumerate(p) if own < FOUND_WITHIN]
     if not found:
         return None
     letters = tuple(samples.letters[axis] for axis in found)
@@ -288,7 +269,7 @@ def quantization(samples: Samples, reach: int) -> WithinFinding | None:
         axes=letters,
         positions=tuple(int(p) for p in samples.position),
         parameters={"lsb": Value(step, None, "mg")},
-        p_value=min(found.values()),
+        p_value=min(p),
         sentence=(
             f"{', '.join(letters)} come in steps of {format_number(step)} mg, which the noise does not"
             " hide: the means follow a staircase"

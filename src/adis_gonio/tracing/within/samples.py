@@ -136,8 +136,7 @@ def deviation(rows: Floats, axis: int = 0) -> Floats:
     It is computed from the median absolute deviation; the result has no dimension `axis`.
     """
     middle = np.median(rows, axis=axis, keepdims=True)
-    spread: Floats = MAD_TO_SD * np.median(np.abs(rows - middle), axis=axis)
-    return spread
+    return np.asarray(MAD_TO_SD * np.median(np.abs(rows - middle), axis=axis))
 
 
 def scatter(samples: Samples) -> Floats:
@@ -153,8 +152,7 @@ def scatter(samples: Samples) -> Floats:
     short = samples.counts < _LEAST_LEVEL
     typical = np.sqrt(np.median(plain**2, axis=0))
     least = np.maximum(samples.quantum / np.sqrt(12), 1e-9)
-    chosen: Floats = np.maximum(np.where(short[:, None], typical, own), least)
-    return chosen
+    return np.asarray(np.maximum(np.where(short[:, None], typical, own), least))
 
 
 Kind = Literal[

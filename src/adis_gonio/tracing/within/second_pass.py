@@ -85,9 +85,13 @@ def with_second_pass(session: Session, data: Readings, result: TraceResult) -> T
         codes = (saturation(session, data), quantization(samples, correlation_reach(samples)))
         within = (*(finding for finding in codes if finding is not None), *within)
     claimed = {finding.effect for finding in result.found}
+    best: dict[str | None, WithinFinding] = {}
+    for finding in within:
+        if finding.effect not in best or finding.p_value < best[finding.effect].p_value:
+            best[finding.effect] = finding
     more = tuple(
         _finding_of(finding)
-        for finding in _first_of_each(within)
+        for finding in best.values()
         if counts_as_found(finding) and finding.effect not in claimed and not session.cut_by_stillness
     )
     advice = (*_of_single_dwells(data, result), *(f.advice for f in within if f.advice))
@@ -123,15 +127,6 @@ def probability(p_value: float) -> float:
     evidence = (math.expm1(depth) - depth) / depth**2 if depth > 1e-6 else 0.5
     odds = limits.effect_share / (1 - limits.effect_share) * evidence
     return odds / (1 + odds)
-
-
-def _first_of_each(within: tuple[WithinFinding, ...]) -> list[WithinFinding]:
-    """Return one finding for each named effect: the most significant of its findings."""
-    best: dict[str | None, WithinFinding] = {}
-    for finding in within:
-        if finding.effect not in best or finding.p_value < best[finding.effect].p_value:
-            best[finding.effect] = finding
-    return [finding for effect, finding in best.items() if effect is not None]
 
 
 def _finding_of(finding: WithinFinding) -> Finding:
@@ -252,12 +247,10 @@ def _tone(samples: Samples, density: Density | None) -> Detectable:
     An amplitude A adds c A² n/4S to an ordinate of n samples, with density S and loss c by the taper, so
     that the sum of d ordinates is half a noncentral χ² variable with 2d degrees of freedom.
     """
-    if density is None:
+    if density is None or not density.relative.size:
         return Detectable(None, "mg", "tone", "the dwells are too short for a spectrum")
     searched = density.searched
     dwells, points, axes = density.relative.shape
-    if points < 1:
-        return Detectable(None, "mg", "tone", "the dwells are too short for a spectrum")
     p = FOUND_WITHIN / SEARCHES / (2.0 * points * axes)
     counts = float(np.median(samples.counts[density.dwells]))
     worst = 0.0

@@ -146,7 +146,10 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
         power, bounds=(about - step, about + step), method="bounded", options={"xatol": 1e-4 * step}
     )
     frequency = float(search.x)
-    waves = _waves(frequency, times, rows)
+    # Amplitudes of cosine and sine in each dwell, (d, 2, axes).
+    designs = [np.column_stack([cosine_and_sine(frequency, time), np.ones_like(time)]) for time in times]
+    solved = [np.linalg.lstsq(*pair, rcond=None)[0] for pair in zip(designs, rows, strict=True)]
+    waves = np.array(solved)[:, :2]
     squares = (waves**2).sum(axis=1)
     counts = np.array([len(own) for own in rows], dtype=float)[:, None]
     noise = density.level * density.base[peak.at]
@@ -174,8 +177,8 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
     if not clear.all():
         amplitude, u, _ = line_sizes(squares[clear], (4 * noise / counts)[clear], excess[clear])
     values = list(samples.values)
-    for k, time, wave in zip(dwells.tolist(), times, waves, strict=True):
-        values[k] = values[k] - cosine_and_sine(frequency, time) @ wave
+    for k, design, wave in zip(dwells.tolist(), designs, waves, strict=True):
+        values[k] = values[k] - design[:, :2] @ wave
     hertz = Value(frequency, float(u_frequency), "Hz")
     letters, parameters, sizes = amplitudes_of(samples, axes, amplitude, u)
     folding = aliases_hz(frequency, 1 / period)
@@ -231,18 +234,6 @@ def alias_text(folding: tuple[float, ...]) -> str:
     named = ", ".join(format_number(f, 4) for f in folding[:MOST_ALIASES])
     more = ", …" if len(folding) > MOST_ALIASES else ""
     return f"; a vibration at {named}{more} Hz would be seen there as well"
-
-
-def _waves(frequency: float, times: list[Floats], rows: list[Floats]) -> Floats:
-    """Return the amplitudes (d, 2, axes) of cosine and sine of one frequency in Hz in each dwell.
-
-    `times` (n,) in s and `rows` (n, axes) are the samples of each dwell.
-    """
-    waves = []
-    for time, own in zip(times, rows, strict=True):
-        design = np.column_stack([cosine_and_sine(frequency, time), np.ones_like(time)])
-        waves.append(np.linalg.lstsq(design, own, rcond=None)[0][:2])
-    return np.array(waves)
 
 
 def cosine_and_sine(frequency: float | Floats, time: Floats) -> Floats:
@@ -421,7 +412,8 @@ def density_of(samples: Samples) -> Density | None:
     searched = slice(first, len(frequency) - max(1, round(each / 2)))
     band = power[:, searched]
     level = np.maximum(np.median(band, axis=1), 1e-300)
-    width = _widths(len(frequency), each)
+    ordinate = np.arange(len(frequency)) / each
+    width = np.array(_WIDTHS, dtype=float)[np.digitize(ordinate, 3 * np.array(_WIDTHS[1:]))]
     pooled = (power / level[:, None, :]).mean(axis=0)
     beside = _beside(pooled, searched, each)
     information = len(dwells) / each / TAPER_LOSS
@@ -528,21 +520,7 @@ def without_line(rows: Floats) -> Floats:
     place = np.arange(len(rows)) - (len(rows) - 1) / 2
     centred = rows - rows.mean(axis=0)
     slope = place @ centred / max(float(place @ place), 1e-300)
-    result: Floats = centred - place[:, None] * slope
-    return result
-
-
-def _widths(points: int, each: float) -> Floats:
-    """Return the half width (k,) of the running median at each frequency of a spectrum.
-
-    The unit is the number of independent values (ordinates); `each` is the number of frequencies per
-    ordinate. `points` is the number of frequencies.
-    """
-    ordinate = np.arange(points) / each
-    width = np.full(points, float(_WIDTHS[0]))
-    for half in _WIDTHS[1:]:
-        width[ordinate >= 3 * half] = half
-    return width
+    return np.asarray(centred - place[:, None] * slope)
 
 
 def _smooth(flat: Floats, searched: slice, width: Floats, each: float) -> Floats:
@@ -653,5 +631,4 @@ def _expected(filter_m: int, counts: NDArray[np.intp], size: int) -> Floats:
 def _taper(n: int) -> Floats:
     """Return a Hann taper (n,), scaled so that its squares add up to 1."""
     taper = np.hanning(n + 2)[1:-1]
-    result: Floats = taper / np.sqrt(taper @ taper)
-    return result
+    return np.asarray(taper / np.sqrt(taper @ taper))
