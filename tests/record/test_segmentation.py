@@ -1,14 +1,14 @@
-"""A recording of any length: cut into pieces in any way, in memory that does not grow with it."""
+"""Dwells of a long recording, in memory that hardly grows with it."""
 
 import tracemalloc
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 
 from adis_gonio.record import segmentation
-from adis_gonio.record.segmentation import Piece, Quantiles, segment_pieces, segment_with_notes
+from adis_gonio.record.segmentation import Quantiles, segment_with_notes
 
 RATE = 100.0
 STEP_S = 40.0
@@ -24,21 +24,21 @@ def samples(first, last):
     accel = 1000 * np.stack([np.cos(angle), np.sin(angle), np.full(len(t), 0.1)], axis=1)
     accel[:, 0] += slip
     gyro = np.where(into > 36.0, 7.0, 0.0)[:, None] * [0.0, 0.0, 1.0]
-    return Piece(t, accel + rng.normal(0, 2.0, accel.shape), gyro + rng.normal(0, 0.1, (len(t), 3)))
+    return t, accel + rng.normal(0, 2.0, accel.shape), gyro + rng.normal(0, 0.1, (len(t), 3))
 
 
 WHOLE = samples(0, 60_000)
 
 
-def plain(piece):
+def plain(_, accel, gyro):
     """Dwells by the definition, window by window, without running sums, histograms or blocks."""
     window, trim, least = round(RATE / 2), round(RATE / 4), round(RATE)
-    spread = np.lib.stride_tricks.sliding_window_view(piece.accel, window, axis=0).std(axis=-1)
+    spread = np.lib.stride_tricks.sliding_window_view(accel, window, axis=0).std(axis=-1)
     noise = [np.median(s[s <= 2 * np.quantile(s, 0.05)]) for s in spread.T]
     still = ((spread <= 4 * np.array(noise)) & (spread >= 0.1 * np.array(noise))).all(axis=1)
-    turning = np.lib.stride_tricks.sliding_window_view(piece.gyro, window, axis=0).std(axis=-1)
+    turning = np.lib.stride_tricks.sliding_window_view(gyro, window, axis=0).std(axis=-1)
     still &= (turning <= 10 * np.median(turning[still], axis=0)).all(axis=1)
-    means = np.lib.stride_tricks.sliding_window_view(piece.accel, window, axis=0).mean(axis=-1)
+    means = np.lib.stride_tricks.sliding_window_view(accel, window, axis=0).mean(axis=-1)
     found, k = [], 0
     while k < len(still):
         if not still[k]:
@@ -69,48 +69,39 @@ def small_blocks(monkeypatch):
 
 
 def test_dwells_are_those_of_the_definition(small_blocks):
-    found, _ = segment_with_notes(WHOLE.time_s, WHOLE.accel, WHOLE.gyro)
-    wanted = plain(WHOLE)
+    found, _ = segment_with_notes(*WHOLE)
+    wanted = plain(*WHOLE)
     assert len(found) == len(wanted) == 20  # 15 rests, 5 of them slip
     for one, other in zip(found, wanted, strict=True):
         assert abs(one.start - other.start) <= 1  # the noise is a median to 0.1 %
         assert abs(one.stop - other.stop) <= 1
 
 
-@settings(max_examples=6)
-@given(st.lists(st.integers(0, 60_000), max_size=30))
-def test_the_way_a_recording_is_cut_changes_nothing(cuts):
-    edges = [0, *sorted(cuts), 60_000]
-    pieces = [WHOLE.rows(a, b) for a, b in pairwise(edges)]
-    assert segment_pieces(lambda: pieces) == segment_with_notes(WHOLE.time_s, WHOLE.accel, WHOLE.gyro)
-
-
 @pytest.mark.parametrize("block", [60, 1000, 9999])
 def test_dwells_do_not_depend_on_the_size_of_a_block(monkeypatch, block):
-    whole = segment_with_notes(WHOLE.time_s, WHOLE.accel, WHOLE.gyro)
+    whole = segment_with_notes(*WHOLE)
     monkeypatch.setattr(segmentation, "_BLOCK", block)
-    assert segment_with_notes(WHOLE.time_s, WHOLE.accel, WHOLE.gyro) == whole
+    assert segment_with_notes(*WHOLE) == whole
 
 
 def test_a_stuck_stretch_over_many_blocks_is_named_by_its_times(small_blocks):
-    accel = WHOLE.accel.copy()
+    accel = WHOLE[1].copy()
     accel[20_000:23_000] = accel[20_000]
-    found, notes = segment_with_notes(WHOLE.time_s, accel)
+    found, notes = segment_with_notes(WHOLE[0], accel)
     (line,) = [note for note in notes if "stuck" in note]
     assert "at 200 s to 230 s" in line
     window = round(RATE / 2)  # one that is stuck in part still shows noise
     assert not any(rows.start < 23_000 - window and rows.stop > 20_000 + window for rows in found)
 
 
-def test_memory_does_not_grow_with_the_recording(monkeypatch):
+def test_memory_hardly_grows_with_the_recording(monkeypatch):
     monkeypatch.setattr(segmentation, "_BLOCK", 4096)
     peaks = []
     for rows in (100_000, 800_000):
+        whole = samples(0, rows)
         tracemalloc.start()
         try:
-            found, _ = segment_pieces(
-                lambda n=rows: (samples(k, min(k + 10_000, n)) for k in range(0, n, 10_000))
-            )
+            found, _ = segment_with_notes(*whole)
             peaks.append(tracemalloc.get_traced_memory()[1])
         finally:
             tracemalloc.stop()

@@ -1,4 +1,4 @@
-"""Dwells of a continuous recording of any length: the stretches in which the sensor was still.
+"""Dwells of a continuous recording: the stretches in which the sensor was still.
 
 A window of samples is still if the standard deviation of every axis lies between the limits of
 `adis_gonio.record.stillness`. The noise of an axis is the median of the standard deviations in its quiet
@@ -11,16 +11,15 @@ therefore ten times its median in windows in which the accelerations are still.
 Every run of still windows is trimmed by `TRIM_S` at both ends, which the hand may disturb, and kept if it
 lasts at least `LEAST_S`. A run is split at steps of its mean (a slip, or a slow turn).
 
-The recording is read several times from its beginning, a block at a time: its extent, its noise, the gyros'
-noise, its still windows, its steps. Memory is needed for one block and the results only.
+Standard deviations are computed a block of rows at a time, so that memory is needed for one block only.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain, pairwise
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,51 +44,6 @@ _FIRST = 20_000
 """Number of rows at the beginning that determine the converter's step."""
 
 Flags = NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class Piece:
-    """Consecutive samples of a recording.
-
-    Attributes
-    ----------
-    time_s : (n,) float
-        Time of each sample, increasing.
-    accel : (n, axes) float
-        Accelerometer samples in any unit.
-    gyro : (n, 3) float or None
-        Gyro samples in any unit; None for all pieces of a recording without gyros.
-    """
-
-    time_s: Floats
-    accel: Floats
-    gyro: Floats | None = None
-
-    def __len__(self) -> int:
-        return len(self.time_s)
-
-    def rows(self, first: int, stop: int | None = None) -> Piece:
-        """Return the rows `first` to `stop` (exclusive; None for the end) of the piece, as views."""
-        gyro = None if self.gyro is None else self.gyro[first:stop]
-        return Piece(self.time_s[first:stop], self.accel[first:stop], gyro)
-
-    @property
-    def columns(self) -> Floats:
-        """All samples (n, columns): the accelerations, then the rates."""
-        return self.accel if self.gyro is None else np.hstack([self.accel, self.gyro])
-
-    def followed_by(self, other: Piece) -> Piece:
-        """Return the piece joined with the next one."""
-        gyros = [one.gyro for one in (self, other) if one.gyro is not None]
-        return Piece(
-            np.concatenate([self.time_s, other.time_s]),
-            np.concatenate([self.accel, other.accel]),
-            np.concatenate(gyros) if gyros else None,
-        )
-
-
-Reading = Callable[[], Iterable[Piece]]
-"""Function that reads a recording from its beginning; each call gives equal samples."""
 
 
 def segment_with_notes(
@@ -118,27 +72,8 @@ def segment_with_notes(
     DataError
         The samples never change (stuck data).
     """
-    whole = Piece(time_s, accel, gyro)
-    return segment_pieces(lambda: (whole,))
-
-
-def segment_pieces(read: Reading) -> tuple[list[slice], list[str]]:
-    """Find the dwells of a recording that may be larger than memory; return their rows and remarks.
-
-    The division of the recording into pieces does not change the result.
-
-    Parameters
-    ----------
-    read : callable
-        Returns the pieces of the recording in order; called several times.
-
-    Raises
-    ------
-    DataError
-        The samples never change (stuck data).
-    """
-    whole = _extent(read)
-    n, period, axes = whole.n, whole.period_s, whole.axes
+    whole = _extent(time_s, [accel] if gyro is None else [accel, gyro])
+    n, period, axes = len(time_s), whole.period_s, accel.shape[1]
     if n < 2 * _LEAST_WINDOW or not period:
         return [], [f"{counted(n, 'sample')}: too few for a continuous recording"]
     window = max(_LEAST_WINDOW, round(WINDOW_S / period))
@@ -148,13 +83,13 @@ def segment_pieces(read: Reading) -> tuple[list[slice], list[str]]:
             f"the recording lasts {n * period:.2g} s; a dwell needs at least {least * period:.2g} s"
         ]
     whole.refuse_constant()
-    noise = np.array([_own_noise(spread) for spread in _spreads(whole.deviations(read, window), axes)])
+    noise = np.array([_own_noise(spread) for spread in _spreads(whole.deviations(window), axes)])
     limits = limits_from_noise(noise, window, whole.quantum[:axes])
-    still, flat = _runs(read, whole, limits)
+    still, flat = _runs(whole, limits)
     # An axis that never changes has the limit 0: avoid a division by zero.
     unit = np.maximum(limits.upper / UPPER, 1e-300)
     runs = [(first + trim, last + window - trim) for first, last in still]
-    rows, jump = _steps(read, window, unit, [run for run in runs if run[1] - run[0] >= 2 * least])
+    rows, jump = _steps(accel, window, unit, [run for run in runs if run[1] - run[0] >= 2 * least])
     slices = []
     for start, stop in runs:
         inside = (rows >= start) & (rows + 2 * window <= stop)
@@ -165,36 +100,23 @@ def segment_pieces(read: Reading) -> tuple[list[slice], list[str]]:
         f"{counted(len(slices), 'dwell')} found by stillness (window {window * period:.3g} s, noise"
         f" of the accelerations {scatter} in the file's unit, limit four times that)"
     ]
-    stuck = [_times(read, (first, last + window - 1)) for first, last in flat[:4]]
-    if stuck:
-        listed = ", ".join(f"{a:.4g} s to {b:.4g} s" for a, b in stuck)
+    if flat:
+        listed = ", ".join(
+            f"{time_s[first]:.4g} s to {time_s[last + window - 1]:.4g} s" for first, last in flat[:4]
+        )
         notes.append(f"stuck data left out: an axis has less than a tenth of its noise at {listed}")
     return slices, notes
 
 
-def _blocks(read: Reading, overlap: int) -> Iterator[tuple[int, Piece]]:
-    """Yield overlapping blocks of a recording, each with the number of its first row.
+def _blocks(parts: Sequence[Floats], overlap: int) -> Iterator[tuple[int, Floats]]:
+    """Yield overlapping blocks (rows, columns) of a recording, each with the number of its first row.
 
-    A block has `_BLOCK` rows, followed by the first `overlap` rows of the next block; the last block is
-    shorter. Each window of `overlap` + 1 rows is completely in one block, and only in one.
+    `parts` are arrays (n, …) with columns of the recording. A block has `_BLOCK` rows, followed by the
+    first `overlap` rows of the next block; the last block is shorter. Each window of `overlap` + 1 rows is
+    completely in one block, and only in one.
     """
-    row, held = 0, None
-    for piece in chain(read(), [None]):
-        if piece is not None:
-            held = piece if held is None else held.followed_by(piece)
-        while held is not None and len(held) >= (_BLOCK if piece is not None else 1) + overlap:
-            yield row, held.rows(0, _BLOCK + overlap)
-            row, held = row + _BLOCK, held.rows(_BLOCK)
-
-
-def _times(read: Reading, rows: Sequence[int]) -> list[float]:
-    """Return the times in s of some rows of a recording."""
-    return [
-        float(piece.time_s[wanted - row])
-        for wanted in rows
-        for row, piece in _blocks(read, 0)
-        if row <= wanted < row + len(piece)
-    ]
+    for row in range(0, len(parts[0]) - overlap, _BLOCK):
+        yield row, np.hstack([part[row : row + _BLOCK + overlap] for part in parts])
 
 
 class Quantiles:
@@ -248,12 +170,12 @@ def _own_noise(spread: Quantiles) -> float:
 
 @dataclass(frozen=True)
 class _Extent:
-    """Length of a recording, and the range of each of its columns: accelerations, then rates.
+    """A recording with the range of each of its columns: accelerations, then rates.
 
     Attributes
     ----------
-    n, axes : int
-        Number of samples, and number of columns with accelerations.
+    parts : sequence of (n, …) float
+        Accelerations, and rates if there are any.
     period_s : float
         Time between two samples; 0 if it is unknown.
     low, high, middle : (columns,) float
@@ -263,20 +185,19 @@ class _Extent:
         constant.
     """
 
-    n: int
-    axes: int
+    parts: Sequence[Floats]
     period_s: float
     low: Floats
     high: Floats
     middle: Floats
     quantum: Floats
 
-    def deviations(self, read: Reading, window: int) -> Iterator[Floats]:
+    def deviations(self, window: int) -> Iterator[Floats]:
         """Yield the standard deviations (m, columns) of all windows of `window` samples, block by block."""
         rounding = 1e-12 * np.maximum(self.high - self.middle, self.middle - self.low) ** 2
-        for _, piece in _blocks(read, window - 1):
+        for _, rows in _blocks(self.parts, window - 1):
             # The mean is subtracted, so that the differences of running sums of x and x² lose few digits.
-            part = piece.columns - self.middle
+            part = rows - self.middle
             start = np.zeros((1, part.shape[1]))
             first, second = (np.concatenate([start, np.cumsum(part**k, axis=0)]) for k in (1, 2))
             mean = (first[window:] - first[:-window]) / window
@@ -286,7 +207,8 @@ class _Extent:
 
     def refuse_constant(self) -> None:
         """Raise `DataError` if the accelerations never change."""
-        low, high = self.low[: self.axes], self.high[: self.axes]
+        axes = self.parts[0].shape[1]
+        low, high = self.low[:axes], self.high[:axes]
         if not low.any() and not high.any():
             raise DataError(
                 "all-zero accelerations in the whole recording; check wiring and supply, record again"
@@ -297,35 +219,28 @@ class _Extent:
             )
 
 
-def _extent(read: Reading) -> _Extent:
-    steps, latest_s, n, axes = Quantiles(), math.nan, 0, 0
-    low, high, total, first = (list[Floats]() for _ in range(4))
-    for row, piece in _blocks(read, 0):
-        step = np.diff(piece.time_s, prepend=latest_s)
+def _extent(time_s: Floats, parts: Sequence[Floats]) -> _Extent:
+    if not len(time_s):
+        return _Extent(parts, 0.0, *[np.zeros(0)] * 4)
+    steps = Quantiles()
+    for row in range(0, len(time_s), _BLOCK):
+        step = np.diff(time_s[row : row + _BLOCK + 1])
         steps.feed(step[step > 0])
-        latest_s, n, axes = float(piece.time_s[-1]), row + len(piece), piece.accel.shape[1]
-        columns = piece.columns
-        low.append(columns.min(axis=0))
-        high.append(columns.max(axis=0))
-        total.append(columns.sum(axis=0))
-        if row < _FIRST:
-            first.append(columns[: _FIRST - row].copy())
-    if not n:
-        return _Extent(0, 0, 0.0, *[np.zeros(0)] * 4)
-    least, most = np.min(low, axis=0), np.max(high, axis=0)
-    quantum = np.zeros(len(least))
-    for k, values in enumerate(np.concatenate(first).T):
+    low, high, middle = (
+        np.hstack([of(part, axis=0) for part in parts]) for of in (np.min, np.max, np.mean)
+    )
+    quantum = np.zeros(len(low))
+    for k, values in enumerate(np.hstack([part[:_FIRST] for part in parts]).T):
         # The smallest difference of two values is the step, unless it is a rounding error.
         gaps = np.diff(np.unique(values))
-        quantum[k] = gaps[gaps > 1e-9 * max(1.0, -least[k], most[k])].min(initial=math.inf)
+        quantum[k] = gaps[gaps > 1e-9 * max(1.0, -low[k], high[k])].min(initial=math.inf)
     period_s = steps.quantile(0.5)
     return _Extent(
-        n,
-        axes,
+        parts,
         period_s if math.isfinite(period_s) else 0.0,
-        least,
-        most,
-        np.sum(total, axis=0) / n,
+        low,
+        high,
+        middle,
         np.where(np.isfinite(quantum), quantum, 0.0),
     )
 
@@ -342,49 +257,35 @@ def _spreads(deviations: Iterable[Floats], columns: int) -> list[Quantiles]:
     return spreads
 
 
-def _runs(read: Reading, whole: _Extent, limits: StillnessLimits) -> tuple[Runs, Runs]:
+def _runs(whole: _Extent, limits: StillnessLimits) -> tuple[Runs, Runs]:
     """Return the runs of still windows, and the runs in which an accelerometer shows too little noise."""
-    axes, window = whole.axes, limits.window_samples
+    axes, window = whole.parts[0].shape[1], limits.window_samples
     upper, turns = limits.upper, len(whole.middle) - axes
     if turns:
         still_rates = (
             part[((part[:, :axes] <= upper) & (part[:, :axes] >= limits.lower)).all(axis=1), axes:]
-            for part in whole.deviations(read, window)
+            for part in whole.deviations(window)
         )
         usual = [spread.quantile(0.5) for spread in _spreads(still_rates, turns)]
         coarse = UPPER * whole.quantum[axes:] / math.sqrt(12)
         upper = np.concatenate([upper, np.maximum(_GYRO_UPPER * np.array(usual), coarse)])
-    still, flat = _Runs(), _Runs()
-    for part in whole.deviations(read, window):
-        low = np.any(part[:, :axes] < limits.lower, axis=1)
-        still.feed(np.all(part <= upper, axis=1) & ~low)
-        flat.feed(low)
-    return still.found(), flat.found()
+    still, flat = list[Flags](), list[Flags]()
+    for part in whole.deviations(window):
+        flat.append(np.any(part[:, :axes] < limits.lower, axis=1))
+        still.append(np.all(part <= upper, axis=1) & ~flat[-1])
+    return _runs_of(still), _runs_of(flat)
 
 
 Runs = list[tuple[int, int]]
 """Runs of true flags, each as the numbers of its first and its last flag."""
 
 
-class _Runs:
-    """Finds runs of true flags in a series fed in pieces."""
-
-    def __init__(self) -> None:
-        self._edges: list[int] = []
-        self._fed, self._last = 0, False
-
-    def feed(self, flags: Flags) -> None:
-        """Add the next flags."""
-        self._edges += (self._fed + np.flatnonzero(np.diff(flags, prepend=self._last))).tolist()
-        self._fed, self._last = self._fed + len(flags), bool(flags[-1])
-
-    def found(self) -> Runs:
-        """Return the runs of true flags, each as the numbers of its first and its last flag."""
-        edges = [*self._edges, *[self._fed] * self._last]
-        return [(first, after - 1) for first, after in zip(edges[::2], edges[1::2], strict=True)]
+def _runs_of(flags: list[Flags]) -> Runs:
+    edges = np.flatnonzero(np.diff(np.concatenate(flags), prepend=False, append=False)).tolist()
+    return [(first, after - 1) for first, after in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def _steps(read: Reading, window: int, unit: Floats, runs: Runs) -> tuple[NDArray[np.int64], Floats]:
+def _steps(accel: Floats, window: int, unit: Floats, runs: Runs) -> tuple[NDArray[np.int64], Floats]:
     """Return the rows (m,) at which the mean changes between adjacent windows, and the changes (m,).
 
     A row is the first of two adjacent windows of `window` rows. The change is the difference of their means
@@ -392,10 +293,10 @@ def _steps(read: Reading, window: int, unit: Floats, runs: Runs) -> tuple[NDArra
     `runs` are the first and last rows of the parts of the recording to search.
     """
     found = [(np.zeros(0, dtype=np.int64), np.zeros(0))]
-    for row, piece in _blocks(read, 2 * window - 1) if runs else ():
-        if not any(start < row + len(piece) and stop > row for start, stop in runs):
+    for row, part in _blocks([accel], 2 * window - 1) if runs else ():
+        if not any(start < row + len(part) and stop > row for start, stop in runs):
             continue
-        sums = np.cumsum((piece.accel - piece.accel[0]) / unit, axis=0)
+        sums = np.cumsum((part - part[0]) / unit, axis=0)
         sums = np.concatenate([np.zeros((1, len(unit))), sums])
         means = (sums[window:] - sums[:-window]) / window
         # Difference of the means of adjacent windows, the largest over the axes.
