@@ -390,7 +390,9 @@ def _find_header(path: Path, wanted: Mapping[str, str]) -> tuple[int, str, list[
             comments.append((number, bare))
         elif bare.strip(';,\t" '):
             delimiter, cells = _split(line, separator, wanted)
-            if _names_samples(cells, wanted):
+            named = {found[0] for found in map(recognise_column, cells) if found}
+            assigned = any(_is_called(cell, text.strip()) for cell in cells for text in wanted.values())
+            if assigned or {"time_s", "ax", "ay"} <= named:
                 return number, delimiter, cells, comments, others
             others.append((number, line))
         if others and number >= others[0][0] + _PREAMBLE_LINES:
@@ -421,16 +423,6 @@ def _first_lines(path: Path) -> Iterator[tuple[int, str]]:
                     f"characters; expected one like '{_EXPECTED}'"
                 )
             yield number, line
-
-
-def _names_samples(cells: list[str], wanted: Mapping[str, str]) -> bool:
-    """Return True if header cells name a time and two accelerations, or a column that the user assigned.
-
-    `wanted` maps a column of the format to such a column of the header.
-    """
-    if any(_is_called(cell, text.strip()) for cell in cells for text in wanted.values()):
-        return True
-    return {"time_s", "ax", "ay"} <= {found[0] for found in map(recognise_column, cells) if found}
 
 
 def _split(line: str, separator: str | None, wanted: Mapping[str, str]) -> tuple[str, list[str]]:
@@ -646,7 +638,7 @@ class _Assignment:
         names = [cell for cell in cells if len(cell) <= _LONGEST_NAME]
         if len(names) < 3:  # prose: time, ax and ay need three names
             return self._fail(reason)
-        example = ",".join(f"{n}={c}" for n, c in zip(("time", "ax", "ay"), names, strict=False))
+        example = "time={},ax={},ay={}".format(*names)
         return self._fail(f"{reason}; say which are which, such as --columns '{example}'")
 
     def _ignored(self, found: Mapping[str, CsvColumn]) -> list[str]:

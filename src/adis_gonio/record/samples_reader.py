@@ -154,7 +154,7 @@ class SamplesTable:
             wrong = str(error)
         else:
             there = f"{len(cells)} values where the header has {width}"
-            if not any(cells) or not any(cell.strip() for cell in cells):
+            if not any(cell.strip() for cell in cells):
                 wrong, note = "empty row", ""
             elif len(cells) < width:
                 wrong = there

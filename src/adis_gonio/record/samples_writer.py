@@ -90,7 +90,9 @@ def _all_rows(
     series = {name for name in names if not COLUMNS[name].per_dwell}
     for k, dwell in enumerate(dwells):
         if k and dwell.position in turns:
-            part = _between(dwells[k - 1], turns[dwell.position], dwell).columns()
+            turn = turns[dwell.position]
+            inside = (turn.time_s > dwells[k - 1].time_s[-1]) & (turn.time_s < dwell.time_s[0])
+            part = Dwell(0, **turn.series(inside)).columns()
             # A turn that lacks a column of the file, such as the gyros, is left out.
             if series <= part.keys():
                 yield from _rows(names, {name: part[name] for name in series})
@@ -113,12 +115,6 @@ def _rows(names: list[str], columns: Mapping[str, NDArray[Any]]) -> Iterator[tup
         else:
             texts.append(list(map(column.text, columns[name].tolist())))
     return zip(*texts, strict=True)
-
-
-def _between(before: Dwell, turn: Turn, after: Dwell) -> Dwell:
-    """Return the samples of a turn that lie between two dwells, as a dwell without a declared angle."""
-    inside = (turn.time_s > before.time_s[-1]) & (turn.time_s < after.time_s[0])
-    return Dwell(0, **turn.series(inside))
 
 
 # No line of help has a colon: it would be a key.
@@ -279,19 +275,16 @@ class SamplesRecorder(Closing):
             np.savetxt(self._file, table, fmt=["%.6f", *formats], delimiter=",")
             self._file.flush()
         except OSError as error:
-            self._cut_off()
+            # Close the file, and remove the rows of the failed block.
+            with suppress(OSError):
+                self._file.close()
+            with suppress(OSError):
+                os.truncate(self.path, self._size)
             kept = f"its {self.rows} rows from before are complete"
             raise OutputError(f"{self.path}: {error.strerror or error}; {kept}") from error
         self._size = self.path.stat().st_size
         self.rows += len(block)
         self.lost += block.lost
-
-    def _cut_off(self) -> None:
-        """Close the file after a failed write, and remove the rows of the failed block."""
-        with suppress(OSError):
-            self._file.close()
-        with suppress(OSError):
-            os.truncate(self.path, self._size)
 
     def close(self) -> None:
         """Close the file; may be called twice."""

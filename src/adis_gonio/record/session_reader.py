@@ -134,23 +134,18 @@ def recording_of(view: ArchiveView) -> tuple[Dwell | None, str]:
     taken = view.withdrawn()
     chains = [chain for chain in chains if chain and chain[-1].number not in taken]
     whole = [chain for chain in chains if chain[-1].outcome == "complete"]
-    best = (
-        whole[-1]
-        if whole
-        else max(chains, key=lambda c: c[-1].ended_bus_s - c[0].started_bus_s, default=None)
-    )
+    longest = max(chains, key=lambda c: c[-1].ended_bus_s - c[0].started_bus_s, default=None)
+    best = whole[-1] if whole else longest
     if best is None:
         return None, "nothing was recorded"
     reason = "" if whole else best[-1].reason.replace(GOES_ON, "the program ended")
     blocks = [(attempt, block) for attempt in best for block in view.blocks(attempt) if len(block)]
-    return (_joined(blocks) if blocks else None), reason
-
-
-def _joined(blocks: Sequence[tuple[StoredAttempt, Block]]) -> Dwell:
+    if not blocks:
+        return None, reason
     columns = [session_columns(block) for _, block in blocks]
-    whole = {name: np.concatenate([c[name] for c in columns]) for name in columns[0]}
+    joined = {name: np.concatenate([c[name] for c in columns]) for name in columns[0]}
     time_s = np.concatenate([block.time_s + attempt.offset_s for attempt, block in blocks])
-    return Dwell(0, time_s, **session_series(whole))
+    return Dwell(0, time_s, **session_series(joined)), reason
 
 
 def read_session(path: str | Path) -> Session:
@@ -319,15 +314,12 @@ def _changed_registers(view: ArchiveView) -> list[JsonDict]:
         return []
     # No range has the code 0 or 7: such a reply comes from a stuck line.
     level = {0x0000: "zeros", 0xFFFF: "ones"}.get((now or {}).get("SENS_AVG", 1))
-    if level is not None:
-        message = (
-            f"the sensor's registers could not be compared at the end of the session: replies were {level}"
-            ", the data line (MISO) was stuck; check the line, then measure again"
-        )
-        return [{"attempt": None, "kind": "registers", "message": message}]
     listed = ", ".join(f"{name} {before} → {after}" for name, (before, after) in changed.items())
     message = (
-        f"the sensor's settings changed while the session was recorded ({listed}): it restarted, or"
+        f"the sensor's registers could not be compared at the end of the session: replies were {level}"
+        ", the data line (MISO) was stuck; check the line, then measure again"
+        if level
+        else f"the sensor's settings changed while the session was recorded ({listed}): it restarted, or"
         " somebody wrote to it, and dwells from before and after do not agree"
     )
     return [{"attempt": None, "kind": "registers", "message": message}]
