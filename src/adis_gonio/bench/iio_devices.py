@@ -72,9 +72,7 @@ class IioChannel:
 
     def values(self, numbers: np.ndarray) -> Floats:
         """Convert raw numbers (n,) to values (n,) in the column's unit: mg, °/s, °C, V."""
-        factor = COLUMNS[self.id][1] * self.scale
-        values: Floats = (numbers + self.offset) * factor
-        return values
+        return np.asarray((numbers + self.offset) * (COLUMNS[self.id][1] * self.scale))
 
 
 def choose_channels(channels: Sequence[IioChannel], where: str) -> tuple[IioChannel, ...]:
@@ -95,11 +93,8 @@ def choose_channels(channels: Sequence[IioChannel], where: str) -> tuple[IioChan
     for name, (column, _) in COLUMNS.items():
         if name in found:
             chosen.setdefault(column, found[name])
-    gyros = [column for column in ("gx", "gy", "gz") if column in chosen]
-    if len(gyros) < 3:
-        for column in gyros:
-            del chosen[column]
-    return tuple(chosen.values())
+    gyros = {"gx", "gy", "gz"} <= chosen.keys()
+    return tuple(channel for column, channel in chosen.items() if gyros or not column.startswith("g"))
 
 
 def parse_number(text: str | None, name: str, default: float, where: str) -> float:
