@@ -29,16 +29,16 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from adis_gonio import load_session, trace
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
-from adis_gonio.fitting.estimation.terms import NamedTerm
+from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm
 from adis_gonio.model.effects import effect
-from adis_gonio.tracing.smooth_candidates import Process, evidence, processes
+from adis_gonio.tracing.smooth_candidates import evidence, processes
 from adis_gonio.tracing.validation import residuals_on, rms
 from tracing.blind import Blind, draw, write
 from tracing.lens import Lens
 from tracing.verdict import oracle_rms
 
 
-def told(blind: Blind, data: Readings) -> list[Process]:
+def told(blind: Blind, data: Readings) -> list[NamelessTerm]:
     """Processes of the covariate and the place that the cause has."""
     term = blind.terms[0]
     contribution = Lens(blind.bench).plain(term)
@@ -49,11 +49,7 @@ def told(blind: Blind, data: Readings) -> list[Process]:
         place, axes = "angle", ()
     told_of = term.covariates[0].split("|") if len(term.covariates) == 1 else list(term.covariates)
     names = {"previous_angle" if name == "previous" else name for name in told_of}
-    return [
-        p
-        for p in processes(data)
-        if (p.term.where, p.term.axes) == (place, axes) and set(p.term.covariates) == names
-    ]
+    return [p for p in processes(data) if (p.where, p.axes) == (place, axes) and set(p.covariates) == names]
 
 
 def told_error(blind: Blind, fitted: Readings, checked: Readings) -> float:
@@ -69,7 +65,7 @@ def told_error(blind: Blind, fitted: Readings, checked: Readings) -> float:
         beside = np.linalg.qr(base / np.linalg.norm(base, axis=0))[0]
         left = target - beside @ (beside.T @ target)
         scores = evidence(fit, beside, left, candidates)
-        term = candidates[int(np.argmax(scores))].term
+        term = candidates[int(np.argmax(scores))]
         width = term.columns(fitted.mean, fitted.conditions).shape[-1]
         fit = fit.with_terms((bias, term), (np.zeros(2), np.zeros(width))).refit()
     return rms(residuals_on(fit, checked).residual, True)

@@ -84,7 +84,7 @@ class TestPrior:
     @pytest.mark.number("nameless_share")
     def test_functions_without_a_name_have_three_tenths_together(self) -> None:
         assert prior(nameless_terms(self.data)) == pytest.approx(0.3)
-        assert sum(math.exp(-process.price) for process in processes(self.data)) == pytest.approx(0.3)
+        assert sum(math.exp(-process.cost) for process in processes(self.data)) == pytest.approx(0.3)
 
     @pytest.mark.number("bias_share")
     @pytest.mark.number("bias_weight")
@@ -139,7 +139,7 @@ class TestPrior:
 
     @pytest.mark.number("pair_weight")
     def test_a_process_in_two_covariates_is_three_tenths_as_likely_as_one_in_time(self) -> None:
-        terms = [process.term for process in processes(self.data)]
+        terms = processes(self.data)
         pair = prior(t for t in terms if t.covariates == ("time", "temperature"))
         assert pair / prior(t for t in terms if t.covariates == ("time",)) == pytest.approx(0.3)
 

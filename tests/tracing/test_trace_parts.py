@@ -42,7 +42,7 @@ from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.proposals import fitted_hypothesis, parameter_prior, whitened_columns
 from adis_gonio.tracing.selection import select
 from adis_gonio.tracing.session_blocks import orthonormal, project_off_base
-from adis_gonio.tracing.smooth_candidates import RING, Process, evidence, processes
+from adis_gonio.tracing.smooth_candidates import RING, evidence, processes
 from adis_gonio.tracing.trace import disagreement_of, refuse_too_few, weak_names
 from adis_gonio.tracing.trace_result import ErrorFigures, Finding
 from adis_gonio.tracing.validation import (
@@ -229,7 +229,7 @@ class TestProcesses:
 
     @classmethod
     @cache
-    def every(cls) -> tuple[Process, ...]:
+    def every(cls) -> tuple[NamelessTerm, ...]:
         return tuple(processes(cls.data))
 
     @pytest.mark.parametrize(("inflation", "noise"), [((), 1.0), ((2.0,), 2.0)])
@@ -245,17 +245,15 @@ class TestProcesses:
         candidates = processes(self.data)[:: len(processes(self.data)) // 12]
         told = evidence(fit, beside, left, candidates, *inflation)
         for process, score in zip(candidates, told, strict=True):
-            features = space.T @ fit.white(fit.candidate(process.term))
-            spread = (
-                noise * np.eye(len(features)) + (process.term.shrinkage or 0) ** 2 * features @ features.T
-            )
+            features = space.T @ fit.white(fit.candidate(process))
+            spread = noise * np.eye(len(features)) + (process.shrinkage or 0) ** 2 * features @ features.T
             y = space.T @ left
             ratio = stats.multivariate_normal(np.zeros(len(y)), spread).logpdf(y)
             ratio -= stats.multivariate_normal(np.zeros(len(y)), noise * np.eye(len(y))).logpdf(y)
-            assert score == pytest.approx(ratio - process.price, abs=1e-4)
+            assert score == pytest.approx(ratio - process.cost, abs=1e-4)
 
     def test_each_enters_on_some_axes_or_at_the_angle(self) -> None:
-        placed = {(process.term.where, process.term.axes) for process in self.every()}
+        placed = {(process.where, process.axes) for process in self.every()}
         at_readings = itertools.product(("bias", "gain", "misalignment"), [(0,), (1,), (0, 1)])
         assert placed == {("angle", ()), *at_readings}
 
@@ -264,8 +262,8 @@ class TestProcesses:
         number = RING.index(width)
         seen: dict[int, Any] = {}
         for process in processes(self.data):
-            if process.term.covariates == ("angle",) and process.term.where == "angle":
-                seen.setdefault(id(process.term.basis), process.term.basis)
+            if process.covariates == ("angle",) and process.where == "angle":
+                seen.setdefault(id(process.basis), process.basis)
         features = list(seen.values())[number].over(self.data.conditions)
         theta = self.data.conditions.angle_rad
         assert theta is not None
@@ -275,8 +273,8 @@ class TestProcesses:
     def test_features_of_time_are_a_constant_a_line_and_the_squared_exponential(self) -> None:
         seen: dict[int, Any] = {}
         for process in processes(self.data):
-            if process.term.covariates == ("time",):
-                seen.setdefault(id(process.term.basis), process.term.basis)
+            if process.covariates == ("time",):
+                seen.setdefault(id(process.basis), process.basis)
         u = self.data.conditions.time_s / np.ptp(self.data.conditions.time_s)
         for length, basis in zip((0.1, 0.18, 0.32, 0.56, 1.0), seen.values(), strict=True):
             features = basis.over(self.data.conditions)
@@ -288,8 +286,8 @@ class TestProcesses:
         """Bases of these covariates, one a length."""
         seen: dict[int, Any] = {}
         for process in self.every() if data is None else processes(data):
-            if process.term.covariates == covariates:
-                seen.setdefault(id(process.term.basis), process.term.basis)
+            if process.covariates == covariates:
+                seen.setdefault(id(process.basis), process.basis)
         return list(seen.values())
 
     def test_beyond_a_tenth_of_its_range_a_covariate_is_held(self) -> None:
@@ -330,7 +328,7 @@ class TestProcesses:
         self,
     ) -> None:
         every = self.every()
-        count = Counter(process.term.covariates for process in every)
+        count = Counter(process.covariates for process in every)
         # Of two axes three choices, once at the angle; four amplitudes.
         single = {("time",), ("temperature",), ("supply",)}
         expected = dict.fromkeys(single, 5 * (3 * 3 + 1) * 4)
@@ -339,22 +337,22 @@ class TestProcesses:
         pairs = itertools.combinations(("time", "temperature", "supply"), 2)
         expected |= dict.fromkeys(pairs, 2 * (2 * 3 + 1) * 4)
         assert count == expected
-        assert len({(p.term.label, id(p.term.basis)) for p in every}) == len(every)
+        assert len({(p.label, id(p.basis)) for p in every}) == len(every)
         for process in every:
-            assert (process.term.axes == ()) == (process.term.where == "angle")
-        assert {round(float(p.term.shrinkage or 0) / U, 9) for p in every} == {2.0, 4.0, 8.0, 16.0}
+            assert (process.axes == ()) == (process.where == "angle")
+        assert {round(float(p.shrinkage or 0) / U, 9) for p in every} == {2.0, 4.0, 8.0, 16.0}
         weight = {which: 1.0 if len(which) == 1 else 0.3 for which in expected} | {("previous_angle",): 0.3}
         for process in every:
-            which = process.term.covariates
+            which = process.covariates
             share = 0.3 * weight[which] / sum(weight.values()) / count[which]
-            assert process.price == pytest.approx(-math.log(share))
+            assert process.cost == pytest.approx(-math.log(share))
 
     def test_what_stood_still_and_a_turn_without_a_declared_angle_have_no_process(self) -> None:
         c = replace(surroundings(), supply_v=np.full(24, 5.0))
-        names = {name for p in processes(noisy(c, 43)) for name in p.term.covariates}
+        names = {name for p in processes(noisy(c, 43)) for name in p.covariates}
         assert names == {"time", "temperature", "angle", "previous_angle", "reading"}
         space = from_means(G * np.eye(3), np.tile(np.eye(3), (3, 1, 1)), Conditions(np.arange(3.0)))
-        told = [p.term for p in processes(space)]
+        told = processes(space)
         assert {term.where for term in told} == {"bias", "gain", "misalignment"}
         assert {term.covariates for term in told} == {("time",), ("reading",)}
 
@@ -367,7 +365,7 @@ class TestProcesses:
         )
         pairs = {("time", "temperature")}
         single = {("time",), ("temperature",), ("force_x",), ("force_z",)}
-        assert {process.term.covariates for process in processes(gyros)} == single | pairs
+        assert {process.covariates for process in processes(gyros)} == single | pairs
         u = (force[:, 2] - force[:, 2].min()) / np.ptp(force[:, 2])
         told = self.features(("force_z",), gyros)[0].over(c)
         kernel = 1 + np.outer(2 * u - 1, 2 * u - 1) + np.exp(-0.5 * ((u[:, None] - u) / 0.1) ** 2)
@@ -904,7 +902,7 @@ class TestAverages:
             averaged = average(selection, smooth)
             assert (averaged is not None) == wanted
             if averaged is not None:
-                assert averaged.smooth is smooth[1].term
+                assert averaged.smooth is smooth[1]
                 assert averaged.weight == pytest.approx(1.0)
                 assert [term.name for term in averaged.named] == ["bias"]
 
@@ -932,8 +930,8 @@ class TestAverages:
         (mixed,) = [term for term in averaged.fit.terms if isinstance(term, AveragedTerm)]
         told = {own.label: weight for weight, own, _ in mixed.members}
         # What has less than a hundredth is left out.
-        assert told == pytest.approx({"wave": 1 - share, smooth[0].term.label: share}, abs=2e-3)
-        assert [one.term for one in averaged.candidates] == [smooth[0].term, smooth[1].term]
+        assert told == pytest.approx({"wave": 1 - share, smooth[0].label: share}, abs=2e-3)
+        assert list(averaged.candidates) == smooth[:2]
 
     def test_check_dwells_refuse_an_average_as_often_as_its_p_value_says(self) -> None:
         # Functions of time drawn from the first process; the second one bends less.
@@ -941,8 +939,8 @@ class TestAverages:
         label = "bias[x]~a smooth function of time (16 u)"
         for seed in range(40):
             data = noisy(surroundings(32, seed), seed)
-            smooth = [one for one in processes(data) if one.term.label == label]
-            term = smooth[1].term
+            smooth = [one for one in processes(data) if one.label == label]
+            term = smooth[1]
             rng = np.random.default_rng(1000 + seed)
             features = term.columns(data.mean, data.conditions)
             added = features @ rng.normal(0, term.shrinkage or 0.0, features.shape[-1])
@@ -1076,7 +1074,7 @@ class TestAverages:
     ) -> None:
         data = biased(u=u)
         selection = replace(chosen(data, labelled(data, "bias[xy]"), ((0,), 1.0)), inflation=inflation)
-        term = next(p.term for p in processes(data) if p.term.covariates == ("time",))
+        term = next(p for p in processes(data) if p.covariates == ("time",))
         fit = selection.fit
         rng = np.random.default_rng(49)
         fixed, target = rng.normal(size=(48, 6)), 2 * rng.normal(size=48)

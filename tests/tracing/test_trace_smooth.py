@@ -31,10 +31,10 @@ def wavy_zero(amplitude_mg: float = 1.0):
 def process(data, where: str, axes: tuple[int, ...], covariate: str, amplitude: float) -> NamelessTerm:
     """First process of this kind."""
     return next(
-        p.term
+        p
         for p in processes(data)
-        if (p.term.where, p.term.axes, p.term.covariates) == (where, axes, (covariate,))
-        and p.term.label.endswith(f"({amplitude:g} u)")
+        if (p.where, p.axes, p.covariates) == (where, axes, (covariate,))
+        and p.label.endswith(f"({amplitude:g} u)")
     )
 
 
@@ -70,12 +70,11 @@ def test_evidence_is_the_ratio_of_gaussian_densities(inflation: float) -> None:
     free = np.linalg.svd(beside, full_matrices=True)[0][:, beside.shape[1] :]  # past the base model
     noise = inflation * np.eye(free.shape[1])
     nothing = stats.multivariate_normal(cov=noise).logpdf(free.T @ target)
-    for candidate, score in zip(some, scores, strict=True):
-        term = candidate.term
+    for term, score in zip(some, scores, strict=True):
         white = free.T @ base.white(base.candidate(term))
         cover = noise + term.shrinkage**2 * white @ white.T
         something = stats.multivariate_normal(cov=cover).logpdf(free.T @ target)
-        assert score == pytest.approx(something - nothing - candidate.price, abs=1e-6)
+        assert score == pytest.approx(something - nothing - term.cost, abs=1e-6)
 
 
 def test_refit_with_a_prior_is_ridge_regression_and_counts_the_freedom_it_uses() -> None:

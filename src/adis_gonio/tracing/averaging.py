@@ -21,7 +21,7 @@ from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm, Term, Where
 from adis_gonio.model.effects import Conditions
 from adis_gonio.tracing.selection import Selection
 from adis_gonio.tracing.session_blocks import orthonormal
-from adis_gonio.tracing.smooth_candidates import Process, evidence, processes
+from adis_gonio.tracing.smooth_candidates import evidence, processes
 from adis_gonio.tracing.thresholds import limits
 
 Member = tuple[float, NamelessTerm, Floats]
@@ -181,14 +181,14 @@ class Averaged:
         The most probable Gaussian process among the averaged functions.
     weight : float
         Total probability of all Gaussian processes, as opposed to formulas or no function.
-    candidates : tuple of Process
+    candidates : tuple of NamelessTerm
         The Gaussian processes with the highest evidence.
     """
 
     fit: AveragedFit
     smooth: NamelessTerm
     weight: float
-    candidates: tuple[Process, ...]
+    candidates: tuple[NamelessTerm, ...]
 
     @property
     def named(self) -> tuple[Term, ...]:
@@ -196,7 +196,7 @@ class Averaged:
         return tuple(term for term in self.fit.terms if term.name is not None)
 
 
-def average(selection: Selection, candidates: Sequence[Process] | None = None) -> Averaged | None:
+def average(selection: Selection, candidates: Sequence[NamelessTerm] | None = None) -> Averaged | None:
     """Return a model with the mean of unnamed functions in addition to the named effects of a selection.
 
     The result is None if no unnamed function is needed to explain the readings.
@@ -210,7 +210,7 @@ def average(selection: Selection, candidates: Sequence[Process] | None = None) -
     ----------
     selection : Selection
         Chosen model, with its named effects.
-    candidates : sequence of Process, optional
+    candidates : sequence of NamelessTerm, optional
         Gaussian processes to try; all by default.
     """
     if selection.data.noise_known and selection.inflation > 1:
@@ -220,7 +220,7 @@ def average(selection: Selection, candidates: Sequence[Process] | None = None) -
     return _average(selection, candidates)
 
 
-def _average(selection: Selection, candidates: Sequence[Process] | None) -> Averaged | None:
+def _average(selection: Selection, candidates: Sequence[NamelessTerm] | None) -> Averaged | None:
     """Return the average with the noise of a selection (`inflation`); None if no function is needed.
 
     `candidates` are the Gaussian processes to try; None tries all.
@@ -244,7 +244,7 @@ def _average(selection: Selection, candidates: Sequence[Process] | None) -> Aver
     ranked = np.argsort(-smooth)[: limits.promising].tolist()
     promising = tuple(candidates[k] for k in ranked)
     pool: list[tuple[float, tuple[NamelessTerm, ...]]] = [
-        (float(smooth[k]), (candidates[k].term,)) for k in ranked
+        (float(smooth[k]), (candidates[k],)) for k in ranked
     ]
     if nameless:
         pool += _formulas(selection, named, candidates)
@@ -275,7 +275,7 @@ def _average(selection: Selection, candidates: Sequence[Process] | None) -> Aver
     weight = float(weights[: len(promising)].sum())
     # A fixed function has no parameters, but the degrees of freedom of its members are used.
     spent = AveragedFit(fit.data, fit.terms, fit.values, fit.with_prior, solutions, selection.inflation)
-    return Averaged(spent, promising[0].term, weight, promising)
+    return Averaged(spent, promising[0], weight, promising)
 
 
 def _covered_by_process(term: NamelessTerm, covered: set[tuple[Where, tuple[str, ...]]]) -> bool:
@@ -288,7 +288,7 @@ def _covered_by_process(term: NamelessTerm, covered: set[tuple[Where, tuple[str,
 
 
 def _formulas(
-    selection: Selection, named: tuple[int, ...], candidates: Sequence[Process]
+    selection: Selection, named: tuple[int, ...], candidates: Sequence[NamelessTerm]
 ) -> list[tuple[float, tuple[NamelessTerm, ...]]]:
     """Return the unnamed terms of each probable model that has exactly the named terms `named`.
 
@@ -301,7 +301,7 @@ def _formulas(
         explained = 0.5 * problem.gain(model) / selection.inflation
         return explained - float(sum(found.prices[k] for k in model))
 
-    covered = {(process.term.where, process.term.covariates) for process in candidates}
+    covered = {(process.where, process.covariates) for process in candidates}
     near = {m for m in found.near(limits.averaged) if tuple(k for k in m if k in named) == named}
     alone = score(named)
     pool = []

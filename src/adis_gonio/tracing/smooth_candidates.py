@@ -13,7 +13,7 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import special
@@ -40,26 +40,11 @@ _BEYOND = 0.1
 Get = Callable[[Conditions], Floats]
 
 
-@dataclass(frozen=True)
-class Process:
-    """A Gaussian process as a candidate for an unnamed function.
-
-    Attributes
-    ----------
-    term : NamelessTerm
-        The kernel's features as basis functions; the attribute `shrinkage` is the amplitude of the process.
-    price : float
-        −ln of the prior probability of the process.
-    """
-
-    term: NamelessTerm
-    price: float
-
-
-def processes(data: Readings) -> list[Process]:
+def processes(data: Readings) -> list[NamelessTerm]:
     """Return all Gaussian processes to try in a session, as candidates for an unnamed function.
 
-    There is one for each place in the model, covariate, length and amplitude.
+    There is one for each place in the model, covariate, length and amplitude. Its basis functions are the
+    kernel's features, and its attribute `shrinkage` is the amplitude of the process.
     """
     reading_u = float(np.sqrt(data.variance_of_mean.mean()))
     subsets = choices_of_axes(range(data.axes))
@@ -83,9 +68,8 @@ def processes(data: Readings) -> list[Process]:
             / members[term.covariates]
             / len(AMPLITUDES)
         )
-        sized = replace(term, shrinkage=amplitude * reading_u, cost=-math.log(share))
         label = f"{term.where}[{''.join('xyz'[k] for k in term.axes)}]~{term.basis.form} ({amplitude:g} u)"
-        out.append(Process(replace(sized, label=label), sized.cost))
+        out.append(replace(term, shrinkage=amplitude * reading_u, cost=-math.log(share), label=label))
     return out
 
 
@@ -93,7 +77,7 @@ def evidence(
     fit: Fit,
     beside: Floats,
     target: Floats,
-    candidates: Sequence[Process],
+    candidates: Sequence[NamelessTerm],
     inflation: float = 1.0,
 ) -> Floats:
     """Return for each of m processes its log evidence plus the log of its prior probability, (m,) in nats.
@@ -113,8 +97,7 @@ def evidence(
     """
     scores = np.zeros(len(candidates))
     spectra: dict[tuple[int, Where, tuple[int, ...]], tuple[Floats, Floats]] = {}
-    for k, process in enumerate(candidates):
-        term = process.term
+    for k, term in enumerate(candidates):
         key = (id(term.basis), term.where, term.axes)
         if key not in spectra:
             # Processes that differ in amplitude only share the spectrum of their whitened features.
@@ -127,7 +110,7 @@ def evidence(
         # ½ Σ (s²/(1 + s²λ) · score² − ln(1 + s²λ)) over the eigenvalues λ.
         prior = term.shrinkage**2 / inflation
         grown = 1 + prior * values
-        scores[k] = 0.5 * float((prior * scores2 / inflation / grown - np.log(grown)).sum()) - process.price
+        scores[k] = 0.5 * float((prior * scores2 / inflation / grown - np.log(grown)).sum()) - term.cost
     return scores
 
 
@@ -162,18 +145,15 @@ def _lines_and_rings(c: Conditions, driven_by: Sequence[str]) -> tuple[dict[str,
     lines: dict[str, Get] = {"time": lambda k: k.time_s}
     if "force" in driven_by and c.force_g is not None:
         lines |= {f"force_{letter}": _component(axis) for axis, letter in enumerate(AXES)}
-    if c.temperature_c is not None:
-        lines["temperature"] = lambda k: k.covariate("temperature_c")
-    if c.supply_v is not None:
-        lines["supply"] = lambda k: k.covariate("supply_v")
-    if c.line_hz is not None:
-        lines["line_frequency"] = lambda k: k.covariate("line_hz")
-    rings: dict[str, Get] = {}
-    if c.angle_rad is not None:
-        rings["angle"] = lambda k: k.covariate("angle_rad")
-    if c.previous_angle_rad is not None:
-        rings["previous_angle"] = lambda k: k.covariate("previous_angle_rad")
+    fields = {"temperature": "temperature_c", "supply": "supply_v", "line_frequency": "line_hz"}
+    lines |= {name: _recorded(own) for name, own in fields.items() if getattr(c, own) is not None}
+    fields = {"angle": "angle_rad", "previous_angle": "previous_angle_rad"}
+    rings = {name: _recorded(own) for name, own in fields.items() if getattr(c, own) is not None}
     return {name: get for name, get in lines.items() if np.ptp(get(c)) > 0}, rings
+
+
+def _recorded(name: str) -> Get:
+    return lambda k: k.covariate(name)
 
 
 def _component(axis: int) -> Get:
