@@ -76,18 +76,14 @@ def sentences(measurements: Sequence[NextDwell]) -> tuple[str, ...]:
 
 def place(measurement: NextDwell) -> str:
     """Describe a proposed dwell, such as `45° from above, after waiting 5 min`."""
-    waiting = f", after waiting {format_duration(measurement.wait_s)}" if measurement.wait_s else ""
-    return where(measurement) + waiting
-
-
-def where(measurement: NextDwell) -> str:
-    """Describe a proposed dwell by its angle or attitude alone, such as `45° from above`."""
     if measurement.angle_deg is not None:
-        side = " from above" if measurement.approach < 0 else ""
-        return f"{measurement.angle_deg:g}°{side}"
-    parts = enumerate(measurement.direction or ())
-    axes = [f"{'+' if part > 0 else '−'}{AXES[k]}" for k, part in parts if abs(part) > 0.3]
-    return f"an attitude that reads {' '.join(axes)}"
+        where = f"{measurement.angle_deg:g}°" + (" from above" if measurement.approach < 0 else "")
+    else:
+        parts = enumerate(measurement.direction or ())
+        axes = [f"{'+' if part > 0 else '−'}{AXES[k]}" for k, part in parts if abs(part) > 0.3]
+        where = f"an attitude that reads {' '.join(axes)}"
+    waiting = f", after waiting {format_duration(measurement.wait_s)}" if measurement.wait_s else ""
+    return where + waiting
 
 
 def _sentence(group: Sequence[NextDwell]) -> str:

@@ -18,7 +18,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -37,8 +37,6 @@ Columns = Callable[[Conditions], Floats]
 
 COMMON = ("reading", "force", "rotation", "angle", "time", "temperature")
 """Covariates with full prior weight; other covariates and products are less probable."""
-
-EVERYWHERE: tuple[Where, ...] = ("bias", "gain", "misalignment", "angle")
 
 
 def line_shape(u: Floats) -> Floats:
@@ -235,7 +233,7 @@ def _both(
     `named` lists the places where the catalogue already contains this formula. The other parameters are as
     in `_formula`.
     """
-    places = [place for place in EVERYWHERE if place not in named]
+    places = [place for place in get_args(Where) if place not in named]
     made = _formula(family, form, columns, places, **others)
     yield made
     if not named:

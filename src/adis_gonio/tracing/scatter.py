@@ -96,11 +96,12 @@ def with_scatter(
         score = _evidence(again) - price_of_scatter(data)
         if best is None or score > best[0]:
             best = (score, again, kind, size)
-    if best is not None and best[0] > at_most:
-        at_most = max(at_most, _evidence_of_processes(selection))
     if best is None or best[0] <= at_most:
         return selection, None
     score, _, kind, size = best
+    at_most = max(at_most, _evidence_of_processes(selection))
+    if score <= at_most:
+        return selection, None
     chosen = _select_with(data, kind, size, terms, max_effects)
     return chosen, _make_scatter(data, kind, size, chosen, score - at_most)
 

@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
@@ -41,9 +42,9 @@ def stack(each: Sequence[Readings], origins: Sequence[SessionOrigin]) -> Reading
                     f"{origin.label}: a joint trace cannot join {what}; trace this session alone, or state"
                     " one --fixture, --unit or reading_u_mg for all"
                 )
-    session = np.repeat(np.arange(len(each)), [len(one) for one in each])
     if len(each) == 1:
         return first
+    session = np.repeat(np.arange(len(each)), [len(one) for one in each])
     by_row = ["mean", "own_covariance", "dof", "angle_rad", "check", "position", "samples"]
     parts = [
         name for name in ("quantization", "flicker") if all(getattr(r, name) is not None for r in each)
@@ -52,7 +53,7 @@ def stack(each: Sequence[Readings], origins: Sequence[SessionOrigin]) -> Reading
     return replace(
         first,
         **joined,
-        conditions=_conditions([one.conditions for one in each]),
+        conditions=_conditions([one.conditions for one in each], session),
         slow=_modes(each, origins),
         flicker_shown=any(one.flicker_shown for one in each),
         pooled=all(one.pooled for one in each),
@@ -64,14 +65,12 @@ def stack(each: Sequence[Readings], origins: Sequence[SessionOrigin]) -> Reading
     )
 
 
-def _conditions(each: Sequence[Conditions]) -> Conditions:
-    """Join the conditions of several sessions.
+def _conditions(each: Sequence[Conditions], session: NDArray[np.intp]) -> Conditions:
+    """Join the conditions of several sessions; `session` (n,) is the number of the session of each dwell.
 
     The order of the dwells is counted through all sessions, and histories (such as temperatures over time)
     are put on one common clock. A condition that a session did not record is dropped.
     """
-    lengths = [len(one) for one in each]
-    session = np.repeat(np.arange(float(len(each))), lengths)
     made: dict[str, Any] = {}
     for name in (field.name for field in fields(Conditions)):
         values = [getattr(one, name) for one in each]
@@ -84,9 +83,9 @@ def _conditions(each: Sequence[Conditions]) -> Conditions:
             made[name] = times, np.concatenate([value for _, value in values])
         else:
             made[name] = np.concatenate(values)
-    made["session"] = session
+    made["session"] = session.astype(float)
     if "order" in made:
-        made["order"] = np.arange(float(sum(lengths)))
+        made["order"] = np.arange(float(len(session)))
     return Conditions(**made)
 
 

@@ -108,10 +108,8 @@ def courses(samples: Samples, most: int = 2) -> tuple[list[WithinFinding], Sampl
     A time course is a slope, or an exponential settling after each move.
     """
     found: list[WithinFinding] = []
-    while len(found) < most:
-        usable = samples.counts >= LEAST_SAMPLES
-        if usable.sum() < LEAST_DWELLS:
-            break
+    usable = samples.counts >= LEAST_SAMPLES
+    while len(found) < most and usable.sum() >= LEAST_DWELLS:
         best = _best(samples, usable)
         if best is None:
             break

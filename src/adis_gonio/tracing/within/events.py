@@ -62,20 +62,18 @@ class _Scale:
     ----------
     dwells : (m,) int
         Indices of the dwells that are long enough.
+    stretch : (m,) float
+        Length of a stretch in samples.
     places : m arrays (j,)
-        Number of the first sample in the later of the two stretches; the first is the length of a stretch.
+        Number of the first sample in the later of the two stretches.
     differences : m arrays (j, axes)
         Differences, divided by their standard deviation for white noise.
     """
 
     dwells: NDArray[np.intp]
+    stretch: Floats
     places: list[NDArray[np.intp]]
     differences: list[Floats]
-
-    @property
-    def stretch(self) -> Floats:
-        """Length (m,) of a stretch in samples."""
-        return np.array([float(own[0]) for own in self.places])
 
 
 @dataclass(frozen=True)
@@ -206,7 +204,7 @@ def _scales(samples: Samples, unit: Floats, shortest: int) -> list[_Scale]:
             change = total[middle + own] - 2 * total[middle] + total[middle - own]
             places.append(middle)
             differences.append(change / np.sqrt(2 * own))
-        scale = _Scale(dwells, places, differences)
+        scale = _Scale(dwells, stretch[dwells].astype(float), places, differences)
         if dwells.size and _places_apart(scale, counts[dwells]).sum() > 2:
             scales.append(scale)
     return scales

@@ -85,14 +85,23 @@ def with_second_pass(session: Session, data: Readings, result: TraceResult) -> T
         codes = (saturation(session, data), quantization(samples, correlation_reach(samples)))
         within = (*(finding for finding in codes if finding is not None), *within)
     claimed = {finding.effect for finding in result.found}
-    best: dict[str | None, WithinFinding] = {}
+    best: dict[str, WithinFinding] = {}
     for finding in within:
-        if finding.effect not in best or finding.p_value < best[finding.effect].p_value:
-            best[finding.effect] = finding
+        effect = finding.effect
+        if effect is not None and (effect not in best or finding.p_value < best[effect].p_value):
+            best[effect] = finding
     more = tuple(
-        _finding_of(finding)
-        for finding in best.values()
-        if counts_as_found(finding) and finding.effect not in claimed and not session.cut_by_stillness
+        Finding(
+            effect=effect,
+            axes=finding.axes,
+            parameters=dict(finding.parameters),
+            p_value=finding.p_value,
+            explains=0.0,
+            probability=probability(finding.p_value),
+            cause=catalogue()[effect].cause,
+        )
+        for effect, finding in best.items()
+        if counts_as_found(finding) and effect not in claimed and not session.cut_by_stillness
     )
     advice = (*_of_single_dwells(data, result), *(f.advice for f in within if f.advice))
     return replace(
@@ -127,20 +136,6 @@ def probability(p_value: float) -> float:
     evidence = (math.expm1(depth) - depth) / depth**2 if depth > 1e-6 else 0.5
     odds = limits.effect_share / (1 - limits.effect_share) * evidence
     return odds / (1 + odds)
-
-
-def _finding_of(finding: WithinFinding) -> Finding:
-    """Return a finding inside the dwells, which has a named effect, as an entry of `TraceResult.found`."""
-    assert finding.effect is not None
-    return Finding(
-        effect=finding.effect,
-        axes=finding.axes,
-        parameters=dict(finding.parameters),
-        p_value=finding.p_value,
-        explains=0.0,
-        probability=probability(finding.p_value),
-        cause=catalogue()[finding.effect].cause,
-    )
 
 
 def _of_single_dwells(data: Readings, result: TraceResult) -> list[str]:
