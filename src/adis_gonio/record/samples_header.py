@@ -629,7 +629,7 @@ class _Assignment:
 
     def _unknown(self) -> DataError:
         cells = [cell for cell in self.cells if cell]
-        if cells and all(map(_numeric, cells)):
+        if cells and all(map(_NUMBERS.fullmatch, cells)):
             return self._fail(
                 f"no header row: the first row has numbers; put a row such as '{_EXPECTED}' above it"
             )
@@ -669,11 +669,3 @@ def _likely_column(name: str, spare: Sequence[str]) -> str:
 
 def _is_called(cell: str, name: str) -> bool:
     return name.lower() in (cell.lower(), split_unit(cell)[0].lower())
-
-
-def _numeric(cell: str) -> bool:
-    try:
-        float(cell.replace(",", "."))
-    except ValueError:
-        return False
-    return True

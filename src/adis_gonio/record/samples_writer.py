@@ -254,7 +254,6 @@ class SamplesRecorder(Closing):
             "plane": "none",
         }
         self._header = _leading_lines(stated if filter_m is None else {**stated, "filter_m": filter_m})
-        self._named = False
         self._file: IO[str] = (
             gzip.open(path, "xt", encoding="utf-8")  # noqa: SIM115 (closed by `close`)
             if ends_in(path, ".gz")
@@ -264,10 +263,9 @@ class SamplesRecorder(Closing):
     def add(self, block: Block) -> None:
         """Append the samples of a block to the file."""
         columns = session_columns(block)
-        if not self._named:
+        if not self._size:
             head = [*self._header, *_note_lines(self.notes)]
             self._file.write(_file_text(head, ["time_s", *columns], ()))
-            self._named = True
         whole = block.variant != GENERIC
         formats = ["%d" if whole and name in ("ax", "ay", "az") else "%.6g" for name in columns]
         table = np.column_stack([block.time_s, *columns.values()])

@@ -184,8 +184,18 @@ def read_session(path: str | Path) -> Session:
             "complete": not pending,
             "skipped": sorted(skipped),
             "dwells": [
-                _facts_of(a, scans, dropped.get(a.number, 0))
-                for a, scans in zip(stored, joined, strict=True)
+                {
+                    "place": attempt.place,
+                    "attempt": attempt.number,
+                    "run": attempt.run,
+                    "started_utc": attempt.started_utc,
+                    "samples": len(scans),
+                    "lost": scans.lost,
+                    "dropped": dropped.get(attempt.number, 0),
+                    "status": attempt.status,
+                    "alarms": None if (alarms := find_alarms(scans)) is None else alarms.as_dict(),
+                }
+                for attempt, scans in zip(stored, joined, strict=True)
             ],
         }
     sign = -1 if facts["reversed"] else 1
@@ -286,21 +296,6 @@ def _dwell(number: int, attempt: StoredAttempt, scans: Block, sign: int) -> Dwel
         temperatures_c=die_temperatures(scans),
         **session_series(session_columns(scans)),
     )
-
-
-def _facts_of(attempt: StoredAttempt, scans: Block, dropped: int) -> JsonDict:
-    alarms = find_alarms(scans)
-    return {
-        "place": attempt.place,
-        "attempt": attempt.number,
-        "run": attempt.run,
-        "started_utc": attempt.started_utc,
-        "samples": len(scans),
-        "lost": scans.lost,
-        "dropped": dropped,
-        "status": attempt.status,
-        "alarms": None if alarms is None else alarms.as_dict(),
-    }
 
 
 def _changed_registers(view: ArchiveView) -> list[JsonDict]:

@@ -140,11 +140,9 @@ class _Windows:
         self._kept = np.concatenate([self._kept, samples])
         self.fed += len(samples)
         first = self.fed - len(self._kept)
-        windows, start = [], 0
-        while start + self._length <= len(self._kept):
-            windows.append((first + start + self._length, self._kept[start : start + self._length]))
-            start += self._step
-        self._kept = self._kept[start:]
+        starts = range(0, len(self._kept) - self._length + 1, self._step)
+        windows = [(first + k + self._length, self._kept[k : k + self._length]) for k in starts]
+        self._kept = self._kept[len(starts) * self._step :]
         return windows
 
 
@@ -215,10 +213,8 @@ class StillnessWatch:
     """
 
     def __init__(self, limits: StillnessLimits, noise_mg: Floats) -> None:
-        self._upper = np.asarray(limits.upper, dtype=float)
-        self._begin = np.minimum(BEGIN_RATIO * np.asarray(noise_mg, dtype=float), self._upper)
-        self._lower = np.asarray(limits.lower, dtype=float)
-        self._length = limits.window_samples
+        self._limits = limits
+        self._begin = np.minimum(BEGIN_RATIO * np.asarray(noise_mg, dtype=float), limits.upper)
         self._windows = _Windows(limits.window_samples)
         self._anchor_from: int | None = None
         self._anchor: Floats | None = None
@@ -242,24 +238,24 @@ class StillnessWatch:
 
     def _look(self, end: int, window: Floats) -> Look:
         mean, spread = window.mean(axis=0), window.std(axis=0, ddof=1)
-        flat = spread < self._lower
+        flat, upper = spread < self._limits.lower, self._limits.upper
         # One flat window may be chance; a stuck axis stays flat.
         self._stuck = np.where(flat, self._stuck + 1, 0)
         if (self._stuck >= STUCK_LOOKS).any():
             k = int(np.argmax(self._stuck))
             return Look(end, "stuck", str(stuck_error(AXES[k], float(mean[k]))), mean, spread)
-        limit = self._upper if self._anchor_from is not None else self._begin
+        limit = upper if self._anchor_from is not None else self._begin
         over = spread / limit
         if (over > 1).any():
             k = int(np.argmax(over))
             why = f"{AXES[k]} varies by {spread[k]:.3g} mg, at rest at most {limit[k]:.3g} mg"
             return Look(end, "moving", why, mean, spread)
-        if self._anchor_from is not None and end - self._length >= self._anchor_from:
+        if self._anchor_from is not None and end - self._limits.window_samples >= self._anchor_from:
             if self._anchor is None:
                 self._anchor = mean
             # The first window of the dwell is the reference for the shift of later ones.
             shift = np.abs(mean - self._anchor)
-            allowed = np.maximum(self._upper, SHIFT_MG)
+            allowed = np.maximum(upper, SHIFT_MG)
             if (shift > allowed).any():
                 k = int(np.argmax(shift / allowed))
                 why = f"{AXES[k]} has shifted by {shift[k]:.3g} mg since the dwell began"
