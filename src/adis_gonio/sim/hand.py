@@ -29,11 +29,8 @@ from adis_gonio.sim.settings import WorldSettings
 Course = tuple[Floats, Floats]
 """Values (n,) of a function at n times, and its derivatives (n,) per s."""
 
-SEGMENT_DEG = (40.0, 120.0)
-"""Smallest and largest angle in degrees that one grip of a hand covers."""
 PAUSE_S = (0.2, 0.9)
 """Shortest and longest pause in s between two grips."""
-SUBMOVEMENT_HZ = (0.5, 3.0)
 TREMOR_HZ = (8.0, 12.0)
 SWAY_HZ = (0.05, 0.5)
 RISE_S = 0.5
@@ -79,7 +76,7 @@ def grips(turn_deg: float, rng: np.random.Generator) -> Floats:
     """
     spans: list[float] = []
     while sum(spans) < turn_deg:
-        spans.append(float(rng.uniform(*SEGMENT_DEG)))
+        spans.append(float(rng.uniform(40.0, 120.0)))
     return np.array(spans)
 
 
@@ -137,7 +134,7 @@ class _Hand:
     ) -> None:
         self._settings = settings
         self._pieces, self.length_s = pieces, length_s
-        self._uneven, self._tremor = Sines.drawn(rng, SUBMOVEMENT_HZ), Sines.drawn(rng, TREMOR_HZ)
+        self._uneven, self._tremor = Sines.drawn(rng, (0.5, 3.0)), Sines.drawn(rng, TREMOR_HZ)
         self._shaking = [Sines.drawn(rng, TREMOR_HZ) for _ in range(3)]
         self._sway = Sines.drawn(rng, SWAY_HZ)
         speed = turned_rad / length_s
@@ -217,15 +214,6 @@ class HandTurn(_Hand):
         return tilt + sway * swaying[0], slope + sway * swaying[1]
 
 
-_SPEED = (0.7, 1.4)
-"""Smallest and largest speed of one movement by hand, relative to the mean speed `move_speed_dps`."""
-_SHORTEST_GRIP_S = 0.4
-_REACTION_S = (0.1, 0.4)
-_CORRECTION_S = (0.3, 0.6)
-_SECOND_MISS = 0.2
-"""Error of the angle after the first correction, relative to the error before it (1 sigma)."""
-
-
 class HandMove(_Hand):
     """One movement by hand from one angle to another; times count from its beginning.
 
@@ -263,15 +251,16 @@ class HandMove(_Hand):
         size = abs(float(np.degrees(span_rad)))
         spans = grips(size, rng)
         spans *= size / spans.sum()
-        speed = settings.move_speed_dps * rng.uniform(*_SPEED)
-        lengths = np.maximum(spans / speed * rng.uniform(0.8, 1.25, len(spans)), _SHORTEST_GRIP_S)
+        speed = settings.move_speed_dps * rng.uniform(0.7, 1.4)
+        # No grip is shorter than 0.4 s.
+        lengths = np.maximum(spans / speed * rng.uniform(0.8, 1.25, len(spans)), 0.4)
         pauses = settings.hand_pauses * rng.uniform(*PAUSE_S, len(spans))
         # Overshoot after the last grip and after the first correction; one way never passes the mark.
         drawn = settings.hand_miss * spans[-1] * rng.standard_normal()
-        misses = np.array([drawn, drawn * _SECOND_MISS * rng.standard_normal()])
+        misses = np.array([drawn, drawn * 0.2 * rng.standard_normal()])
         misses = -np.abs(misses) if one_way else misses
-        reactions = settings.hand_pauses * rng.uniform(*_REACTION_S, 2)
-        corrections = rng.uniform(*_CORRECTION_S, 2)
+        reactions = settings.hand_pauses * rng.uniform(0.1, 0.4, 2)  # in s
+        corrections = rng.uniform(0.3, 0.6, 2)  # in s
         if settings.hand_miss:
             spans[-1] += misses[0]
             spans = np.concatenate([spans, np.diff([*misses, 0.0])])

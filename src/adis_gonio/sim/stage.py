@@ -24,14 +24,11 @@ from adis_gonio.sim.hand import Course, HandMove, HandTurn
 from adis_gonio.sim.settings import WorldSettings
 
 _SHORTEST_MOVE_S = 0.3
-_LEAST_BY_HAND_RAD = 1e-6
 _KNOTS = 33
 """Number of points that tabulate a move by half a turn.
 
 With 33 points a turn of 180° deviates from its chords by (π²/64)²/8 = 0.3 %.
 """
-_HAND_KNOTS = 8
-"""Factor by which a move by hand has more points than a move by a motor, because its speed is not even."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +106,8 @@ class _Leg:
     def knots(self) -> int:
         """Number of points at which `Stage.course` tabulates this move."""
         halves = int(np.ceil(abs(self.turn_rad) / np.pi))
-        return _KNOTS * max(halves, 1) * (1 if self.by_hand is None else _HAND_KNOTS)
+        # The speed of a move by hand is not even, so that it needs more points.
+        return _KNOTS * max(halves, 1) * (1 if self.by_hand is None else 8)
 
     @property
     def target(self) -> Floats:
@@ -373,7 +371,7 @@ class Stage:
         `one_way` is True if the mark must be reached from one side, `free` if only the hand holds the
         sensor.
         """
-        if not self._settings.hand_moves or abs(span_rad) < _LEAST_BY_HAND_RAD:
+        if not self._settings.hand_moves or abs(span_rad) < 1e-6:
             return None
         return HandMove(self._settings, self._movements, span_rad, one_way=one_way, free=free)
 

@@ -232,7 +232,7 @@ class SimulatedBoard(Closing):
                 due = (there.next_s(), back.next_s(), self.firmware.next_event_s())
                 now = self._clock.wall_s()
                 waits = (max(0.0, due_s - now) for due_s in due if due_s is not None)
-                data = self._line.receive(min([_LONGEST_WAIT_S, *waits]), writes=bool(unread))
+                data = self._line.receive(min([0.05, *waits]), writes=bool(unread))
                 if data:
                     there.put(data, self._clock.wall_s())
                 with self.lock:

@@ -4,20 +4,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from adis_gonio.device.bus.contract import SpiBus, SpiTiming, Words
 from adis_gonio.device.bus.host import SAFE_TIMING
-
-
-@dataclass(frozen=True)
-class _Expected:
-    frame: int
-    reply: int
-    place: str
 
 
 class ExpectedFrames(SpiBus):
@@ -44,13 +36,13 @@ class ExpectedFrames(SpiBus):
         super().__init__(SAFE_TIMING)
         self.url = "expected:"
         place = _place_of_caller()
-        self._script = [_Expected(frame, reply, place) for frame, reply in script]
+        self._script = [(frame, reply, place) for frame, reply in script]
         self._at = 0
         self._time_s = 0.0
 
     def expect(self, frame: int, reply: int) -> None:
         """Expect one more frame; the chip shifts `reply` out while it shifts the frame in."""
-        self._script.append(_Expected(frame, reply, _place_of_caller()))
+        self._script.append((frame, reply, _place_of_caller()))
 
     def now_s(self) -> float:
         """Return the virtual time in s."""
@@ -65,12 +57,12 @@ class ExpectedFrames(SpiBus):
         for frame in frames.tolist():
             if self._at == len(self._script):
                 raise AssertionError(f"frame 0x{frame:04X} comes after all {self._at} expected frames")
-            expected = self._script[self._at]
-            if frame != expected.frame:
+            expected, reply, place = self._script[self._at]
+            if frame != expected:
                 raise AssertionError(
-                    f"{expected.place}: frame {self._at} is 0x{frame:04X}, expected 0x{expected.frame:04X}"
+                    f"{place}: frame {self._at} is 0x{frame:04X}, expected 0x{expected:04X}"
                 )
-            replies.append(expected.reply)
+            replies.append(reply)
             self._at += 1
             self._time_s += self.timing.frame_s
         return np.array(replies, np.uint16)
@@ -81,10 +73,8 @@ class ExpectedFrames(SpiBus):
     def _close(self) -> None:
         missing = self._script[self._at :]
         if missing:
-            first = missing[0]
-            raise AssertionError(
-                f"{first.place}: frames never sent: {len(missing)}, first 0x{first.frame:04X}"
-            )
+            first, _, place = missing[0]
+            raise AssertionError(f"{place}: frames never sent: {len(missing)}, first 0x{first:04X}")
 
 
 def _place_of_caller() -> str:
