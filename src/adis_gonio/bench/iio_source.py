@@ -41,9 +41,6 @@ TYPICAL_BIAS_MG = 50.0
 PATIENCE_S = 5.0
 """Shortest time in s without a scan after which a device counts as silent."""
 
-RATES_HZ = (1e-3, 1e6)
-"""Sample rates in Hz that a device may state: a sample each 17 minutes to one each microsecond."""
-
 NO_FAULTS = "the sensor reports no errors or alarms, so a fault within a dwell is not detected"
 """Text for the user: IIO has no common interface for errors and alarms."""
 
@@ -117,7 +114,7 @@ class IioSource(SampleSource):
         rate = poll_hz or rate_hz or device.rate_hz
         if rate is None:
             raise CannotOpenError(f"{url}: {device.name} lacks sampling_frequency: add ?rate=HZ")
-        low, high = RATES_HZ
+        low, high = 1e-3, 1e6
         if not low <= rate <= high:
             raise CannotOpenError(
                 f"{url}: {device.name} states {rate:g} samples a second; {low:g} to {high:g} can be read"

@@ -524,13 +524,12 @@ class ServedDevice:
         return float(lsb[0]) * _SI[row.kind], float(zero[0] / lsb[0])
 
     def channel_value(self, channel: Channel, name: str, state: SensorState) -> str:
-        """Return the value of a channel's attribute `name` as text; raise `Refused` if there is none.
+        """Return the value of a channel's attribute as text.
 
-        The attribute `raw`, which needs a scan, is not served here.
+        `name` is one of `channel.attributes`, except `raw`, which needs a scan.
         """
         row = channel.register
-        if row is None or name not in channel.attributes:
-            raise Refused(Errno.ENOENT, f"{channel.id} has no attribute {name}")
+        assert row is not None  # the time has no attributes
         scale, offset = self.scale_and_offset(row, state)
         if name == "calibbias":
             return str(state.offsets[OFFSET_OF[row.name]])
@@ -540,16 +539,12 @@ class ServedDevice:
         return _text({"scale": scale, "offset": offset}.get(name, frequency_hz))
 
     def device_value(self, name: str, state: SensorState) -> str:
-        """Return the value of the device's attribute `name` as text; raise `Refused` if there is none."""
-        match name:
-            case "sampling_frequency":
-                return _text(state.configuration.sample_rate_hz)
-            case "sampling_frequency_available":
-                return " ".join(_text(1.0 / sample_period_s(n)) for n in _RATES_OF)
-            case "current_timestamp_clock":
-                return "realtime"
-            case _:
-                raise Refused(Errno.ENOENT, f"the device has no attribute {name}")
+        """Return the value of the device's attribute `name`, one of `DEVICE_ATTRIBUTES`, as text."""
+        if name == "sampling_frequency":
+            return _text(state.configuration.sample_rate_hz)
+        if name == "sampling_frequency_available":
+            return " ".join(_text(1.0 / sample_period_s(n)) for n in _RATES_OF)
+        return "realtime"  # current_timestamp_clock
 
     # -- the context ------------------------------------------------------------------------------
 
