@@ -226,9 +226,13 @@ def staircase_of(history: History, limits: Rules) -> list[Stair]:
     interval, stairs = limits.first_days, []
     last = 0
     for n in range(1, len(sessions)):
-        difference, u = _difference(history, last, n)
+        pair = [sessions[last], sessions[n]]
+        one, other = (record.values for record in pair)
+        # Change of each parameter that both sessions determine, and its standard uncertainty.
+        difference = {m: other[m].value - one[m].value for m in PARAMETERS if m in one and m in other}
         if not difference:
             continue
+        u = {name: float(np.linalg.norm(own_u(pair, name))) for name in difference}
         gravity = sessions[n].gravity_mps2 or STANDARD_GRAVITY_MPS2
         error = curve_of(difference, u, gravity)
         elapsed = float(days[n] - days[last])
@@ -237,20 +241,6 @@ def staircase_of(history: History, limits: Rules) -> list[Stair]:
         stairs.append(Stair(date_of(days[n]), elapsed, largest, interval, response, verdict))
         last = n
     return stairs
-
-
-def _difference(history: History, before: int, after: int) -> tuple[dict[str, float], dict[str, float]]:
-    """Return the change of each parameter between two sessions, and its standard uncertainty.
-
-    `before` and `after` are indices in the history; parameters that only one of them determines are
-    missing.
-    """
-    pair = [history.sessions[before], history.sessions[after]]
-    one, other = (record.values for record in pair)
-    names = [name for name in PARAMETERS if name in one and name in other]
-    change = {name: other[name].value - one[name].value for name in names}
-    u = {name: float(np.linalg.norm(own_u(pair, name))) for name in names}
-    return change, u
 
 
 def _staircase(history: History, limits: Rules, stairs: tuple[Stair, ...]) -> Rule:
@@ -326,12 +316,14 @@ def _control_chart(history: History, limits: Rules) -> Rule:
     days = range(1, round(LONGEST_DAYS) + 1)
     good = bisect(days, False, key=lambda day: not passes(day))
     if good == len(days):
-        years = f"{LONGEST_DAYS / YEAR_DAYS:.0f} years, the longest interval"
-        why = f"the error conforms to {limit} for {years}"
+        why = (
+            f"the error conforms to {limit} for {LONGEST_DAYS / YEAR_DAYS:.0f} years, the longest interval"
+        )
         return Rule(method, date_of(last + LONGEST_DAYS), why, assumes)
+    slopes = {name: drift.slope for name, drift in drifts.items()}
     drifts_text = ", ".join(
         f"{NAMES.get(name, name)} {format_uncertain(one.value, one.U, one.unit, sign=True)}"
-        for name, one in ((name, drift.slope) for name, drift in drifts.items())
+        for name, one in slopes.items()
     )
     why = f"the error conforms to {limit} until {good} d after the last calibration, by {drifts_text}"
     return Rule(method, date_of(last + good), why, assumes)

@@ -15,7 +15,6 @@ the textbooks apply. Shewhart's chart detects a session that is far off; the CUS
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -233,11 +232,22 @@ def drift_of(day: Floats, value: Floats, u: Floats, unit: str) -> Drift | None:
     """
     if len(day) < LEAST or not np.ptp(day) > 0:
         return None
+    from scipy.optimize import brentq
     from scipy.special import gammaincc, stdtr
 
     dof = len(day) - 2
     stated = _line(day, value, u**2)
-    between = tau_of(lambda tau: _line(day, value, u**2 + tau**2)[-1], dof, value)
+
+    def excess(tau: float) -> float:
+        return _line(day, value, u**2 + tau**2)[-1] - dof
+
+    # τ at which Cochran's Q has its expectation (Paule and Mandel); 0 if Q is not larger without τ.
+    between = 0.0
+    if excess(0.0) > 0:
+        high = float(np.ptp(value))
+        while excess(high) > 0:
+            high *= 2
+        between = float(brentq(excess, 0.0, high, xtol=1e-7 * high, rtol=1e-6))
     middle, level, slope, variances, chi2 = _line(day, value, u**2 + between**2)
     scale = max(1.0, chi2 / dof)  # Knapp and Hartung, never below the stated u
     u_level, u_slope = (math.sqrt(scale * v) for v in variances)
@@ -250,22 +260,6 @@ def drift_of(day: Floats, value: Floats, u: Floats, unit: str) -> Drift | None:
         birge_p=float(gammaincc(dof / 2, stated[-1] / 2)),
         p_value=float(2 * stdtr(dof, -abs(slope) / u_slope)),
     )
-
-
-def tau_of(q_at: Callable[[float], float], goal: float, values: Floats) -> float:
-    """Return the standard deviation τ between sessions at which Cochran's Q equals `goal`.
-
-    `q_at(τ)` computes Q of the `values` (n,). Their range is the first guess of τ. The result is 0 if Q is
-    at most `goal` at τ = 0 (Paule and Mandel).
-    """
-    from scipy.optimize import brentq
-
-    if q_at(0.0) <= goal:
-        return 0.0
-    high = float(np.ptp(values))
-    while q_at(high) > goal:
-        high *= 2
-    return float(brentq(lambda tau: q_at(tau) - goal, 0.0, high, xtol=1e-7 * high, rtol=1e-6))
 
 
 def _line(

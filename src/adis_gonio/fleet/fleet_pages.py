@@ -159,12 +159,11 @@ def _files(title: str, head: str, rows: Sequence[tuple[str, str]], *, folded: bo
 def history_page(history: History) -> str:
     """Render the history of a sensor as one HTML page that needs no other file; every text is escaped."""
     head, rows = sensor_history.value_rows(history)
+    shape = sensor_history.headline(history)
     sections = [
         Section(
             "Overview",
-            words=(
-                f"{sensor_history.headline(history)[:1].upper()}{sensor_history.headline(history)[1:]}.",
-            ),
+            words=(f"{shape[:1].upper()}{shape[1:]}.",),
             tables=(Table(head, rows, "Values ± U (95 %).", tuple(range(1, len(head)))),),
             notes=tuple(f"left out: {record.path}: {reason}" for record, reason in history.left_out),
         ),
@@ -177,7 +176,7 @@ def history_page(history: History) -> str:
     return render(
         "History",
         f"sensor {history.serial}",
-        shape=sensor_history.headline(history),
+        shape=shape,
         simulated=any(record.simulated for record in history.sessions),
         sections=sections,
         closing="This page is made from the sessions' files and can be made again from them.",
@@ -198,36 +197,25 @@ def _section(track: Track, history: History) -> Section:
     return Section(track.label, words=sentences, figures=figures)
 
 
-def _dates(track: Track) -> dict[float, str]:
-    """Return the labels of a time axis: dates by time in days, of at most four sessions of the track.
-
-    The dates are far enough apart to be read.
-    """
-    shown: dict[float, str] = {}
-    for day in sorted(track.day.tolist()):
-        if not shown or day - max(shown) >= 0.3 * np.ptp(track.day):
-            shown[day] = sensor_history.date_of(day)
-    return shown
-
-
 def _over_time(track: Track) -> Figure:
     x = track.day
+    # Dates of at most four sessions, far enough apart to be read.
+    dates: dict[float, str] = {}
+    for day in sorted(x.tolist()):
+        if not dates or day - max(dates) >= 0.3 * np.ptp(x):
+            dates[day] = sensor_history.date_of(day)
     series = [Series(x, track.value, "session, with U", error=track.expanded, role="after")]
     if track.drift is not None:
-        day = np.linspace(track.day.min(), track.day.max(), 50)
-        line = track.drift.level.value + track.drift.slope.value / YEAR_DAYS * (
-            day - track.drift.reference_day
-        )
-        series.append(Series(day, line, "drift", role="before", style="line"))
+        drift, days = track.drift, np.array([x.min(), x.max()])
+        line = drift.level.value + drift.slope.value / YEAR_DAYS * (days - drift.reference_day)
+        series.append(Series(days, line, "drift", role="before", style="line"))
     if track.chart is not None:
         for limit, label in ((track.chart.low, "3σ limits"), (track.chart.high, "")):
             series.append(Series(x, limit, label, role="model", style="line"))
     name = track.label
-    drawn = plot(series, "date", name, title=f"{name} over time", x_ticks=_dates(track))
-    caption = "Value of each session with U" + (
-        "; limits from all previous sessions." if track.chart else "."
-    )
-    return Figure(drawn, caption)
+    drawn = plot(series, "date", name, title=f"{name} over time", x_ticks=dates)
+    limits = "; limits from all previous sessions" if track.chart else ""
+    return Figure(drawn, f"Value of each session with U{limits}.")
 
 
 def _cusum(track: Track) -> Figure:

@@ -248,12 +248,16 @@ def run_fleet(
     todo = [job for job, record in found.items() if record is None]
     budget.tell("waiting for workers")
     begun, failed = time.monotonic(), 0
-    results = _computed_here(todo, options) if workers is None else workers.results(todo, options)
+    here = ((job, record_of(job.path, **options.as_dict())) for job in todo)
+    results = here if workers is None else workers.results(todo, options)
     for done, (_, record) in enumerate(results, 1):
         store.keep(record, options=options)
         records.append(record)
         failed += record.status != "ok"
-        progress = _progress(done, len(todo), time.monotonic() - begun)
+        rate = done / max(time.monotonic() - begun, 1e-9)
+        each = f"{rate:.1f} a second" if rate >= 1 else f"{1 / rate:.1f} s each"
+        left = format_duration((len(todo) - done) / rate)
+        progress = f"{done} of {counted(len(todo), 'session')}, {each}, {left} left"
         budget.tell(progress + f", {failed} failed" * bool(failed))
     budget.tell("summary")
     kept, copies = once(records)
@@ -270,18 +274,6 @@ def _digest_or_reason(path: str, store: Store) -> str | SessionRecord:
         return digest_of_file(path) if store.strict else store.digest_of(path)
     except OSError as error:
         return lost(path, f"cannot be read: {error.strerror or error}")
-
-
-def _computed_here(jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, SessionRecord]]:
-    for job in jobs:
-        yield job, record_of(job.path, **options.as_dict())
-
-
-def _progress(done: int, total: int, elapsed_s: float) -> str:
-    """Return a text such as `120 of 1000 sessions, 4.1 a second, 3 min 35 s left`."""
-    rate = done / max(elapsed_s, 1e-9)
-    each = f"{rate:.1f} a second" if rate >= 1 else f"{1 / rate:.1f} s each"
-    return f"{done} of {counted(total, 'session')}, {each}, {format_duration((total - done) / rate)} left"
 
 
 def scan(store: Store, places: Sequence[str | Path], *, trace: bool = False) -> Fleet:

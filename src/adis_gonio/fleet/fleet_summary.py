@@ -163,24 +163,23 @@ def summarise(rows: Sequence[Row]) -> Summary:
     table = table_of(rows)
     ok = table["status"] == "ok"
     failed = np.flatnonzero(~ok)
-    groups = {kind: _codes(table[column]) for kind, column in GROUPS.items()}
+    # Equal names get equal numbers, and an empty name gets -1.
+    groups = {
+        kind: np.where(table[column] == "", -1, np.unique(table[column], return_inverse=True)[1])
+        for kind, column in GROUPS.items()
+    }
     traced = ok & (table["traced"] == 1)
+    frequencies = [Frequency(name, int(flags.sum()), int(traced.sum())) for name, flags in _effects(table)]
     tests, found = outlying(_comparisons(table, groups, traced))
     return Summary(
         _counts(table, groups, ok, traced),
         tuple((str(table["path"][k]), str(table["reason"][k])) for k in failed),
         tuple(Distribution.of(name, QUANTITIES[name], table[name]) for name in _quantities(table)),
-        tuple(_frequencies(table, int(traced.sum()))),
+        tuple(sorted(frequencies, key=lambda one: (-one.found, one.effect))),
         tests,
         tuple(_named(test, tests, table, groups) for test in found),
         table,
     )
-
-
-def _codes(names: Any) -> Codes:
-    """Replace each name by a number, equal for equal names, and -1 for an empty name."""
-    _, codes = np.unique(names, return_inverse=True)
-    return np.where(names == "", -1, codes)
 
 
 def _counts(table: Table, groups: dict[str, Codes], ok: Any, traced: Any) -> dict[str, int]:
@@ -227,11 +226,6 @@ def _effects(table: Table) -> list[tuple[str, Any]]:
     return shown
 
 
-def _frequencies(table: Table, traced: int) -> list[Frequency]:
-    found = [Frequency(name, int(flags.sum()), traced) for name, flags in _effects(table)]
-    return sorted(found, key=lambda one: (-one.found, one.effect))
-
-
 def _comparisons(table: Table, groups: dict[str, Codes], traced: Any) -> list[FamilyOfTests]:
     """Make the tests of every sensor, stage and operator against the others.
 
@@ -241,18 +235,14 @@ def _comparisons(table: Table, groups: dict[str, Codes], traced: Any) -> list[Fa
     unit = groups["unit"]
     made = []
     for name in _quantities(table):
-        values = _compared(name, table[name])
+        values = table[name]
+        if name == _RMS:
+            values = np.log(values, out=np.full(len(values), np.nan), where=values > 0)
         made.append(by_unit(name, values, _own_u(table, name), unit))
         made += [by_rank(kind, name, values, groups[kind], unit) for kind in KINDS[1:]]
     for effect, shown in _effects(table):
         made += [by_share(kind, effect, shown, np.where(traced, groups[kind], -1), unit) for kind in KINDS]
     return made
-
-
-def _compared(name: str, values: Floats) -> Floats:
-    if name != _RMS:
-        return values
-    return np.log(values, out=np.full(len(values), np.nan), where=values > 0)
 
 
 def _named(test: Test, tests: int, table: Table, groups: dict[str, Codes]) -> Outlying:
@@ -316,58 +306,46 @@ def remarks(summary: Summary) -> list[str]:
 
 def parameter_rows(summary: Summary) -> list[list[str]]:
     """Return the rows of the table of parameters, with the columns `PARAMETER_HEAD`."""
-    return [_parameter(one) for one in summary.parameters]
-
-
-def _parameter(one: Distribution) -> list[str]:
-    q = one.quantiles
-    return [
-        NAMES.get(one.name, one.name),
-        format_unit(one.unit),
-        str(one.n),
-        *(_to_digit_of(one.robust_sd, value) for value in (q["50"], q["5"], q["95"], one.mean)),
-        format_number(one.robust_sd if one.n > 1 else None, 2),
-    ]
-
-
-def _to_digit_of(sd: float, value: float) -> str:
-    """Format a value with as many decimals as show two digits of its standard deviation `sd`."""
-    if not sd > 1e-6:
-        return format_number(value)
-    return format_fixed(value, count_decimals(sd))
+    rows = []
+    for one in summary.parameters:
+        q, sd = one.quantiles, one.robust_sd
+        values = (q["50"], q["5"], q["95"], one.mean)
+        rows.append(
+            [
+                NAMES.get(one.name, one.name),
+                format_unit(one.unit),
+                str(one.n),
+                # As many decimals as show two digits of the standard deviation.
+                *(format_fixed(v, count_decimals(sd)) if sd > 1e-6 else format_number(v) for v in values),
+                format_number(sd if one.n > 1 else None, 2),
+            ]
+        )
+    return rows
 
 
 def effect_rows(summary: Summary) -> list[list[str]]:
     """Return the rows of the table of effects, with the columns `EFFECT_HEAD`."""
     rows = []
     for one in summary.effects:
-        low, high = one.wilson_95
-        share = format_percent(one.share)
-        between = f"{format_percent(low)} to {format_percent(high)}"
-        rows.append([one.effect, f"{one.found} of {one.traced}", share, between])
+        share, low, high = map(format_percent, (one.share, *one.wilson_95))
+        rows.append([one.effect, f"{one.found} of {one.traced}", share, f"{low} to {high}"])
     return rows
 
 
 def outlying_rows(summary: Summary) -> list[list[str]]:
     """Return the rows of the table of outlying groups, with the columns `OUTLYING_HEAD`."""
-    return [_outlying(one) for one in summary.outlying]
-
-
-def _outlying(one: Outlying) -> list[str]:
-    if one.quantity.startswith("effect "):
-        values = [format_percent(one.value), format_percent(one.others)]
-    else:
+    rows = []
+    for one in summary.outlying:
         values = [with_unit(format_number(value), one.unit) for value in (one.value, one.others)]
-    return [
-        f"{one.kind} {one.name}",
-        NAMES.get(one.quantity, one.quantity),
-        *values,
-        format_fixed(one.z, 1),
-        format_number(one.adjusted_p, 2)
-        if one.adjusted_p >= 1e-12
-        else format_p(one.adjusted_p).split("p\u00a0")[1],
-        counted(one.n, "session" if one.kind == "unit" else "unit"),
-    ]
+        if one.quantity.startswith("effect "):
+            values = [format_percent(one.value), format_percent(one.others)]
+        p = format_number(one.adjusted_p, 2)
+        if one.adjusted_p < 1e-12:
+            p = format_p(one.adjusted_p).split("p\u00a0")[1]
+        count = counted(one.n, "session" if one.kind == "unit" else "unit")
+        quantity = NAMES.get(one.quantity, one.quantity)
+        rows.append([f"{one.kind} {one.name}", quantity, *values, format_fixed(one.z, 1), p, count])
+    return rows
 
 
 def outlying_text(summary: Summary) -> str:

@@ -71,11 +71,6 @@ class Block:
     score: Floats
     information: Floats
 
-    @property
-    def width(self) -> int:
-        """Number d of amplitudes of the cause."""
-        return int(self.score.shape[1])
-
 
 @dataclass(frozen=True)
 class Group:
@@ -112,8 +107,8 @@ def log_factors(block: Block, means: Floats, spread: float | Floats) -> Floats:
     score, information = block.score, block.information
     shifted = score[:, None, :] - means @ information  # s − Gμ, (n, h, d)
     along = 0.5 * ((score[:, None, :] + shifted) * means).sum(axis=2)
-    wide = np.broadcast_to(np.asarray(spread, dtype=float), (block.width,))
-    if block.width == 1:  # scalars instead of matrices
+    wide = np.broadcast_to(np.asarray(spread, dtype=float), score.shape[1:])
+    if score.shape[1] == 1:  # scalars instead of matrices
         denominator = 1 + wide[0] ** 2 * information[:, 0]
         square = shifted[:, :, 0] ** 2 * (wide[0] ** 2 / denominator)
         return np.asarray(along + 0.5 * (square - np.log(denominator)))
@@ -164,7 +159,10 @@ def grid_of(width: int) -> Grid:
     """
     # No common sign: zero mean and several spreads.
     still = [(np.zeros(width), spread, 0.5 / len(SPREADS)) for spread in SPREADS]
-    ways = _ways(width)
+    # Each axis, with either sign, and the four diagonal directions of two amplitudes.
+    ways = [sign * row for row in np.eye(width) for sign in (1.0, -1.0)]
+    if width == 2:
+        ways += [np.array(signs) / np.sqrt(2) for signs in itertools.product((1.0, -1.0), repeat=2)]
     # Common sign: a mean along each direction, with a third of its length as spread.
     moved = [
         (size * way, size * RELATIVE_SPREAD, 0.5 / len(MEANS) / len(ways)) for size in MEANS for way in ways
@@ -177,17 +175,6 @@ def grid_of(width: int) -> Grid:
         np.repeat(SHARES, h),
         np.tile(np.log([part for _, _, part in every]), len(SHARES)) - np.log(len(SHARES)),
     )
-
-
-def _ways(width: int) -> list[Floats]:
-    """Return the directions (width,) of the mean amplitude in the grid: each axis, with either sign.
-
-    For two amplitudes, the four diagonal directions are included.
-    """
-    ways = [sign * row for row in np.eye(width) for sign in (1.0, -1.0)]
-    if width == 2:
-        ways += [np.array(signs) / np.sqrt(2) for signs in itertools.product((1.0, -1.0), repeat=2)]
-    return ways
 
 
 def mixed(log_factor: Floats, share: float, most: float = MOST) -> Floats:

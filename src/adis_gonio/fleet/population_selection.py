@@ -87,14 +87,13 @@ def candidates_of(columns: Sequence[Column]) -> list[Candidate]:
         else:
             share = limits.nameless_share / (len(by_kind) - len(named))
         blocks = list(_blocks(kind[0] if kind[1] else "", index, columns))
-        parts = [_part(variant) for variant, _, _ in blocks]
+        parts = [
+            1 / int(form.removeprefix("cycles=")) if form.startswith("cycles=") else 1.0
+            for form, _, _ in blocks
+        ]
         for (variant, axes, own), part in zip(blocks, parts, strict=True):
             out.append(Candidate(*kind, variant, axes, own, math.log(share * part / sum(parts))))
     return out
-
-
-def _part(variant: str) -> float:
-    return 1 / int(variant.removeprefix("cycles=")) if variant.startswith("cycles=") else 1.0
 
 
 def _blocks(
@@ -345,7 +344,8 @@ class Population:
         """Find the most probable cause to add to the model with the causes `parts`."""
         # Posterior over candidates and groups, then the best candidate of the most probable cause.
         scores = self.scores(parts)
-        prior = self.log_prior
+        own_prior = np.array([candidate.log_prior for candidate in self.candidates])
+        prior = own_prior[:, None] + np.array([group.log_prior for group in self.groups])
         weighed = scores.log_evidence + prior
         any_ = float(log_sum_exp(weighed.ravel()))
         share = np.exp(weighed - any_)  # posterior of each candidate in each group
@@ -357,6 +357,12 @@ class Population:
         flat, g = divmod(int(weighed[own].argmax()), len(self.groups))
         chosen = own[flat]
         candidate, group = self.candidates[chosen], self.groups[g]
+        # The log score of the sessions of each fold, predicted from the others with the cause they choose.
+        heldout = 0.0
+        for fold in range(FOLDS):
+            trained = scores.trained[:, :, fold]
+            best = int((trained + prior).argmax())
+            heldout += float((scores.log_evidence - trained).ravel()[best])
         places = share[own].sum(axis=0) / share[own].sum()
         grid = grid_of(len(candidate.index))
         start = grid.group(int(scores.best[chosen, g]))
@@ -365,14 +371,8 @@ class Population:
             log_evidence=any_,
             posterior=dict(posterior),
             places={(one.by, one.value): float(p) for one, p in zip(self.groups, places, strict=True)},
-            heldout=_heldout(scores, prior),
+            heldout=heldout,
         )
-
-    @property
-    def log_prior(self) -> Floats:
-        """Log prior (k, g) of each of k candidates in each of g groups of sessions."""
-        own = np.array([candidate.log_prior for candidate in self.candidates])
-        return np.asarray(own[:, None] + np.array([group.log_prior for group in self.groups]))
 
     def refine(self, parts: Sequence[ChosenCause], part: ChosenCause) -> ChosenCause:
         """Find the most likely distribution of the amplitudes of the cause `part`.
@@ -438,18 +438,3 @@ def group_at(parameters: Floats, like: Group) -> Group:
     spread = float(np.exp(np.clip(parameters[1], -4, 5)))
     mean = like.mean if len(parameters) == 2 else parameters[2:]
     return Group(float(share), mean, spread, like.relative)
-
-
-def _heldout(scores: Scores, prior: Floats) -> float:
-    """Return the log score of the sessions of each fold under the cause that the other folds choose.
-
-    The scores are added up over the folds. They show how well the cause predicts sessions that took no part
-    in its choice. `prior` is the log prior (k, g) of candidates and groups.
-    """
-    gain = 0.0
-    for fold in range(FOLDS):
-        trained = scores.trained[:, :, fold]
-        chosen = int((trained + prior).argmax())
-        # The log score of the sessions of the fold, predicted from the others.
-        gain += float((scores.log_evidence - trained).ravel()[chosen])
-    return gain

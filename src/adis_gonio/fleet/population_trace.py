@@ -16,7 +16,7 @@ from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import counted, format_percent
 from adis_gonio.base.uncertainty import POPULATION_SET, Value
 from adis_gonio.fleet.cause_distribution import means_of, share_of
-from adis_gonio.fleet.population_likelihood import Units, units_of
+from adis_gonio.fleet.population_likelihood import units_of
 from adis_gonio.fleet.population_selection import (
     LEAST_UNITS,
     ChosenCause,
@@ -217,6 +217,7 @@ def trace_population(evidence: Sequence[SessionEvidence]) -> PopulationResult:
     if len(once) < len(evidence):
         notes.append(f"{len(evidence) - len(once)} sessions occur twice and count once")
     inflated = float(np.median(units.inflation))
+    shown = {column.cause for column in units.columns if column.named}
     if inflated > 1.2:
         notes.append(
             f"residuals scatter more than the stated noise, by a factor of {inflated:.2g} in variance in"
@@ -227,7 +228,10 @@ def trace_population(evidence: Sequence[SessionEvidence]) -> PopulationResult:
         found=tuple(one for one in commons if len(one.effects) == 1),
         sets=tuple(one for one in commons if len(one.effects) > 1),
         unnamed=tuple(one for one in commons if not one.effects),
-        missing=_without_evidence(units),
+        # Effects for which no session gives evidence.
+        missing={
+            name: why for one in units.evidence for name, why in one.missing.items() if name not in shown
+        },
         open=open_,
         inflation={"median": inflated, "largest": float(units.inflation.max())},
         notes=tuple(notes),
@@ -247,25 +251,15 @@ def _chosen(population: Population) -> tuple[list[SelectionStep], dict[str, str]
         if step.log_evidence < -math.log(limits.adequate):
             break
         step = replace(step, part=population.refine(parts, step.part))
-        reason = _objection(population, parts, step)
-        if reason:
-            return steps, {_label(step.part.candidate.kind): reason}
+        label = _label(step.part.candidate.kind)
+        if step.heldout <= 0:
+            return steps, {label: "held-out sessions do not agree with it"}
+        seen = population.units.seen(step.part.candidate.index) & step.part.group.inside
+        few = max(1, math.ceil(FOREMOST * int(seen.sum())))
+        if population.without_foremost(parts, step.part, few) <= 0:
+            return steps, {label: f"it depends on {few} of the sessions alone: trace these"}
         steps.append(step)
     return steps, {}
-
-
-def _objection(population: Population, parts: Sequence[ChosenCause], step: SelectionStep) -> str:
-    """Return the reason to reject a cause that has a sufficient likelihood; empty if there is none.
-
-    `parts` are the causes that were accepted before, `step` adds the cause in question.
-    """
-    if step.heldout <= 0:
-        return "held-out sessions do not agree with it"
-    seen = population.units.seen(step.part.candidate.index) & step.part.group.inside
-    few = max(1, math.ceil(FOREMOST * int(seen.sum())))
-    if population.without_foremost(parts, step.part, few) <= 0:
-        return f"it depends on {few} of the sessions alone: trace these"
-    return ""
 
 
 def _keep_supported(
@@ -297,12 +291,9 @@ def _common(population: Population, others: Sequence[ChosenCause], step: Selecti
     ranked = sorted(step.posterior.items(), key=lambda entry: -entry[1])
     # An unnamed function may contain a named one, so the name must be probable itself.
     by_name = kind[1] and sum(p for one, p in ranked if one[1]) >= limits.sure
-    names, sum_ = [], 0.0
-    for one, probability in ranked:
-        names.append(one)
-        sum_ += probability
-        if sum_ >= POPULATION_SET:
-            break
+    # The fewest causes whose probabilities add up to `POPULATION_SET`.
+    last = np.searchsorted(np.cumsum([probability for _, probability in ranked]), POPULATION_SET)
+    names = [one for one, _ in ranked[: last + 1]]
     share, low, high = share_of(population, others, part)
     mean, spread = means_of(population, others, part)
     probable = population.affected(others, part)
@@ -310,7 +301,7 @@ def _common(population: Population, others: Sequence[ChosenCause], step: Selecti
         # Without a common sign, many small amplitudes look like few large ones.
         seen = units.seen(part.candidate.index) & part.group.inside
         low = min(low, float((probable[seen] > 0.5).mean()))
-    order = [int(i) for i in np.argsort(-probable) if probable[i] > 0.5]
+    order = [i for i in np.argsort(-probable) if probable[i] > 0.5]
     return Common(
         effects=tuple(name for name, named in names if named) if by_name else (),
         depends_on="" if by_name else _dependence(names, kind),
@@ -343,11 +334,3 @@ def _dependence(names: Sequence[Kind], best: Kind) -> str:
     also = [name for name, named in names if named]
     what = best[0] if not best[1] else nameless[0]
     return what + (f" (or {', '.join(also)})" if also else "")
-
-
-def _without_evidence(units: Units) -> dict[str, str]:
-    """Map each effect for which no session gives evidence to the reason."""
-    shown = {column.cause for column in units.columns if column.named}
-    return {
-        name: reason for one in units.evidence for name, reason in one.missing.items() if name not in shown
-    }

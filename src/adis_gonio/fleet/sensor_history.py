@@ -134,7 +134,30 @@ def history_of(serial: str, records: Sequence[SessionRecord]) -> History:
     """Make the history of a sensor from the records of its sessions."""
     left_out = tuple((record, reason) for record in records if (reason := _unfit(record)))
     good = sorted((r for r in records if not _unfit(r)), key=lambda r: (day_of(r.when or ""), r.path))
-    tracks = [track for track in (_track(name, good) for name in _names(good)) if track.sessions]
+    # In the plane the gain ratio ΔK is tracked instead of gains: a common factor of both gains cannot be
+    # distinguished from a change of gravity.
+    names = [name for name in QUANTITIES if name.startswith(("bias_", "scale_", "skew_"))]
+    if any("delta_k" in record.values for record in good):
+        names = [*_IN_PLANE, ANGLE]
+    tracks = []
+    for name in names:
+        stated = [
+            (n, record, value)
+            for n, record in enumerate(good)
+            if (value := record.values.get(name)) is not None
+            and np.isfinite(value.value)
+            and (value.u or 0.0) > 0
+        ]
+        if not stated:
+            continue
+        numbers, shown, values = zip(*stated, strict=True)
+        day = np.array([day_of(record.when or "") for record in shown])
+        track = Track(name, values[0].unit, numbers, day, values)
+        if name != ANGLE and len(values) > 1:
+            u = own_u(shown, name)
+            drift = drift_of(day, track.value, u, track.unit)
+            track = replace(track, drift=drift, chart=control_chart(track.value, u))
+        tracks.append(track)
     drifts = {track.name: track.drift for track in tracks if track.drift is not None}
     moving = {name for name, drift in drifts.items() if drift.p_value * len(drifts) <= DRIFTING}
     judged = {track.name: replace(track, drifts=track.name in moving) for track in tracks}
@@ -191,29 +214,6 @@ def _unfit(record: SessionRecord) -> str:
     return f"the result cannot be right: {record.doubts[0]}" if record.doubts else ""
 
 
-def _names(records: Sequence[SessionRecord]) -> list[str]:
-    """Return the names of the quantities to track over the sessions.
-
-    For sessions in the plane the gain ratio ΔK is tracked instead of gains: a common factor of both gains
-    cannot be distinguished from a change of gravity.
-    """
-    if any("delta_k" in record.values for record in records):
-        return [*_IN_PLANE, ANGLE]
-    return [name for name in QUANTITIES if name.startswith(("bias_", "scale_", "skew_"))]
-
-
-def _track(name: str, records: Sequence[SessionRecord]) -> Track:
-    stated = [(n, r, r.values[name]) for n, r in enumerate(records) if _stated(r.values.get(name))]
-    day = np.array([day_of(record.when or "") for _, record, _ in stated])
-    values = tuple(value for _, _, value in stated)
-    unit = values[0].unit if values else ""
-    track = Track(name, unit, tuple(n for n, _, _ in stated), day, values)
-    if name == ANGLE or len(values) < 2:
-        return track
-    u = own_u([record for _, record, _ in stated], name)
-    return replace(track, drift=drift_of(day, track.value, u, unit), chart=control_chart(track.value, u))
-
-
 def own_u(records: Sequence[SessionRecord], name: str) -> Floats:
     """Return the standard uncertainties (n,) of a quantity without the errors of a stage that all share.
 
@@ -224,10 +224,6 @@ def own_u(records: Sequence[SessionRecord], name: str) -> Floats:
         [record.stage_curve for record in records],
         [record.stage_influence.get(name, ()) for record in records],
     )
-
-
-def _stated(value: Value | None) -> bool:
-    return value is not None and bool(np.isfinite(value.value)) and value.u is not None and value.u > 0
 
 
 def drift_sentences(track: Track) -> list[str]:
@@ -267,18 +263,13 @@ def chart_sentences(track: Track, history: History) -> list[str]:
 
 def effect_table(history: History) -> list[list[str]]:
     """Return table rows (date, effects found, adequacy of the model), one for each session."""
-    return [[_date(record), _effects(record), _adequate(record)] for record in history.sessions]
-
-
-def _effects(record: SessionRecord) -> str:
-    if not record.traced:
-        return "not traced"
-    names = [f"{e.effect} ({', '.join(e.axes)})" if e.axes else e.effect for e in record.effects]
-    return ", ".join(names) or "none"
-
-
-def _adequate(record: SessionRecord) -> str:
-    return {None: "–", True: "adequate", False: "not adequate"}[record.adequate]
+    adequate = {None: "–", True: "adequate", False: "not adequate"}
+    rows = []
+    for record in history.sessions:
+        names = [f"{e.effect} ({', '.join(e.axes)})" if e.axes else e.effect for e in record.effects]
+        effects = (", ".join(names) or "none") if record.traced else "not traced"
+        rows.append([_date(record), effects, adequate[record.adequate]])
+    return rows
 
 
 def _date(record: SessionRecord) -> str:

@@ -337,6 +337,9 @@ def evidence_of(session: Session) -> SessionEvidence:
     # Columns that lie in the projected space are not determined.
     seen = np.asarray(columns.any(axis=0))
     unit = columns[:, seen]
+    # Shorter columns with equal scalar products: XᵀX = V S² Vᵀ, so the rows S Vᵀ have the products.
+    _, s, vt = np.linalg.svd(unit, full_matrices=False)
+    kept = s > 1e-5 * (s[0] if s.size else 1.0)
     keys = tuple(column.key for column, there in zip(made, seen, strict=True) if there)
     shown = {key.split("|")[0] for key in keys}
     hidden = {column.cause for column in made if column.named} - shown
@@ -345,7 +348,7 @@ def evidence_of(session: Session) -> SessionEvidence:
         keys=keys,
         z=unit.T @ target,
         length=length[seen],
-        directions=_reduced(unit),
+        directions=_unit(s[kept, None] * vt[kept]),
         scatter=_scatter(fit, rest, base),
         noise_known=data.noise_known,
         missing=missing | dict.fromkeys(hidden, "lies in the base model and bias"),
@@ -356,14 +359,6 @@ def evidence_of(session: Session) -> SessionEvidence:
 
 def _unit(directions: Floats) -> Floats:
     return np.asarray(directions / np.maximum(np.linalg.norm(directions, axis=0), 1e-12))
-
-
-def _reduced(unit: Floats) -> Floats:
-    """Replace columns (rows, m) by shorter columns (k, m) that have equal scalar products."""
-    # XᵀX = V S² Vᵀ: rows S Vᵀ have the products of the columns.
-    _, s, vt = np.linalg.svd(unit, full_matrices=False)
-    kept = s > 1e-5 * (s[0] if s.size else 1.0)
-    return _unit(s[kept, None] * vt[kept])
 
 
 def _scatter(fit: Fit, rest: Floats, base: Floats) -> tuple[ResidualChi2, ...]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -44,8 +45,6 @@ PARTS = {"": "value", "_u": "u", "_u95": "U", "_k": "k", "_dof": "dof"}
 
 The ending of U is `_u95`, because names of columns ignore capitals.
 """
-
-Status = Literal["ok", "failed"]
 
 
 class FoundEffect(JsonRecord):
@@ -155,7 +154,7 @@ class SessionRecord(JsonRecord):
     stage_curve: str = ""
     stage_influence: dict[str, tuple[float, ...]] = field(default_factory=dict)
     doubts: tuple[str, ...] = ()
-    status: Status = "ok"
+    status: Literal["ok", "failed"] = "ok"
     reason: str = ""
     software: str = ""
     evidence: dict[str, Any] | None = None
@@ -211,7 +210,9 @@ def once(records: Iterable[SessionRecord]) -> tuple[list[SessionRecord], list[Re
     file that states more facts remains.
     """
     kept, repeated, names = [], [], dict[str, str]()
-    for record in sorted(records, key=_unstated):
+    facts = ("when", "serial", "operator", "stage", "plan")
+    unstated = [(sum(getattr(one, name) is None for name in facts), one.path, one) for one in records]
+    for *_, record in sorted(unstated, key=lambda entry: entry[:2]):
         data = record.data_sha256 if record.status == "ok" else None
         if data in names:
             repeated.append(Repeated(record.path, names[data]))
@@ -220,12 +221,6 @@ def once(records: Iterable[SessionRecord]) -> tuple[list[SessionRecord], list[Re
             names[data] = record.path
         kept.append(record)
     return sorted(kept, key=lambda record: record.path), repeated
-
-
-def _unstated(record: SessionRecord) -> tuple[int, str]:
-    """Return a sort key that puts the file with the most stated facts first, then sorts by path."""
-    names = ("when", "serial", "operator", "stage", "plan")
-    return sum(getattr(record, name) is None for name in names), record.path
 
 
 def value_from(entry: Mapping[str, Any]) -> Value:
@@ -323,6 +318,7 @@ def record_of(path: str | Path, *, trace: bool = False, evidence: bool = False) 
     evidence : bool
         True also computes the evidence for a population trace.
     """
+    from adis_gonio.fleet.session_evidence import evidence_of
     from adis_gonio.record.loading import explain_refusal, load_session
 
     path = Path(path)
@@ -333,7 +329,10 @@ def record_of(path: str | Path, *, trace: bool = False, evidence: bool = False) 
         session = load_session(path)
         known |= _facts(session)
         found = _results(session, trace=trace)
-        return SessionRecord(**known, **found, evidence=_evidence(session) if evidence else None)
+        if evidence:
+            with suppress(AdisGonioError):  # for example, a session of one pose has no evidence
+                found["evidence"] = evidence_of(session).as_dict()
+        return SessionRecord(**known, **found)
     except (AdisGonioError, OSError) as error:
         reason = explain_refusal(str(error))
     except Exception as error:  # one file among thousands must not stop the others
@@ -400,16 +399,3 @@ def _results(session: Session, *, trace: bool) -> dict[str, Any]:
         effects = tuple(FoundEffect(f.effect, f.axes, f.p_value, f.parameters) for f in found.found)
         results |= {"traced": True, "effects": effects, "adequate": found.adequate}
     return results
-
-
-def _evidence(session: Session) -> dict[str, Any] | None:
-    """Return the evidence of a session for a population trace; None if it has none.
-
-    For example, a session of one pose has no evidence.
-    """
-    from adis_gonio.fleet.session_evidence import evidence_of
-
-    try:
-        return evidence_of(session).as_dict()
-    except AdisGonioError:
-        return None

@@ -99,13 +99,18 @@ class Store:
     def _opened(self) -> sqlite3.Connection:
         try:
             with ExitStack() as undo:
-                connection = undo.enter_context(closing(_connected(self.path)))
+                connection = undo.enter_context(
+                    closing(sqlite3.connect(self.path, timeout=30.0, isolation_level=None))
+                )
                 self._prepare(connection)
                 undo.pop_all()
         except sqlite3.OperationalError as error:
             raise self._unusable("opened", error) from error
         except sqlite3.DatabaseError as error:
-            if not self._ours():
+            # The header shows that this program made the file or, if the header is damaged, the name.
+            with self.path.open("rb") as file:
+                head = file.read(72)
+            if int.from_bytes(head[68:72], "big") != APPLICATION_ID and self.path.name != NAME:
                 raise self._foreign() from None
             raise DataError(
                 f"{self.path}: is damaged ({error}); remove it, and its sessions are computed again"
@@ -135,15 +140,6 @@ class Store:
         (found,) = connection.execute("PRAGMA quick_check(1)").fetchone()
         if found != "ok":
             raise sqlite3.DatabaseError(" ".join(str(found).split())[:80])
-
-    def _ours(self) -> bool:
-        """Return True if this program made the file of the store.
-
-        The file's header shows this or, if the header is damaged, the file's name.
-        """
-        with self.path.open("rb") as file:
-            head = file.read(72)
-        return int.from_bytes(head[68:72], "big") == APPLICATION_ID or self.path.name == NAME
 
     @property
     def _option(self) -> str:
@@ -201,12 +197,7 @@ class Store:
         if known is not None:
             return str(known[0])
         digest = digest_of_file(path)
-        self._write(
-            [
-                (_REPLACED, (str(path), digest)),
-                (_AT_PATH, (str(path), digest, stamp)),
-            ]
-        )
+        self._write([(_REPLACED, (str(path), digest)), (_AT_PATH, (str(path), digest, stamp))])
         return digest
 
     def keep(self, *records: SessionRecord, options: Options | None = None) -> None:
@@ -266,7 +257,9 @@ class Store:
                 first, *copies = paths.get(record.sha256 or "") or [""]
                 row = record.row() | {"copies": copies, "gone": not first}
                 rows.append(row | {"path": first or record.path})
-        return sorted(rows, key=_place)
+        # Rows without a serial number come last.
+        order = ("serial", "operator", "stage", "when", "path")
+        return sorted(rows, key=lambda row: (row["serial"] is None, *(row[name] or "" for name in order)))
 
     def records(self, serial: str | None = None) -> list[SessionRecord]:
         """Return the records of one sensor, by serial number, or of all sensors, sorted by time.
@@ -290,18 +283,6 @@ class Store:
             "SELECT DISTINCT serial FROM records WHERE serial IS NOT NULL ORDER BY serial"
         )
         return [str(serial) for (serial,) in rows]
-
-
-def _place(row: dict[str, Any]) -> tuple[Any, ...]:
-    """Return the sort key of a row; rows without a serial number come last."""
-    return (
-        row["serial"] is None,
-        *(row[name] or "" for name in ("serial", "operator", "stage", "when", "path")),
-    )
-
-
-def _connected(path: Path) -> sqlite3.Connection:
-    return sqlite3.connect(path, timeout=30.0, isolation_level=None)
 
 
 def _tables(connection: sqlite3.Connection) -> int:
