@@ -39,9 +39,10 @@ def detectable_deg(angles: Angles, name: Name) -> dict[int, float]:
     if not patterns:
         return {}
     residual = known.residual(rows)[:, None]
+    expected = (rows.design @ rows.prior_mean)[:, None]
     likely = []
     for white in Whitened.at_each(rows, grid, known.columns):
-        likely.append(float(white.weight(white.white_residual(residual))[0]))
+        likely.append(float(white.weight(white.white(residual - expected))[0]))
     none = known.columns[:, :0]
     accounts = list(Whitened.at_each(rows, grid, none))
     root = accounts[int(np.argmax(likely))].root

@@ -184,7 +184,10 @@ def _records(
             time_s, size = dwell.time_s[first:last], last - first
             lost += max(0, round(float(time_s[-1] - time_s[0]) / period_s) + 1 - size)
             if size >= LEAST:
-                records.append(np.asarray(series[first : first + _quick(size)], np.float64))
+                if size >= _FAST:
+                    # The largest size for which the Fourier transform is fast.
+                    size = next(n for n in range(size, 0, -1) if fft.next_fast_len(n, real=True) == n)
+                records.append(np.asarray(series[first : first + size], np.float64))
                 positions.append(dwell.position)
     return records, positions, lost
 
@@ -221,16 +224,6 @@ def _period(dwells: list[Dwell], where: str) -> float:
         raise DataError(f"{where}: the times of the samples do not increase, so the rate is unknown")
     # A longer step is a missing sample; a step of zero comes from coarse times and counts.
     return float(steps[steps < _EVEN * usual].mean())
-
-
-def _quick(size: int) -> int:
-    """Return the largest number of samples up to `size` for which the Fourier transform is fast.
-
-    Short records are not cut.
-    """
-    if size < _FAST:
-        return size
-    return next(n for n in range(size, 0, -1) if fft.next_fast_len(n, real=True) == n)
 
 
 MOST_M = 6
@@ -337,17 +330,6 @@ def _rounding(flat: Sequence[Floats], step: float, m: int) -> tuple[Floats, bool
     return step**2 * rounding_covariance(m, sigma / step), False
 
 
-def _highest(m: int) -> float:
-    """Return the highest frequency to fit in cycles per sample, for the chip's filter M = `m`.
-
-    Above it the filter passes too little power.
-    """
-    if m == 0:
-        return 0.5
-    grid = np.linspace(0.0, 0.5**m, 2049)
-    return float(grid[filter_response(m, grid) >= _PASSED].max())
-
-
 @dataclass(frozen=True)
 class _Fitted:
     likelihood: Likelihood
@@ -357,17 +339,6 @@ class _Fitted:
     band: float
 
 
-def _fitted(data: Ordinates, band: float, kinds: Sequence[Kind]) -> _Fitted:
-    likelihood = Likelihood(data, [k for k, kind in enumerate(KINDS) if kind not in kinds])
-    theta, deviance = likelihood.best()
-    return _Fitted(likelihood, theta, deviance, likelihood.adequacy(theta), band)
-
-
-def _kinds(m: int) -> Sequence[Kind]:
-    """Return the noise processes to fit; if the chip's filter is on (M = `m` > 0), without quantization."""
-    return KINDS if m == 0 else KINDS[1:]
-
-
 def _widest(data: Ordinates, band: float, kinds: Sequence[Kind]) -> _Fitted:
     """Fit the noise processes to the widest frequency band in which they explain the spectrum.
 
@@ -375,9 +346,11 @@ def _widest(data: Ordinates, band: float, kinds: Sequence[Kind]) -> _Fitted:
     explained, it returns the fit that explains its band best.
     """
     tried = []
+    fixed = [k for k, kind in enumerate(KINDS) if kind not in kinds]
     while True:
-        inside = data.below(band)
-        tried.append(_fitted(inside, band, kinds))
+        likelihood = Likelihood(data.below(band), fixed)
+        theta, deviance = likelihood.best()
+        tried.append(_Fitted(likelihood, theta, deviance, likelihood.adequacy(theta), band))
         if tried[-1].adequacy >= INADEQUATE:
             return tried[-1]
         band /= 2
@@ -391,7 +364,9 @@ def _axis(rests: Rests, axis: int, m: int) -> AxisNoise:
     slopes = [float(np.polyfit(np.arange(len(c)) - (len(c) - 1) / 2, c, 1)[0]) for c in columns]
     flat = [_flat(column) for column in columns]
     rounding, coarse = _rounding(flat, step, m)
-    highest = _highest(m)
+    # Above the highest fitted frequency (in cycles per sample) the filter passes too little power.
+    grid = np.linspace(0.0, 0.5**m, 2049)
+    highest = float(grid[filter_response(m, grid) >= _PASSED].max()) if m else 0.5
     lines: list[list[SpectralLine]] = []
     parts = []
     for record in flat:
@@ -399,13 +374,19 @@ def _axis(rests: Rests, axis: int, m: int) -> AxisNoise:
         lines.append(own)
         parts.append(ordinates(_flat(clean) if own else record, m, period_s, rounding, masked))
     quiet = _quiet(parts, highest)
-    fitted = _widest(together([parts[k] for k in quiet]), highest, _kinds(m))
+    # If the chip's filter is on, quantization is not fitted.
+    kinds = KINDS if m == 0 else KINDS[1:]
+    fitted = _widest(together([parts[k] for k in quiet]), highest, kinds)
     profiles = {
-        kind: profile(fitted.likelihood, fitted.theta, fitted.deviance, KINDS.index(kind))
-        for kind in _kinds(m)
+        kind: profile(fitted.likelihood, fitted.theta, fitted.deviance, KINDS.index(kind)) for kind in kinds
     }
     slow = _slow(fitted)
     ramp = _ramp(fitted, [slopes[k] for k in quiet], period_s, rests.unit)
+    # Of the sinusoids that records show at one frequency (within 1 %), the strongest represents the others.
+    strongest: list[SpectralLine] = []
+    for line in sorted((one for k in quiet for one in lines[k]), key=lambda one: -one.amplitude):
+        if all(abs(line.frequency_hz / other.frequency_hz - 1) > 0.01 for other in strongest):
+            strongest.append(line)
     found = AxisNoise(
         axis="xyz"[axis],
         parameters=parameters(rests.part, rests.unit, profiles),
@@ -413,7 +394,7 @@ def _axis(rests: Rests, axis: int, m: int) -> AxisNoise:
         slow_p_value=slow,
         adequacy=fitted.adequacy,
         band_hz=(1 / (2 * rests.longest_s), fitted.band / period_s),
-        lines=_joined([line for k in quiet for line in lines[k]]),
+        lines=tuple(sorted(strongest, key=lambda one: one.frequency_hz)),
         step=step,
         curve=curve([columns[k] for k in quiet], _drawn(fitted, profiles), m, period_s, rounding),
         notes=(),
@@ -500,10 +481,9 @@ def _drawn(fitted: _Fitted, profiles: dict[Kind, Profile]) -> Floats:
     noise from random walk, both keep their coefficients.
     """
     lacking = [kind for kind, found in profiles.items() if not found.present and kind != "white"]
+    if {"flicker", "walk"} <= {*lacking} and _slow(fitted) < SLOW_NOISE:
+        lacking = [kind for kind in lacking if kind not in ("flicker", "walk")]
     absent = {KINDS.index(kind): 0.0 for kind in lacking}
-    if {2, 3} <= absent.keys() and _slow(fitted) < SLOW_NOISE:
-        absent.pop(2)
-        absent.pop(3)
     return fitted.likelihood.maximum(fitted.theta.copy(), absent)[0]
 
 
@@ -534,15 +514,3 @@ def _ramp(fitted: _Fitted, slopes: list[float], period_s: float, unit: str) -> V
     total = np.array(slopes) + np.array([left for left, _ in rest])
     mean = float(np.average(total, weights=weight))
     return Value(mean / period_s, 1 / math.sqrt(weight.sum()) / period_s, f"{unit}/s", factor=NORMAL_95)
-
-
-def _joined(lines: list[SpectralLine]) -> tuple[SpectralLine, ...]:
-    """Merge sinusoids that several records show at one frequency (within 1 %).
-
-    The sinusoid with the largest amplitude represents the others.
-    """
-    kept: list[SpectralLine] = []
-    for line in sorted(lines, key=lambda one: -one.amplitude):
-        if all(abs(line.frequency_hz / other.frequency_hz - 1) > 0.01 for other in kept):
-            kept.append(line)
-    return tuple(sorted(kept, key=lambda one: one.frequency_hz))

@@ -371,12 +371,16 @@ def subtract_sinusoids(
         if peak is None:
             break
         place, ratio = peak
-        record, amplitude = _subtract_sinusoid(record, place)
+        phase = 2 * np.pi * place / len(record) * np.arange(len(record))
+        # Least squares of cosine and sine at this frequency.
+        columns = np.stack([np.cos(phase), np.sin(phase)], axis=1)
+        values = np.linalg.solve(columns.T @ columns, columns.T @ record)
+        record = np.asarray(record - columns @ values, np.float64)
         reach = _LEAKS + int(min(math.sqrt(ratio) / 16, len(record) / 256))
         middle = round(place)
         taken[max(0, middle - reach) : middle + reach + 1] = True
         masked.append(np.arange(2 * (middle - reach), 2 * (middle + reach) + 1))
-        found.append(SpectralLine(place / len(record) / period_s, amplitude))
+        found.append(SpectralLine(place / len(record) / period_s, float(np.hypot(*values))))
     return record, found, np.concatenate(masked) if masked else np.zeros(0, np.intp)
 
 
@@ -422,15 +426,6 @@ def _level(power: Floats) -> Floats:
     # On a slope (of the filter, of slow noise) the higher side counts.
     level: Floats = np.maximum(np.maximum(medians[before], medians[after]), 1e-300)
     return level
-
-
-def _subtract_sinusoid(record: Floats, place: float) -> tuple[Floats, float]:
-    """Subtract the sinusoid of `place` cycles per record; return the record (n,) and the amplitude."""
-    phase = 2 * np.pi * place / len(record) * np.arange(len(record))
-    # Least squares of cosine and sine at this frequency.
-    columns = np.stack([np.cos(phase), np.sin(phase)], axis=1)
-    values = np.linalg.solve(columns.T @ columns, columns.T @ record)
-    return np.asarray(record - columns @ values, np.float64), float(np.hypot(*values))
 
 
 SINGLES = 64
@@ -576,7 +571,14 @@ class _Grid:
 @lru_cache(maxsize=8)
 def _grid(n: int, filter_m: int, period_s: float) -> _Grid:
     # Axes, and most dwells of a session, have one length.
-    starts, stops = _bins(n)
+    # Low ordinates have a bin each; at higher frequencies the bins are wider.
+    edges = list(range(1, min(SINGLES, n - 1) + 1))
+    at = edges[-1] + 1
+    while at < n:
+        edges.append(at)
+        at += max(1, int(min(at * _RELATIVE, 2 * n * _ABSOLUTE)))
+    starts = np.array(edges, dtype=np.intp)
+    stops = np.append(starts[1:], n).astype(np.intp)
     count = np.minimum(_POINTS, stops - starts)
     first = np.cumsum(count) - count
     owner = np.repeat(np.arange(len(starts)), count)
@@ -596,21 +598,6 @@ def _rounded(rounding: bytes, n: int, filter_m: int, period_s: float) -> Floats:
     """
     grid = _grid(n, filter_m, period_s)
     return grid.mean(ordinate_variances(np.frombuffer(rounding), n, grid.points))
-
-
-def _bins(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Divide the ordinates 1 … n − 1 into bins.
-
-    Return the first ordinate (b,) of each bin, and the ordinate (b,) after its last. Low ordinates have a
-    bin each; at higher frequencies the bins are wider.
-    """
-    edges = list(range(1, min(SINGLES, n - 1) + 1))
-    at = edges[-1] + 1
-    while at < n:
-        edges.append(at)
-        at += max(1, int(min(at * _RELATIVE, 2 * n * _ABSOLUTE)))
-    starts = np.array(edges, dtype=np.intp)
-    return starts, np.append(starts[1:], n).astype(np.intp)
 
 
 _CELLS, _LEAST_CELL = 24, 16
@@ -839,24 +826,20 @@ def profile(likelihood: Likelihood, theta: Floats, least: float, index: int) -> 
     def beyond(squared: float) -> float:
         return likelihood.maximum(theta, {index: squared})[1] - least - limit
 
-    top = theta[index] + NORMAL_95 * max(u_squared, 1e-12 * likelihood.scale[index])
-    high = _root_above(beyond, max(theta[index], 0.0), top)
-    low = _root_below(beyond, float(theta[index])) if p_value < SLOW_NOISE else 0.0
-    return Profile(sigma, u, math.sqrt(low), math.sqrt(high), p_value)
-
-
-def _root_above(beyond: Callable[[float], float], begin: float, top: float) -> float:
+    begin, top = (
+        float(theta[index]),
+        theta[index] + NORMAL_95 * max(u_squared, 1e-12 * likelihood.scale[index]),
+    )
+    # Double or halve the bound until it brackets the end of the interval.
     for _ in range(60):
         if beyond(top) > 0:
             break
         begin, top = top, 2 * top
-    return float(optimize.brentq(beyond, begin, top, rtol=1e-5))
-
-
-def _root_below(beyond: Callable[[float], float], top: float) -> float:
-    low = top
-    for _ in range(40):
-        low /= 2
-        if beyond(low) > 0:
-            return float(optimize.brentq(beyond, low, 2 * low, rtol=1e-5))
-    return 0.0
+    high = float(optimize.brentq(beyond, max(begin, 0.0), top, rtol=1e-5))
+    low = 0.0
+    if p_value < SLOW_NOISE:
+        halves = (theta[index] / 2.0 ** np.arange(1, 41)).tolist()
+        low = next((half for half in halves if beyond(half) > 0), 0.0)
+    if low:
+        low = float(optimize.brentq(beyond, low, 2 * low, rtol=1e-5))
+    return Profile(sigma, u, math.sqrt(low), math.sqrt(high), p_value)

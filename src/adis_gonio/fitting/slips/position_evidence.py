@@ -195,10 +195,6 @@ class Whitened:
         """Whiten changes (m, …) of the rows: mix the rows so that their covariance is the identity."""
         return np.asarray(self.inverse @ values)
 
-    def white_residual(self, values: Floats) -> Floats:
-        """Subtract the prediction at the prior mean from k sets of residuals (m, k); whiten the result."""
-        return self.white(values - (self.rows.design @ self.rows.prior_mean)[:, None])
-
 
 _TOGETHER = 10**6
 """Largest number of matrix elements that are factorised in one call."""
@@ -240,14 +236,6 @@ class Weighed:
     none: float
     named: dict[tuple[int, Name], float]
     scatter: ScatterPoint
-
-    @property
-    def likeliest(self) -> tuple[int, Name]:
-        """Index of the most probable fault, and the most probable name for it.
-
-        Raises `ValueError` if there is no possible fault.
-        """
-        return max(self.named, key=self.named.__getitem__)
 
     @property
     def best(self) -> int | None:

@@ -367,7 +367,10 @@ def _effect_columns(angles: Angles, near: _Local) -> tuple[Floats, Floats, Float
     out. The results are columns (n, 2, q) in mg for q effects on the readings, columns (n, r) in rad for r
     effects on the angle ψ, and the prior standard deviation (q + r,) of each amplitude.
     """
-    conditions = _by_gravity(angles.conditions, near, angles)
+    # The declared angles, which may be wrong, are replaced by the angles of gravity.
+    angle = common_zero(wrap_radians(near.psi_rad + angles.declared_rad)) - near.psi_rad
+    before = np.concatenate([angle[:1], angle[:-1]])
+    conditions = replace(angles.conditions, angle_rad=angle, previous_angle_rad=before)
     added: list[Floats] = []
     turned: list[Floats] = []
     sizes: dict[bool, list[float]] = {False: [], True: []}
@@ -385,14 +388,6 @@ def _effect_columns(angles: Angles, near: _Local) -> tuple[Floats, Floats, Float
         np.stack(turned, axis=1) if turned else np.zeros((n, 0)),
         np.array([*sizes[False], *sizes[True]]),
     )
-
-
-def _by_gravity(conditions: Conditions, near: _Local, angles: Angles) -> Conditions:
-    """Return the conditions with the declared angles, which may be wrong, replaced by those of gravity."""
-    zero = common_zero(wrap_radians(near.psi_rad + angles.declared_rad))
-    angle = zero - near.psi_rad
-    before = np.concatenate([angle[:1], angle[:-1]])
-    return replace(conditions, angle_rad=angle, previous_angle_rad=before)
 
 
 DIGITS = "0123456789"
@@ -510,8 +505,17 @@ def patterns_of(rows: Rows, before_rad: Floats) -> list[Pattern]:
     found += _slipped(rows, seen)
     found += _swapped(rows, before_rad, seen, zero)
     found += _reversed(rows, before_rad, zero)
-    found += _pushed(rows, zero)
-    found += _gyro(rows, zero)
+    n, m = len(rows), len(rows.by_error)
+    for k in range(n):
+        columns = np.zeros((m, 2))
+        columns[k, 0] = columns[n + k, 1] = 1.0
+        pushed: Names = {"gravity_wrong": (math.log(SHARE["gravity_wrong"] / n), None)}
+        found.append(Pattern((k,), np.zeros(n), columns, np.zeros(n), 0.0, pushed, zero))
+    for row, k in enumerate(rows.turn.tolist()):
+        columns = np.zeros((m, 1))
+        columns[2 * n + row] = 1.0
+        names: Names = {"gyro_wrong": (math.log(SHARE["gyro_wrong"] / len(rows.turn)), _any_size)}
+        found.append(Pattern((k,), np.zeros(n), columns, np.zeros(n), 0.0, names, zero))
     return found
 
 
@@ -583,24 +587,6 @@ def _fixed(
 ) -> Pattern:
     none = np.zeros((len(rows.by_error), 0))
     return Pattern(dwells, error, none, np.zeros(len(rows)), 0.0, {name: (math.log(prior), None)}, zero)
-
-
-def _pushed(rows: Rows, zero: float) -> Iterator[Pattern]:
-    n = len(rows)
-    names: Names = {"gravity_wrong": (math.log(SHARE["gravity_wrong"] / n), None)}
-    for k in range(n):
-        columns = np.zeros((len(rows.by_error), 2))
-        columns[k, 0] = columns[n + k, 1] = 1.0
-        yield Pattern((k,), np.zeros(n), columns, np.zeros(n), 0.0, names, zero)
-
-
-def _gyro(rows: Rows, zero: float) -> Iterator[Pattern]:
-    n = len(rows)
-    for row, k in enumerate(rows.turn):
-        columns = np.zeros((len(rows.by_error), 1))
-        columns[2 * n + row] = 1.0
-        names: Names = {"gyro_wrong": (math.log(SHARE["gyro_wrong"] / len(rows.turn)), _any_size)}
-        yield Pattern((int(k),), np.zeros(n), columns, np.zeros(n), 0.0, names, zero)
 
 
 # -- priors of amplitudes ------------------------------------------------------------------------------

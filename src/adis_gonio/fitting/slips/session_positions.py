@@ -344,7 +344,7 @@ def _posterior(rows: Rows, accepted: Sequence[Pattern], scatter: ScatterPoint) -
     """
     known = KnownFaults.of(rows, accepted)
     (white,) = Whitened.at_each(rows, [scatter], known.columns)
-    z = white.white_residual(known.residual(rows)[:, None])[:, 0]
+    z = white.white(known.residual(rows) - rows.design @ rows.prior_mean)
     # Posterior of a linear Gaussian model: prior covariance times design, whitened.
     spread = white.white(white.design * white.prior_sd**2)
     mean = spread.T @ z
@@ -370,7 +370,7 @@ def _findings(angles: Angles, search: FaultSearch) -> list[PositionFinding]:
         # Posterior probability of all accusing patterns together.
         total = np.logaddexp.reduce([weighed.none, *weighed.named.values()])
         probability = float(np.exp(np.logaddexp.reduce(accusing) - total))
-        number, name = weighed.likeliest
+        number, name = max(weighed.named, key=weighed.named.__getitem__)
         if probability < CERTAIN or name not in ACCUSED:
             continue
         chosen = patterns[number]
@@ -393,14 +393,12 @@ def _set_of_names(
     accusing = {key: value for key, value in weighed.named.items() if key[1] in ACCUSED}
     total = np.logaddexp.reduce(list(accusing.values()))
     ordered = sorted(accusing.items(), key=lambda item: -item[1])
-    held, kept = 0.0, []
-    for (k, name), value in ordered:
-        share = math.exp(value - total)
-        kept.append(Named(name, tuple(position[j] for j in patterns[k].dwells), share))
-        held += share
-        if held >= CREDIBLE_SET:
-            break
-    return tuple(kept)
+    shares = np.exp([value - total for _, value in ordered])
+    last = int(np.searchsorted(np.cumsum(shares), CREDIBLE_SET))
+    return tuple(
+        Named(name, tuple(position[j] for j in patterns[k].dwells), float(share))
+        for ((k, name), _), share in zip(ordered[: last + 1], shares, strict=False)
+    )
 
 
 @dataclass(frozen=True)
@@ -451,8 +449,17 @@ class _Account:
         all probable causes.
         """
         declared = _degrees(self.rows.declared_rad[k])
-        gravity, gyro = self._gravity(k), self._gyro(k)
-        actual = _weighted_mean([gravity, gyro])
+        rows, errors = self.rows, self.known
+        # The error by the reading, calibrated by all positions, given the accepted faults.
+        about = wrap_radians(rows.seen_rad[k] + errors.error_rad[k] - errors.zero_rad)
+        by_reading = errors.error_rad[k] - (about - self._model(k))
+        gravity = self._stated(by_reading, k, float(rows.noise[k, k]) + self.scatter.reading**2)
+        gyro = self._gyro(k)
+        # Mean weighted by u, with the angle of the gyro within half a turn of the other.
+        known = [gravity] if gyro is None else [gravity, gyro]
+        weights = np.array([1 / max(u, 1e-6) ** 2 for _, u in known])
+        values = gravity[0] + np.array([wrap_degrees(value - gravity[0]) for value, _ in known])
+        actual = float(weights @ values / weights.sum()), float(1 / math.sqrt(weights.sum()))
         if name == "gravity_wrong":
             actual = gyro or (0.0, math.degrees(self.scatter.position_rad))
         size = actual
@@ -520,16 +527,6 @@ class _Account:
         columns = self.rows.design[row]
         return float(columns @ self.posterior[0][: len(columns)])
 
-    def _gravity(self, k: int) -> Angle:
-        """Return the error in degrees of the position with index k, by its reading.
-
-        The reading is calibrated by all positions, given the accepted faults.
-        """
-        rows, known = self.rows, self.known
-        about = wrap_radians(rows.seen_rad[k] + known.error_rad[k] - known.zero_rad)
-        e = known.error_rad[k] - (about - self._model(k))
-        return self._stated(e, k, float(rows.noise[k, k]) + self.scatter.reading**2)
-
     def _gyro(self, k: int) -> Angle | None:
         """Return the error in degrees of the position with index k, by a turn that the gyro measured.
 
@@ -551,19 +548,6 @@ class _Account:
 
 def _degrees(angle_rad: float) -> float:
     return round(math.degrees(angle_rad), 9)
-
-
-def _weighted_mean(found: Sequence[Angle | None]) -> Angle:
-    """Return the mean of angles in degrees, weighted by their u, with its u; entries of None are ignored.
-
-    All angles are first unwrapped to within half a turn of the first.
-    """
-    known = [one for one in found if one is not None]
-    weights = np.array([1 / max(u, 1e-6) ** 2 for _, u in known])
-    # Unwrap all angles to within half a turn of the first.
-    first = known[0][0]
-    values = np.array([first + wrap_degrees(value - first) for value, _ in known])
-    return float((weights * values).sum() / weights.sum()), float(1 / math.sqrt(weights.sum()))
 
 
 BIAS_MG = 60.0
