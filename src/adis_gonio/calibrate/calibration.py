@@ -451,12 +451,9 @@ class Calibration(Coefficients, eq=False, kw_only=True):
     def __repr__(self) -> str:
         space = "in the plane xy" if self.planar else "in space"
         effects = "".join(f" + {term.effect.name}" for term in self.effects)
-        return f"Calibration({self.provenance.sensor} {space}, {self.method}{effects}, {self._lead()})"
-
-    def _lead(self) -> str:
-        names = ("delta_phi", "skew_xy")
-        first = [self.delta_k, *(self[name] for name in names if name in self)]
-        return ", ".join(str(one) for one in first if one is not None)
+        first = [self.delta_k, *(self[name] for name in ("delta_phi", "skew_xy") if name in self)]
+        lead = ", ".join(str(one) for one in first if one is not None)
+        return f"Calibration({self.provenance.sensor} {space}, {self.method}{effects}, {lead})"
 
     @property
     def delta_k(self) -> Coefficient | None:
@@ -810,7 +807,12 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         for change in self._left_to_temperature(readings, temperature_c):
             variance += _turn_between(shown(values, readings + change, conditions), angle) ** 2
         if reading_u is not None:
-            u = self._reading_u(reading_u)
+            u = np.asarray(reading_u, dtype=float)
+            if u.shape not in ((), (self.axes,)) or not np.isfinite(u).all() or (u < 0).any():
+                raise UsageError(
+                    f"reading_u is one number, or {self.axes}, none of them negative; not {reading_u}"
+                )
+            u = np.broadcast_to(u, (self.axes,))
             steps = np.maximum(STEP * u, 1e-6)
             # Derivative of the angle by the reading, for the noise of the reading.
             slopes = central_differences(
@@ -848,14 +850,6 @@ class Calibration(Coefficients, eq=False, kw_only=True):
                 typical = np.array([parameter.typical for parameter in one.parameters])
                 change = one.reading(typical, ideal, here) - one.reading(typical, ideal, there)
                 yield change * self.per_mg
-
-    def _reading_u(self, reading_u: float | Sequence[float]) -> Floats:
-        u = np.asarray(reading_u, dtype=float)
-        if u.shape not in ((), (self.axes,)) or not np.isfinite(u).all() or (u < 0).any():
-            raise UsageError(
-                f"reading_u is one number, or {self.axes}, none of them negative; not {reading_u}"
-            )
-        return np.broadcast_to(u, (self.axes,))
 
 
 def _turn_between(up_rad: Floats, down_rad: Floats) -> Floats:
@@ -912,17 +906,12 @@ def checked_readings(accel: ArrayLike, calibration: Calibration) -> tuple[Floats
     bad = np.flatnonzero(~np.isfinite(readings).all(axis=1))
     if bad.size:
         raise UsageError(f"reading {int(bad[0])} holds NaN or infinity; leave lost scans out")
-    _refuse_other_units(readings, calibration)
+    if not calibration.provenance.counts and len(readings):
+        length_mg = float(np.median(np.linalg.norm(readings, axis=1)))
+        length = length_mg / calibration.gravity_mg
+        if length < LEAST_LENGTH or (length > MOST_LENGTH and len(readings) >= MANY):
+            raise UsageError(
+                f"readings are {length_mg:.4g} long, but gravity is about 1000: give mg (1 g = 1000,"
+                " 1 m/s² = 101.97), not words of the sensor (ScanBlock.accel_mg)"
+            )
     return readings, given.ndim == 1
-
-
-def _refuse_other_units(readings: Floats, calibration: Calibration) -> None:
-    if calibration.provenance.counts or not len(readings):
-        return
-    length_mg = float(np.median(np.linalg.norm(readings, axis=1)))
-    length = length_mg / calibration.gravity_mg
-    if length < LEAST_LENGTH or (length > MOST_LENGTH and len(readings) >= MANY):
-        raise UsageError(
-            f"readings are {length_mg:.4g} long, but gravity is about 1000: give mg (1 g = 1000, 1 m/s² ="
-            " 101.97), not words of the sensor (ScanBlock.accel_mg)"
-        )

@@ -188,13 +188,18 @@ def _read_gyro(document: Mapping[str, Any]) -> GyroCalibration:
 def _read_body(document: Mapping[str, Any]) -> dict[str, Any]:
     """Read the attributes that calibrations of accelerometers and of gyros have in common, by name."""
     covariance, offsets, reference = document["covariance"], document["offsets_lsb"], document["reference"]
+    parameters = []
+    for name, one in document["parameters"].items():
+        u, dof = (None if one.get(key) is None else float(one[key]) for key in ("u", "dof"))
+        parameters.append(Coefficient(name, float(one["value"]), u, one["unit"], dof))
+    covered = {name: reference[f"session_{name}"] for name in ("temperature_c", "supply_v")}
     return {
         "method": document["method"],
-        "parameters": tuple(_parameter(key, value) for key, value in document["parameters"].items()),
+        "parameters": tuple(parameters),
         "covariance": None if covariance is None else matrix_of(covariance, list(document["parameters"])),
         "not_corrected": tuple(NotCorrected(**one) for one in document["not_corrected"]),
         "assumed": tuple(document["assumed"]),
-        **{name: _covered(reference[f"session_{name}"]) for name in ("temperature_c", "supply_v")},
+        **{name: None if range_ is None else Covered(**range_) for name, range_ in covered.items()},
         "offsets_lsb": None if offsets is None else tuple(offsets),
     }
 
@@ -238,16 +243,6 @@ def _checked(calibration: Calibration) -> Calibration:
         if name not in names and name not in calibration.assumed:
             raise ValueError(f"parameter {name} is missing")
     return calibration
-
-
-def _parameter(name: str, entry: Mapping[str, Any]) -> Coefficient:
-    u, dof = entry["u"], entry.get("dof")
-    known_u, known_dof = (None if one is None else float(one) for one in (u, dof))
-    return Coefficient(name, float(entry["value"]), known_u, entry["unit"], known_dof)
-
-
-def _covered(entry: Mapping[str, Any] | None) -> Covered | None:
-    return None if entry is None else Covered(**entry)
 
 
 LARGEST_BYTES = 10_000_000

@@ -131,7 +131,11 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
             A gyro has no zero rate, a parameter has a wrong unit, or gains and directions are impossible
             for three gyros.
         """
-        known = [name for name in KIND_OF if name in estimates and _determined(estimates[name])]
+        known = [
+            name
+            for name in KIND_OF
+            if name in estimates and np.isfinite([estimates[name].value, estimates[name].u or 0.0]).all()
+        ]
         missing = [f"gyro_bias_{axis}" for axis in AXES if f"gyro_bias_{axis}" not in known]
         if missing:
             raise FitError(
@@ -301,14 +305,17 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         """
         rate, single = _rows("rate_dps", rate_dps)
         conditions = self._conditions(len(rate), *felt)
-        value, u = self._with_u(lambda values: function(self.by_kind(values), rate, *conditions))
-        return Rates(value[0], u[0]) if single else Rates(value, u)
+        value, variance = self._with_variance(
+            lambda values: function(self.by_kind(values), rate, *conditions)
+        )
+        at = 0 if single else slice(None)
+        return Rates(value[at], np.sqrt(variance)[at])
 
     def force_part(self, force_g: ArrayLike) -> tuple[Floats, Floats]:
         """Return the zero rate (3,) in °/s that a force (3,) in g causes in each gyro, and its u (3,)."""
         force = _spread("force_g", force_g, 1)
-        value, u = self._with_u(lambda values: _by_force(self.by_kind(values), force))
-        return value[0], u[0]
+        value, variance = self._with_variance(lambda values: _by_force(self.by_kind(values), force))
+        return value[0], np.sqrt(variance[0])
 
     def with_offsets(self, offsets_lsb: Sequence[int]) -> GyroCalibration:
         """Return the calibration for a chip with other numbers in the offset registers XGYRO_OFF ….
@@ -374,15 +381,6 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         assert warm is not None
         assert volts is not None
         return force, warm - REFERENCE_C, volts - REFERENCE_V
-
-    def _with_u(self, function: Callable[[Floats], Floats]) -> tuple[Floats, Floats]:
-        value, variance = self._with_variance(function)
-        return value, np.sqrt(variance)
-
-
-def _determined(estimate: Any) -> bool:
-    """Return True if the value of an estimate is finite, and its uncertainty finite or None."""
-    return bool(np.isfinite(estimate.value)) and (estimate.u is None or bool(np.isfinite(estimate.u)))
 
 
 def _taken(
