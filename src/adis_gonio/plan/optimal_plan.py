@@ -217,11 +217,6 @@ class Candidates:
     amplitudes: tuple[str, ...]
 
     @property
-    def dwells(self) -> int:
-        """Number of dwells of a plan."""
-        return len(self.columns)
-
-    @property
     def precision(self) -> Floats:
         """Inverse prior variance of each parameter, (p,).
 
@@ -250,7 +245,7 @@ class Candidates:
 
         The numbers in `choice` are indices of candidate positions. The matrix includes the prior.
         """
-        n, p = self.dwells, self.columns.shape[3]
+        n, p = len(self.columns), self.columns.shape[3]
         # Rows of the plan's Jacobian, J; the information is Jᵀ C⁻¹ J.
         rows = self.columns[np.arange(n), choice].reshape(2 * n, p)
         solved = np.linalg.solve(self._covariance(choice), rows)
@@ -264,7 +259,7 @@ class Candidates:
         dwell, given r. With the Jacobian J and the covariance C of the readings, and B = C_ir C_rr⁻¹, the
         latter is (J_i − B J_r)ᵀ (C_ii − B C_ri)⁻¹ (J_i − B J_r).
         """
-        n, p = self.dwells, self.columns.shape[3]
+        n, p = len(self.columns), self.columns.shape[3]
         rows = self.columns[np.arange(n), choice].reshape(2 * n, p)
         # Mask of the two rows of this dwell.
         here = np.zeros(2 * n, dtype=bool)
@@ -407,7 +402,7 @@ def search(
         Generator for the order of the exchanges.
     """
     highest = sorted((SearchedPlan(ground, criterion, one) for one in starts), key=lambda one: -one.score)
-    for one in highest[: max(_WORK // ground.dwells, 1)]:
+    for one in highest[: max(_WORK // len(ground.columns), 1)]:
         one.improve(rng)
     best = max(highest, key=lambda one: one.score)
     # These positions in the order of their angles, forwards or backwards.
@@ -447,7 +442,15 @@ class SearchedPlan:
         for _ in range(_MOST_SWEEPS):
             before = self.score
             self._exchange(rng)
-            self._swap(rng)
+            # Swap pairs of dwells if this raises the score.
+            pairs = np.array(list(itertools.combinations(range(len(self.choice)), 2)))
+            for one, two in rng.permutation(pairs)[:_PAIRS].tolist():
+                check()
+                trial = self.choice.copy()
+                trial[[one, two]] = trial[[two, one]]
+                score = -math.inf if self.repeats(trial) else self._score(trial)
+                if score > self.score + _LEAST_GAIN:
+                    self.choice, self.score = trial, score
             if self.score < before + _LEAST_GAIN:
                 break
 
@@ -464,17 +467,6 @@ class SearchedPlan:
             best = int(scores.argmax())
             if scores[best] > self.score + _LEAST_GAIN:
                 self.choice[dwell], self.score = best, float(scores[best])
-
-    def _swap(self, rng: np.random.Generator) -> None:
-        """Swap pairs of dwells if this raises the score."""
-        pairs = np.array(list(itertools.combinations(range(len(self.choice)), 2)))
-        for one, two in rng.permutation(pairs)[:_PAIRS].tolist():
-            check()
-            trial = self.choice.copy()
-            trial[[one, two]] = trial[[two, one]]
-            score = -math.inf if self.repeats(trial) else self._score(trial)
-            if score > self.score + _LEAST_GAIN:
-                self.choice, self.score = trial, score
 
 
 LEAST, MOST = 4, 100
@@ -666,11 +658,9 @@ def _starts(ground: Candidates, positions: int, rng: np.random.Generator) -> lis
     known = (even_plan(positions, both_sides=True), interleaved_plan(positions))
     starts = [ground.nearest(other) for other in (*_rivals(positions), *known)]
     starts.append(rng.permutation(starts[0]))
-    for _ in range(DRAWN):
-        # Random candidates, repeated if there are fewer candidates than positions.
-        drawn = rng.permutation(len(ground.angle_deg))
-        starts.append(np.resize(drawn, positions).astype(np.intp))
-    return starts
+    # Random candidates, repeated if there are fewer candidates than positions.
+    drawn = [rng.permutation(len(ground.angle_deg)) for _ in range(DRAWN)]
+    return starts + [np.resize(one, positions).astype(np.intp) for one in drawn]
 
 
 def _gain(ours: Prediction, figure: float, other: Plan, ground: Candidates, criterion: Criterion) -> Gain:
@@ -800,7 +790,13 @@ def prediction_lines(
     """
     yield headline(prediction)
     if tolerance is not None:
-        yield from fold_text(_decision(prediction.reach, tolerance), WIDTH)
+        conformity = prediction.reach.conformity(tolerance)
+        decision = f"cannot decide on {tolerance}: the plan does not determine the angle"
+        if conformity is not None:
+            can = "decides" if conformity.verdict == "pass" else "cannot decide"
+            risk = format_percent(conformity.false_accept)
+            decision = f"{can} on {tolerance}: expected risk of a false accept {risk}"
+        yield from fold_text(decision, WIDTH)
     if found is not None:
         beware = f" {', '.join(found.beware)}" if found.best == "tell-apart" else ""
         fitted = f", {', '.join(found.beware)} fitted beside" if found.beware and not beware else ""
@@ -836,15 +832,6 @@ def headline(prediction: Prediction) -> str:
     digits = count_decimals(min(u, expanded))
     angle = f"u {format_fixed(u, digits)}° rms, U {format_fixed(expanded, digits)}° at the worst place"
     return f"{count}, {minutes}: angle {angle}"
-
-
-def _decision(reach: PlanUncertainty, tolerance: Tolerance) -> str:
-    conformity = reach.conformity(tolerance)
-    if conformity is None:
-        return f"cannot decide on {tolerance}: the plan does not determine the angle"
-    can = "decides" if conformity.verdict == "pass" else "cannot decide"
-    risk = format_percent(conformity.false_accept)
-    return f"{can} on {tolerance}: expected risk of a false accept {risk}"
 
 
 def _reach_lines(reach: PlanUncertainty) -> Iterator[str]:

@@ -41,7 +41,7 @@ from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.record.plans import Plan
 from adis_gonio.record.source import TURN_S, Settings, expected_each_s
 from adis_gonio.tracing.findings import detectable
-from adis_gonio.tracing.linear_problem import LinearProblem, linearise, span
+from adis_gonio.tracing.linear_problem import linearise, span
 from adis_gonio.tracing.model_search import Search, price
 from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.proposals import LEAST_SEPARATION, widest_terms
@@ -157,21 +157,6 @@ class Bench:
         """Return the duration in s of a session with this plan."""
         return self.each_s * len(plan) + sum(position.wait_s for position in plan.positions)
 
-    @property
-    def mean_mg2(self) -> tuple[float, float]:
-        """Variance in mg² of a dwell's mean: by white noise, and by the resolution of the converter.
-
-        The converter is the analogue-to-digital converter. Averaging more samples lowers only the first
-        variance.
-        """
-        step = self.part.accel_mg_per_lsb
-        weights = filter_weights(self.settings.filter_m)
-        own = self.white_mg**2 * float(weights @ weights) + step**2 / 12
-        remainder = quantized_means(np.array([[own]]), np.array([step]))
-        # If noise dithers the steps, the rounding of a sample is white, and averaging lowers it too.
-        dithered = step**2 / 12 if not remainder.any() else 0.0
-        return (self.white_mg**2 + dithered) / self.samples, float(remainder[0, 0])
-
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON object of the bench: the sensor's properties in use, and the time model."""
         return {
@@ -214,7 +199,14 @@ def expected_readings(plan: Plan, bench: Bench, off_deg: Floats | None = None) -
     begin = bench.begins_s(plan)
     end = begin + bench.settings.dwell_s
     mean = ideal_mg(angle if off_deg is None else angle + np.radians(off_deg), bench)
-    white, rounding = bench.mean_mg2
+    # Variance in mg² of a dwell's mean by white noise, and by the rounding of the converter.
+    step = bench.part.accel_mg_per_lsb
+    weights = filter_weights(bench.settings.filter_m)
+    sample = bench.white_mg**2 * float(weights @ weights) + step**2 / 12
+    rounding = float(quantized_means(np.array([[sample]]), np.array([step]))[0, 0])
+    # If noise dithers the steps, the rounding of a sample is white, and averaging lowers it too.
+    dithered = 0.0 if rounding else step**2 / 12
+    white = (bench.white_mg**2 + dithered) / bench.samples
     # 1/f noise of each dwell itself, and the part that dwells share.
     own, slow = flicker_parts(begin, end, np.full(2, bench.floor_mg**2))
     approach = np.array([float(position.approach) for position in plan.positions])
@@ -395,9 +387,12 @@ def predict_uncertainty(plan: Plan, bench: Bench) -> PlanUncertainty:
     """
     offsets = np.random.default_rng(0).normal(0.0, bench.fixture_deg, (_STAGES, len(plan)))
     exact = _reach(fit_readings(expected_readings(plan, bench).training))
-    if _agree(exact, _reach_off(plan, bench, offsets[0])):
-        return exact
-    return _median(exact, [_reach_off(plan, bench, off_deg) for off_deg in offsets])
+    other = _reach_off(plan, bench, offsets[0])
+    if other is not None and exact.undetermined == other.undetermined:
+        pairs = [(value.u, other.parameters[name].u) for name, value in exact.parameters.items()]
+        if all(a is None or b is None or abs(b - a) <= _LARGEST_CHANGE * a for a, b in pairs):
+            return exact
+    return _median(exact, [other, *(_reach_off(plan, bench, off_deg) for off_deg in offsets[1:])])
 
 
 def _reach_off(plan: Plan, bench: Bench, off_deg: Floats) -> PlanUncertainty | None:
@@ -409,13 +404,6 @@ def _reach_off(plan: Plan, bench: Bench, off_deg: Floats) -> PlanUncertainty | N
         return _reach(fit_readings(expected_readings(plan, bench, off_deg).training))
     except FitError:
         return None
-
-
-def _agree(one: PlanUncertainty, other: PlanUncertainty | None) -> bool:
-    if other is None or one.undetermined != other.undetermined:
-        return False
-    pairs = [(value.u, other.parameters[name].u) for name, value in one.parameters.items()]
-    return all(a is None or b is None or abs(b - a) <= _LARGEST_CHANGE * a for a, b in pairs)
 
 
 def _median(exact: PlanUncertainty, sessions: Sequence[PlanUncertainty | None]) -> PlanUncertainty:
@@ -502,15 +490,9 @@ def predict_sight(readings: Readings) -> Sight:
     widest = widest_terms(problem.terms)
     bias = tuple(problem.terms.index(term) for term in widest.values() if term.constant)
     seen = detectable(Search(problem, price(problem)), bias, missing)
-    return Sight(seen, _confounded_pairs(problem, bias, seen))
-
-
-def _confounded_pairs(
-    problem: LinearProblem, bias: tuple[int, ...], seen: dict[str, Detectable]
-) -> tuple[ConfoundedPair, ...]:
     basis = span(problem, bias)[0]
     columns = {}
-    for name, term in widest_terms(problem.terms).items():
+    for name, term in widest.items():
         if not term.constant and seen[name].amplitude is not None:
             # Whitened columns (rows, d) by the term's amplitudes, without their part in the base model.
             index = problem.terms.index(term)
@@ -524,7 +506,7 @@ def _confounded_pairs(
         )
         if separation < LEAST_SEPARATION:
             found.append(ConfoundedPair((one, other), separation))
-    return tuple(sorted(found, key=lambda pair: pair.separation))
+    return Sight(seen, tuple(sorted(found, key=lambda pair: pair.separation)))
 
 
 def _separation(columns: Floats, others: Floats, limit: Detectable) -> float:

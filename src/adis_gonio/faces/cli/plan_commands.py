@@ -137,10 +137,8 @@ def _predict_given(bench: Bench, **options: Any) -> Prediction:
     from adis_gonio.plan import find_plan
     from adis_gonio.plan.prediction import predict
 
-    search = {"--minutes": "minutes", "--best": "best"}
-    wrong = [flag for flag, name in search.items() if options[name] is not None]
-    if options["beware"]:
-        wrong.append("--beware")
+    search = {"--minutes": options["minutes"], "--best": options["best"], "--beware": options["beware"]}
+    wrong = [flag for flag, value in search.items() if value not in (None, "")]
     if wrong:
         raise UsageError(f"--plan evaluates a plan as it is: leave {', '.join(wrong)} out")
     return predict(find_plan(options["plan_name"], options["positions"], options["check"]), bench)
