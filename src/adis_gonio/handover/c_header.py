@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import json_text
-from adis_gonio.calibrate.calibration import Calibration, Coefficient, NotCorrected
+from adis_gonio.calibrate.calibration import Calibration, Coefficient
 from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, GyroCalibration
 from adis_gonio.handover import fixed_point
 from adis_gonio.handover.fixed_point import ONE, Monomial, Polynomial, Q, Scaled
@@ -69,7 +69,12 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
     `name` is the prefix of all names in the header.
     """
     polynomial = fixed_point.polynomial_of(calibration)
-    planes = _planes(calibration)
+    planes: list[dict[str, Any]] = [{"suffix": "", "clause": "", "first": 0, "second": 1}]
+    if not calibration.planar:
+        planes = [
+            {"suffix": f"_{pair}", "clause": f" in the plane {pair}", "first": i, "second": j}
+            for pair, i, j in (("xy", 0, 1), ("xz", 0, 2), ("yz", 1, 2))
+        ]
     where, gyro = calibration.provenance, calibration.gyro
     degrees = where.temperature_c
     at = "" if degrees is None else f" at the session's mean temperature, {degrees.mean:.1f} degC"
@@ -289,15 +294,6 @@ class _Float(_Fixed):
 # -- comments and the self-check ---------------------------------------------------------------------
 
 
-def _planes(calibration: Calibration) -> list[dict[str, Any]]:
-    if calibration.planar:
-        return [{"suffix": "", "clause": "", "first": 0, "second": 1}]
-    return [
-        {"suffix": f"_{pair}", "clause": f" in the plane {pair}", "first": i, "second": j}
-        for pair, i, j in (("xy", 0, 1), ("xz", 0, 2), ("yz", 1, 2))
-    ]
-
-
 def _origin(calibration: Calibration) -> list[str]:
     where, gyro = calibration.provenance, calibration.gyro
     rows = [
@@ -329,27 +325,20 @@ def _coefficient_lines(calibration: Calibration) -> list[str]:
 
 def _remarks(calibration: Calibration) -> list[str]:
     """Return comment lines on missing parameters, uncorrected effects, and required offset registers."""
-    gyro = calibration.gyro
-    rows = _missing(calibration.assumed, calibration.not_corrected)
-    offsets = calibration.provenance.offsets_lsb
-    if offsets is not None:
-        numbers = ", ".join(map(str, offsets))
-        rows.append(f"holds with {numbers} in XACCL_OFF, YACCL_OFF, ZACCL_OFF: others need a new header")
-    if gyro is not None:
-        rows += _missing(gyro.assumed, gyro.not_corrected)
-        if gyro.offsets_lsb is not None:
-            numbers = ", ".join(map(str, gyro.offsets_lsb))
-            rows.append(
-                f"rates hold with {numbers} in XGYRO_OFF, YGYRO_OFF, ZGYRO_OFF: others need a new header"
-            )
-    return [_comment(row) for row in rows]
-
-
-def _missing(assumed: Iterable[str], not_corrected: Iterable[NotCorrected]) -> list[str]:
-    return [
-        *(f"{name}: not determined, taken as nominal" for name in assumed),
-        *(f"not corrected: {one.effect}: {one.reason}" for one in not_corrected),
+    where, gyro = calibration.provenance, calibration.gyro
+    parts: list[tuple[str, Calibration | GyroCalibration, Sequence[int] | None, str]] = [
+        ("holds", calibration, where.offsets_lsb, "ACCL_OFF")
     ]
+    if gyro is not None:
+        parts.append(("rates hold", gyro, gyro.offsets_lsb, "GYRO_OFF"))
+    rows = []
+    for hold, part, offsets, register in parts:
+        rows += [f"{name}: not determined, taken as nominal" for name in part.assumed]
+        rows += [f"not corrected: {one.effect}: {one.reason}" for one in part.not_corrected]
+        if offsets is not None:
+            contents = f"{', '.join(map(str, offsets))} in X{register}, Y{register}, Z{register}"
+            rows.append(f"{hold} with {contents}: others need a new header")
+    return [_comment(row) for row in rows]
 
 
 def _checks(

@@ -42,7 +42,6 @@ from adis_gonio.tracing.further_terms import bought_by_terms, next_term
 from adis_gonio.tracing.trace_figures import Panel, Views, views_of, what_if_panels
 from adis_gonio.tracing.trace_result import TraceResult
 from adis_gonio.tracing.traced_answer import answer_with_trace
-from adis_gonio.tracing.within.samples import Place, WithinFinding
 
 _COVARIATES = {
     "angle": "declared angle / °",
@@ -115,7 +114,9 @@ def certificate_section(
         ["u of a stage angle", known["standard uncertainty of a declared angle"]],
     ]
     signature = [["date", NO_BREAK], ["name, signature", NO_BREAK]]
-    key = _key(answer.values)
+    # For attitudes in space there are no key figures.
+    wanted = [name for name in ("delta_k", "delta_phi", "angle") if name in answer.values]
+    key = [_large(name, answer.values[name]) for name in wanted if len(wanted) > 1]
     results = [] if key else [Table(HEAD, answer.lines, numeric=(2, 3, 4, 5))]
     return Section(
         "Certificate",
@@ -160,12 +161,6 @@ def _error_figures(
         axes = ("angle / °", "error of the angle / °")
         figures.append(Figure(plot(series, *axes, title=caption, x_range=(0, 360), zero=True), caption))
     return figures
-
-
-def _key(values: Mapping[str, Value]) -> list[KeyFigure]:
-    """Return ΔK, Δφ and the error of the angle as key figures; an empty list for attitudes in space."""
-    wanted = [name for name in ("delta_k", "delta_phi", "angle") if name in values]
-    return [_large(name, values[name]) for name in wanted if len(wanted) > 1]
 
 
 def _large(name: str, value: Value) -> KeyFigure:
@@ -273,17 +268,16 @@ def fitted_section(fits: Sequence[FitResult], failures: Mapping[str, str]) -> Se
 def found_section(traced: TraceResult) -> Section:
     """Return the section on the effects found, their alternatives, and unnamed causes."""
     inside = words.inside_only(traced)
-    rows = []
-    for finding in words.ordered(traced):
-        rows.append(
-            [
-                words.with_axes(finding),
-                "\n".join(words.parameters(finding)),
-                "–" if finding in inside else format_percent(finding.explains),
-                format_percent(finding.probability),
-                format_p(finding.p_value),
-            ]
-        )
+    rows = [
+        [
+            words.with_axes(finding),
+            "\n".join(words.parameters(finding)),
+            "–" if finding in inside else format_percent(finding.explains),
+            format_percent(finding.probability),
+            format_p(finding.p_value),
+        ]
+        for finding in words.ordered(traced)
+    ]
     tables = []
     if rows:
         head = ["effect", "parameters", "explains", "probability", "test"]
@@ -328,24 +322,23 @@ def within_section(traced: TraceResult) -> Section:
             spectrum = view.noise is not None
             drawn = plot(series, view.x_label, view.y_label, title=view.caption, y_log=spectrum)
             figures.append(Figure(drawn, view.caption))
-        rows += [_place(finding, place) for place in finding.places[:_MOST_PLACES]]
+        rows += [
+            [
+                finding.kind.replace("_", " "),
+                str(place.position),
+                place.axis,
+                "" if place.time_s is None else f"{place.time_s:.2f}",
+                "" if place.value is None else str(place.value),
+                "" if place.shift_mg is None else format_number(abs(place.shift_mg), 2),
+            ]
+            for place in finding.places[:_MOST_PLACES]
+        ]
         left_out = len(finding.places) - _MOST_PLACES
         if left_out > 0:
             rows.append([finding.kind, f"{left_out} more", "", "", "", ""])
     head = ["finding", "position", "axis", "time / s", "size", "the mean is off by / mg"]
     tables = [Table(head, rows, numeric=(3, 4, 5))] if rows else []
     return Section("Inside the dwells", points=words.within(traced), figures=figures, tables=tables)
-
-
-def _place(finding: WithinFinding, place: Place) -> list[str]:
-    return [
-        finding.kind.replace("_", " "),
-        str(place.position),
-        place.axis,
-        "" if place.time_s is None else f"{place.time_s:.2f}",
-        "" if place.value is None else str(place.value),
-        "" if place.shift_mg is None else format_number(abs(place.shift_mg), 2),
-    ]
 
 
 def errors_section(traced: TraceResult) -> Section:
@@ -376,10 +369,8 @@ def steps_section(traced: TraceResult, views: Views) -> Section:
         figures = [_panel_figure(panel, step.effect, "before") for panel in view.panels]
         if figures:
             parts.append(Section(f"Step {number_}: {step.effect}", figures=figures))
-    sentences = ["Bars are standard uncertainties of a reading."]
-    if any(np.isnan(panel.u).all() for view in views.steps for panel in view.panels):
-        sentences = ["No bars: the uncertainty of a point is not known."]
-    return Section("Residual, step by step", words=sentences if parts else [], parts=parts)
+    bars = ["Bars are standard uncertainties of a reading; they are left out if it is not known."]
+    return Section("Residual, step by step", words=bars if parts else [], parts=parts)
 
 
 def residual_section(views: Views) -> Section:
@@ -512,11 +503,6 @@ def sight_section(traced: TraceResult) -> Section:
     return Section("Smallest detectable amplitudes", tables=[table] if rows else [], folded=True)
 
 
-def advice_section(traced: TraceResult) -> Section:
-    """Return the section with advice on the next measurements."""
-    return Section("What to measure next", points=words.advice(traced))
-
-
 def data_section(
     session: Session, traced: TraceResult | None, software: str, reference_c: float | None = None
 ) -> Section:
@@ -550,7 +536,14 @@ def facts(
     dwells = [dwell for dwell in session.dwells if len(dwell)]
     if session.free_turn and session.recording is not None:
         dwells = [session.recording]
+    sigma = session.fixture_sigma_deg
+    fixture = [f"certificate {session.stage_curve.name}"] if session.stage_curve else []
+    fixture += [] if sigma is None else [f"{sigma:g}°"]
+    if sigma is not None and math.isinf(sigma):
+        fixture = ["free: declared angles are not used"]
     samples = [len(dwell) for dwell in dwells]
+    low, high = min(samples), max(samples)
+    each = f"{low}" if low == high else f"{low} to {high}"
     stored: dict[str, Any] = session.facts
     configuration = stored.get("configuration") or {}
     rate = configuration.get("sample_rate_hz")
@@ -568,32 +561,20 @@ def facts(
         ("recorded by", str(stored.get("software", ""))),
         ("this page by", software),
         ("session", words.shape(session)),
-        (
-            "samples",
-            f"{sum(samples)}, {_range(samples, '')} a dwell" if session.dwells else f"{sum(samples)}",
-        ),
+        ("samples", f"{sum(samples)}, {each} a dwell" if session.dwells else f"{sum(samples)}"),
         ("duration", f"{(end - start) / 60:.1f} min"),
         ("sample rate", with_unit(format_number(rate, 4), "Hz") if rate else ""),
         ("filter", f"2^{configuration['filter_m']} taps, twice" if "filter_m" in configuration else ""),
         ("the chip compensates", "\n".join(compensations(configuration))),
         ("unit of the accelerations", session.accel_unit),
         ("plane of rotation", "xy" if session.plane == "xy" else "none: attitudes in space"),
-        ("standard uncertainty of a declared angle", _fixture(session)),
+        ("standard uncertainty of a declared angle", ", ".join(fixture) or "not stated"),
         ("local gravity", f"{session.gravity_mps2:.5f} m/s²"),
         ("standard uncertainty of a reading", _noise(observed)),
         ("reference temperature of the parameters", "" if reference_c is None else f"{reference_c:.1f} °C"),
         ("temperature", _span([d.temperature_c for d in dwells], "°C")),
         ("supply", _span([d.supply_v for d in dwells], "V")),
     ]
-
-
-def _fixture(session: Session) -> str:
-    sigma = session.fixture_sigma_deg
-    if sigma is not None and math.isinf(sigma):
-        return "free: declared angles are not used"
-    known = [f"certificate {session.stage_curve.name}"] if session.stage_curve else []
-    known += [] if sigma is None else [f"{sigma:g}°"]
-    return ", ".join(known) or "not stated"
 
 
 def _noise(observed: Readings | None) -> str:
@@ -605,11 +586,6 @@ def _noise(observed: Readings | None) -> str:
     return ", ".join(
         f"{axis} {format_number(float(s), 2)} mg" for axis, s in zip("xyz", sigma, strict=False)
     )
-
-
-def _range(values: Sequence[int], unit: str) -> str:
-    low, high = min(values), max(values)
-    return f"{low}{unit}" if low == high else f"{low} to {high}{unit}"
 
 
 def _span(series: Sequence[Any], unit: str) -> str:
@@ -723,7 +699,8 @@ def build_page(
         if shown is not None:
             body += [steps_section(result, shown), residual_section(shown)]
         body += [within_section(result)]
-        body += [rivals_section(result), sight_section(result), advice_section(result)]
+        body += [rivals_section(result), sight_section(result)]
+        body += [Section("What to measure next", points=words.advice(result))]
     reference_c = None if answer is None else answer.reference_temperature_c
     if reference_c is None and result is not None:
         reference_c = result.reference_temperature_c

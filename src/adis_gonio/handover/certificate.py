@@ -219,13 +219,10 @@ def _add(parent: ET.Element, path: str, text: str | None = None, space: str = DC
     """Add an element to `parent`, inside new elements if `path` has several tags; return the last one."""
     for name in path.split("/"):
         parent = ET.SubElement(parent, f"{{{space}}}{name}")
-    parent.text = None if text is None else _clean(text)
+    # XML forbids control characters.
+    clean = "" if text is None else one_line(text.encode("utf-8", "replace").decode("utf-8")) or NOT_STATED
+    parent.text = clean or None
     return parent
-
-
-def _clean(text: str) -> str:
-    """Return a text in one line without control characters, which XML forbids."""
-    return one_line(text.encode("utf-8", "replace").decode("utf-8")) or NOT_STATED
 
 
 def _named(parent: ET.Element, name: str, text: str, element: str = "name") -> ET.Element:
@@ -317,7 +314,11 @@ def _results(parent: ET.Element, calibration: Calibration) -> None:
     where = calibration.provenance
     _add(parent, "name/content", where.title or "Calibration by gravity")
     method = _named(_add(parent, "usedMethods"), "usedMethod", f"adis-gonio, method {calibration.method}")
-    _add(method, "description/content", _model_of(calibration))
+    model = (
+        "gains, misalignment and biases in the plane" if calibration.planar else "gains, skews and biases"
+    )
+    effects = ", ".join(term.effect.name for term in calibration.effects)
+    _add(method, "description/content", f"{model}{f'; effects: {effects}' if effects else ''}")
     _software(_add(parent, "usedSoftware"), calibration)
     equipment = _add(parent, "measuringEquipments")
     _named(equipment, "measuringEquipment", where.stage or f"stage, {NOT_STATED}")
@@ -338,14 +339,6 @@ def _results(parent: ET.Element, calibration: Calibration) -> None:
         data = _add(_named(results, "result", "Parameters of the gyros"), "data")
         for one in calibration.gyro.parameters:
             _real(_named(data, "quantity", _label(one.name)), one)
-
-
-def _model_of(calibration: Calibration) -> str:
-    effects = ", ".join(term.effect.name for term in calibration.effects)
-    base = (
-        "gains, misalignment and biases in the plane" if calibration.planar else "gains, skews and biases"
-    )
-    return f"{base}{f'; effects: {effects}' if effects else ''}"
 
 
 def _condition(parent: ET.Element, name: str, value: float, unit: str) -> None:

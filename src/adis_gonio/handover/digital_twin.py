@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -88,9 +89,8 @@ def noise_of(session: Session, unit: Unit) -> SamplesNoise:
     density = np.median(diagonals * counts[:, np.newaxis], axis=0) * period_s
     variance = np.mean([part.var(axis=0, ddof=1) for part in samples], axis=0)
     stated = session.facts.get("configuration")
-    stated = (
-        stated if isinstance(stated, dict) and "smpl_prd" in stated else None
-    )  # a generic sensor has no settings
+    if not isinstance(stated, dict) or "smpl_prd" not in stated:  # a generic sensor has no settings
+        stated = None
     if stated is not None:
         smpl_prd, filter_m = int(stated["smpl_prd"]), int(stated["filter_m"])
     else:
@@ -140,14 +140,11 @@ class TermEffect(Effect):
 
         They have no units, since the values are used as the fit gave them.
         """
+        bounds = np.zeros((0, 2)) if self.term.bounds is None else self.term.bounds
         return tuple(
             Parameter(f"value_{k}", "", float(low), float(high), 0.0)
-            for k, (low, high) in enumerate(self._bounds())
+            for k, (low, high) in enumerate(bounds)
         )
-
-    def _bounds(self) -> Floats:
-        bounds = self.term.bounds
-        return np.zeros((0, 2)) if bounds is None else bounds
 
     def attitude_rad(self, values: Floats, conditions: Conditions) -> Floats:
         """Return the angle in rad (n,) by which the term turns the sensor."""
@@ -342,7 +339,9 @@ def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
     data = readings_of(session)
     fit = traced.on(data)
     noise = noise_of(session, data.unit)
-    gyro = _gyros_of(session)
+    gyro = None
+    with suppress(AdisGonioError):  # a session need not determine the gyros
+        gyro = gyros_as_recorded(session)
     names = _REGISTERS if gyro is None else (*_REGISTERS, *GYRO_OUT)
     world = LikeWorld(fit, noise, sensor=session.sensor, seed=seed, offset_s=_OPENING_S, gyro=gyro)
     bus = SimBus(world=world, stream=True)
@@ -355,7 +354,10 @@ def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
             if dwell.angle_deg is not None and data.planar:
                 bus.stage.move_to(dwell.angle_deg, dwell.approach)
             else:
-                bus.stage.orient(_attitude(fit, k))
+                # Direction of gravity as an ideal sensor reads it.
+                psi = fit.values.base[0] + fit.values.attitude[k]
+                gravity = [np.cos(psi), np.sin(psi), 0.0] if data.planar else fit.values.attitude[k]
+                bus.stage.orient([float(value) for value in gravity])
             start_s = float(dwell.time_s[0]) - begin_s + _OPENING_S
             settle_s = sensor.configuration().settling_s
             bus.sleep_s(max(start_s - bus.now_s(), settle_s, 0.5))
@@ -384,22 +386,6 @@ def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
         notes=(),
         facts={"configuration": {"smpl_prd": noise.smpl_prd, "filter_m": noise.filter_m}},
     )
-
-
-def _gyros_of(session: Session) -> GyroCalibration | None:
-    """Return the calibration of the session's gyros; None if the session does not determine one."""
-    try:
-        return gyros_as_recorded(session)
-    except AdisGonioError:
-        return None
-
-
-def _attitude(fit: Fit, k: int) -> list[float]:
-    """Return the direction of gravity (3,) in dwell k of the traced model, as an ideal sensor reads it."""
-    if fit.data.planar:
-        psi = float(fit.values.base[0] + fit.values.attitude[k])
-        return [float(np.cos(psi)), float(np.sin(psi)), 0.0]
-    return [float(value) for value in fit.values.attitude[k]]
 
 
 @dataclass(frozen=True)
@@ -449,6 +435,7 @@ class TwinComparison:
 @solvable
 def compare(measured: Session, twin: Session, traced: Fit) -> TwinComparison:
     """Fit the traced model to a session and to its twin, and compare their residuals and noise."""
+    from scipy.special import fdtr
     from scipy.stats import ks_2samp
 
     sessions = (measured, twin)
@@ -460,16 +447,26 @@ def compare(measured: Session, twin: Session, traced: Fit) -> TwinComparison:
             "there are no more readings than parameters, so that there is no residual to compare"
         )
     # Both curves at the averaging times of the measured one that the twin has too.
-    (tau_s, allan), (other_s, other) = map(_allan, sessions, data)
+    # They are from the samples of all dwells together, one averaging time per octave.
+    curves = []
+    for session, one in zip(sessions, data, strict=True):
+        times, deviation = overlapping([one.unit.mg(dwell.accel) for dwell in session.dwells if len(dwell)])
+        curves.append((period_of(session.dwells) * np.array(times, dtype=float), deviation))
+    (tau_s, allan), (other_s, other) = curves
     inside = (tau_s >= other_s[0] * 0.999) & (tau_s <= other_s[-1] * 1.001)
     least = 1e-9 * max(float(other.max(initial=0.0)), 1e-99)  # averaging times without any noise
     logs = [
         np.interp(np.log(tau_s[inside]), np.log(other_s), np.log(np.maximum(one, least))) for one in other.T
     ]
+    p_variance = 1.0
+    if ours.dof > 0 and twins.dof > 0:
+        ratio = (ours.chi2 / ours.dof) / max(twins.chi2 / twins.dof, 1e-300)
+        below = float(fdtr(ours.dof, twins.dof, ratio))
+        p_variance = 2 * min(below, 1 - below)
     return TwinComparison(
         residual,
         float(ks_2samp(*residual).pvalue),
-        _p_variance(ours, twins),
+        p_variance,
         tau_s[inside],
         (allan[inside], np.exp(np.stack(logs, axis=1))),
     )
@@ -479,26 +476,6 @@ def _residual(fitted: Fit) -> Floats:
     rows = fitted.residual.ravel()
     # Directions that a free attitude absorbs have no residual.
     return np.asarray(rows[np.abs(rows) > 1e-9], np.float64)
-
-
-def _p_variance(ours: Fit, twins: Fit) -> float:
-    """Return the p-value of the two-sided F test that χ² per degree of freedom is equal in two fits."""
-    from scipy.special import fdtr
-
-    if ours.dof <= 0 or twins.dof <= 0:
-        return 1.0
-    ratio = (ours.chi2 / ours.dof) / max(twins.chi2 / twins.dof, 1e-300)
-    below = float(fdtr(ours.dof, twins.dof, ratio))
-    return 2 * min(below, 1 - below)
-
-
-def _allan(session: Session, data: Readings) -> tuple[Floats, Floats]:
-    """Return averaging times (t,) in s, one per octave, and overlapping Allan deviations (t, axes) in mg.
-
-    The deviations are computed from the samples of all dwells together.
-    """
-    times, deviation = overlapping([data.unit.mg(dwell.accel) for dwell in session.dwells if len(dwell)])
-    return period_of(session.dwells) * np.array(times, dtype=float), deviation
 
 
 def twin_section(session: Session, traced: TraceResult, *, seed: int = 0) -> Section | None:
@@ -521,6 +498,13 @@ def twin_section(session: Session, traced: TraceResult, *, seed: int = 0) -> Sec
         if found.agrees
         else "They differ: neither the model nor the noise of the readings explains all of the session."
     )
+    rows = (
+        ("residuals, standard deviation: measured", f"{np.std(found.residual[0]):.2f}"),
+        ("residuals, standard deviation: twin", f"{np.std(found.residual[1]):.2f}"),
+        ("same distribution (Kolmogorov-Smirnov), p", f"{found.p_residual:.3f}"),
+        ("same variance (F), p", f"{found.p_variance:.3f}"),
+        ("Allan deviation, measured over twin", f"{found.allan_ratio:.2f}"),
+    )
     return Section(
         title="The digital twin against the measured data",
         words=(
@@ -529,7 +513,7 @@ def twin_section(session: Session, traced: TraceResult, *, seed: int = 0) -> Sec
         ),
         folded=True,
         figures=tuple(_figures(found)),
-        tables=(_table(found),),
+        tables=(Table(("figure", "value"), rows, numeric=(1,)),),
     )
 
 
@@ -555,14 +539,3 @@ def _figures(found: TwinComparison) -> list[Figure]:
     title = "Distribution of the residuals"
     svg = plot(series, "residual / its standard uncertainty", "share below", title=title)
     return [*figures, Figure(svg, f"{title} of the readings.")]
-
-
-def _table(found: TwinComparison) -> Table:
-    rows = (
-        ("residuals, standard deviation: measured", f"{np.std(found.residual[0]):.2f}"),
-        ("residuals, standard deviation: twin", f"{np.std(found.residual[1]):.2f}"),
-        ("same distribution (Kolmogorov-Smirnov), p", f"{found.p_residual:.3f}"),
-        ("same variance (F), p", f"{found.p_variance:.3f}"),
-        ("Allan deviation, measured over twin", f"{found.allan_ratio:.2f}"),
-    )
-    return Table(("figure", "value"), rows, numeric=(1,))

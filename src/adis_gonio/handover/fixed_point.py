@@ -39,7 +39,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -173,15 +173,11 @@ def polynomial_of(calibration: Calibration) -> Polynomial:
     part = None if calibration.provenance.counts else VARIANTS.get(calibration.provenance.sensor)
     step_mg = np.full(axes, GENERIC_MG if part is None else part.accel_mg_per_lsb) / calibration.per_mg
     monomials = tuple(m for term in calibration.effects for m in _monomials(calibration, term))
-    temperature, supply = (
-        Input(round(REFERENCE_C / GENERIC_C) * PARTS, GENERIC_C / PARTS / SPAN_C),
-        Input(round(REFERENCE_V / GENERIC_V) * PARTS, GENERIC_V / PARTS / SPAN_V),
-    )
+    lsb_c, zero_c, lsb_v, zero_v = GENERIC_C, 0.0, GENERIC_V, 0.0
     if part is not None:
-        lsb_c, zero_c, _ = part.lsb(Kind.TEMPERATURE)
-        lsb_v, zero_v, _ = part.lsb(Kind.SUPPLY)
-        temperature = Input(round((REFERENCE_C - zero_c) / lsb_c * PARTS), lsb_c / PARTS / SPAN_C)
-        supply = Input(round((REFERENCE_V - zero_v) / lsb_v * PARTS), lsb_v / PARTS / SPAN_V)
+        (lsb_c, zero_c, _), (lsb_v, zero_v, _) = part.lsb(Kind.TEMPERATURE), part.lsb(Kind.SUPPLY)
+    temperature = Input(round((REFERENCE_C - zero_c) / lsb_c * PARTS), lsb_c / PARTS / SPAN_C)
+    supply = Input(round((REFERENCE_V - zero_v) / lsb_v * PARTS), lsb_v / PARTS / SPAN_V)
     made = Polynomial(
         words=part is not None,
         q=Q,
@@ -227,7 +223,10 @@ def _monomials(calibration: Calibration, term: EffectTerm) -> list[Monomial]:
         axes = [axis, *(k for k in range(calibration.axes) if k != axis)]
         factors = {"t": t, "v": v} | {AXES[k]: ideal[:, k] for k in axes}
         factors |= {f"|{AXES[k]}|": np.abs(ideal[:, k]) for k in axes}
-        for names in _products(factors):
+        # All products of one to three factors.
+        counts = (1, 2, 3)
+        products = (itertools.combinations_with_replacement(factors, count) for count in counts)
+        for names in itertools.chain.from_iterable(products):
             product = np.prod([factors[one] for one in names], axis=0)
             coefficient = float(change[0, axis] / product[0])
             if coefficient and np.allclose(
@@ -238,12 +237,6 @@ def _monomials(calibration: Calibration, term: EffectTerm) -> list[Monomial]:
         else:
             raise FitError(f"effect {effect.name} has no form for a firmware")
     return made
-
-
-def _products(factors: Iterable[str]) -> Iterator[tuple[str, ...]]:
-    """Yield all products of one to three of these factors, each as the names of its factors."""
-    for count in (1, 2, 3):
-        yield from itertools.combinations_with_replacement(factors, count)
 
 
 def _passes(monomials: tuple[Monomial, ...]) -> int:

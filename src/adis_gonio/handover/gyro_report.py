@@ -118,8 +118,6 @@ def _residuals(result: GyroFit) -> Figure:
 LONG_S = 30.0
 """Length in s of a rest that shows the floor of a gyro's Allan deviation (docs/gyros.md).
 Shorter rests show little but white noise."""
-_TIME = "averaging time / s"
-_SLOW = ("flicker", "walk")
 
 
 def allan_page(result: AllanResult) -> str:
@@ -137,21 +135,16 @@ def allan_page(result: AllanResult) -> str:
 
 
 def noise_section(session: Session) -> Section | None:
-    """Return the section on the gyros' noise; None without gyros, or if `shows_slow_noise` is False."""
+    """Return the section on the gyros' noise; None without gyros or slow noise.
+
+    Slow noise is 1/f noise or a random walk of any axis; a rest of `LONG_S` seconds shows it.
+    """
     try:
         result = fit_allan(session)
     except DataError:
         return None
-    return section_of(result) if shows_slow_noise(result) else None
-
-
-def shows_slow_noise(result: AllanResult) -> bool:
-    """Return True if the recordings at rest show slow noise, or the longest has at least `LONG_S` seconds.
-
-    Slow noise is 1/f noise or a random walk of any axis.
-    """
-    shown = any(axis[kind].present for axis in result.axes for kind in _SLOW)
-    return shown or result.longest_s >= LONG_S
+    slow = any(axis[kind].present for axis in result.axes for kind in ("flicker", "walk"))
+    return section_of(result) if slow or result.longest_s >= LONG_S else None
 
 
 def section_of(result: AllanResult) -> Section:
@@ -159,21 +152,14 @@ def section_of(result: AllanResult) -> Section:
     return Section(
         f"Noise of the {allan_result.PARTS[result.part]} at rest",
         words=(f"{allan_result.headline(result)}.",),
-        notes=[*result.notes, *_reading()],
+        notes=[
+            *result.notes,
+            "The coefficients follow IEEE Std 952-1997, Annex C; the bias instability is the floor of the"
+            " Allan deviation, 0.664 times the standard's B. They are fitted to the samples by restricted"
+            " maximum likelihood, not to the points of the plot.",
+            "A noise that was not separately detected has an upper limit (95 %).",
+        ],
         parts=[_section(result, axis) for axis in result.axes],
-    )
-
-
-def _deviation(result: AllanResult) -> str:
-    return f"Allan deviation / {numbers.format_unit(result.unit)}"
-
-
-def _reading() -> tuple[str, ...]:
-    return (
-        "The coefficients follow IEEE Std 952-1997, Annex C; the bias instability is the floor of the"
-        " Allan deviation, 0.664 times the standard's B. They are fitted to the samples by restricted"
-        " maximum likelihood, not to the points of the plot.",
-        "A noise that was not separately detected has an upper limit (95 %).",
     )
 
 
@@ -205,18 +191,19 @@ def _figure(result: AllanResult, axis: AxisNoise) -> Figure:
         Series(curve.tau_s, curve.model, "fitted noise", role="after", style="line"),
     ]
     title = f"Allan deviation of {axis.axis}"
-    drawn = plot(
-        series, _TIME, _deviation(result), title=title, description=_described(result, axis), x_log=True,
-        y_log=True,
-    )  # fmt: skip
-    return Figure(drawn, f"{title}: overlapping estimate with its interval, and the fitted noise's curve.")
-
-
-def _described(result: AllanResult, axis: AxisNoise) -> str:
-    """Describe the Allan curve of an axis in a sentence, for a screen reader."""
-    tau, deviation, unit = axis.curve.tau_s, axis.curve.deviation, numbers.format_unit(result.unit)
+    unit = numbers.format_unit(result.unit)
+    # A sentence for a screen reader.
     first, last, least = (
-        f"{numbers.format_number(deviation[k])} {unit} at {numbers.format_number(tau[k])} s"
-        for k in (0, -1, int(deviation.argmin()))
+        f"{numbers.format_number(curve.deviation[k])} {unit} at {numbers.format_number(curve.tau_s[k])} s"
+        for k in (0, -1, int(curve.deviation.argmin()))
     )
-    return f"{axis.axis.upper()}: from {first} to {last}, least {least}."
+    drawn = plot(
+        series,
+        "averaging time / s",
+        f"Allan deviation / {unit}",
+        title=title,
+        description=f"{axis.axis.upper()}: from {first} to {last}, least {least}.",
+        x_log=True,
+        y_log=True,
+    )
+    return Figure(drawn, f"{title}: overlapping estimate with its interval, and the fitted noise's curve.")

@@ -461,7 +461,9 @@ def verdicts(done: Study) -> tuple[str, ...]:
     """Return sentences that state the results of the study."""
     nearer = sum(abs(row.paper - row.measured) < abs(row.mmpm - row.measured) for row in TABLE)
     angle = next(row for row in TABLE if row.key == "non_orthogonality")
-    theirs, nine = (_error(spread_of(done.results["x"], method, angle.quantity)) for method in COLUMNS)
+    theirs, nine = (
+        format_number(spread_of(done.results["x"], method, angle.quantity).error, 2) for method in COLUMNS
+    )
     return (
         f"For ΔK the paper's method overtakes MMPM from a fixture error of {crossing_deg(0, 0.16):.2g}°"
         f" without bias, and of {crossing_deg(10, 0.16):.2g}° with biases of 10 mg.",
@@ -484,7 +486,7 @@ def _table(done: Study) -> Section:
             texts += [
                 format_fixed(getattr(row, method), 4),
                 "not determined" if one.mean is None else format_fixed(one.mean, 4) + spread,
-                "–" if one.u is None else format_fixed(one.u, 4),
+                format_fixed(one.u, 4),
             ]
         rows.append([*texts, format_fixed(row.specification, 4)])
     return Section(
@@ -551,10 +553,6 @@ def _figure_3(done: Study) -> Section:
         figures=figures,
         notes=(f"Command: {done.command} --json (table_1: sessions)",),
     )
-
-
-def _error(spread: MethodSpread) -> str:
-    return "–" if spread.error is None else format_number(spread.error, 2)
 
 
 def _map(done: Study) -> Section:

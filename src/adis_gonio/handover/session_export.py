@@ -147,17 +147,14 @@ class ExportSource:
             options = {name: getattr(self, name) for name in chosen.options}
             write_utf8(path, chosen.function()(calibration, **options))
             return remarks
-        session = self._session(kind)
+        if calibration_in(self.path) is not None:
+            raise DataError(f"{self.path}: is a calibration without samples: {kind} needs a session")
+        session = load_session(self.path, self.overrides)
         if chosen.holds == "document":
             write_utf8(path, self._json(session))
             return [*changed_registers(session), *describe_later_writes(session.facts)]
         chosen.function()(session, path)
         return changed_registers(session)
-
-    def _session(self, kind: str) -> Session:
-        if calibration_in(self.path) is not None:
-            raise DataError(f"{self.path}: is a calibration without samples: {kind} needs a session")
-        return load_session(self.path, self.overrides)
 
     def _calibration(self) -> tuple[Calibration, list[str]]:
         """Return the calibration in the file or the calibration of its session, and remarks."""
@@ -186,10 +183,8 @@ class ExportSource:
 
     def _with_gyros(self, calibration: Calibration, session: Session | None = None) -> Calibration:
         if self.gyros is not None:
-            return replace(
-                calibration,
-                gyro=load_gyro_calibration(self.gyros, calibration.provenance, traced=self.traced),
-            )
+            gyro = load_gyro_calibration(self.gyros, calibration.provenance, traced=self.traced)
+            return replace(calibration, gyro=gyro)
         return calibration if session is None else with_gyros(calibration, session, traced=self.traced)
 
     def _result(self, session: Session) -> Any:
