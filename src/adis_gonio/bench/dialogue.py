@@ -12,7 +12,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
-from adis_gonio.bench.events import Event, GuardRaised, Noted, Paused, Unpaused, Waiting, Watching
+from adis_gonio.bench.events import Event, GuardRaised, Noted, Paused, Unpaused, Waiting
 from adis_gonio.bench.guards import Guard
 from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.bench.session_state import Knowledge, Ledger
@@ -21,17 +21,11 @@ from adis_gonio.record.blocks import Block, join
 
 T = TypeVar("T")
 
-PAUSE_STEP_S = 0.1
-"""Time in s between two checks for remarks during a pause, on the wall clock."""
-
 KEPT_S = 120.0
 """Length in s of the newest scans of a question that are kept if turns are recorded.
 
 It is enough for a turn and the rests before and after it.
 """
-
-WAIT_STEP_S = 1.0
-"""Time in s between two checks of the clock and the operator during a wait."""
 
 
 class Reply(StrEnum):
@@ -188,17 +182,6 @@ class Questions:
         seen, self._scanned = self._scanned, []
         return [join(seen)] if seen else []
 
-    def _keep(self, block: Block) -> None:
-        """Keep a block of scans that was read during a question, if turns are recorded.
-
-        Scans older than `KEPT_S` are dropped.
-        """
-        if not self.bench.settings.turns or not len(block):
-            return
-        self._scanned.append(block)
-        while float(block.time_s[-1]) - float(self._scanned[0].time_s[-1]) > KEPT_S:
-            del self._scanned[0]
-
     @property
     def stopped(self) -> bool:
         """True if the operator has asked to end the session."""
@@ -246,7 +229,7 @@ class Questions:
         if self.ledger.last_place is not None and not isinstance(question, GuardRaised):
             answers = answers | {Reply.REPEAT, Reply.UNDO}
         newest: Floats | None = None
-        self._scanned = []
+        view, self._scanned = self.knowledge.view, []
         try:
             while not self.stopped:
                 self._operator.open_question(frozenset(answers))
@@ -258,7 +241,9 @@ class Questions:
                         return default
                     yield from self.remarks(place)
                     newest = self._look(newest)
-                    yield self._watching(newest)
+                    target_deg = None if view.target is None else view.target.angle_deg
+                    mean, spread = newest.mean(axis=0), newest.std(axis=0, ddof=1)
+                    yield view.watching("idle", mean, spread, target_deg, "an answer")
                 newest = None
                 yield from self.handle_pause(place)
             return Reply.STOP
@@ -274,17 +259,14 @@ class Questions:
         newest = np.empty((0, 3)) if before is None else before
         for block in self.bench.scans():
             self.knowledge.see(block)
-            self._keep(block)
+            if self.bench.settings.turns and len(block):
+                self._scanned.append(block)
+                while float(block.time_s[-1]) - float(self._scanned[0].time_s[-1]) > KEPT_S:
+                    del self._scanned[0]
             newest = np.concatenate([newest, block.accel_mg])[-self.bench.window :]
             if len(newest) > 1:
                 break
         return newest
-
-    def _watching(self, newest: Floats) -> Watching:
-        view = self.knowledge.view
-        target_deg = None if view.target is None else view.target.angle_deg
-        mean, spread = newest.mean(axis=0), newest.std(axis=0, ddof=1)
-        return view.watching("idle", mean, spread, target_deg, "an answer")
 
     def ask_guard(self, guard: Guard, place: int) -> Generator[Event, None, Reply]:
         """Ask the question of a guard, record the answer and return it.
@@ -315,7 +297,7 @@ class Questions:
         yield Paused(place)
         while self._pausing and not self.stopped:
             yield from self.remarks(place)
-            self._operator.going_on.wait(PAUSE_STEP_S)
+            self._operator.going_on.wait(0.1)  # s on the wall clock until remarks are read again
         self.ledger.note("unpaused", {"place": place})
         yield Unpaused(place)
 
@@ -333,5 +315,5 @@ class Questions:
                 return True
             yield from self.remarks(place)
             yield Waiting(place, length_s - left, length_s)
-            self.bench.source.sleep_s(min(left, WAIT_STEP_S))
+            self.bench.source.sleep_s(min(left, 1.0))
         return False

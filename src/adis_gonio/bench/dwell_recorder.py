@@ -240,9 +240,6 @@ class Recording:
         return pieces
 
 
-MOST_RESTARTS = 5
-"""Number of interruptions of one dwell after which the operator is asked."""
-
 WINDOWS_TO_STILLNESS = 4
 """Number of windows before the stillness watch gives its first result; their time extends the time-out."""
 
@@ -286,7 +283,7 @@ class DwellRecorder(Recorder):
                 return
             guard, restarts = broken.guard, restarts + 1
             rested_mg = recording.rested_mg if rested_mg is None else rested_mg
-            if guard is None and (recording.timed_out or restarts == MOST_RESTARTS):
+            if guard is None and (recording.timed_out or restarts == 5):
                 self._bench.close_stream()
                 guard = self._gave_up(recording, broken.reason, restarts)
                 if guard is None:
@@ -460,9 +457,10 @@ class DwellRecorder(Recorder):
         attempt = recording.attempt("complete", bench.now_s)
         number = ledger.archive.add_attempt(attempt)
         place, scans = recording.place, recording.scans()
-        doubted = self._note_doubts(number)
+        for guard in self._doubts:
+            ledger.note("doubt", {"attempt": number, "kind": guard.kind, "message": guard.message})
         ledger.use_attempt(place, number)
-        self._knowledge.learn(place, recording.position, scans, doubted=doubted)
+        self._knowledge.learn(place, recording.position, scans, doubted=bool(self._doubts))
         mean = vector(scans.accel_mg.mean(axis=0))
         yield DwellDone(
             place, recording.position, number, len(scans), scans.lost, mean, count_alarms(scans)
@@ -476,12 +474,6 @@ class DwellRecorder(Recorder):
             yield running
 
     # -- guards ---------------------------------------------------------------------------------------
-
-    def _note_doubts(self, number: int) -> bool:
-        """Record the guards that the operator overruled at the dwell of attempt `number`; True if any."""
-        for guard in self._doubts:
-            self._ledger.note("doubt", {"attempt": number, "kind": guard.kind, "message": guard.message})
-        return bool(self._doubts)
 
     def _ask(self, guard: Guard, place: int) -> Generator[Event, None, bool]:
         """Ask the operator the question of a guard; return True if the dwell is kept or continues.

@@ -80,17 +80,9 @@ class NoiseMeasured(Event):
     ----------
     noise_mg : Vector
         Standard deviation of a sample at rest in mg, for each axis.
-    still_below_mg, stuck_below_mg : Vector
-        Limits in mg: an axis with a larger standard deviation in a window moves, with a smaller one it is
-        stuck.
-    window_s : float
-        Length of a window in s.
     """
 
     noise_mg: Vector
-    still_below_mg: Vector
-    stuck_below_mg: Vector
-    window_s: float
 
 
 class PositionAsked(Event):
@@ -173,7 +165,7 @@ class DwellProgress(Event):
     samples, lost : int
         Number of samples of the dwell so far, and of scans lost within it.
     accel_mg, spread_mg : Vector
-        Mean and standard deviation of the newest window in mg; the latter is None if it is not known.
+        Mean and standard deviation of the newest window in mg.
     angle_deg : float or None
         Live angle by gravity, counted like the stage's angles; None for free attitudes.
     target_deg : float or None
@@ -192,7 +184,7 @@ class DwellProgress(Event):
     samples: int
     lost: int
     accel_mg: Vector
-    spread_mg: Vector | None = None
+    spread_mg: Vector
     angle_deg: float | None = None
     target_deg: float | None = None
     limit_mg: Vector | None = None

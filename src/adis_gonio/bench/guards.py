@@ -17,7 +17,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.numbers import counted, format_uncertain, signed
 from adis_gonio.base.uncertainty import NORMAL_95
-from adis_gonio.bench.events import GuardKind, TurnMeasured
+from adis_gonio.bench.events import GuardKind, TurnMeasured, Vector
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.record.blocks import Block, session_columns, session_series
 from adis_gonio.record.plans import (
@@ -35,26 +35,15 @@ if TYPE_CHECKING:
     from adis_gonio.bench.events import Problem
 
 
-TILT_LIMIT_DEG = math.degrees(math.acos(1 - GAIN_LIMIT))
-"""Tilt in degrees of the rotation axis that changes a reading as much as the gain limit."""
-NOT_MOVED_SHARE = 0.1
-"""Share of the requested turn in space below which the sensor counts as not moved."""
-OTHER_WAY_UP_DEG = 120.0
-"""Angle in degrees from the requested attitude in space above which the sensor counts as upside down."""
-STEP_WINDOW_S = 1.0
-TEMPERATURE_STEP_C = 1.0
-"""Largest change of the temperature in °C within a second of a good dwell.
-
-It is ten times the fastest self-heating by the data sheet (5 °C in one minute).
-"""
-SUPPLY_STEP_V = 0.05
-"""Largest change of the supply in V within a second of a good dwell: a tenth of the specified range."""
-
 _STEPS: tuple[tuple[Literal["temperature", "supply"], str, str, float], ...] = (
-    ("temperature", "temp_c", "°C", TEMPERATURE_STEP_C),
-    ("supply", "supply_v", "V", SUPPLY_STEP_V),
+    ("temperature", "temp_c", "°C", 1.0),
+    ("supply", "supply_v", "V", 0.05),
 )
-"""Conditions that may step within a dwell: kind, column of a session, unit, largest change in a second."""
+"""Conditions that may step within a dwell: kind, column of a session, unit, largest change in a second.
+
+The change of the temperature is ten times the fastest self-heating by the data sheet (5 °C in one minute),
+the change of the supply a tenth of the specified range.
+"""
 
 RETAKE: tuple[str, ...] = ("retake", "keep", "skip")
 
@@ -167,7 +156,8 @@ def judge_level(accel_mg: Floats, gravity_mg: float, bias_mg: float) -> Guard | 
     `accel_mg` is the reading (3,), `gravity_mg` local gravity, `bias_mg` the standard deviation of a bias.
     """
     z = float(accel_mg[2])
-    limit = gravity_mg * math.sin(math.radians(TILT_LIMIT_DEG)) + K * bias_mg
+    # The first part is the tilt that changes a reading as much as the gain limit.
+    limit = gravity_mg * math.sin(math.acos(1 - GAIN_LIMIT)) + K * bias_mg
     if abs(z) <= limit:
         return None
     tilt = math.degrees(math.asin(min(1.0, abs(z) / gravity_mg)))
@@ -200,7 +190,7 @@ def judge_start(accel_mg: Floats, asked_deg: float, sense: int) -> Guard | None:
 
 
 def judge_pose(
-    accel_mg: Floats, asked: Floats | None, before_mg: Floats | None, before_asked: Floats | None
+    accel_mg: Floats, asked: Vector | None, before_mg: Floats | None, before_asked: Vector | None
 ) -> Guard | None:
     """Check that an attitude in space is new, and not upside down; return None if it is plausible.
 
@@ -213,7 +203,7 @@ def judge_pose(
     if before_mg is not None:
         turned = angle_between_deg(accel_mg, before_mg)
         wanted = 90.0 if asked is None or before_asked is None else angle_between_deg(asked, before_asked)
-        if turned <= max(math.degrees(SHIFT_MG / 1000.0), NOT_MOVED_SHARE * wanted):
+        if turned <= max(math.degrees(SHIFT_MG / 1000.0), 0.1 * wanted):
             message = (
                 f"the part has not moved: {turned:.2f}° since the pose before,"
                 f" about {wanted:.0f}° was requested"
@@ -222,7 +212,7 @@ def judge_pose(
     if asked is None:
         return None
     off = angle_between_deg(accel_mg, asked)
-    if off <= OTHER_WAY_UP_DEG:
+    if off <= 120.0:
         return None
     x, y, z = (float(value) for value in accel_mg)
     message = (
@@ -317,7 +307,7 @@ def greatest_step(time_s: Floats, values: Floats) -> float:
     `time_s` (n,) are the times of the values. The means are over half a second, or over quarters of a dwell
     of less than two seconds.
     """
-    width_s = min(STEP_WINDOW_S / 2, float(time_s[-1] - time_s[0]) / 4)
+    width_s = min(0.5, float(time_s[-1] - time_s[0]) / 4)
     if width_s <= 0:
         return 0.0
     # Means over slots of equal width; a slot with one sample is left out.
@@ -383,7 +373,7 @@ class Turning:
         """
         rates = _rates(dwell)
         self._broken = rates is None or not len(dwell)
-        if rates is None or not len(dwell):
+        if rates is None or self._broken:
             return
         self._bias = rates.mean(axis=0)
         self._last_s, self._last = float(dwell.time_s[-1]), np.zeros(3)
@@ -462,7 +452,6 @@ class Judge:
         self._planar = planar
         self.sense = sense
         self._taken: list[_JudgedDwell] = []
-        self._longest_gap_s = longest_gap_s
         self.turning = Turning(longest_gap_s)
         self._rebuild()
 
@@ -472,7 +461,10 @@ class Judge:
         Returns the question to the operator, or None if the position is plausible.
         """
         if not self._planar or position.angle_deg is None:
-            return self._pose(position, accel_mg)
+            mean_mg, asked = None, None
+            if self._taken:
+                mean_mg, asked = self._taken[-1].mean_mg, self._taken[-1].position.direction
+            return judge_pose(accel_mg, position.direction, mean_mg, asked)
         level = judge_level(accel_mg, self._spread.gravity_mg, self._spread.bias_mg)
         if level is not None:
             return level
@@ -515,10 +507,6 @@ class Judge:
         self._taken.append(_JudgedDwell(place, position, mean, doubted))
         self._learn(self._taken[-1])
         self.turning.rest(scans)
-
-    def forget_turn(self) -> None:
-        """Discard the turn since the last dwell, because it was not followed completely."""
-        self.turning = Turning(self._longest_gap_s)
 
     def withdraw(self, place: int) -> None:
         """Forget the dwell of a place (index in the plan).
@@ -574,16 +562,3 @@ class Judge:
         before = self._taken[-1].position.angle_deg or 0.0
         asked = wrap_degrees((position.angle_deg or 0.0) - before)
         return 180.0 if asked == -180.0 else asked
-
-    def _pose(self, position: Position, accel_mg: Floats) -> Guard | None:
-        before = self._taken[-1] if self._taken else None
-        return judge_pose(
-            accel_mg,
-            _direction(position),
-            None if before is None else before.mean_mg,
-            None if before is None else _direction(before.position),
-        )
-
-
-def _direction(position: Position) -> Floats | None:
-    return None if position.direction is None else np.array(position.direction)

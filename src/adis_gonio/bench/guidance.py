@@ -53,21 +53,6 @@ def turn_to_do(turns: int) -> str:
     )
 
 
-def whole_turns_to_do(turned_deg: float, fastest_dps: float) -> str:
-    """Return the instruction to the operator for whole turns on a table, in one line.
-
-    `turned_deg` is the turn, counter-clockwise positive, and `fastest_dps` the largest rate.
-    """
-    turns = round(abs(turned_deg) / 360)
-    times = "once" if turns == 1 else f"{turns} times"
-    return (
-        f"leave the part at the mark; 1 s after Enter turn it {times} {turn_sense(turned_deg)}, seen from"
-        f" above, flat on the table and back to the mark, at {fastest_dps:.0f} °/s at most"
-        f" ({360 / fastest_dps:.0f} s a turn; stops to change your grip do no harm), and let it rest:"
-        " get ready"
-    )
-
-
 def turn_sense(angle_deg: float) -> str:
     """Return the sense of a turn seen from above: `counter-clockwise` (`angle_deg` > 0) or `clockwise`."""
     return "counter-clockwise" if angle_deg > 0 else "clockwise"
@@ -102,7 +87,14 @@ def to_do(
         True if the sensor lies on a table, against a mark.
     """
     if position.turned_deg is not None:
-        return whole_turns_to_do(position.turned_deg, fastest_dps)
+        turns, sense = round(abs(position.turned_deg) / 360), turn_sense(position.turned_deg)
+        times = "once" if turns == 1 else f"{turns} times"
+        return (
+            f"leave the part at the mark; 1 s after Enter turn it {times} {sense}, seen from above,"
+            f" flat on the table and back to the mark, at {fastest_dps:.0f} °/s at most"
+            f" ({360 / fastest_dps:.0f} s a turn; stops to change your grip do no harm), and let it rest:"
+            " get ready"
+        )
     if position.angle_deg is None:
         return _hold(position, table=table)
     return _turn(position, before, reverse=reverse)
@@ -124,16 +116,11 @@ def _hold(position: Position, *, table: bool) -> str:
         return f"hold the part in {position}"
     arrows = []
     for axis, part in zip("XYZ", position.direction, strict=True):
-        if abs(part) > _MUCH:
+        if abs(part) > 0.3:
             tilt = angle_between_deg(position.direction, [part if axis == name else 0.0 for name in "XYZ"])
             way = "down" if part > 0 else "up"
-            arrows.append(f"{axis} arrow {way}" + (f" ({tilt:.0f}° off)" if tilt >= _ROUND_DEG else ""))
+            arrows.append(f"{axis} arrow {way}" + (f" ({tilt:.0f}° off)" if tilt >= 10.0 else ""))
     if table:
         return f"lay the part flat on the table, against the mark, with its {', '.join(arrows)}"
     check = " (check)" if position.use == "check" else ""
     return f"hold the part with its {', '.join(arrows)}, still, near enough{check}"
-
-
-_MUCH = 0.3
-_ROUND_DEG = 10.0
-"""Angle from the vertical in degrees from which the instruction states the tilt of an arrow."""

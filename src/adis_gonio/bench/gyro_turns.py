@@ -40,17 +40,11 @@ MOST_TURNS = 20
 """Largest number of turns each way: with an error of the gain, more could not be counted reliably."""
 REST_S = 1.0
 """Rest before the turn and after it, in s."""
-STOPPED_S = 6.0
-"""Rest in s within a turn after which the turn counts as ended, even if it is not whole."""
 PATIENCE_S = 300.0
 MOVING_DPS = 2.0
 """Mean rate of a block in °/s below which the sensor rests."""
 OFF_SHARE, OFF_DEG = 0.03, 5.0
 """Largest deviation from whole turns that a gyro explains: share of the turn (gain), and degrees (zero)."""
-FACE_DEG = 30.0
-"""Largest angle in degrees between the requested attitude and the attitude of a dwell."""
-_TILT_SHARE = 0.2
-_ALMOST_DEG = 30.0
 
 _UP = ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
 _DOWN = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -122,17 +116,17 @@ class GyroTurn(FollowedTurn):
 
     @property
     def full(self) -> bool:
-        """True if the sensor has turned by the requested angle, or lacks less than `_ALMOST_DEG` of it."""
-        return self.moved and abs(self.turned_deg) > abs(self.wanted_deg) - _ALMOST_DEG
+        """True if the sensor has turned by the requested angle, or lacks less than 30° of it."""
+        return self.moved and abs(self.turned_deg) > abs(self.wanted_deg) - 30.0
 
     @property
     def ended(self) -> str | None:
         """None while the turn goes on; empty at its end; an error message if it never began.
 
         A whole turn ends after `REST_S` seconds of rest. If the sensor stopped earlier, the turn ends after
-        `STOPPED_S` seconds of rest.
+        6 seconds of rest.
         """
-        if self.moved and self.rest_s >= (REST_S if self.full else STOPPED_S):
+        if self.moved and self.rest_s >= (REST_S if self.full else 6.0):
             return ""
         return f"no whole turn within {PATIENCE_S:.0f} s" if self.length_s >= PATIENCE_S else None
 
@@ -199,17 +193,16 @@ class GyroTurnsRecorder(DwellRecorder):
         if number is None or asked is None or self._questions.auto:
             return
         off = angle_between_deg(self._rest(place).accel_mg.mean(axis=0), asked)
-        if off <= FACE_DEG:
+        if off <= 30.0:
             return
         axis = "XYZ"[int(np.argmax(np.abs(asked)))]
         face = "up" if min(asked) < 0 else "down"
         message = f"the {axis} arrow does not point {face}: {off:.0f}° off; lay the part on another face"
-        guard = Guard("upside_down", message, {"off_deg": off}, ("retake", "keep", "skip"), spoils=False)
+        guard = Guard("upside_down", message, {"off_deg": off})
         answer = yield from self._questions.ask_guard(guard, place)
-        if answer is Reply.RETAKE:
+        if answer in (Reply.RETAKE, Reply.SKIP):
             yield self._knowledge.withdraw(place)
-        elif answer is Reply.SKIP:
-            yield self._knowledge.withdraw(place)
+        if answer is Reply.SKIP:
             self._ledger.skip(place)
 
     def _rest(self, place: int) -> Block:
@@ -301,7 +294,7 @@ def judge_whole_turn(turn: GyroTurn, found: Integral | str) -> Guard | None:
         if "range" in found:
             kind = "over_range"
         return Guard(kind, f"{found}; bring it back to the mark and turn again", values, spoils=True)
-    if turn.across_deg > max(_TILT_SHARE * abs(turned), 2 * OFF_DEG):
+    if turn.across_deg > max(0.2 * abs(turned), 2 * OFF_DEG):
         message = f"turned about {turn.about}, not about the vertical: leave the part flat on the table"
         return Guard("wrong_axis", message, values, spoils=True)
     off = turned - 360.0 * round(turned / 360.0)

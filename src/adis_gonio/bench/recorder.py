@@ -223,10 +223,6 @@ FASTEST_DPS = 45.0
 """Largest mean rate in °/s; a hand that changes its grip reaches twice its mean."""
 REST_S = 3.0
 """Rest before the turns and after them, in s."""
-PIECE_S = 5.0
-"""Length of the pieces in which a recording is archived, in s; a killed program loses the last one."""
-RESTING_DEG = 0.5
-"""Largest turn in degrees within `REST_S` that counts as rest."""
 
 PLACE = Position(None, 0)
 
@@ -280,7 +276,7 @@ class FreeTurn(FollowedTurn):
     """
 
     rest_before_s = REST_S
-    piece_s = PIECE_S
+    piece_s = 5.0
 
     def __init__(self, place: int, turns: int, limit_s: float, began: tuple[str, float]) -> None:
         super().__init__(place, PLACE, turns, limit_s, began)
@@ -317,10 +313,10 @@ class FreeTurn(FollowedTurn):
 
     @property
     def resting(self) -> bool:
-        """True if the sensor has not turned for `REST_S`."""
+        """True if the sensor has turned by less than 0.5° within `REST_S`."""
         angles = [angle for _, angle in self._course]
         long_enough = bool(angles) and self._course[-1][0] - self._course[0][0] > 0.9 * REST_S
-        return long_enough and max(angles) - min(angles) < RESTING_DEG
+        return long_enough and max(angles) - min(angles) < 0.5
 
     @property
     def ended(self) -> str | None:

@@ -58,9 +58,6 @@ from adis_gonio.record.stillness import NoiseMeter
 RECORDERS: dict[str, type[Recorder]] = {GYRO_TURNS: GyroTurnsRecorder, FREE_TURN: FreeTurnRecorder}
 """Recorder by the name of the plan; other plans take a `DwellRecorder`."""
 
-SHARE_OF_RANGE = 0.6
-"""Largest mean rate of a turn as a share of the gyros' range: a hand is faster between two grips."""
-
 
 class SessionRunner(Operator):
     """Runs a session; create it by `begin` or `resume`.
@@ -227,7 +224,8 @@ class SessionRunner(Operator):
     @property
     def fastest_dps(self) -> float:
         """Largest mean rate of a turn in °/s that suits the gyros' range; known after configuration."""
-        return SHARE_OF_RANGE * float(self._bench.configuration.as_dict().get("gyro_range_dps") or 300.0)
+        # A hand is faster between two grips than in the mean.
+        return 0.6 * float(self._bench.configuration.as_dict().get("gyro_range_dps") or 300.0)
 
     @property
     def judges_places(self) -> bool:
@@ -301,7 +299,7 @@ class SessionRunner(Operator):
         ledger.note("configuration", configuration)
         ledger.note("registers-configured", after)
         ledger.note("truth", bench.truth())
-        yield Configured(configuration, bench.changes(before, after), bench.why_polled)
+        yield Configured(configuration, bench.changes(before, after), bench.source.why_polled)
         noise = archive.last("noise")
         if noise is None:
             return

@@ -105,6 +105,8 @@ class SessionBench:
         The sensor as a source of samples.
     stage, world : object or None
         Stage that the program can move, and simulated world; None without them.
+    scanning : dict of str to str
+        Method by which scans are read, as texts `how` and `caveat`; empty before the first scan.
     """
 
     def __init__(self, sensor: Adis16354 | SampleSource, settings: Settings) -> None:
@@ -114,7 +116,7 @@ class SessionBench:
         self.world: SimulatedWorld | None = source.world
         self._stream: SampleStream | None = None
         self._moves_until_s = -math.inf
-        self._scanning: JsonDict = {}
+        self.scanning: JsonDict = {}
         self._held: dict[str, int] = {}
 
     @property
@@ -223,16 +225,6 @@ class SessionBench:
             f" somebody wrote to it; {kept}; set the registers back, then go on with --resume"
         )
 
-    @property
-    def why_polled(self) -> str:
-        """Reason why scans are polled instead of streamed; empty if they are streamed."""
-        return self.source.why_polled
-
-    @property
-    def scanning(self) -> JsonDict:
-        """Method by which scans are read, as texts `how` and `caveat`; empty before the first scan."""
-        return dict(self._scanning)
-
     def close(self) -> None:
         """End the stream and undo temporary changes of the sensor; may be called twice."""
         try:
@@ -282,9 +274,9 @@ class SessionBench:
         """End the stream, so that registers can be read; may be called twice."""
         if self._stream is not None:
             stream, self._stream = self._stream, None
-            why = f"{self.why_polled}; " if self.why_polled else ""
-            caveat = stream.caveat or (self._scanning or {}).get("caveat", "")
-            self._scanning = {"how": f"{why}{stream.how}", "caveat": caveat}
+            why = f"{self.source.why_polled}; " if self.source.why_polled else ""
+            caveat = stream.caveat or self.scanning.get("caveat", "")
+            self.scanning = {"how": f"{why}{stream.how}", "caveat": caveat}
             stream.close()
 
     def move_to(self, position: Position) -> Move | None:

@@ -11,7 +11,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.errors import AdisGonioError, UsageError
 from adis_gonio.bench.events import NoiseMeasured, Problem, Running, Vector, Watching, Withdrawn
-from adis_gonio.bench.guards import Judge
+from adis_gonio.bench.guards import Judge, Turning
 from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.live.smoothed_meter import SmoothedMeter, sensing_of
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
@@ -122,13 +122,6 @@ class Ledger:
 
     def _newest(self) -> int | None:
         return max(self.done, key=self.done.__getitem__, default=None)
-
-
-EVERY_UP_TO = 36
-"""Number of dwells up to which each dwell is followed by a fit; later, every increase by 10 % is."""
-
-LEAST_BIAS_MG = 10.0
-"""Least standard deviation of an unknown bias in mg: the estimate for the ADIS16354 (D)."""
 
 
 class LiveView:
@@ -272,7 +265,7 @@ class Knowledge:
     def take_noise(self, noise: list[float]) -> NoiseMeasured:
         """Set the limits of stillness by the noise at rest (mg), and prepare the check of positions.
 
-        Returns the event that reports noise and limits.
+        Returns the event that reports the noise.
         """
         bench = self._bench
         quantum = bench.source.part.step_mg
@@ -285,9 +278,7 @@ class Knowledge:
         if self.judge is not None and not bench.virtual_time:  # with virtual time, no part is seen turning
             sensing = sensing_of(bench.configuration, bench.source.part.name, largest_mg)
             self.view.smoother = SmoothedMeter(sensing, lag_s=0.0)
-        return NoiseMeasured(
-            vector(noise), vector(limits.upper), vector(limits.lower), bench.window * bench.period_s
-        )
+        return NoiseMeasured(vector(noise))
 
     def _new_judge(self, noise_mg: float) -> Judge | None:
         """Return a judge of positions that knows the dwells so far; None if positions are not judged.
@@ -300,7 +291,7 @@ class Knowledge:
         if not self._judging or (planar and fixture is not None and math.isinf(fixture)):
             return None
         spread = PriorKnowledge(
-            max(bench.source.part.initial_bias_mg, LEAST_BIAS_MG),
+            max(bench.source.part.initial_bias_mg, 10.0),  # 10 mg: the estimate for the ADIS16354 (D)
             noise_mg / math.sqrt(SETTLINGS_PER_WINDOW),
             fixture,
             1000.0 * ledger.header.gravity_mps2 / STANDARD_GRAVITY_MPS2,
@@ -312,7 +303,7 @@ class Knowledge:
         for attempt in archive.dwells():
             scans = join(archive.blocks(attempt, "dwell"))
             judge.done(attempt.place, attempt.position, scans, doubted=attempt.number in doubted)
-        judge.forget_turn()
+        judge.turning = Turning(gap_s)  # the turn since the last dwell was not followed
         return judge
 
     def watch(self) -> StillnessWatch:
@@ -359,14 +350,13 @@ class Knowledge:
     def running(self) -> Running | None:
         """Fit the dwells so far, as in the archive, and return the event that shows the fit.
 
-        Returns None if the dwells do not allow a fit, or if the session has no positions. With more than
-        `EVERY_UP_TO` dwells, it also returns None until their number is 10 % larger than at the last fit.
+        Returns None if the dwells do not allow a fit, or if the session has no positions. With more than 36
+        dwells, it also returns None until their number is 10 % larger than at the last fit.
         """
         from adis_gonio.fitting import fit
 
         count = len(self._ledger.done)
-        soon = count > EVERY_UP_TO and count < 1.1 * self._fitted
-        if soon or not (self.fits_dwells and self._judging):
+        if 36 < count < 1.1 * self._fitted or not (self.fits_dwells and self._judging):
             return None
         try:
             result = fit(read_session(self._ledger.archive.path))

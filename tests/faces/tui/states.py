@@ -17,7 +17,7 @@ def started(resumed: bool = False, name: str = "tumble") -> events.Started:
 OPEN = [
     started(),
     events.Configured({"sample_rate_hz": 819.2}, {"SENS_AVG": (0x402, 0x302)}, ""),
-    events.NoiseMeasured((1.99, 1.97, 2.04), LIMIT, (0.2, 0.2, 0.2), 0.25),
+    events.NoiseMeasured((1.99, 1.97, 2.04)),
 ]
 
 

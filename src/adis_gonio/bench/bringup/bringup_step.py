@@ -569,10 +569,6 @@ class BringupBench:
         """
         return bool(self.sensor.read_words(["XACCL_OUT"])[0] & EA)
 
-    def status(self) -> int:
-        """Read the register STATUS, which also clears it, and return its word."""
-        return self.sensor.read("STATUS")
-
     def wait_updates(self, count: int = 4) -> None:
         """Wait until the filter has settled and `count` more samples were taken."""
         now = self.sensor.configuration()

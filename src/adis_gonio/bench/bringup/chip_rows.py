@@ -399,7 +399,8 @@ def _periods(chip: RecordedChip, _: Variant) -> Iterator[RowFigure]:
         reference = _due_periods(best) if code != best else {}
         shared, u = (periods[best][0], math.hypot(u, periods[best][1])) if reference else (0.0, 0.01)
         due = {name: one - reference.get(name, 0.0) for name, one in _due_periods(code).items()}
-        wide = dict.fromkeys(due, _STEADY if reference else 0.03)
+        # Between two measurements the clocks of part and host change by 0.4 % at most.
+        wide = dict.fromkeys(due, 0.004 if reference else 0.03)
         if code >> 7 and not (reference and best >> 7):
             wide[_OTHER_BASE] = math.log(2)
         nominal = due["base × (N + 1)"]
@@ -408,8 +409,6 @@ def _periods(chip: RecordedChip, _: Variant) -> Iterator[RowFigure]:
 
 
 _OTHER_BASE = "another slow base"
-_STEADY = 0.004
-"""Largest relative change of the clocks of part and host between two measurements of a period."""
 
 
 def _due_periods(code: int) -> dict[str, float]:
@@ -518,15 +517,11 @@ def _levels(chip: RecordedChip, part: Variant) -> dict[int, tuple[float, float, 
     return found
 
 
-def _gain_of_taps(taps: int) -> float:
-    return float(np.linalg.norm(np.convolve(np.ones(taps), np.ones(taps)))) / taps**2
-
-
 _GAINS: dict[str, Callable[[int], float]] = {
     "two boxcars of 2^M": white_noise_gain,
     "one boxcar of 2^M": lambda m: 2 ** (-m / 2),
     "twice the taps": lambda m: white_noise_gain(m + (m > 0)),
-    "M + 1 taps": lambda m: _gain_of_taps(m + 1),
+    "M + 1 taps": lambda m: float(np.linalg.norm(np.convolve(*np.ones((2, m + 1))))) / (m + 1) ** 2,
 }
 """Noise gain of the filter as a function of its setting M, for each alternative."""
 

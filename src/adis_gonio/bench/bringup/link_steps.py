@@ -40,8 +40,6 @@ from adis_gonio.device.sensor.settings import Status, scales, white_noise_gain
 
 CLOCKS_HZ = (2e6, 1.5e6, 1e6, 750e3, 500e3, 250e3, 125e3, 62.5e3, 31.25e3)
 """Clocks to try in Hz: steps of the bridges within the limits of the chip's modes."""
-FASTEST_HZ = {"fast": 2e6, "normal": 300e3}
-"""Highest clock in Hz of each mode (data sheet, A)."""
 READS = 1000
 _PASSES = 3
 
@@ -201,8 +199,9 @@ class BitErrors(BringupStep):
     def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Read the registers at each clock, and limit later steps to the fastest clock without errors."""
         smpl_prd = bench.constants["SMPL_PRD"] & 0xFF
-        mode, limit = ("fast", FAST) if smpl_prd <= FAST_UP_TO else ("normal", NORMAL)
-        clocks = _offered(bench, FASTEST_HZ[mode], limit)
+        # The highest clock of each mode is by the data sheet (A).
+        fastest_hz, limit = (2e6, FAST) if smpl_prd <= FAST_UP_TO else (300e3, NORMAL)
+        clocks = _offered(bench, fastest_hz, limit)
         bench.bus.inner.configure(dataclasses.replace(limit, clock_hz=clocks[0]))
         expected = np.empty(0, np.uint16)
         wrong_words: list[int] = []
@@ -291,8 +290,6 @@ SUPPLY_V = (4.75, 5.25)
 """Lower and upper limit of the supply in V (data sheet, B), as in STATUS."""
 TEMPERATURE_C = (-40.0, 85.0)
 """Range of operation of the siblings in °C (data sheet, B)."""
-GRAVITY_U = 0.0026 / np.sqrt(3)
-"""Relative standard uncertainty of local gravity: on Earth it is within 0.26 % of the standard value."""
 _SCANS = 256
 
 
@@ -315,9 +312,9 @@ class Health(BringupStep):
 
     def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Compare supply and temperatures with the limits of operation, and check that STATUS is clear."""
-        first = bench.status()
+        first = bench.sensor.read("STATUS")
         bench.wait_updates()
-        standing = Status(bench.status())
+        standing = Status(bench.sensor.read("STATUS"))
         names = ("SUPPLY_OUT", *TEMP_OUT)
         block, _ = bench.scans(_SCANS, names)
         lsb, zero, _ = scales(registers(names), bench.sensor.variant, 300)
@@ -405,7 +402,7 @@ def _tolerance(part: Variant, warm_c: float) -> float:
             (figures.initial_bias_mg / 1000) ** 2
             + figures.scale_error_typical**2
             + (figures.bias_tempco_mg_per_c * warm_c / 1000) ** 2
-            + GRAVITY_U**2
+            + 0.0026**2 / 3  # local gravity: on Earth it is within 0.26 % of the standard value
         )
     )
 

@@ -31,8 +31,6 @@ _SCANS = 4096
 BANDS = 6
 HANN_WIDTH = 35 / 18
 """Number of bins of a periodogram with Hann's window that count as one independent bin in a mean."""
-_MOST_FLICKER = 0.1
-"""Largest density of flicker noise, relative to white noise, at the lowest frequency used."""
 
 
 def degrees_of_freedom(count: int, m: int, spacing: float = 1.0) -> float:
@@ -177,8 +175,8 @@ def _by_spectrum(part: Variant, numbers: Floats, m: int, rate_hz: float, expecte
     cycles, power = spectrum(numbers)
     gain = filter_response(m, cycles)
     floor = floors(part, expected)
-    # Frequency above which flicker adds at most `_MOST_FLICKER` to the white noise of every axis.
-    lowest_hz = float(np.max(flicker(floor, np.ones(1), rate_hz)[0] / (_MOST_FLICKER * expected**2)))
+    # Frequency above which flicker adds at most a tenth to the white noise of every axis.
+    lowest_hz = float(np.max(flicker(floor, np.ones(1), rate_hz)[0] / (0.1 * expected**2)))
     used = cycles * rate_hz >= max(lowest_hz, 4 * rate_hz / len(numbers))
     rounded = np.stack([rounding_spectrum(m, sigma, cycles) for sigma in expected], axis=1)
     used &= np.all(gain[:, None] * expected**2 >= rounded, axis=1)

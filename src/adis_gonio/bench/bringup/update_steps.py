@@ -25,20 +25,13 @@ from adis_gonio.device.bus import Capability, Words
 from adis_gonio.device.sensor.registers import BY_NAME, ND, read_frames, timing_for, write_frames
 from adis_gonio.device.sensor.settings import sample_period_s
 
-_CODES = [n for n in range(256) if n & 0x7F or n & 0x80]
 _MISC = BY_NAME["MSC_CTRL"]
 _READ = "XACCL_OUT"
 _NO_EDGE = "no edge arrives: wire DIO1 to the bridge's data-ready input if it is to stream"
 _READS = 8
 """Number of reads in a scan, which every bridge with streams can do."""
-_LONGEST_FRAME_US = 20_000.0
-"""Largest time between two frames of a scan in µs; the timers of the bridges reach about 50 ms."""
 _BENT = 0.02
 """Largest relative error of a bridge's times while the rate of its clock is being estimated."""
-_LONGEST_LOOK = 256
-"""Number of sample periods after which a bit ND that has not come never comes."""
-_UNBROKEN_PERIODS = 3
-"""Number of sample periods that an unbroken batch of frames must span to serve as a clock."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +58,7 @@ def measured_period(bench: BringupBench, expected_s: float, updates: int) -> Per
             f"this bridge reads a word in {1e3 * frame_s:.2g} ms, an update takes {1e3 * expected_s:.2g} ms"
         )
     unbroken = bench.bus.unbroken_frames
-    if unbroken is not None and unbroken * frame_s < _UNBROKEN_PERIODS * expected_s:
+    if unbroken is not None and unbroken * frame_s < 3 * expected_s:
         return (
             f"this bridge runs {unbroken} frames without a pause, too few for updates every"
             f" {1e3 * expected_s:.2g} ms"
@@ -83,7 +76,7 @@ def measured_period(bench: BringupBench, expected_s: float, updates: int) -> Per
                 periods += len(at) - 1
                 ends += 1
         looked_s += len(words) * frame_s
-        if periods >= updates or (not periods and looked_s > _LONGEST_LOOK * expected_s):
+        if periods >= updates or (not periods and looked_s > 256 * expected_s):
             break
     if not periods:
         return "no update was seen: bit ND never came"
@@ -94,7 +87,7 @@ def measured_period(bench: BringupBench, expected_s: float, updates: int) -> Per
 
 def nearest_code(period_s: float) -> int:
     """Return the value of SMPL_PRD with the nominal period nearest to `period_s` on a logarithmic scale."""
-    return min(_CODES, key=lambda n: abs(math.log(period_s / sample_period_s(n))))
+    return min(range(1, 256), key=lambda n: abs(math.log(period_s / sample_period_s(n))))
 
 
 class Rate(BringupStep):
@@ -157,8 +150,7 @@ class _Edges:
     @property
     def surplus(self) -> float:
         """Number of data-ready edges minus number of sample updates."""
-        seen = len(self.position) + self.lost
-        return seen - self.expected
+        return len(self.position) + self.lost - self.expected
 
     @property
     def slack(self) -> float:
@@ -285,7 +277,8 @@ class DataReady(BringupStep):
         # One more frame fetches the last reply; 5 % of the period is reserved for the bridge.
         frames = _READS + 1
         fill_us = math.floor(0.95e6 * period_s / frames)
-        fitting = min(max(timing.period_us, fill_us), _LONGEST_FRAME_US)
+        # 20 ms between two frames: the timers of the bridges reach about 50 ms.
+        fitting = min(max(timing.period_us, fill_us), 20_000.0)
         if frames * fitting > 0.97e6 * period_s:
             raise UsageError("the period is too short for a list of reads")
         got = bench.bus.configure(replace(timing, period_us=fitting))

@@ -22,7 +22,6 @@ from adis_gonio.device.sensor.settings import Alarm, scales, sens_avg_word
 
 _SCANS = 512
 _STEP = 1000
-_MOST_M = 6
 
 _OVER_RANGE = BY_NAME["STATUS"].field("over_range").mask
 _ALARM = BY_NAME["STATUS"].field("alarm1").mask
@@ -54,7 +53,7 @@ class Offset(BringupStep):
                 sensor.write(name, number)
             bench.wait_updates()
             bench.scans(_SCANS, ACCEL_OUT)
-        sensor.write("SENS_AVG", sens_avg_word(300, _MOST_M))
+        sensor.write("SENS_AVG", sens_avg_word(300, 6))
         bench.wait_updates()
         bench.scans(16, ACCEL_OUT[:1])
         sensor.write(ACCEL_OFF[0], moved[0])
@@ -145,9 +144,9 @@ class StatusBits(BringupStep):
     def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Test if the alarm bit stays until STATUS is read, and if the over-range bit clears."""
         bench.sample_quickly()
-        bench.status()
+        bench.sensor.read("STATUS")
         bench.wait_updates()
-        if standing := bench.status():
+        if standing := bench.sensor.read("STATUS"):
             return found.not_measured(f"STATUS is 0x{standing:04X} already")
         bench.sensor.set_alarm(1, Alarm("SUPPLY_OUT", threshold=1.0))
         bench.wait_updates()
@@ -155,9 +154,9 @@ class StatusBits(BringupStep):
         bench.sensor.clear_alarm(1)
         bench.wait_updates()
         bench.alarm_stands()
-        bench.status()
+        bench.sensor.read("STATUS")
         bench.wait_updates()
-        kept = bench.status() & _ALARM
+        kept = bench.sensor.read("STATUS") & _ALARM
         self._over_range(bench, found)
         if not raised:
             return found.differs("an alarm on the supply above 1 V does not show as EA")
@@ -195,9 +194,9 @@ class StatusBits(BringupStep):
             bench.wait_updates()  # a bit that the last read cleared is set again
             sensor.write(name, number)
             bench.wait_updates()
-            bench.status()
+            bench.sensor.read("STATUS")
             bench.wait_updates(16)
-            return bool(bench.status() & _OVER_RANGE)
+            return bool(bench.sensor.read("STATUS") & _OVER_RANGE)
 
         if not over(end):
             unknown(f"{reached_mg:.0f} mg by the offset raise no over-range: it is judged without")

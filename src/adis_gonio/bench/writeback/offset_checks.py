@@ -199,13 +199,6 @@ def _mean(values: Floats, lsb: float, now: Configuration) -> tuple[Floats, Float
 
 SIGMAS = 4.0
 """Largest difference in standard uncertainties: a good sensor fails once in 16 000 comparisons."""
-SET_ANEW_U_DEG = 0.05
-"""Standard uncertainty in degrees of an angle that is set again, if the session states none.
-
-A session of a few positions cannot estimate it, and a vernier cannot be read better.
-"""
-LEAST_SHARE = 0.5
-"""Smallest share of gravity in the session's plane with which the magnitude of gravity is compared."""
 
 
 class Agreement(JsonRecord):
@@ -318,7 +311,12 @@ class _FittedSensor:
         def left(values: Floats, mean: Floats) -> Floats:
             return np.asarray(mean[:2] - self._ideal_mg(values, angle_rad) - self._bias_mg(values))
 
-        value, u = self._propagated(left, self._fixture_u(angle_rad))
+        # An angle that is set again: a few positions cannot estimate its uncertainty, and a vernier cannot
+        # be read better than 0.05°.
+        more = 0.05 if self.session.fixture_sigma_deg is None else 0.0
+        sigma = math.radians(math.hypot(self.result.fixture_sigma_deg or 0.0, more))
+        tangent = self.model.tangent(self._base(self.values), np.zeros(1), np.array([-angle_rad]))
+        value, u = self._propagated(left, sigma * np.abs(tangent[0, :, 0]))
         predicted = self._ideal_mg(self.values, angle_rad) + self._bias_mg(self.values)
         where = f"readings at {math.degrees(angle_rad):g}° against the session"
         return Agreement(where, ("X", "Y"), predicted + value, predicted, u)
@@ -339,7 +337,7 @@ class _FittedSensor:
             return np.asarray(gravity * np.linalg.norm(calibrated, axis=1))
 
         value, u = self._propagated(length, np.zeros(1))
-        if value[0] < LEAST_SHARE * gravity:
+        if value[0] < 0.5 * gravity:
             raise FitError(
                 f"X and Y read {value[0]:.0f} mg of gravity together: set the part up as in the"
                 " session, its plane of rotation vertical"
@@ -374,13 +372,6 @@ class _FittedSensor:
         """
         ideal: Floats = self.model.ideal(self._base(values), np.zeros(1), np.array([-angle_rad]))[0]
         return ideal
-
-    def _fixture_u(self, angle_rad: float) -> Floats:
-        """Return the standard uncertainty (2,) in mg of predicted readings due to the declared angle."""
-        more = SET_ANEW_U_DEG if self.session.fixture_sigma_deg is None else 0.0
-        sigma = math.radians(math.hypot(self.result.fixture_sigma_deg or 0.0, more))
-        tangent = self.model.tangent(self._base(self.values), np.zeros(1), np.array([-angle_rad]))
-        return np.asarray(sigma * np.abs(tangent[0, :, 0]))
 
     def _propagated(
         self, function: Callable[[Floats, Floats], Floats], more_u: Floats

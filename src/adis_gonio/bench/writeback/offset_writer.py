@@ -207,8 +207,10 @@ class OffsetWriter:
         with ArchiveView(self.path) as view:
             self._bench = SessionBench(sensor, Settings.from_dict(view.header().settings))
             self._bench.require_same_sensor(view)
-            self._angle_deg = self._angle(view)
-        own = self.settings
+            own, angles = self.settings, [position.angle_deg for position in view.plan().positions]
+        self._angle_deg = own.angle_deg
+        if own.angle_deg is None and self._bench.stage is not None and self.session.plane == "xy":
+            self._angle_deg = next((angle for angle in angles if angle is not None), None)
         self._part = part_of(self.session, gyros=own.gyros, method=own.method, angle_deg=self._angle_deg)
         recorded_offsets(self.session, self._part.registers)
         self._plan: WritePlan | None = None
@@ -474,7 +476,12 @@ class OffsetWriter:
             self._keep_what_is_saved(journal)
         with contextlib.suppress(KeyboardInterrupt, AdisGonioError):
             if journal.operation.open:
-                self._set_back(journal, why)
+                found = journal.operation.found
+                back = Undo(self.sensor, registers(found), _words(found))
+                with contextlib.suppress(KeyboardInterrupt):
+                    back.put_back()
+                if not back.unrestored and self._has_numbers(found):
+                    journal.note(WriteStep.SET_BACK, why=why)
 
     def _keep_what_is_saved(self, journal: Logbook) -> None:
         """Complete the journal of a stopped write if flash and registers already have the new offsets."""
@@ -487,14 +494,6 @@ class OffsetWriter:
             if WriteStep.SAVED not in journal.steps:
                 journal.note(WriteStep.SAVED, endurance_after=endurance)
             journal.note(WriteStep.DONE)
-
-    def _set_back(self, journal: Logbook, why: str) -> None:
-        found = journal.operation.found
-        back = Undo(self.sensor, registers(found), _words(found))
-        with contextlib.suppress(KeyboardInterrupt):
-            back.put_back()
-        if not back.unrestored and self._has_numbers(found):
-            journal.note(WriteStep.SET_BACK, why=why)
 
     # -- inside ---------------------------------------------------------------------------------------
 
@@ -514,12 +513,6 @@ class OffsetWriter:
                 "the state of the sensor cannot be read now; `adis-gonio write` with --status"
                 " reports it later"
             )
-
-    def _angle(self, view: ArchiveView) -> float | None:
-        given = self.settings.angle_deg
-        if given is not None or self._bench.stage is None or self.session.plane != "xy":
-            return given
-        return next((p.angle_deg for p in view.plan().positions if p.angle_deg is not None), None)
 
     def _measure(self, what: str) -> Rest:
         self._tell(f"{what}: {self.settings.dwell_s:g} s")

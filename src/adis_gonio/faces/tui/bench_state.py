@@ -288,13 +288,10 @@ class BenchState:
         if event.temperature_c is not None:
             self.temperature_c = event.temperature_c
             self.began_c = event.temperature_c if self.began_c is None else self.began_c
-        spread = event.spread_mg
-        if spread is None:
-            return
         if event.limit_mg is None:
-            self.spread_mg, self.limit_mg = max(spread), None
+            self.spread_mg, self.limit_mg = max(event.spread_mg), None
             return
-        pairs = zip(spread, event.limit_mg, strict=True)
+        pairs = zip(event.spread_mg, event.limit_mg, strict=True)
         self.spread_mg, self.limit_mg = max(pairs, key=lambda pair: pair[0] / pair[1])
 
     def _along(self, angle_deg: float | None) -> float | None:
