@@ -434,7 +434,7 @@ def test_a_pose_that_is_not_new_and_one_the_other_way_up_are_told(sensor, path):
             runner.confirm()
         if isinstance(event, GuardRaised):
             kinds.append((event.place, event.kind))
-            runner.retake()
+            runner.answer("retake")
     assert kinds == [(2, "not_moved"), (4, "upside_down")]
     assert event.complete
 

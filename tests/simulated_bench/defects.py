@@ -211,7 +211,7 @@ def _late_note(self: Any, step: Any, **facts: Any) -> None:
     """The journal is written at the end of a write only."""
     waiting = self.__dict__.setdefault("waiting", [])
     waiting.append((step, facts))
-    self.operation = offset_writer.replace(self.operation, steps=(*self.steps, step))
+    self.operation = offset_writer.replace(self.operation, steps=(*self.operation.steps, step))
     if step is offset_writer.WriteStep.DONE:
         for one, known in waiting:
             _NOTE(self, one, **known)

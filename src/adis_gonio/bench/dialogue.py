@@ -111,18 +111,6 @@ class Operator:
         """Withdraw the newest dwell; it stays in the archive, and its position is asked for again."""
         self.answer(Reply.UNDO)
 
-    def keep(self) -> None:
-        """Overrule a guard and keep the position or dwell; the result will mention the doubt."""
-        self.answer(Reply.KEEP)
-
-    def retake(self) -> None:
-        """Request the position again that a guard has questioned."""
-        self.answer(Reply.RETAKE)
-
-    def reverse(self) -> None:
-        """Change the sign of all angles of the session, because the stage counts them the other way."""
-        self.answer(Reply.REVERSE)
-
     def accept(self) -> None:
         """Accept an offer, such as further positions."""
         self.answer(Reply.ACCEPT)
@@ -294,12 +282,12 @@ class Questions:
         self._operator.open_question(frozenset())
         self.bench.close_stream()
         self.ledger.note("paused", place)
-        yield Paused(place)
+        yield Paused()
         while self._pausing and not self.stopped:
             yield from self.remarks(place)
             self._operator.going_on.wait(0.1)  # s on the wall clock until remarks are read again
         self.ledger.note("unpaused", {"place": place})
-        yield Unpaused(place)
+        yield Unpaused()
 
     def remarks(self, place: int | None) -> Iterator[Event]:
         """Write the operator's new remarks to the archive, with the position's index `place` (or None)."""

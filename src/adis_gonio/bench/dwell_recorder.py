@@ -27,8 +27,6 @@ from adis_gonio.bench.guards import (
     drift_guard,
     judge_dwell,
     judge_shift,
-    shock_guard,
-    stuck_guard,
 )
 from adis_gonio.bench.recorder import BROKEN_STREAM, Recorder, why_broken_off
 from adis_gonio.bench.session_state import vector
@@ -316,7 +314,11 @@ class DwellRecorder(Recorder):
                 f"{recording.position}: {reason}; no dwell was possible;"
                 " find the cause of the motion and resume the session"
             )
-        return None if recording.timed_out else shock_guard(reason, restarts)
+        if recording.timed_out:
+            return None
+        text = f"{counted(restarts, 'dwell')} in a row were disturbed: {reason}"
+        message = f"{text}; find the cause of the disturbance"
+        return Guard("shock", message, {"times": float(restarts)})
 
     def _go_to(self, recording: Recording) -> Generator[Event, None, bool]:
         """Move the stage to a position; return False if the operator interrupted."""
@@ -431,7 +433,8 @@ class DwellRecorder(Recorder):
         if look.state == "stuck":
             if auto:
                 raise SessionError(look.why)
-            return _Broken(look.why, stuck_guard(look.why))
+            guard = Guard("stuck", look.why, answers=("retake", "skip"), spoils=True)
+            return _Broken(look.why, guard)
         if look.state == "still":
             recording.still(look.end)
         elif recording.begun:

@@ -265,8 +265,8 @@ class Problem(Event):
 class GuardRaised(Event):
     """A guard has found a probable error. Answers: one of `answers`, or stop.
 
-    `retake` asks for the position again, `keep` continues without a change, `reverse` reverses the sense of
-    the whole session.
+    `retake` asks for the position again, `keep` continues without a change, so that the result will mention
+    the doubt, and `reverse` reverses the sense of the whole session.
 
     Attributes
     ----------
@@ -349,8 +349,6 @@ class TurnDone(Event):
 
     Attributes
     ----------
-    attempt : int
-        Number of the attempt in the archive.
     turned_deg : float
         Angle from the beginning to the end, counter-clockwise positive.
     length_s : float
@@ -363,7 +361,6 @@ class TurnDone(Event):
         Sum of the turns in both directions, each counted as positive.
     """
 
-    attempt: int
     turned_deg: float
     length_s: float
     samples: int
@@ -391,21 +388,11 @@ class Running(Event):
 
 
 class Paused(Event):
-    """The session is paused: the stream is closed until the operator continues.
-
-    `place` is the index of the position in the plan at which it is paused; None if there is none.
-    """
-
-    place: int | None
+    """The session is paused: the stream is closed until the operator continues."""
 
 
 class Unpaused(Event):
-    """The session continues after a pause: the open question is asked again.
-
-    `place` is the index of the position in the plan at which it was paused; None if there is none.
-    """
-
-    place: int | None
+    """The session continues after a pause: the open question is asked again."""
 
 
 class Noted(Event):
@@ -421,13 +408,10 @@ class Withdrawn(Event):
     ----------
     place, position : int, Position
         Index of the position in the plan, from 0, and the position.
-    attempt : int
-        Number of the attempt in the archive.
     """
 
     place: int
     position: Position
-    attempt: int
 
 
 class ExtensionOffered(Event):

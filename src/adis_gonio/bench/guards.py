@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees
-from adis_gonio.base.numbers import counted, format_uncertain, signed
+from adis_gonio.base.numbers import format_uncertain, signed
 from adis_gonio.base.uncertainty import NORMAL_95
 from adis_gonio.bench.events import GuardKind, TurnMeasured, Vector
 from adis_gonio.model.effects.base import AXES
@@ -255,20 +255,6 @@ def drift_guard(why: str, values: dict[str, float] | None = None) -> Guard:
     """
     message = f"{why}: the part or the stage has moved on; clamp it and take the position again"
     return Guard("drift", message, values or {})
-
-
-def shock_guard(why: str, times: int) -> Guard:
-    """Return the question for a dwell that was disturbed `times` times; `why` is the last disturbance."""
-    return Guard(
-        "shock",
-        f"{counted(times, 'dwell')} in a row were disturbed: {why}; find the cause of the disturbance",
-        {"times": float(times)},
-    )
-
-
-def stuck_guard(why: str) -> Guard:
-    """Return the question for an axis with constant readings; `why` names the axis."""
-    return Guard("stuck", why, answers=("retake", "skip"), spoils=True)
 
 
 def judge_dwell(scans: Block, problems: Sequence[Problem]) -> list[Guard]:

@@ -231,7 +231,7 @@ class GyroTurnsRecorder(DwellRecorder):
         if why:
             yield DwellInterrupted(place, position, number, 0, why)
             return False
-        yield replace(turn.done(number), turns=round(abs(turn.turned_deg) / 360.0))
+        yield replace(turn.done(), turns=round(abs(turn.turned_deg) / 360.0))
         return (yield from self._judged(turn, rest, blocks))
 
     def _judged(self, turn: GyroTurn, rest: Block, blocks: list[Block]) -> Generator[Event, None, bool]:

@@ -126,10 +126,9 @@ class FollowedTurn(ABC):
             self.turns,
         )
 
-    def done(self, number: int) -> TurnDone:
-        """Return the event for the end of the turn; `number` is its attempt in the archive."""
+    def done(self) -> TurnDone:
+        """Return the event for the end of the turn."""
         return TurnDone(
-            number,
             self.turned_deg,
             self.length_s,
             self.samples,
@@ -356,7 +355,7 @@ class FreeTurnRecorder(Recorder):
         number = self._write(turn, "complete", "", None if status is None else status.word)
         ledger.use_attempt(place, number)
         ledger.recorded_s = turn.length_s  # the recording ends with the turns
-        yield turn.done(number)
+        yield turn.done()
         if not turn.full:
             yield ledger.problem(Problem("stillness", _too_few(turn), place))
         if turn.lost:

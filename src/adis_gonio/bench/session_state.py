@@ -110,10 +110,9 @@ class Ledger:
 
     def withdraw(self, place: int) -> Withdrawn:
         """Remove the dwell of a place from the session; it stays in the archive, marked as withdrawn."""
-        number = self.done.pop(place)
-        self.note("withdrawn", number)
+        self.note("withdrawn", self.done.pop(place))
         self.last_place = self._newest()
-        return Withdrawn(place, self.plan.positions[place], number)
+        return Withdrawn(place, self.plan.positions[place])
 
     def extend(self, plan: Plan) -> None:
         """Replace the plan by a changed one, such as a longer one, also in the archive."""

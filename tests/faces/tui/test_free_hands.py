@@ -115,7 +115,7 @@ def test_the_result_of_a_withdrawn_dwell_is_not_shown_any_longer():
     for event in THREE:
         state.take(event)
     assert state.running is not None
-    state.take(events.Withdrawn(2, PLAN.positions[2], 3))
+    state.take(events.Withdrawn(2, PLAN.positions[2]))
     assert state.running is None
 
 

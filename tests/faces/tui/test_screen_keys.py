@@ -206,7 +206,7 @@ def test_two_keys_at_once_close_a_dialog_once(opened):
 
 def test_a_question_that_has_gone_takes_its_dialog_along():
     def go_on(app: bench_screen.BenchApp) -> None:
-        app.state.take(events.Paused(1))
+        app.state.take(events.Paused())
         app.tick()
 
     text, _, runner = shown([*THREE, REVERSED], before=go_on)
@@ -241,7 +241,7 @@ def test_quitting_says_how_to_go_on():
 
 
 def test_pause_goes_on_with_the_same_key():
-    assert shown([*ASKED, events.Paused(3)], keys=["p"])[2].told == ["unpause"]
+    assert shown([*ASKED, events.Paused()], keys=["p"])[2].told == ["unpause"]
 
 
 @pytest.mark.parametrize("opened", ["q", "n", "question_mark"])

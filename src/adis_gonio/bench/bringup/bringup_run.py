@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
@@ -103,51 +103,49 @@ def bring_up(
     Bringup
         Results of all steps. They include faults of sensor and bridge, which are not raised.
     """
-    return _Run(bus, variant, permission, tell).all(steps)
+    return _Run(BringupBus(bus, NORMAL.clock_hz), variant, permission, tell).all(steps)
 
 
+@dataclass
 class _Run:
     """A bring-up in progress: runs the steps and collects their results."""
 
-    def __init__(
-        self,
-        bus: SpiBus,
-        variant: str | Variant,
-        permission: Permission,
-        tell: Callable[[StepResult], object],
-    ) -> None:
-        self._bus = BringupBus(bus, NORMAL.clock_hz)
-        self._variant = variant
-        self._permission = permission
-        self._tell = tell
-        self._rows: list[StepResult] = []
-        self._answers: dict[str, Answer] = {}
-        self._bench: BringupBench | None = None
-        self._undo: Undo | None = None
-        self._stopped = False
+    bus: BringupBus
+    variant: str | Variant
+    permission: Permission
+    tell: Callable[[StepResult], object]
+    rows: list[StepResult] = field(default_factory=list)
+    answers: dict[str, Answer] = field(default_factory=dict)
+    bench: BringupBench | None = None
+    undo: Undo | None = None
+    stopped: bool = False
 
     def all(self, steps: tuple[BringupStep, ...]) -> Bringup:
-        begun = self._bus.witness("utc", lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+        begun = self.bus.witness("utc", lambda: datetime.now(UTC).isoformat(timespec="seconds"))
         failure = ""
         with self._until_stopped():
             try:
-                sensor = Adis16354(self._bus, self._variant, check=False)
-                self._bench = BringupBench(self._bus, sensor)
+                sensor = Adis16354(self.bus, self.variant, check=False)
+                self.bench = BringupBench(self.bus, sensor)
             except AdisGonioError as error:
                 failure = str(error)
         for step in steps:
             result = new_result(step).not_measured("stopped by the operator")
             with self._until_stopped():
-                if self._bench is not None and not self._stopped:
-                    result = self._one(self._bench, step)
+                if self.bench is not None and not self.stopped:
+                    result = self._one(self.bench, step)
                 elif failure:
                     result = new_result(step).not_measured("the link does not work")
-                    result = result if self._rows else new_result(step).fault(failure)
+                    result = result if self.rows else new_result(step).fault(failure)
             with self._until_stopped():
-                self._add(result, step.settles)
-        if self._undo is not None:
+                self.rows.append(result)
+                why = NO_ANSWER.format(result.text.removeprefix("not measured: "))
+                default = Answer(Outcome.NOT_MEASURED, why)
+                self.answers |= {name: result.answers.get(name, default) for name in step.settles}
+                self.tell(result)
+        if self.undo is not None:
             with self._until_stopped():
-                self._undo.put_back()  # again, since an interruption may have come during the first time
+                self.undo.put_back()  # again, since an interruption may have come during the first time
         return self._whole(begun)
 
     @contextmanager
@@ -156,70 +154,63 @@ class _Run:
         try:
             yield
         except KeyboardInterrupt:
-            self._stopped = True
+            self.stopped = True
 
     def _one(self, bench: BringupBench, step: BringupStep) -> StepResult:
         refusal = bench.blocked or self._refusal(step)
         if refusal:
             return new_result(step).not_measured(refusal)
-        if step.effect in (SideEffect.WRITES, SideEffect.FLASH) and not self._permission.ask(step.question):
+        if step.effect in (SideEffect.WRITES, SideEffect.FLASH) and not self.permission.ask(step.question):
             return new_result(step).not_measured("the answer to its question was no")
         changes = step.effect is not SideEffect.READS
         try:
-            if changes and self._undo is None:
-                self._undo = Undo(bench.sensor, writable())
+            if changes and self.undo is None:
+                self.undo = Undo(bench.sensor, writable())
             bench.bus.calls.clear()
             return judge_rows(bench, step, step.run(bench, new_result(step)))
         except AdisGonioError as error:
             return new_result(step).fault(f"could not be done: {error}")
         finally:
-            if changes and self._undo is not None:
+            if changes and self.undo is not None:
                 try:
-                    self._undo.put_back()
+                    self.undo.put_back()
                 finally:
-                    if self._undo.unrestored:
-                        bench.blocked = f"{', '.join(self._undo.unrestored)} could not be put back"
+                    if self.undo.unrestored:
+                        bench.blocked = f"{', '.join(self.undo.unrestored)} could not be put back"
 
     def _refusal(self, step: BringupStep) -> str:
-        if step.effect is SideEffect.WRITES and not self._permission.writes:
+        if step.effect is SideEffect.WRITES and not self.permission.writes:
             return "it writes registers (and undoes it); --allow-writes permits that"
-        if step.effect is SideEffect.FLASH and not (self._permission.writes and self._permission.flash):
+        if step.effect is SideEffect.FLASH and not (self.permission.writes and self.permission.flash):
             return "it writes the flash once; --allow-writes --flash permits that"
         return ""
 
-    def _add(self, result: StepResult, questions: tuple[str, ...]) -> None:
-        """Keep the result of a step, and the answers to its questions."""
-        self._rows.append(result)
-        default = Answer(Outcome.NOT_MEASURED, NO_ANSWER.format(result.text.removeprefix("not measured: ")))
-        self._answers |= {name: result.answers.get(name, default) for name in questions}
-        self._tell(result)
-
     def _whole(self, begun: str) -> Bringup:
-        sensor = None if self._bench is None else self._bench.sensor
+        sensor = None if self.bench is None else self.bench.sensor
         answers = {}
         for question in QUESTIONS:
-            answers[question.name] = self._answers.get(question.name) or Answer(
+            answers[question.name] = self.answers.get(question.name) or Answer(
                 Outcome.NOT_MEASURED, NO_ANSWER.format(question.otherwise)
             )
-        unrestored = () if self._undo is None else self._undo.unrestored
+        unrestored = () if self.undo is None else self.undo.unrestored
         if unrestored:
             undone = f"NOT put back: {', '.join(unrestored)}; switch the supply off and on"
-        elif self._undo is None:
+        elif self.undo is None:
             undone = "nothing was written"
         else:
-            undone = f"all of {len(self._undo.rows)} registers were read back with their original numbers"
+            undone = f"all of {len(self.undo.rows)} registers were read back with their original numbers"
         return Bringup(
-            url=self._bus.url,
-            variant=sensor.variant.name if sensor is not None else str(self._variant),
+            url=self.bus.url,
+            variant=sensor.variant.name if sensor is not None else str(self.variant),
             begun_utc=begun,
             software=f"adis-gonio {__version__}",
-            bridge=_bridge(self._bus),
-            registers={} if self._bench is None else dict(self._bench.constants),
-            rows=tuple(self._rows),
+            bridge=_bridge(self.bus),
+            registers={} if self.bench is None else dict(self.bench.constants),
+            rows=tuple(self.rows),
             answers=answers,
             undone=undone,
             undone_ok=not unrestored,
-            stopped=self._stopped,
+            stopped=self.stopped,
         )
 
 

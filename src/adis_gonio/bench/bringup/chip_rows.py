@@ -121,8 +121,8 @@ class ChipRow:
         if figures:
             likelihood = likelihood + _of_figures(names, figures, self.wide)
         logs = np.log(priors) + likelihood
-        # Odds of the table against the best rival, and normalised probabilities.
-        odds, alone = (float(each[0] - each[1:].max()) / math.log(10) for each in (logs, likelihood))
+        # Evidence for the table against the best rival, and normalised probabilities.
+        evidence = float(likelihood[0] - likelihood[1:].max()) / math.log(10)
         weights = np.exp(logs - logs.max())
         chances = dict(zip(names, (weights / weights.sum()).tolist(), strict=True))
         outcome, table = Outcome.OPEN, chances[names[0]]
@@ -130,12 +130,12 @@ class ChipRow:
             outcome = Outcome.NOT_MEASURED
         elif table < DECIDED:
             outcome = Outcome.CONTRADICTS
-        elif table > 1 - DECIDED and likelihood[0] > likelihood[1:].max():
+        elif table > 1 - DECIDED and evidence > 0:
             outcome = Outcome.CONFIRMS
         return RowFinding(
             self.question.name, self.question.text, names[0], self.question.source,
             self.question.confidence, outcome, max(chances, key=lambda name: chances[name]),
-            len(observed), odds, alone, chances, self._described(labels, figures),
+            len(observed), evidence, chances, self._described(labels, figures),
             tuple(self._measured(number, figure) for number, figure in enumerate(figures, 1)),
         )  # fmt: skip
 
@@ -168,10 +168,9 @@ class RowFinding(JsonRecord):
         Most probable alternative.
     observations : int
         Number of observed events and figures.
-    log10_odds : float
-        Decimal logarithm of the odds of the table's statement against the most probable other alternative.
     log10_evidence : float
-        Decimal logarithm of these odds by the recordings alone, without the table's prior probability.
+        Decimal logarithm of the odds of the table's statement against the most probable other alternative
+        by the recordings alone, without the table's prior probability.
     probabilities : dict of str to float
         Probability of each alternative after the recordings.
     seen : str
@@ -188,7 +187,6 @@ class RowFinding(JsonRecord):
     outcome: Outcome
     best: str
     observations: int
-    log10_odds: float
     log10_evidence: float
     probabilities: dict[str, float]
     seen: str

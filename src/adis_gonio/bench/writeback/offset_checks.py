@@ -53,7 +53,6 @@ if TYPE_CHECKING:
     from adis_gonio.fitting.gyros.gyro_fit import GyroEstimates
 
 REGISTERS = (*ACCEL_OUT, "XTEMP_OUT", "SUPPLY_OUT")
-OF_GYROS = (*REGISTERS, *GYRO_OUT, *TEMP_OUT[1:])
 
 
 class Rest(JsonRecord):
@@ -126,7 +125,7 @@ def measure(sensor: Adis16354, dwell_s: float, patience_s: float, *, gyros: bool
         )
     window = window_samples(now)
     block = max(8, window // 2)
-    names = OF_GYROS if gyros else REGISTERS
+    names = (*REGISTERS, *GYRO_OUT, *TEMP_OUT[1:]) if gyros else REGISTERS
     with sensor.stream(names, block_scans=block, leave_registers=True, data_ready=False) as stream:
         noise = _noise(sensor, stream, now, patience_s)
         scans = _dwell(sensor, stream, noise, window, dwell_s)
@@ -447,9 +446,10 @@ class Accelerometers:
             The fit lacks a parameter, or the sensor is not in the session's plane.
         """
         sensor = _FittedSensor(self.session, self.result, plan, rest)
-        if self._angle_rad is not None and math.isfinite(self.result.fixture_sigma_deg or 0.0):
-            return sensor.at_angle(self._angle_rad)
-        return sensor.by_length()
+        planar = self.session.plane == "xy" and "alpha" in self.result
+        if self.angle_deg is None or not planar or not math.isfinite(self.result.fixture_sigma_deg or 0.0):
+            return sensor.by_length()
+        return sensor.at_angle(math.radians(self.angle_deg))
 
     def effect(self, plan: WritePlan, before: Rest, after: Rest) -> Agreement:
         """Compare the change of the outputs by the write, between two dwells, with the planned change."""
@@ -465,13 +465,6 @@ class Accelerometers:
         planned = np.array([axis.effect for axis in plan.axes])
         moved = (after.mean_mg - before.mean_mg)[rows]
         return Agreement("the write moved the outputs by", names, moved, planned, u)
-
-    @property
-    def _angle_rad(self) -> float | None:
-        """Declared angle in rad; None if it or the start angle of the plane is not known."""
-        if self.angle_deg is None or self.session.plane != "xy" or "alpha" not in self.result:
-            return None
-        return math.radians(self.angle_deg)
 
 
 class Gyros:

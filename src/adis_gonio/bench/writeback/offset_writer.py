@@ -64,11 +64,6 @@ class Logbook:
     def __init__(self, archive: Archive, operation: Operation, now_s: Callable[[], float]) -> None:
         self._archive, self.operation, self._now_s = archive, operation, now_s
 
-    @property
-    def steps(self) -> tuple[WriteStep, ...]:
-        """Steps of the operation that are recorded so far."""
-        return self.operation.steps
-
     def note(self, step: WriteStep, **facts: Any) -> None:
         """Write a step of the operation to the archive, with facts such as `endurance`.
 
@@ -81,7 +76,7 @@ class Logbook:
             KIND, {"number": self.operation.number, "step": step, **facts}, self._now_s()
         )
         known = {name: facts[name] for name in ("endurance", "endurance_after") if name in facts}
-        self.operation = replace(self.operation, steps=(*self.steps, step), **known)
+        self.operation = replace(self.operation, steps=(*self.operation.steps, step), **known)
 
 
 def load(path: Path) -> Session:
@@ -485,13 +480,13 @@ class OffsetWriter:
 
     def _keep_what_is_saved(self, journal: Logbook) -> None:
         """Complete the journal of a stopped write if flash and registers already have the new offsets."""
-        if WriteStep.SAVING not in journal.steps:
+        if WriteStep.SAVING not in journal.operation.steps:
             return
         self.sensor.bus.sleep_s(FLASH_UPDATE_S)
         now, endurance = self._read()
         new = journal.operation.new
         if endurance != journal.operation.endurance and all(now[name] == new[name] for name in new):
-            if WriteStep.SAVED not in journal.steps:
+            if WriteStep.SAVED not in journal.operation.steps:
                 journal.note(WriteStep.SAVED, endurance_after=endurance)
             journal.note(WriteStep.DONE)
 
