@@ -17,6 +17,7 @@ from adis_gonio.page.document import Section, Table, render
 
 def build_page(found: Bringup) -> str:
     """Return the result of a bring-up as one HTML page without external resources."""
+    details = [_detail(row) for row in found.rows if row.verdict is not Verdict.NOT_MEASURED]
     return render(
         "Bring-up",
         found.url,
@@ -24,7 +25,7 @@ def build_page(found: Bringup) -> str:
         simulated=found.simulated,
         begun=found.begun_utc,
         software=found.software,
-        sections=(_summary(found), _answers(found), _details(found), _limits(found)),
+        sections=(_summary(found), _answers(found), Section("The steps", parts=details), _limits(found)),
         closing="The JSON file next to this page has these figures for programs.",
     )
 
@@ -61,13 +62,6 @@ def _answers(found: Bringup) -> Section:
             " sibling's data sheet and code agree, B the sibling's sheet only, C derived, D an estimate).",
         ),
         tables=(Table(("question", "table", "source", "outcome", "measured"), rows, strong=tuple(strong)),),
-    )
-
-
-def _details(found: Bringup) -> Section:
-    return Section(
-        "The steps",
-        parts=[_detail(row) for row in found.rows if row.verdict is not Verdict.NOT_MEASURED],
     )
 
 

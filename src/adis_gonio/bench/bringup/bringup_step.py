@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,7 +123,6 @@ _COPIED = (
     *("software", "begun_utc", "url", "simulated", "variant", "bridge", "registers"),
     *("sound", "accused", "headline", "stopped"),
 )
-Number = TypeVar("Number", float, float | None)
 
 
 class Verdict(StrEnum):
@@ -191,7 +190,7 @@ class Answer(JsonRecord):
     figures: tuple[Measured, ...] = field(default=(), metadata=key("measured"))
 
 
-def _plain(number: Number) -> Number:
+def _plain(number: Any) -> Any:
     return number.item() if isinstance(number, np.generic) else number
 
 

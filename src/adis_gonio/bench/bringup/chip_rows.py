@@ -80,7 +80,6 @@ class RowFigure:
 
 Observation = str | RowFigure
 Observer = Callable[[RecordedChip, Variant], Iterable[Observation]]
-Figures = Callable[[RecordedChip, Variant], Iterable[RowFigure]]
 
 
 @dataclass(frozen=True)
@@ -436,7 +435,7 @@ def _mean_u(part: Variant, rest: RestStatistics, columns: slice) -> float:
 
 def _offset_steps(
     outputs: Sequence[str], offsets: Sequence[str], columns: slice, rivals: Mapping[str, float]
-) -> Figures:
+) -> Callable[[RecordedChip, Variant], Iterable[RowFigure]]:
     """Return a function that yields each change of an output divided by the change of its offset register.
 
     The function takes a recorded chip and its variant. `outputs` and `offsets` name the registers,

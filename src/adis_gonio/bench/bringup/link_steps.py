@@ -96,7 +96,7 @@ class Link(BringupStep):
         words = bench.bus.exchange_array(frames)[1:].reshape(_PASSES, -1)
         first = [int(word) for word in words[0]]
         found.measure("control registers read", len(first), expected=len(_CONSTANT))
-        problem = _silence(words) or _unsteady(words)
+        problem = _unreadable(words)
         if not problem:
             scores = [
                 sum(legal(row, way(word)) for row, word in zip(_CONSTANT, first, strict=True))
@@ -120,16 +120,14 @@ class Link(BringupStep):
         return found.ok(f"the registers answer with legal content; capabilities of the bridge: {names}")
 
 
-def _silence(words: Words) -> str:
+def _unreadable(words: Words) -> str:
     found = {int(word) for word in words.ravel()}
     if found == {0}:
         return "all replies are zeros: the data line (MISO) is stuck low, or nothing drives it"
     if found == {0xFFFF}:
         return "all replies are ones: the data line (MISO) is stuck high, or no chip is selected"
-    return f"all replies are 0x{found.pop():04X}: nothing drives the data line" if len(found) == 1 else ""
-
-
-def _unsteady(words: Words) -> str:
+    if len(found) == 1:
+        return f"all replies are 0x{found.pop():04X}: nothing drives the data line"
     changing = int(np.count_nonzero(np.any(words != words[0], axis=0)))
     if 2 * changing > words.shape[1]:
         return (
@@ -282,8 +280,7 @@ def _majority(words: Words) -> Words:
     """
     # Bits (passes, registers, 16): a bit is one if it is one in most passes.
     ones = ((words[:, :, np.newaxis] >> np.arange(16, dtype=np.uint16)) & 1).mean(axis=0) > 0.5
-    words_of: Words = (ones.astype(np.uint32) << np.arange(16)).sum(axis=1).astype(np.uint16)
-    return words_of
+    return np.asarray((ones.astype(np.uint32) << np.arange(16)).sum(axis=1), np.uint16)
 
 
 SUPPLY_V = (4.75, 5.25)

@@ -56,8 +56,7 @@ def flicker(floor: Floats, frequency_hz: Floats, rate_hz: float) -> Floats:
     and `rate_hz` is the sample rate. The one-sided density of flicker is floor² / (2 ln 2 f); white noise
     has 2 σ² / rate and the level σ² in each bin.
     """
-    level: Floats = floor**2 / (2 * math.log(2) * frequency_hz[:, None]) * rate_hz / 2
-    return level
+    return np.asarray(floor**2 / (2 * math.log(2) * frequency_hz[:, None]) * rate_hz / 2)
 
 
 def spectrum(values: Floats) -> tuple[Floats, Floats]:

@@ -43,16 +43,8 @@ _COMMAND, _MISC = BY_NAME["COMMAND"], BY_NAME["MSC_CTRL"]
 SELF_TEST = _MISC.field("self_test").mask
 _ALARM = BY_NAME["STATUS"].field("alarm1").mask
 _OVER_RANGE = BY_NAME["STATUS"].field("over_range").mask
-_NEAR_LIMIT = 100
-"""Distance from the limit of the range, in LSB of an offset, within which noise sets the over-range bit."""
-_LINE = 30.0
-"""Ratio of the power in a bin of a spectrum to the medians on both sides above which the bin is a line."""
 _ALARMS = _ALARM | BY_NAME["STATUS"].field("alarm2").mask
-_MOVING = ("SLP_CNT", "GPIO_CTRL")
-"""Registers that also change without a write."""
 _IS_OUTPUT = np.array([slot in BY_ADDRESS and BY_ADDRESS[slot].flags for slot in range(64)])
-_BATCH_GAP_S = 2e-3
-"""Pause in s between two frames of a capture above which they belong to different batches."""
 
 
 @dataclass
@@ -202,7 +194,7 @@ def remove_lines(values: Floats) -> tuple[float, Floats, bool]:
     """Return standard deviation and spectrum of a series without the lines of its spectrum.
 
     The standard deviation has the unit of `values`, the spectrum its square (see `spectrum`). A line is a
-    bin more than `_LINE` times as high as the medians of the bins on both sides. Its power is replaced by
+    bin more than 30 times as high as the medians of the bins on both sides. Its power is replaced by
     the mean power on both sides. The last result is True if there are lines.
     """
     _, power = spectrum(values[:, None])
@@ -212,7 +204,7 @@ def remove_lines(values: Floats) -> tuple[float, Floats, bool]:
     sides = [np.abs(at[:, None] + sign * np.arange(5, 22)) for sign in (-1, 1)]
     last = len(power) - 1
     below, above = (np.median(power[np.abs(last - np.abs(last - one)) % len(power)], 1) for one in sides)
-    line = power > _LINE * np.maximum(below, above)
+    line = power > 30.0 * np.maximum(below, above)
     # The window spreads a line over neighbouring bins.
     line = np.convolve(line, np.ones(7), "same") > 0.5
     around = (below + above) / 2 / math.log(2)
@@ -473,7 +465,7 @@ class RecordedChip:
             if self._endurance is not None and len(self._counting) == 1:
                 self.counts.append((self._counting[0], (word - self._endurance) % 32768))
             self._endurance, self._counting = word, []
-        elif row.name not in _MOVING:
+        elif row.name not in ("SLP_CNT", "GPIO_CTRL"):  # these also change without a write
             if row is _MISC and self._testing is not None:
                 ready = not word & SELF_TEST
                 self.waits.setdefault("self_test", []).append((time_s - self._testing, ready))
@@ -564,7 +556,7 @@ class RecordedChip:
 
         The offset at which the output reaches the limit of the range is found from the words of STATUS: a
         bit in the second or a later word at an offset was set again, so that the output was still out of
-        range. Offsets within `_NEAR_LIMIT` of the limit are left out, because noise sets the bit there.
+        range. Offsets within 100 LSB of the limit are left out, because noise sets the bit there.
         """
         for name in ACCEL_OFF:
             words = [one[1:] for one in self._ranges if one[0] == name]
@@ -573,7 +565,7 @@ class RecordedChip:
             if not (len(over) and len(inside)):
                 continue
             side = 1 if over.mean() > inside.mean() else -1
-            most = min(int((side * inside).max()), int((side * over).min()) - _NEAR_LIMIT)
+            most = min(int((side * inside).max()), int((side * over).min()) - 100)
             for (_, _, before), (number, first, bit) in pairwise(words):
                 if before and first and side * number <= most:
                     self.ended.append(("over_range", bit))
@@ -647,7 +639,8 @@ def _in_batches(calls: Iterable[Call]) -> Iterator[Call]:
         waiting.clear()
 
     for call in calls:
-        if waiting and (call.name != "frame" or call.begin_s - waiting[-1].end_s > _BATCH_GAP_S):
+        # A pause of more than 2 ms separates batches.
+        if waiting and (call.name != "frame" or call.begin_s - waiting[-1].end_s > 2e-3):
             yield from joined()
         if call.name == "frame":
             waiting.append(call)

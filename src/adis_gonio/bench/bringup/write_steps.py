@@ -76,8 +76,7 @@ def _mean_u(bench: BringupBench, count: int) -> Floats:
     part = bench.sensor.variant
     lsb, _, _ = scales(table.registers((*ACCEL_OUT, *GYRO_OUT)), part, 300)
     white, floor = part.performance.noise / lsb, part.performance.floor / lsb
-    result: Floats = np.sqrt(white**2 / count + 2 * floor**2 + 1 / 12 / count)
-    return result
+    return np.asarray(np.sqrt(white**2 / count + 2 * floor**2 + 1 / 12 / count))
 
 
 class SelfTests(BringupStep):

@@ -369,8 +369,7 @@ class _FittedSensor:
 
         `values` has a value for each fitted parameter of the model.
         """
-        ideal: Floats = self.model.ideal(self._base(values), np.zeros(1), np.array([-angle_rad]))[0]
-        return ideal
+        return np.asarray(self.model.ideal(self._base(values), np.zeros(1), np.array([-angle_rad]))[0])
 
     def _propagated(
         self, function: Callable[[Floats, Floats], Floats], more_u: Floats
