@@ -13,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.device.sensor.registers import BY_ADDRESS, BY_NAME, EA, GYRO_OUT, ND, REGISTERS
+from adis_gonio.device.sensor.registers import BY_ADDRESS, BY_NAME, EA, GYRO_OUT, REGISTERS
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.chip import State
 from adis_gonio.sim.memory import BASE_S, Memory
@@ -89,23 +89,8 @@ class NewClearedByTransfer(SimulatedChip):
             self._read_at[column] = before
         return word
 
-    def _values(self, slots, index, seen, rows, faulty):
-        before, sent = self._read_at.copy(), self._transfer
-        values = super()._values(slots, index, seen, rows, faulty)
-        self._transfer = None
-        for column, row in enumerate(OUTPUTS):
-            chosen = np.flatnonzero(slots == row.address >> 1)
-            # Reads of this register by frame, after the reads before these frames (frame -1 and earlier).
-            pending = [(-1, sent[1])] if sent is not None and sent[0] == column else []
-            frames = np.array([-9, *(frame for frame, _ in pending), *chosen])
-            updates = np.array([before[column], *(number for _, number in pending), *seen[chosen]])
-            # A read at frame k knows the reads up to frame k - 2.
-            known = updates[np.searchsorted(frames, chosen - 2, side="right") - 1]
-            values[chosen] = values[chosen] & np.uint16(0xFFFF ^ ND) | ND * (seen[chosen] > known)
-            self._read_at[column] = updates[np.searchsorted(frames, len(slots) - 2, side="right") - 1]
-            if len(chosen) and chosen[-1] == len(slots) - 1:
-                self._transfer = column, int(seen[-1])
-        return values
+    def _fast(self, *args):
+        return 0
 
 
 class GyrosWithoutError(SimulatedChip):
@@ -117,10 +102,8 @@ class GyrosWithoutError(SimulatedChip):
         word = super()._read(address)
         return word & ~EA if address >> 1 in self._slots else word
 
-    def _values(self, slots, *details):
-        values = super()._values(slots, *details)
-        values[np.isin(slots, self._slots)] &= np.uint16(0xFFFF ^ EA)
-        return values
+    def _fast(self, *args):
+        return 0
 
 
 class StatusNeedsTwoReads(SimulatedChip):
